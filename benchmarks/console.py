@@ -30,8 +30,8 @@ from benchmarks.rows import Absent, NotMeasured, Program, Row, Setting, Side, at
 PAGES, SECONDS, SETTLE_S = 2, 8.0, 3.0
 PATIENCE_MS = 60_000
 OPEN, SCRIPTS = "an open console", "scripts written by hand"
-STATIC = ROOT / "m100link/station/console/static"
-MAIN = "from m100link.cli import main; main()"
+STATIC = ROOT / "m100link/apps/station/console/static"
+MAIN = "from m100link.apps.cli import main; main()"
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
 ARGUMENTS = ("--no-sandbox", "--enable-unsafe-swiftshader")
 

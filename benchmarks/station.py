@@ -47,15 +47,15 @@ from benchmarks.rows import (
     timed,
     times,
 )
+from m100link.apps.station.config import Settings
+from m100link.apps.station.ros.client import Client
+from m100link.apps.station.ros.graph import Graph, Publication
+from m100link.apps.station.run import running
 from m100link.flight.pacing import Ticker
 from m100link.sim.ports.driver import Driver
 from m100link.sim.ports.tcp import serve_tcp
 from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.virtual import VirtualAircraft
-from m100link.station.config import Settings
-from m100link.station.ros.client import Client
-from m100link.station.ros.graph import Graph, Publication
-from m100link.station.run import running
 
 CLIENTS = 10
 COUNT = 3000  # messages per timing
@@ -67,7 +67,7 @@ BUSY = f"{CLIENTS} clients, every topic, both cores busy"
 DROP, DELIVERY = "a message dropped", "a message delivered"
 KEYS, KEYS_LOADED = "key to frame, alone", f"key to frame, with {CLIENTS} clients"
 LISTENER = str(Path(__file__).with_name("listener.py"))
-MAIN = "from m100link.cli import main; main()"
+MAIN = "from m100link.apps.cli import main; main()"
 
 
 @contextlib.asynccontextmanager

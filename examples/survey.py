@@ -9,7 +9,7 @@ import sys
 
 import m100link
 from m100link import Credentials, GuidanceProgress
-from m100link.patterns import length_m, survey
+from m100link.missions.patterns import length_m, survey
 
 CREDENTIALS = Credentials(app_id=10086, key=bytes(range(32)))  # those of the virtual aircraft
 

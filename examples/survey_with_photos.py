@@ -20,7 +20,7 @@ from m100link import (
     WaypointPlan,
 )
 from m100link.geodesy import LocalFrame
-from m100link.patterns import survey
+from m100link.missions.patterns import survey
 
 CREDENTIALS = Credentials(app_id=10086, key=bytes(range(32)))  # those of the virtual aircraft
 

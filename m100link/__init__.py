@@ -16,31 +16,29 @@ Importing :mod:`m100link` loads nothing else: each name is loaded when it is fir
 
 from __future__ import annotations
 
+import sys
+
 TYPE_CHECKING = False  # what checkers take for true, without a module of 10 ms to say so
 if TYPE_CHECKING:
+    from importlib.machinery import ModuleSpec
+    from types import ModuleType
+
     # For type checkers and editors, which read one file and run nothing: mypy, pyright and jedi see
     # plain imports. A stub beside this file would be a second list to keep, and would hide it.
     # Rooms by their own names again, which is how checkers tell what may be used from outside.
-    from m100link import activation as activation
     from m100link import aircraft as aircraft
-    from m100link import doctor as doctor
     from m100link import errors as errors
-    from m100link import fleet as fleet
     from m100link import flight as flight
     from m100link import geodesy as geodesy
     from m100link import link as link
     from m100link import log as log
     from m100link import missions as missions
-    from m100link import notifications as notifications
-    from m100link import patterns as patterns
     from m100link import protocol as protocol
-    from m100link import requests as requests
     from m100link import session as session
     from m100link import sim as sim
     from m100link import sync as sync
     from m100link import telemetry as telemetry
     from m100link import wire as wire
-    from m100link.activation import ActivationProgress
     from m100link.aircraft import (
         Aircraft,
         AircraftCamera,
@@ -50,6 +48,8 @@ if TYPE_CHECKING:
         GimbalRates,
         connect,
     )
+    from m100link.aircraft import activation as activation
+    from m100link.aircraft.activation import ActivationProgress
     from m100link.aircraft.supervising import (
         BackOff,
         Gap,
@@ -59,6 +59,8 @@ if TYPE_CHECKING:
         SupervisionState,
         supervise,
     )
+    from m100link.apps import doctor as doctor
+    from m100link.apps import fleet as fleet
     from m100link.errors import (
         AckTimeout,
         ActivationRefused,
@@ -146,6 +148,8 @@ if TYPE_CHECKING:
     from m100link.flight.pacing import Tick, Ticker
     from m100link.flight.tasks import TaskProgress
     from m100link.link import LinkStatistics, RoundTrips
+    from m100link.link import requests as requests
+    from m100link.missions import patterns as patterns
     from m100link.missions.plan import (
         AtEnd,
         GimbalPitch,
@@ -194,6 +198,7 @@ if TYPE_CHECKING:
         Velocity,
     )
     from m100link.session import SessionMode
+    from m100link.telemetry import notifications as notifications
     from m100link.telemetry.columns import Columns, Table
     from m100link.telemetry.device_clock import DeviceClock, HostTime
     from m100link.telemetry.integrity import Integrity, IntegrityState
@@ -389,9 +394,9 @@ _ROOMS = (
     "telemetry.state",
     "telemetry.subscription",
     "telemetry.columns",
-    "requests",
-    "notifications",
-    "activation",
+    "link.requests",
+    "telemetry.notifications",
+    "aircraft.activation",
     "geodesy",
     "aircraft",
     "flight.authority",
@@ -431,7 +436,60 @@ _OF_PLANS = frozenset(
 )
 
 # Rooms for users, not looked into for public names: those of the first are the same again.
-_OTHER_ROOMS = ("doctor", "fleet", "log", "missions", "sync", "sim", "patterns")
+_OTHER_ROOMS = (
+    *("doctor", "fleet", "log", "missions", "sync", "sim"),
+    *("activation", "notifications", "patterns", "requests"),
+)
+
+# What has moved, and where it is now. The old names keep working, deep ones with a warning.
+_MOVED = {
+    **dict.fromkeys(("agent", "bus", "cli", "doctor"), "apps"),
+    **dict.fromkeys(("fleet", "mavlink", "ros2", "station"), "apps"),
+    "activation": "aircraft",
+    "keyfile": "link",
+    "notifications": "telemetry",
+    "patterns": "missions",
+    "requests": "link",
+}
+
+
+def _now(name: str) -> str:
+    """Where a room is, by its old or its present name, below this package."""
+    return f"{__name__}.{_MOVED[name]}.{name}" if name in _MOVED else f"{__name__}.{name}"
+
+
+class _OldNames:
+    """Finds a module by the name that it had before it moved: one module under two names.
+
+    It stands before the finder of files, which would load a second copy of what is below a room.
+    """
+
+    @staticmethod
+    def find_spec(name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        if not name.startswith("m100link.") or name.split(".")[1] not in _MOVED:
+            return None
+        from importlib.util import spec_from_loader
+
+        return spec_from_loader(name, _OldNames)  # type: ignore[arg-type] # its two functions suffice
+
+    @staticmethod
+    def create_module(spec: object) -> None:
+        """An empty one, for a moment."""
+
+    @staticmethod
+    def exec_module(module: ModuleType) -> None:
+        from importlib import import_module
+        from warnings import warn
+
+        old = module.__name__
+        _, room, *deep = old.split(".")
+        now = ".".join((_now(room), *deep))
+        sys.modules[old] = import_module(now)
+        if deep or room not in (*_ROOMS, *_OTHER_ROOMS):
+            warn(f"{old} is {now} now", DeprecationWarning, stacklevel=2)
+
+
+sys.meta_path.insert(0, _OldNames)
 
 
 if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name for a name
@@ -441,7 +499,7 @@ if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name fo
         from importlib import import_module
 
         if any(room.partition(".")[0] == name for room in (*_ROOMS, *_OTHER_ROOMS)):
-            return import_module(f"{__name__}.{name}")
+            return import_module(_now(name))
         if name in __all__:
             for room in ("missions.plan",) if name in _OF_PLANS else _ROOMS:
                 module = import_module(f"{__name__}.{room}")

@@ -1,6 +1,6 @@
 """``python -m m100link``."""
 
-from m100link.cli import main
+from m100link.apps.cli import main
 
 if __name__ == "__main__":
     main()

@@ -46,11 +46,11 @@ def named(module: str) -> frozenset[str]:
             found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             text, colon, _ = node.value.partition(":")
-            is_verb = colon and module.startswith("m100link.cli.")
-            is_program = text == "m100link" or "from m100link.cli import" in text
-            found.add(f"m100link.cli.{text}" if is_verb else text)
+            is_verb = colon and module.startswith("m100link.apps.cli.")
+            is_program = text == "m100link" or "from m100link.apps.cli import" in text
+            found.add(f"m100link.apps.cli.{text}" if is_verb else text)
             if is_program and module.startswith("tests."):
-                found.add("m100link.cli.app")
+                found.add("m100link.apps.cli.app")
     return frozenset(found & MODULES.keys())
 
 

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, cast
 
-from m100link.agent.carriers.memory import MemoryChannel
-from m100link.agent.messages import (
+from m100link.apps.agent.carriers.memory import MemoryChannel
+from m100link.apps.agent.messages import (
     VERSION,
     Action,
     Ask,

@@ -27,8 +27,8 @@ import coverage
 import pytest
 
 from tests.mutation_changes import ROOT, Change, statement, text_of
-from tests.test_house import PACKAGE, TESTED_ELSEWHERE, name_of
 from tests.test_house import mirrored as place_of_test
+from tests.test_house import name_of
 
 __all__ = ["ELSEWHERE", "Trials", "mirrored", "own_files"]
 
@@ -65,11 +65,8 @@ Place = tuple[str, int]
 
 
 def mirrored(module: str) -> str:
-    """The test file of a module, or the one that the rule of the house names; "" if none."""
-    path = ROOT / module
-    found, elsewhere = place_of_test(path), TESTED_ELSEWHERE.get(str(path.relative_to(PACKAGE)))
-    if elsewhere:
-        found = ROOT / "tests" / elsewhere[0]
+    """The test file of a module, "" if there is none of its name."""
+    found = place_of_test(ROOT / module)
     return str(found.relative_to(ROOT)) if found.exists() else ""
 
 

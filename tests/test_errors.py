@@ -14,7 +14,7 @@ import pytest
 
 import m100link
 from m100link import errors
-from m100link.cli.manual import error_classes
+from m100link.apps.cli.manual import error_classes
 from tests.published_errors import PUBLISHED
 from tests.test_house import MODULES, tree
 

@@ -15,7 +15,7 @@ import pytest
 
 import m100link
 from m100link import errors
-from m100link.cli.app import app as cli
+from m100link.apps.cli.app import app as cli
 from m100link.protocol import records
 from m100link.sim import VirtualClockEventLoop
 from tests.speeds import slow

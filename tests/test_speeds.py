@@ -180,9 +180,13 @@ def test_the_list_has_functions_with_their_seconds() -> None:
 @pytest.mark.parametrize(
     ("changed", "touched", "left"),
     [
-        ("m100link/wire/frame.py", "tests/browser/test_flying.py", "tests/bus/test_memory.py"),
-        ("m100link/mavlink/manual.py", "tests/mavlink/test_commands.py", "tests/ros2/test_node.py"),
-        ("m100link/cli/demo.py", "tests/cli/test_demo.py", "tests/flight/test_path.py"),
+        ("m100link/wire/frame.py", "tests/browser/test_flying.py", "tests/apps/bus/test_memory.py"),
+        (
+            "m100link/apps/mavlink/manual.py",
+            "tests/apps/mavlink/test_commands.py",
+            "tests/apps/ros2/test_node.py",
+        ),
+        ("m100link/apps/cli/demo.py", "tests/apps/cli/test_demo.py", "tests/flight/test_path.py"),
         ("tests/log/flight.py", "tests/log/test_reading.py", "tests/wire/test_crc.py"),
         ("noxfile.py", "tests/test_project.py", "tests/wire/test_crc.py"),
         ("docs/index.md", "tests/test_project.py", "tests/flight/test_path.py"),

@@ -33,11 +33,11 @@ def loaded_by(statement: str) -> frozenset[str]:
     return frozenset(run(program).stdout.split())
 
 
-def run(program: str) -> subprocess.CompletedProcess[str]:
+def run(program: str, *options: str) -> subprocess.CompletedProcess[str]:
     # Without site, which loads what the environment likes; the paths are those of this process.
     found = f"import sys; sys.path[:] = {sys.path!r}\n{program}"
     return subprocess.run(
-        [sys.executable, "-S", "-c", found], capture_output=True, text=True, check=True
+        [sys.executable, "-S", *options, "-c", found], capture_output=True, text=True, check=True
     )
 
 
@@ -123,20 +123,21 @@ def test_a_key_loads_the_cipher_when_it_is_used() -> None:
 
 def test_every_public_name_is_what_type_checkers_take_it_for() -> None:
     [block] = [node for node in tree(MODULES["m100link"]).body if is_for_annotations(node)]
+    all_rooms = {room.partition(".")[0] for room in (*m100link._ROOMS, *m100link._OTHER_ROOMS)}
     seen, rooms = {"__version__"}, set()
     for node in ast.walk(block):
-        if isinstance(node, ast.ImportFrom):
+        if isinstance(node, ast.ImportFrom) and node.module not in {"types", "importlib.machinery"}:
             assert node.module is not None
             for alias in node.names:
                 home = importlib.import_module(node.module)
                 assert getattr(m100link, alias.name) is getattr(home, alias.name)
-                if node.module == "m100link":
+                if alias.name in all_rooms:
                     assert alias.asname == alias.name, "checkers take it for private"
                     rooms.add(alias.name)
                 else:
                     seen.add(alias.name)
     assert seen == set(m100link.__all__) - rooms
-    assert rooms == {room.partition(".")[0] for room in (*m100link._ROOMS, *m100link._OTHER_ROOMS)}
+    assert rooms == all_rooms
 
 
 TYPED = """
@@ -146,6 +147,8 @@ frame = m100link.geodesy.LocalFrame(52.0, 5.0)
 assert_type(frame, m100link.geodesy.LocalFrame)
 m100link.sim.loop_factory(1.0)
 m100link.doctor.diagnose
+m100link.fleet.Fleet
+m100link.requests.Requests
 m100link.protocol.Arm
 """
 UNTYPED = """
@@ -193,7 +196,33 @@ def test_rooms_are_attributes_without_an_import_of_their_own() -> None:
     program = "import m100link; m100link.geodesy.LocalFrame; m100link.protocol.Arm"
     assert "m100link.geodesy" in loaded_by(program)
     aside = "import m100link; m100link.sim.loop_factory; m100link.patterns.survey"
-    assert {"m100link.sim", "m100link.patterns"} <= loaded_by(aside)
+    assert {"m100link.sim", "m100link.missions.patterns"} <= loaded_by(aside)
+
+
+@pytest.mark.parametrize(
+    ("old", "now"),
+    [
+        ("m100link.fleet", "m100link.apps.fleet"),
+        ("m100link.doctor", "m100link.apps.doctor"),
+        ("m100link.patterns", "m100link.missions.patterns"),
+        ("m100link.requests", "m100link.link.requests"),
+    ],
+)
+def test_a_documented_room_that_moved_is_the_same_module_by_its_old_name(
+    old: str, now: str
+) -> None:
+    for first, second in ((old, now), (now, old)):
+        same = f"import sys, {first}, {second}; assert sys.modules[{old!r}] is sys.modules[{now!r}]"
+        asked = run(f"{same}; import m100link; assert {old} is {now}", "-W", "error")
+        assert asked.stderr == ""
+
+
+def test_what_is_below_a_room_that_moved_is_loaded_once_and_warns() -> None:
+    program = "import m100link.fleet.show as old, m100link.apps.fleet.show as now"
+    asked = run(f"{program}; assert old is now", "-W", "always")
+    assert "m100link.fleet.show is m100link.apps.fleet.show now" in asked.stderr
+    missing = run("try: import m100link.fleet.nothing\nexcept ModuleNotFoundError as e: print(e)")
+    assert missing.stdout == "No module named 'm100link.apps.fleet.nothing'\n"
 
 
 def test_a_name_that_does_not_exist_is_an_attribute_error_with_its_name() -> None:
@@ -203,7 +232,9 @@ def test_a_name_that_does_not_exist_is_an_attribute_error_with_its_name() -> Non
         exec("from m100link import Contrl")
 
 
-@pytest.mark.parametrize("door", ["aircraft", "agent.service", "sim", "station.front", "testing"])
+@pytest.mark.parametrize(
+    "door", ["aircraft", "apps.agent.service", "sim", "apps.station.front", "testing"]
+)
 def test_whoever_comes_in_by_a_door_decides_about_the_log(door: str) -> None:
     statement = f"import m100link.{door}, logging; logging.getLogger('m100link.x').warning('loud')"
     assert "m100link.link" in loaded_by(statement)
@@ -211,27 +242,34 @@ def test_whoever_comes_in_by_a_door_decides_about_the_log(door: str) -> None:
 
 
 def test_the_list_of_verbs_loads_none_of_them() -> None:
-    asked = "import sys; sys.argv = ['m100link', '--help']\nfrom m100link.cli import main"
+    asked = "import sys; sys.argv = ['m100link', '--help']\nfrom m100link.apps.cli import main"
     loaded = loaded_by(f"{asked}\ntry: main()\nexcept SystemExit: pass")
     loaded_of_it = {name for name in loaded if name.startswith("m100link")}
     assert {name for name in loaded_of_it if not name.startswith("m100link.errors.")} == {
-        *("m100link", "m100link.errors"),
-        *("m100link.cli", "m100link.cli.app", "m100link.cli.logs", "m100link.cli.outcome"),
-        "m100link.cli.terminal",
+        *("m100link", "m100link.apps", "m100link.errors"),
+        *(
+            "m100link.apps.cli",
+            "m100link.apps.cli.app",
+            "m100link.apps.cli.logs",
+            "m100link.apps.cli.outcome",
+        ),
+        "m100link.apps.cli.terminal",
     }
 
 
 def test_a_verb_for_a_port_does_not_load_the_virtual_aircraft() -> None:
     asked = "import sys; sys.argv = ['m100link', 'info', '/dev/none']"
-    run_it = "from m100link.cli import main\ntry: main()\nexcept SystemExit: pass"
+    run_it = "from m100link.apps.cli import main\ntry: main()\nexcept SystemExit: pass"
     loaded = own(f"{asked}\n{run_it}")
     assert "m100link.aircraft" in loaded
     assert "m100link.sim" not in loaded
 
 
 def test_decoding_a_frame_loads_neither_an_event_loop_nor_an_aircraft_nor_a_console() -> None:
-    asked = "import sys; sys.argv = ['m100link', 'decode', 'aa']\nfrom m100link.cli import main"
+    asked = (
+        "import sys; sys.argv = ['m100link', 'decode', 'aa']\nfrom m100link.apps.cli import main"
+    )
     loaded = loaded_by(f"{asked}\ntry: main()\nexcept SystemExit: pass")
-    assert "m100link.cli.decode" in loaded
-    above = {"asyncio", "m100link.link", "m100link.sim", "m100link.station", "rich.console"}
+    assert "m100link.apps.cli.decode" in loaded
+    above = {"asyncio", "m100link.link", "m100link.sim", "m100link.apps.station", "rich.console"}
     assert not loaded & above

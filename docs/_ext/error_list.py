@@ -16,7 +16,7 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from m100link.cli.manual import error_classes
+from m100link.apps.cli.manual import error_classes
 
 
 def first_sentences(kind: type) -> str:

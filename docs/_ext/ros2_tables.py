@@ -1,9 +1,9 @@
 """What the node of ROS 2 offers, made of its own tables.
 
-```{ros2-outputs}     m100link.ros2.topics.OUTPUTS
-```{ros2-inputs}      m100link.ros2.topics.INPUTS
-```{ros2-services}    m100link.ros2.topics.SERVICES
-```{ros2-actions}     m100link.ros2.flights.FLIGHTS
+```{ros2-outputs}     m100link.apps.ros2.topics.OUTPUTS
+```{ros2-inputs}      m100link.apps.ros2.topics.INPUTS
+```{ros2-services}    m100link.apps.ros2.topics.SERVICES
+```{ros2-actions}     m100link.apps.ros2.flights.FLIGHTS
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Any
 from sphinx.application import Sphinx
 from tables import TableDirective
 
+from m100link.apps.ros2.flights import FLIGHTS
+from m100link.apps.ros2.topics import INPUTS, OUTPUTS, SERVICES
 from m100link.log.cdr import full_name
-from m100link.ros2.flights import FLIGHTS
-from m100link.ros2.topics import INPUTS, OUTPUTS, SERVICES
 
 
 class Outputs(TableDirective):

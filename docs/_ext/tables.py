@@ -45,7 +45,7 @@ from sphinx.util.docutils import SphinxDirective
 
 from m100link import protocol
 from m100link.aircraft import supervision
-from m100link.cli.app import app as cli
+from m100link.apps.cli.app import app as cli
 from m100link.flight import lifecycle
 from m100link.flight.authority import TRANSITIONS
 from m100link.link.url import EXAMPLES
@@ -394,7 +394,7 @@ class LayerList(TableDirective):
         layers = import_contracts()[0]["layers"]
         yield "Floor", "Layer", "What it is"
         for floor, layer in zip(range(len(layers), 0, -1), layers, strict=True):
-            yield str(floor), f"``{layer}``", summary(layer)
+            yield str(floor), f"``m100link.{layer}``", summary(f"m100link.{layer}")
 
 
 class ContractList(SphinxDirective):

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from m100link.activation import ActivationProgress, activate
+from m100link.aircraft.activation import ActivationProgress, activate
 from m100link.aircraft.camera import AircraftCamera
 from m100link.aircraft.events import AuthorityEvent, ConnectionEvent
 from m100link.aircraft.gimbal import AircraftGimbal
@@ -24,14 +24,14 @@ from m100link.flight.mission_state import MissionState, MissionWatch
 from m100link.flight.sticks import SettingsPace
 from m100link.flight.tasks import Commander, task_sequences
 from m100link.link import Link, LinkStatistics
-from m100link.notifications import Notifications
+from m100link.link.requests import Requests
 from m100link.protocol.command import Address, Push, Request
 from m100link.protocol.commands.activation import Credentials, SendToMobile, Version
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile
 from m100link.protocol.firmware import FirmwareProfile
-from m100link.requests import Requests
 from m100link.telemetry.columns import Columns, Table
 from m100link.telemetry.device_clock import DeviceClock
+from m100link.telemetry.notifications import Notifications
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 from m100link.telemetry.stream import TelemetryStream
@@ -217,7 +217,7 @@ class Aircraft:
         encrypted: bool | None = None,
         refusal: type[CommandRefused] = CommandRefused,
     ) -> A:
-        """Send any request and return what its ack says: see ``m100link.requests``.
+        """Send any request and return what its ack says: see ``m100link.link.requests``.
 
         What sets the aircraft in motion on a mission is not among them: it leaves through a control
         block alone. Stopping and pausing one are.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from m100link.protocol.commands.camera import StartVideo, StopVideo, TakePhoto
 
 if TYPE_CHECKING:
-    from m100link.requests import Requests
+    from m100link.link.requests import Requests
 
 __all__ = ["AircraftCamera"]
 

@@ -19,7 +19,7 @@ from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, Gimb
 from m100link.protocol.records import Gimbal
 
 if TYPE_CHECKING:
-    from m100link.requests import Requests
+    from m100link.link.requests import Requests
     from m100link.telemetry.stream import TelemetryStream
 
 __all__ = ["AircraftGimbal", "GimbalRates", "angles_command", "rates_command"]

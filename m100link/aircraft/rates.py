@@ -12,7 +12,7 @@ from m100link.protocol.items import ITEMS, Item
 from m100link.telemetry.names import ITEM_NAMES, snake
 
 if TYPE_CHECKING:
-    from m100link.requests import Requests
+    from m100link.link.requests import Requests
     from m100link.telemetry.state import AircraftState
 
 __all__ = ["rates_by_item", "set_telemetry_rates"]

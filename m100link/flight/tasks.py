@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from m100link.flight.authority import Authority
     from m100link.flight.mission_state import MissionWatch
     from m100link.link import Link
-    from m100link.requests import Requests
+    from m100link.link.requests import Requests
     from m100link.telemetry.state import AircraftState
 
 __all__ = ["Commander", "TaskListener", "TaskProgress", "run_task"]

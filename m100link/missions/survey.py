@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from m100link.errors import UsageError
 from m100link.geodesy import LocalFrame
 from m100link.missions.checks import FASTEST_M_S, NEAREST_M
+from m100link.missions.patterns import survey as lines_over
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import AtEnd, GimbalPitch, TakePhoto, Waypoint
-from m100link.patterns import survey as lines_over
 
 __all__ = ["line_spacing", "survey"]
 

@@ -260,11 +260,11 @@ class Waypoint:
         actions: Sequence[WaypointAction] = (),
         damping: float = 0.0,
     ) -> list[Self]:
-        """Waypoints along a track such as :func:`m100link.patterns.survey` makes.
+        """Waypoints along a track such as :func:`m100link.missions.patterns.survey` makes.
 
         >>> from m100link import TakePhoto, Waypoint
         >>> from m100link.geodesy import LocalFrame
-        >>> from m100link.patterns import survey
+        >>> from m100link.missions.patterns import survey
         >>> lines = survey([(0, 0), (0, 30), (20, 30), (20, 0)], spacing=15, height=12)
         >>> frame = LocalFrame(52.1, 4.31)
         >>> points = Waypoint.along(lines, frame=frame, every=10, actions=[TakePhoto()])

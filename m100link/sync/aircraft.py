@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from m100link import aircraft as aio
-from m100link.activation import ActivationProgress
+from m100link.aircraft.activation import ActivationProgress
 from m100link.aircraft.connecting import Recording
 from m100link.aircraft.events import AuthorityEvent, ConnectionEvent
 from m100link.errors import CommandRefused, LinkError
@@ -181,7 +181,7 @@ class Aircraft:
         encrypted: bool | None = None,
         refusal: type[CommandRefused] = CommandRefused,
     ) -> A:
-        """Send any request and return what its ack says: see ``m100link.requests``.
+        """Send any request and return what its ack says: see ``m100link.link.requests``.
 
         What sets the aircraft in motion on a mission is not among them: it leaves through a control
         block alone. Stopping and pausing one are.

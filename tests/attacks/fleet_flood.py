@@ -18,8 +18,8 @@ from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 
+from m100link.apps.fleet.client import connect
 from m100link.errors import M100Error
-from m100link.fleet.client import connect
 from tests.waiting import until
 
 __all__ = ["Flood", "measure"]

@@ -19,7 +19,7 @@ import sys
 import time
 from dataclasses import dataclass
 
-from m100link.fleet.client import connect
+from m100link.apps.fleet.client import connect
 from tests.attacks.fleet import STILL_M_S, WITHIN_S, Site, flying
 from tests.waiting import until
 

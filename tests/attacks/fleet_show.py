@@ -27,9 +27,9 @@ from functools import partial
 from itertools import combinations
 from pathlib import Path
 
-from m100link.fleet.pki import Kind, init, issue
-from m100link.fleet.show.document import Show
-from m100link.fleet.show.track import TimedTrack, Vector
+from m100link.apps.fleet.pki import Kind, init, issue
+from m100link.apps.fleet.show.document import Show
+from m100link.apps.fleet.show.track import TimedTrack, Vector
 from m100link.geodesy import LocalFrame
 from m100link.sim.ports.driver import Driver
 from m100link.sim.ports.pty import PtyPort

@@ -16,11 +16,8 @@ pytest.importorskip("starlette")
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import WebSocketException
 
-from m100link.station.run import Running
-from tests.attacks import gaps, stops
-from tests.attacks.gaps import measure, table
-from tests.attacks.losses import LOSSES, lose_at_random
-from tests.station.web.test_server import (
+from m100link.apps.station.run import Running
+from tests.apps.station.web.test_server import (
     address,
     opened,
     publish,
@@ -29,6 +26,9 @@ from tests.station.web.test_server import (
     station,
     until,
 )
+from tests.attacks import gaps, stops
+from tests.attacks.gaps import measure, table
+from tests.attacks.losses import LOSSES, lose_at_random
 from tests.waiting import PATIENCE, kept_waiting
 
 pytestmark = [pytest.mark.anyio]

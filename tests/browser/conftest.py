@@ -137,7 +137,7 @@ async def running_console(
     """The command, as a user starts it; yields what it printed, and its process."""
     process = await asyncio.create_subprocess_exec(
         sys.executable,
-        *("-c", "from m100link.cli import main; main()"),
+        *("-c", "from m100link.apps.cli import main; main()"),
         *(
             "console",
             *aircraft,

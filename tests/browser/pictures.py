@@ -96,7 +96,7 @@ async def manual() -> None:
         await browser.close()
 
 
-COMMAND = (sys.executable, "-c", "from m100link.cli import main; main()")
+COMMAND = (sys.executable, "-c", "from m100link.apps.cli import main; main()")
 
 
 def demo() -> None:

@@ -13,11 +13,11 @@ from functools import partial
 from pathlib import Path
 from unittest.mock import patch
 
-from m100link.cli.configuration import read_configuration
+from m100link.apps.cli.configuration import read_configuration
+from m100link.apps.fleet.ledger import FileLedger
+from m100link.apps.fleet.rights import Rights
 from m100link.errors import M100Error
-from m100link.fleet.ledger import FileLedger
-from m100link.fleet.rights import Rights
-from m100link.keyfile import read_key
+from m100link.link.keyfile import read_key
 from m100link.log import Message, read, recorder, recover
 from m100link.sim import VirtualClockEventLoop
 from tests.faults.damaged_files import Judge
@@ -208,7 +208,7 @@ def configurations(folder: Path) -> tuple[list[bytes], Judge]:
     """The user's configuration, a file of rights, and a key: read once, then the disk fails."""
     path = folder / "file"
     told = _Told()
-    logging.getLogger("m100link.keyfile").addHandler(told)
+    logging.getLogger("m100link.link.keyfile").addHandler(told)
 
     def judge(whole: bytes, copy: bytes) -> str:
         path.unlink(missing_ok=True)

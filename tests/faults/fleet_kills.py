@@ -25,7 +25,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 
-from m100link.fleet.client import connect
+from m100link.apps.fleet.client import connect
 from m100link.sim.ports.driver import Driver
 from m100link.sim.ports.pty import PtyPort
 from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY

@@ -27,8 +27,8 @@ from m100link import (
 )
 from m100link.flight.guards import GuardKeeper
 from m100link.flight.stop_path import StopAction
+from m100link.link.requests import Requests
 from m100link.protocol.commands.control import Move
-from m100link.requests import Requests
 from m100link.sim import VirtualClockEventLoop
 from tests.flight.missions.foreign import foreign, spot
 from tests.rig import FIRMWARES, NORTH, STILL, Rig, rig

@@ -30,7 +30,7 @@ from m100link import (
 from m100link.flight.guidance import GuidanceProgress
 from m100link.flight.loops import ClosedLoops
 from m100link.geodesy import LocalFrame
-from m100link.patterns import survey
+from m100link.missions.patterns import survey
 from m100link.protocol.commands.control import Move
 from m100link.sim import AircraftSettings
 from tests.rig import FIRMWARES, Rig, rig

@@ -25,21 +25,20 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from mcap.writer import CompressionType, Writer
 
-from m100link.agent.actions import Action
-from m100link.agent.fault import Fault, MessageError
-from m100link.agent.message_bytes import encode as encode_message
-from m100link.agent.messages import Ask, Steer
-from m100link.bus.network import Answer
-from m100link.cli.decode import _from_hex
-from m100link.cli.fleet_lease import borrowed
-from m100link.cli.telemetry import _plot_file
-from m100link.doctor.listening import hear
-from m100link.doctor.machine import Machine
-from m100link.errors import M100Error, UsageError
-from m100link.fleet.answers import believed, clocks_told
-from m100link.fleet.keys import Keys, name_in, session_in
-from m100link.fleet.ledger import FileLedger
-from m100link.fleet.logs.words import (
+from m100link.apps.agent.actions import Action
+from m100link.apps.agent.fault import Fault, MessageError
+from m100link.apps.agent.message_bytes import encode as encode_message
+from m100link.apps.agent.messages import Ask, Steer
+from m100link.apps.bus.network import Answer
+from m100link.apps.cli.decode import _from_hex
+from m100link.apps.cli.fleet_lease import borrowed
+from m100link.apps.cli.telemetry import _plot_file
+from m100link.apps.doctor.listening import hear
+from m100link.apps.doctor.machine import Machine
+from m100link.apps.fleet.answers import believed, clocks_told
+from m100link.apps.fleet.keys import Keys, name_in, session_in
+from m100link.apps.fleet.ledger import FileLedger
+from m100link.apps.fleet.logs.words import (
     LogEntry,
     LogReply,
     pack_entries,
@@ -47,7 +46,7 @@ from m100link.fleet.logs.words import (
     unpack_entries,
     unpack_reply,
 )
-from m100link.fleet.payloads import (
+from m100link.apps.fleet.payloads import (
     Card,
     MissionCard,
     Order,
@@ -58,16 +57,33 @@ from m100link.fleet.payloads import (
     unpack,
     unpack_steer,
 )
-from m100link.fleet.pki import init
-from m100link.fleet.revocations import AUTHORITY, LIST, Revocations
-from m100link.fleet.revoked import Revoked, sign_revoked
-from m100link.fleet.sealed import Mark, seal
-from m100link.fleet.show.ahead import Ahead
-from m100link.fleet.show.conductor import _part
-from m100link.fleet.show.document import Show
-from m100link.fleet.show.track import TimedTrack
-from m100link.fleet.signing import _needed
-from m100link.keyfile import read_key, read_token
+from m100link.apps.fleet.pki import init
+from m100link.apps.fleet.revocations import AUTHORITY, LIST, Revocations
+from m100link.apps.fleet.revoked import Revoked, sign_revoked
+from m100link.apps.fleet.sealed import Mark, seal
+from m100link.apps.fleet.show.ahead import Ahead
+from m100link.apps.fleet.show.conductor import _part
+from m100link.apps.fleet.show.document import Show
+from m100link.apps.fleet.show.track import TimedTrack
+from m100link.apps.fleet.signing import _needed
+from m100link.apps.mavlink.codec import (
+    LAYOUTS,
+    Message,
+    Reading,
+    Signer,
+    read_datagram,
+    write_frame,
+)
+from m100link.apps.mavlink.signatures import SignatureMemory, Snapshot
+from m100link.apps.ros2.graph import Attachment, read_attachment
+from m100link.apps.ros2.graph import read_token as read_ros2_token
+from m100link.apps.station.config import resolve
+from m100link.apps.station.console.view.settings import Settings
+from m100link.apps.station.foxglove.session import Channel, Viewer
+from m100link.apps.station.web.access import Access
+from m100link.apps.station.web.gate import Gate
+from m100link.errors import M100Error, UsageError
+from m100link.link.keyfile import read_key, read_token
 from m100link.log import read, recover
 from m100link.log.cdr import decode as decode_cdr
 from m100link.log.cdr import encode as encode_cdr
@@ -82,20 +98,11 @@ from m100link.log.ros2 import write_bag
 from m100link.log.ros2_definitions import DEFINITIONS
 from m100link.log.story import read_story
 from m100link.log.witness import Witness
-from m100link.mavlink.codec import LAYOUTS, Message, Reading, Signer, read_datagram, write_frame
-from m100link.mavlink.signatures import SignatureMemory, Snapshot
 from m100link.protocol.firmware import PROFILES
 from m100link.protocol.setpoint import Setpoint
-from m100link.ros2.graph import Attachment, read_attachment
-from m100link.ros2.graph import read_token as read_ros2_token
 from m100link.sim.orders.ctl import CtlServer
 from m100link.sim.virtual import VirtualAircraft
-from m100link.station.config import resolve
-from m100link.station.console.view.settings import Settings
-from m100link.station.foxglove.session import Channel, Viewer
-from m100link.station.web.access import Access
-from m100link.station.web.gate import Gate
-from tests.fleet.show.shows import track
+from tests.apps.fleet.show.shows import track
 
 __all__ = [
     "answers",
@@ -413,7 +420,7 @@ def read_show(data: bytes) -> None:
 
 def read_lease_file(data: bytes) -> None:
     """The lease that commands of one account share."""
-    with patch("m100link.cli.fleet_lease.lease_file", lambda *_: place()):
+    with patch("m100link.apps.cli.fleet_lease.lease_file", lambda *_: place()):
         of_file(lambda _: borrowed("site", "a1"))(data)
 
 
@@ -548,10 +555,10 @@ async def _sent(message: Mapping[str, Any]) -> None:
 
 def events(data: bytes) -> None:
     """What the page's script emits, by everything that hears it."""
-    from m100link.station.console.parts import buttons
-    from m100link.station.console.parts.click import ClickPart
-    from m100link.station.console.parts.plan import PlanPart
-    from m100link.station.console.parts.replay import ReplayPart
+    from m100link.apps.station.console.parts import buttons
+    from m100link.apps.station.console.parts.click import ClickPart
+    from m100link.apps.station.console.parts.plan import PlanPart
+    from m100link.apps.station.console.parts.replay import ReplayPart
 
     Settings.from_text(data.decode("utf-8", "replace"))
     event = Mock(args=json.loads(data))
@@ -583,7 +590,7 @@ def machine(data: bytes) -> None:
 
 def read_plot(data: bytes) -> None:
     """A file of columns to be plotted."""
-    with patch("m100link.cli.telemetry._draw"), patch("m100link.cli.telemetry.complain"):
+    with patch("m100link.apps.cli.telemetry._draw"), patch("m100link.apps.cli.telemetry.complain"):
         of_file(lambda path: _plot_file(path, ("height",)))(data)
 
 

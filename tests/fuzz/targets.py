@@ -14,15 +14,19 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from m100link.agent.fault import MessageError
-from m100link.agent.message_bytes import decode as decode_message
-from m100link.agent.message_bytes import encode as encode_message
-from m100link.agent.messages import Event, Hello, LeaseChanged, State
 from m100link.aircraft.replaying import parse_replay
-from m100link.cli.configuration import read_configuration
-from m100link.cli.decode import decode_stream
+from m100link.apps.agent.fault import MessageError
+from m100link.apps.agent.message_bytes import decode as decode_message
+from m100link.apps.agent.message_bytes import encode as encode_message
+from m100link.apps.agent.messages import Event, Hello, LeaseChanged, State
+from m100link.apps.cli.configuration import read_configuration
+from m100link.apps.cli.decode import decode_stream
+from m100link.apps.fleet.rights import Rights
+from m100link.apps.station.launch import read_launch
+from m100link.apps.station.ros.client import Client
+from m100link.apps.station.ros.graph import Graph
+from m100link.apps.station.ros.rosapi import add_rosapi
 from m100link.errors import BadPlan, BadURL, LayoutMismatch, M100Error, UsageError
-from m100link.fleet.rights import Rights
 from m100link.link.url import parse_url
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.command import plain
@@ -31,12 +35,8 @@ from m100link.protocol.firmware import PROFILES
 from m100link.protocol.packet import TelemetryPacket
 from m100link.sim.orders.scenario import Scenario
 from m100link.sim.ports.url import aircraft_of, speed_of
-from m100link.station.launch import read_launch
-from m100link.station.ros.client import Client
-from m100link.station.ros.graph import Graph
-from m100link.station.ros.rosapi import add_rosapi
 from m100link.wire import Cipher, FrameDecoder
-from tests.fleet.show.shows import FIVE
+from tests.apps.fleet.show.shows import FIVE
 from tests.fuzz import files, worlds
 from tests.fuzz.worlds import World
 

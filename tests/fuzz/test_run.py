@@ -14,7 +14,7 @@ from types import FrameType
 
 import pytest
 
-from m100link.agent.background import BackgroundTasks
+from m100link.apps.agent.background import BackgroundTasks
 from tests.fuzz import run
 from tests.fuzz.guided import quoted
 from tests.fuzz.mutation import MOST, changed

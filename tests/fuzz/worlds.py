@@ -23,15 +23,15 @@ from typing import Any
 import cbor2
 import crcmod
 
-from m100link.agent.actions import Action, LeaseAction
-from m100link.agent.carriers.unix import UnixChannel
-from m100link.agent.fault import MessageError
-from m100link.agent.guided import ChangeHeading, ChangeHeight, FlyAround, FlyTo
-from m100link.agent.lease import Lease
-from m100link.agent.message_bytes import decode as decode_message
-from m100link.agent.message_bytes import encode as encode_message
-from m100link.agent.messages import VERSION as MESSAGES_VERSION
-from m100link.agent.messages import (
+from m100link.apps.agent.actions import Action, LeaseAction
+from m100link.apps.agent.carriers.unix import UnixChannel
+from m100link.apps.agent.fault import MessageError
+from m100link.apps.agent.guided import ChangeHeading, ChangeHeight, FlyAround, FlyTo
+from m100link.apps.agent.lease import Lease
+from m100link.apps.agent.message_bytes import decode as decode_message
+from m100link.apps.agent.message_bytes import encode as encode_message
+from m100link.apps.agent.messages import VERSION as MESSAGES_VERSION
+from m100link.apps.agent.messages import (
     Ask,
     Event,
     Hello,
@@ -42,15 +42,14 @@ from m100link.agent.messages import (
     Steer,
     Telemetry,
 )
-from m100link.agent.service import Service
-from m100link.bus.network import Question, Received
-from m100link.errors import M100Error
-from m100link.fleet.asking import Asker
-from m100link.fleet.keys import Keys
-from m100link.fleet.logs.service import LogService
-from m100link.fleet.logs.words import LogQuestion, What, pack_question, unpack_reply
-from m100link.fleet.outcome import Outcome
-from m100link.fleet.payloads import (
+from m100link.apps.agent.service import Service
+from m100link.apps.bus.network import Question, Received
+from m100link.apps.fleet.asking import Asker
+from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.logs.service import LogService
+from m100link.apps.fleet.logs.words import LogQuestion, What, pack_question, unpack_reply
+from m100link.apps.fleet.outcome import Outcome
+from m100link.apps.fleet.payloads import (
     SHOW,
     VERSION,
     Card,
@@ -62,30 +61,31 @@ from m100link.fleet.payloads import (
     pack_steer,
     unpack,
 )
-from m100link.fleet.show.ahead import Ahead
-from m100link.fleet.show.service import ShowService
-from m100link.fleet.telemetry import FleetTelemetry
+from m100link.apps.fleet.show.ahead import Ahead
+from m100link.apps.fleet.show.service import ShowService
+from m100link.apps.fleet.telemetry import FleetTelemetry
+from m100link.apps.mavlink.codec import LAYOUTS, Message, write_frame
+from m100link.apps.mavlink.modes import Mode
+from m100link.apps.mavlink.numbers import Command
+from m100link.apps.ros2.graph import Attachment, data_key
+from m100link.apps.ros2.topics import INPUTS, SERVICES
+from m100link.errors import M100Error
 from m100link.log.cdr import encode as encode_cdr
-from m100link.mavlink.codec import LAYOUTS, Message, write_frame
-from m100link.mavlink.modes import Mode
-from m100link.mavlink.numbers import Command
 from m100link.protocol.commands.control import Task
 from m100link.protocol.setpoint import Setpoint
-from m100link.ros2.graph import Attachment, data_key
-from m100link.ros2.topics import INPUTS, SERVICES
 from m100link.sim.clock import VirtualClockEventLoop
 from m100link.sim.virtual import VirtualAircraft
-from tests.fleet.conftest import SITE
-from tests.fleet.conftest import Rig as FleetRig
-from tests.fleet.logs.conftest import AtOnce
-from tests.fleet.show.shows import track
-from tests.fleet.test_agent import in_the_air
-from tests.mavlink.conftest import Ground
-from tests.mavlink.conftest import Rig as MavlinkRig
-from tests.ros2.conftest import Program
-from tests.ros2.conftest import Rig as Ros2Rig
-from tests.station.conftest import Rig as StationRig
-from tests.station.console.test_tab import Browser
+from tests.apps.fleet.conftest import SITE
+from tests.apps.fleet.conftest import Rig as FleetRig
+from tests.apps.fleet.logs.conftest import AtOnce
+from tests.apps.fleet.show.shows import track
+from tests.apps.fleet.test_agent import in_the_air
+from tests.apps.mavlink.conftest import Ground
+from tests.apps.mavlink.conftest import Rig as MavlinkRig
+from tests.apps.ros2.conftest import Program
+from tests.apps.ros2.conftest import Rig as Ros2Rig
+from tests.apps.station.conftest import Rig as StationRig
+from tests.apps.station.console.test_tab import Browser
 
 __all__ = [
     "World",

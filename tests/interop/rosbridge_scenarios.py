@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import cbor2
 
-from m100link.station.ros.client import Client
-from m100link.station.ros.graph import Call, Graph, Listener
-from m100link.station.ros.messages import Message
+from m100link.apps.station.ros.client import Client
+from m100link.apps.station.ros.graph import Call, Graph, Listener
+from m100link.apps.station.ros.messages import Message
 
 WORLD: dict[str, Any] = {
     "published": {

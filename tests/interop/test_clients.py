@@ -31,7 +31,7 @@ NAMES_OF_2015 = {
 @contextlib.contextmanager
 def station() -> Iterator[str]:
     """The command, as a user starts it; yields the address of rosbridge."""
-    command = [sys.executable, "-c", "from m100link.cli import main; main()"]
+    command = [sys.executable, "-c", "from m100link.apps.cli import main; main()"]
     process = subprocess.Popen(
         [*command, "serve", "--sim", "--port", "0", "--json"],
         stdout=subprocess.PIPE,

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from m100link import connect
-from m100link.agent.connect import by_driver, by_url
+from m100link.apps.agent.connect import by_driver, by_url
 from m100link.errors import NoAircraft
 from m100link.log import Recorder, read
 from m100link.log.folder import Flights, default_folder

@@ -120,7 +120,7 @@ class KnownLog:
 
 def read_known(path: Path, *packages: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
     """The messages of its bag by topic, as rosbags reads them."""
-    from tests.ros2.known import read as flat
+    from tests.apps.ros2.known import read as flat
 
     with path.open("xb") as stream:
         write_bag(cast("FlightLog", KnownLog(*packages)), stream)
@@ -134,7 +134,7 @@ def read_known(path: Path, *packages: dict[str, Any]) -> dict[str, list[dict[str
 @pytest.mark.parametrize("topic", TOPICS)
 def test_the_bag_has_the_values_of_the_node(topic: str, tmp_path: Path) -> None:
     """In the frames map and base_link; without an origin a place is above the take-off point."""
-    from tests.ros2.test_values import ACCELERATION, ORIENTATION, TOLD, agree, header, xyz
+    from tests.apps.ros2.test_values import ACCELERATION, ORIENTATION, TOLD, agree, header, xyz
 
     at = 4.25
     usual = {f"/m100/{name}": TOLD[f"~/{name}"] for name in ("imu", "fix", "battery", "joy")}

@@ -16,7 +16,7 @@ from typing import Any, cast
 
 import pytest
 
-from m100link.cli.log_tables import csv as log_csv
+from m100link.apps.cli.log_tables import csv as log_csv
 from m100link.link import Direction
 from m100link.log import read
 from m100link.log.dissector import _Tables

@@ -18,7 +18,7 @@ from m100link import (
     WaypointPlan,
 )
 from m100link.geodesy import LocalFrame
-from m100link.patterns import survey
+from m100link.missions.patterns import survey
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.waypoint import (
     WaypointDownloadMission,

@@ -1,4 +1,5 @@
-"""What a stream says, whatever pieces it comes in; each kind of frame: tests/cli/test_decode.py."""
+"""What a stream says, whatever pieces it comes in; each kind of frame:
+tests/apps/cli/test_decode.py."""
 
 from __future__ import annotations
 

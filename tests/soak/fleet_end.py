@@ -18,22 +18,22 @@ from collections.abc import Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass, field
 
-from m100link.agent.carriers.memory import MemoryChannel, memory_channels
-from m100link.agent.client import AgentClient
-from m100link.agent.messages import State, Telemetry
-from m100link.bus.network import DEPTH, Held, Outlet
-from m100link.bus.session import ZenohBus
-from m100link.fleet.agent import FleetAgent
-from m100link.fleet.client import Fleet
-from m100link.fleet.keys import Keys
-from m100link.fleet.ledger import MemoryLedger
-from m100link.fleet.session import open_fleet
-from m100link.fleet.telemetry import FleetTelemetry
-from m100link.fleet.thinning import WALL_HZ, Thinner
+from m100link.apps.agent.carriers.memory import MemoryChannel, memory_channels
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.messages import State, Telemetry
+from m100link.apps.bus.network import DEPTH, Held, Outlet
+from m100link.apps.bus.session import ZenohBus
+from m100link.apps.fleet.agent import FleetAgent
+from m100link.apps.fleet.client import Fleet
+from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.ledger import MemoryLedger
+from m100link.apps.fleet.session import open_fleet
+from m100link.apps.fleet.telemetry import FleetTelemetry
+from m100link.apps.fleet.thinning import WALL_HZ, Thinner
+from m100link.apps.station.child import leave_what_stays
+from m100link.apps.station.config import Settings
+from m100link.apps.station.run import owning
 from m100link.sim import VirtualClockEventLoop
-from m100link.station.child import leave_what_stays
-from m100link.station.config import Settings
-from m100link.station.run import owning
 from m100link.testing import ConnectableAircraft
 
 __all__ = ["FULL_HZ", "LOOKED_AT", "SITE", "main"]

@@ -12,7 +12,7 @@ from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.waypoint import WaypointDownloadMission, WaypointDownloadPoint
 
 if TYPE_CHECKING:
-    from m100link.requests import Requests
+    from m100link.link.requests import Requests
 
 __all__ = ["download_waypoint_plan"]
 

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from m100link import Waypoint, WaypointPlan
+from m100link.apps.station.console.view.alarms import ALARMS, AlarmName
 from m100link.sim.orders.actions import perform
 from m100link.sim.virtual import VirtualAircraft
-from m100link.station.console.view.alarms import ALARMS, AlarmName
 from tests.browser.conftest import Console, context_of, until
 from tests.browser.long.test_disturbances import Line, console_of
 from tests.browser.operator import banner, hold_until, in_control, look_at, press, press_for, shows

@@ -107,7 +107,7 @@ class Flight:
     @property
     def front(self) -> int:
         """Process of the fronts."""
-        named = b"m100link.station.front"  # a guardian is a child, too
+        named = b"m100link.apps.station.front"  # a guardian is a child, too
         (front,) = (
             one
             for one in children(self.station.pid)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from m100link.station.console.page import VIEWS
+from m100link.apps.station.console.page import VIEWS
 from tests.browser.boxes import SIZES, faults
 from tests.browser.conftest import Console
 from tests.browser.operator import airborne, banner, hold, look_at, press, shows

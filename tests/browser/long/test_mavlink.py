@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
-from m100link.mavlink.codec import Message, read_datagram, write_frame
-from m100link.mavlink.numbers import Command, Result
+from m100link.apps.mavlink.codec import Message, read_datagram, write_frame
+from m100link.apps.mavlink.numbers import Command, Result
 from m100link.sim.orders.ctl import send_order
 from tests.browser.conftest import Console, Watch, context_of, running_console, until
 from tests.browser.operator import banner, press_for, press_until
@@ -141,7 +141,7 @@ async def beside(browser: Any, folder: Path) -> AsyncIterator[Beside]:
     key.write_text(bytes(range(32)).hex())
     key.chmod(0o600)
     words = ("sim", "--tcp", "127.0.0.1:0", "--json")
-    command = [sys.executable, "-c", "from m100link.cli import main; main()", *words]
+    command = [sys.executable, "-c", "from m100link.apps.cli import main; main()", *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as sim:  # noqa: ASYNC220 - it has begun when it says so
         assert sim.stdout is not None
         told = json.loads(sim.stdout.readline())

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_fleet import Site
+from tests.apps.cli.test_fleet import Site
 from tests.waiting import PATIENCE
 
 pytest.importorskip("zenoh", reason="the extra fleet is not installed")

@@ -11,8 +11,8 @@ from typing import Any
 
 import zenoh
 
+from m100link.apps.ros2.graph import Attachment, End, NodeName, Qos, data_key, read_attachment
 from m100link.log.cdr import decode, encode
-from m100link.ros2.graph import Attachment, End, NodeName, Qos, data_key, read_attachment
 
 FLY_TO = "m100_msgs/action/FlyTo"
 
@@ -87,7 +87,7 @@ def store_of_types() -> Any:
     """Types as rosbags has them, and those of m100_msgs by their files."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    from m100link.ros2 import MESSAGES
+    from m100link.apps.ros2 import MESSAGES
 
     store = get_typestore(Stores.LATEST)
     for path in sorted(MESSAGES.rglob("*.msg")):

@@ -19,7 +19,7 @@ from typing import Any
 
 from rosbags.typesys import Stores, get_typestore
 
-from m100link.ros2 import MESSAGES
+from m100link.apps.ros2 import MESSAGES
 
 sdk: Any = import_module("zenoh_ros2_sdk")
 registry: Any = import_module("zenoh_ros2_sdk.message_registry")

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from m100link.cli.sim_live import KEYS, LiveView, read_keys
+from m100link.apps.cli.sim_live import KEYS, LiveView, read_keys
 from m100link.errors import UsageError
 from m100link.protocol import Setpoint
 from m100link.protocol.commands.follow import FollowStart

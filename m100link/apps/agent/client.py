@@ -1,0 +1,499 @@
+"""What a front holds of an agent: what it knows, and what it can ask for.
+
+Everything here is true as of the newest message. The agent decides again when a wish arrives: a
+lease that has ended meanwhile, or authority that was lost, is refused there.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from types import TracebackType
+from typing import Any, Self
+
+from m100link.apps.agent.answers import Answers
+from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.carriers import Channel
+from m100link.apps.agent.fault import Fault, agent_gone
+from m100link.apps.agent.guided import GuidedOrder
+from m100link.apps.agent.lease import Lease, LeaseRefused, TakeOver
+from m100link.apps.agent.messages import (
+    VERSION,
+    Action,
+    Activating,
+    Ask,
+    AuthorityTaken,
+    Event,
+    FromMobile,
+    Hello,
+    LeaseAction,
+    LeaseAsk,
+    LeaseChanged,
+    LeaseGranted,
+    LinkCounted,
+    Message,
+    MissionTold,
+    Note,
+    Outcome,
+    PlanTold,
+    State,
+    Steer,
+    SteerRefused,
+    TakeOverOffered,
+    Telemetry,
+)
+from m100link.apps.agent.own_loop import OwnLoop
+from m100link.apps.agent.plan_told import plan_of
+from m100link.apps.agent.steering import SETPOINT_LIFETIME
+from m100link.errors import AuthorityLost, LayoutMismatch, M100Error
+from m100link.missions.plan import WaypointPlan
+from m100link.protocol.codes import ActivationCode
+from m100link.protocol.commands.control import Task
+from m100link.protocol.firmware import PROFILES
+from m100link.protocol.setpoint import Setpoint
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.state import AircraftState
+from m100link.telemetry.subscription import Hub, Policy, Subscription
+
+__all__ = ["MAX_SILENCE", "AgentClient"]
+
+MAX_SILENCE = 2.0
+"""Seconds without a word after which the agent counts as silent; it tells its state at 4 Hz."""
+
+_MAX_EVENTS = 200
+
+
+class AgentClient:
+    """One front's end of the way to an agent; to be used as ``async with``.
+
+    Args:
+        channel: The way.
+        name: Who this is, for people.
+
+    Attributes:
+        state: Where the agent stands.
+        holder: Who has the lease.
+        link: What was counted on the line to the aircraft; None before, and while there is none.
+        telemetry: Newest values and their ages; None while no aircraft is connected. When the
+            agent itself is gone the values stay, and grow old.
+        events: What happened lately.
+        background: Tasks that end with this client.
+        unread: Telemetry packages and plans that this version cannot read.
+        plan: What somebody uploaded and may start, or flies; None for none.
+        plan_by: Who uploaded it, for people.
+        on_event: Called with each event.
+        on_sample: Called with each telemetry package; :meth:`samples` wakes a task for each.
+        on_activating: Called with each answer of the aircraft to an activation.
+        on_authority_taken: Called when somebody else took control authority.
+        on_steer_refused: Called with the fence and the reason when a setpoint was not flown.
+        on_lease: Called when the lease changed hands.
+        heard_at: When anything of the agent was heard last, s.
+    """
+
+    def __init__(self, channel: Channel, name: str) -> None:
+        loop = asyncio.get_running_loop()
+        self._clock = loop.time
+        self._channel = OwnLoop(channel)
+        self._name = name
+        self.state = State(at=self.now)
+        self.heard_at = self.now
+        self.holder = LeaseChanged(0, "")
+        self.link: LinkCounted | None = None
+        self.telemetry: AircraftState | None = None
+        self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
+        self.background = BackgroundTasks()
+        self.unread = 0
+        self.plan: WaypointPlan | None = None
+        self.plan_by = ""
+        self.on_event: list[Callable[[Event], None]] = []
+        self.on_sample: list[Callable[[Sample], None]] = []
+        self.on_activating: list[Callable[[ActivationCode], None]] = []
+        self.on_authority_taken: list[Callable[[AuthorityLost], None]] = []
+        self.on_steer_refused: list[Callable[[int, M100Error], None]] = []
+        self.on_mission_told: list[Callable[[MissionTold], None]] = []
+        self.on_lease: list[Callable[[LeaseChanged], None]] = []
+        self._samples: Hub[Sample] = Hub()
+        self._from_mobile: Hub[bytes] = Hub()
+        self._answers = Answers(self._channel.send)
+        # Time of the last event of the agent before, whose events another way tells again.
+        self._known_until = -math.inf
+        self._handlers: dict[type[Any], Callable[[Any], None]] = {
+            Hello: self._on_hello,
+            State: self._on_state,
+            Telemetry: self._on_telemetry,
+            FromMobile: self._on_from_mobile,
+            Event: self._on_event,
+            LinkCounted: self._on_link_counted,
+            LeaseChanged: self._on_lease_changed,
+            LeaseGranted: self._answers.granted,
+            TakeOverOffered: self._answers.offered,
+            Outcome: self._answers.outcome,
+            Activating: self._on_activating,
+            AuthorityTaken: self._on_authority_taken,
+            SteerRefused: self._on_steer_refused,
+            MissionTold: self._on_mission_told,
+            PlanTold: self._on_plan_told,
+        }
+
+    @property
+    def now(self) -> float:
+        """Time on the event loop's clock, s."""
+        return self._clock()
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether the agent has gone, and no other was found by :meth:`reopen`."""
+        return self._answers.gone is not None
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether nothing was heard of the agent for 2 s; it may hang."""
+        return self.now - self.heard_at > MAX_SILENCE
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the aircraft is connected, by an agent that is heard."""
+        return self.state.connection == "connected" and not self.is_silent
+
+    @property
+    def has_authority(self) -> bool:
+        """Whether setpoints and tasks are obeyed, by an agent that is heard."""
+        return self.state.has_authority and not self.is_silent
+
+    async def __aenter__(self) -> Self:
+        self._greet()
+        return self
+
+    def _greet(self) -> None:
+        self._channel.send(Hello(VERSION, self._name, self.now))
+        self._channel.open(self._receive, self._closed)
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._channel.require()
+        await self.background.end()
+        self._channel.close("the front ends")
+        self._closed("it was closed here")
+
+    def reopen(self, channel: Channel) -> None:
+        """Go on with the agent at the end of this channel: the one before has gone.
+
+        Whoever held a lease there holds none here.
+        """
+        self._channel.require()
+        if self.events:
+            self._known_until = self.events[-1].at
+        self.state, self.heard_at = State(at=self.now), self.now
+        self._channel = OwnLoop(channel)
+        self._answers.begin(self._channel.send)
+        self._greet()
+
+    # -- what comes in ---------------------------------------------------------------------------
+
+    def _receive(self, message: Message) -> None:
+        self.heard_at = self.now
+        handler = self._handlers.get(type(message))
+        if handler is not None:
+            handler(message)
+
+    def _closed(self, reason: str) -> None:
+        if self.is_gone:
+            return
+        self.state = replace(
+            self.state,
+            connection="lost",
+            connection_fault=Fault.of(agent_gone(reason)),
+            has_authority=False,
+            holding="none",
+            task="",
+            pattern="",
+            guided=None,
+        )
+        self.holder = LeaseChanged(0, "")
+        self._answers.end(reason)
+
+    def _on_hello(self, hello: Hello) -> None:
+        if hello.version != VERSION:
+            reason = f"it speaks version {hello.version}, this front {VERSION}"
+            self._channel.close(reason)
+            self._closed(reason)
+
+    def _on_state(self, state: State) -> None:
+        self.state = state
+        if state.connection != "connected":
+            self.telemetry = self.link = None
+        elif self.telemetry is None:
+            self.telemetry = AircraftState(lambda: self.state.flight_time(self.now))
+
+    def _on_link_counted(self, message: LinkCounted) -> None:
+        self.link = message
+
+    def _on_telemetry(self, message: Telemetry) -> None:
+        try:
+            sample = Sample(message.value, PROFILES[message.profile], message.received_at)
+        except (KeyError, LayoutMismatch):
+            sample = None
+        if sample is None or self.telemetry is None:
+            self.unread += 1
+            return
+        self.telemetry.update(sample)
+        for callback in self.on_sample:
+            callback(sample)
+        self._samples.publish(sample, self.now)
+
+    def _on_from_mobile(self, message: FromMobile) -> None:
+        self._from_mobile.publish(message.data, self.now)
+
+    def _on_event(self, event: Event) -> None:
+        if event.at <= self._known_until:
+            return
+        if self.events and event.number <= self.events[-1].number:
+            # Another agent counts anew; whoever shows events goes by their numbers.
+            event = replace(event, number=self.events[-1].number + 1)
+        self.events.append(event)
+        for callback in self.on_event:
+            callback(event)
+
+    def _on_lease_changed(self, message: LeaseChanged) -> None:
+        self.holder = message
+        for callback in self.on_lease:
+            callback(message)
+
+    def _on_activating(self, message: Activating) -> None:
+        for callback in self.on_activating:
+            callback(ActivationCode(message.code))
+
+    def _on_authority_taken(self, message: AuthorityTaken) -> None:
+        error = message.fault.error()
+        if isinstance(error, AuthorityLost):
+            for callback in self.on_authority_taken:
+                callback(error)
+
+    def _on_steer_refused(self, message: SteerRefused) -> None:
+        for callback in self.on_steer_refused:
+            callback(message.fence, message.fault.error())
+
+    def _on_mission_told(self, message: MissionTold) -> None:
+        for callback in self.on_mission_told:
+            callback(message)
+
+    def _on_plan_told(self, message: PlanTold) -> None:
+        self.plan, self.plan_by = plan_of(message), message.name
+        self.unread += self.plan is None and message.mission != b""
+
+    # -- what goes out ---------------------------------------------------------------------------
+
+    async def ask(
+        self,
+        action: Action,
+        lease: Lease | None = None,
+        *,
+        number: int = 0,
+        data: bytes = b"",
+        accepted: Callable[[], None] | None = None,
+    ) -> Outcome:
+        """Ask for something to be done, and wait for what becomes of it.
+
+        Raises:
+            M100Error: What the agent tells.
+            LinkError: It has gone.
+        """
+        fence = lease.number if lease is not None else 0
+        outcome: Outcome = await self._answers.question(
+            lambda identity: Ask(identity, action, fence, number, data), accepted
+        )
+        return outcome
+
+    async def _ask_lease(self, action: LeaseAction, name: str = "", token: str = "") -> Any:
+        return await self._answers.question(lambda number: LeaseAsk(number, action, name, token))
+
+    # -- telemetry -------------------------------------------------------------------------------
+
+    def samples(self, policy: Policy) -> Subscription[Sample]:
+        """Subscribe to the telemetry of this and every later aircraft."""
+        return self._samples.subscribe(policy)
+
+    def from_mobile(self, policy: Policy) -> Subscription[bytes]:
+        """Subscribe to the data of the app on the pilot's phone."""
+        return self._from_mobile.subscribe(policy)
+
+    # -- the lease -------------------------------------------------------------------------------
+
+    def holds(self, lease: Lease | None) -> bool:
+        """Whether that lease is in force, as far as is known here."""
+        return lease is not None and lease.number == self.holder.number
+
+    def check(self, lease: Lease | None) -> Lease:
+        """The lease, if it is in force as far as is known here.
+
+        Raises:
+            LeaseRefused: It is not.
+        """
+        if lease is None or not self.holds(lease):
+            holder = f"; {self.holder.name} has control" if self.holder.number else ""
+            raise LeaseRefused(
+                f"this lease is not in force{holder}",
+                cause="it expired, was given back or was taken over; an ended lease never returns",
+                remedy="take control anew",
+            )
+        return lease
+
+    async def acquire(self, name: str) -> Lease:
+        """Take the lease if it is free.
+
+        Raises:
+            LeaseHeld: It is not; the holder's name is in the error.
+            LinkError: The agent has gone.
+        """
+        lease: Lease = await self._ask_lease(LeaseAction.ACQUIRE, name=name)
+        return lease
+
+    async def renew(self, token: str) -> Lease:
+        """Let the lease last another lifetime from now.
+
+        Raises:
+            LeaseRefused: The token is not in force.
+            LinkError: The agent has gone.
+        """
+        lease: Lease = await self._ask_lease(LeaseAction.RENEW, token=token)
+        return lease
+
+    async def release_lease(self, token: str) -> None:
+        """Give the lease back; motion stops and authority goes back.
+
+        Raises:
+            LeaseRefused: The token is not in force.
+            LinkError: The agent has gone.
+        """
+        await self._ask_lease(LeaseAction.RELEASE, token=token)
+
+    async def ask_take_over(self, name: str) -> TakeOver:
+        """First step of a take-over: learn who would lose control.
+
+        Raises:
+            LeaseRefused: Nobody holds the lease; it can simply be acquired.
+            LinkError: The agent has gone.
+        """
+        offer: TakeOver = await self._ask_lease(LeaseAction.TAKE_OVER, name=name)
+        return offer
+
+    async def confirm(self, token: str) -> Lease:
+        """Second step: take the lease from the client that the first step named.
+
+        Raises:
+            LeaseRefused: There is nothing to confirm any more.
+            LinkError: The agent has gone.
+        """
+        lease: Lease = await self._ask_lease(LeaseAction.CONFIRM, token=token)
+        return lease
+
+    def keep(self, lease: Lease) -> None:
+        """Renew a lease without waiting for the answer."""
+        self._channel.send(LeaseAsk(0, LeaseAction.RENEW, token=lease.token))
+
+    def let_go(self, lease: Lease) -> None:
+        """Give a lease back without waiting for the answer: motion stops at once."""
+        self._channel.send(LeaseAsk(0, LeaseAction.RELEASE, token=lease.token))
+
+    # -- flying ----------------------------------------------------------------------------------
+
+    def steer(self, lease: Lease, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
+        """Fly this for its lifetime; renews the lease. A refusal comes to ``on_steer_refused``."""
+        self._channel.send(Steer(lease.number, self.now, lifetime, setpoint))
+
+    def halt(self, why: str = "", lease: Lease | None = None) -> None:
+        """Stop moving; anybody may. With the lease: it was let go, which begins anew after STOP."""
+        self._channel.send(Ask(0, Action.HALT, lease.number if lease else 0, text=why))
+
+    async def stop(self) -> None:
+        """Stop whatever happens: motion, program, and the task that the aircraft flies."""
+        await self.ask(Action.STOP)
+
+    async def activate(self, lease: Lease | None = None) -> None:
+        """Activate the aircraft. Needs the lease, or that nobody holds it.
+
+        Raises: as :meth:`m100link.apps.agent.agent.Agent.activate`.
+        """
+        await self.ask(Action.ACTIVATE, lease)
+
+    async def obtain(self, lease: Lease | None) -> None:
+        """Obtain control authority for the holder of the lease.
+
+        Raises: as :meth:`m100link.apps.agent.agent.Agent.obtain`.
+        """
+        await self.ask(Action.OBTAIN, lease)
+
+    async def release(self, lease: Lease | None) -> None:
+        """Give control authority back; the lease stays.
+
+        Raises: as :meth:`m100link.apps.agent.agent.Agent.release`.
+        """
+        await self.ask(Action.RELEASE, lease)
+
+    async def fly(
+        self, lease: Lease | None, task: Task, accepted: Callable[[], None] | None = None
+    ) -> None:
+        """Take off, land or go home; done when seen to be done.
+
+        Args:
+            lease: The lease.
+            task: Which of them.
+            accepted: Called when the aircraft has begun.
+
+        Raises: as :meth:`m100link.apps.agent.agent.Agent.fly`, and LinkError.
+        """
+        await self.ask(Action[task.name], lease, accepted=accepted)
+
+    async def guide(
+        self, lease: Lease | None, order: GuidedOrder, accepted: Callable[[], None] | None = None
+    ) -> None:
+        """Fly to where somebody points; done when it is there. :meth:`halt` ends it.
+
+        Args:
+            lease: The lease.
+            order: Where, of :mod:`m100link.apps.agent.guided`; the newest one wins.
+            accepted: Called when it has begun.
+
+        Raises: as :meth:`m100link.apps.agent.agent.Agent.guide`, and LinkError.
+        """
+        fence = lease.number if lease is not None else 0
+        await self._answers.question(lambda n: replace(order, id=n, fence=fence), accepted)
+
+    async def start_pattern(self, lease: Lease | None, number: int) -> None:
+        """Let the simple task of that number fly, until it ends or anything stops it.
+
+        Raises:
+            UsageError: There is no such task.
+            LeaseRefused, NoAuthority, LinkError: See each class.
+        """
+        await self.ask(Action.PATTERN, lease, number=number)
+
+    # -- everything else -------------------------------------------------------------------------
+
+    async def version(self) -> tuple[str, int]:
+        """Name and CRC of the aircraft's version, asked for lately.
+
+        Raises:
+            AckTimeout, LinkError: See each class.
+        """
+        outcome = await self.ask(Action.VERSION)
+        return outcome.text, outcome.number
+
+    async def send_to_mobile(self, lease: Lease | None, data: bytes) -> None:
+        """Send up to 100 bytes to the app on the pilot's phone.
+
+        Raises:
+            LeaseRefused, PayloadTooLarge, CommandRefused, AckTimeout, LinkError: See each class.
+        """
+        await self.ask(Action.SEND_TO_MOBILE, lease, data=data)
+
+    def note(self, text: str, level: str = "info") -> None:
+        """Add an event to the agent's journal; many at once are dropped."""
+        self._channel.send(Note(level, text))

@@ -1,0 +1,46 @@
+"""What happened, for people."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable
+
+from m100link.apps.agent.messages import Event, Topic
+
+__all__ = ["JOURNAL_LOG", "Journal"]
+
+JOURNAL_LOG = __name__
+"""Name of the log that has every event, for whoever shows events in another way."""
+
+_logger = logging.getLogger(JOURNAL_LOG)
+
+_MAX_EVENTS = 200
+_LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
+
+
+class Journal:
+    """The newest events, and who wants to hear of each.
+
+    Args:
+        clock: Gives the time of an event, s.
+
+    Attributes:
+        events: What happened lately.
+        on_event: Called with each event.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._count = 0
+        self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
+        self.on_event: list[Callable[[Event], None]] = []
+
+    def note(self, text: str, level: str = "info", topic: Topic = Topic.NONE) -> None:
+        """Add an event."""
+        self._count += 1
+        event = Event(self._count, self._clock(), level, text, topic)
+        self.events.append(event)
+        _logger.log(_LEVELS[level], "%s", text)
+        for callback in self.on_event:
+            callback(event)

@@ -1,0 +1,103 @@
+"""What would become of a guided order or plan, before it is given: nothing is asked of anybody."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from m100link.apps.agent.guided import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedOrder
+from m100link.apps.agent.messages import Limits
+from m100link.errors import GuardRefused, LinkError
+from m100link.flight.foresight import (
+    Foresight,
+    foresee_climb,
+    foresee_flight,
+    foresee_orbit,
+    foresee_turn,
+    frame_at,
+)
+from m100link.flight.guards import Envelope, GuardKeeper, Guards
+from m100link.flight.missions.checks import check_battery, check_plan
+from m100link.missions.plan import WaypointPlan
+from m100link.telemetry.state import AircraftState
+
+__all__ = ["Preview", "preview", "preview_plan"]
+
+Preview = Foresight
+"""Distance, time, battery, and the refusals that are foreseen."""
+
+
+def preview(order: GuidedOrder, state: AircraftState | None, limits: Limits) -> Preview:
+    """What the agent would say, as far as is known here; it decides again when it is asked.
+
+    Args:
+        order: What would be asked for.
+        state: Telemetry; None while no aircraft is connected.
+        limits: What the guards allow. While they do not say from where, it is from where the
+            aircraft is.
+    """
+    if state is None:
+        error = LinkError("no aircraft is connected", remedy="wait until it is, then point again")
+        return Preview(refusals=(error,))
+    guards = _guards_of(state, limits)
+    if isinstance(order, FlyTo):
+        return foresee_flight(
+            state,
+            guards,
+            latitude_deg=order.latitude_deg,
+            longitude_deg=order.longitude_deg,
+            height=order.height,
+            speed=order.speed,
+            yaw_deg=order.yaw_deg,
+        )
+    if isinstance(order, FlyAround):
+        return foresee_orbit(
+            state,
+            guards,
+            latitude_deg=order.latitude_deg,
+            longitude_deg=order.longitude_deg,
+            height=order.height,
+            radius=order.radius,
+            speed=order.speed,
+            turns=order.turns,
+        )
+    if isinstance(order, ChangeHeight):
+        return foresee_climb(state, guards, order.height)
+    assert isinstance(order, ChangeHeading)
+    return foresee_turn(state, guards, order.yaw_deg)
+
+
+def preview_plan(
+    plan: WaypointPlan, state: AircraftState | None, limits: Limits
+) -> tuple[GuardRefused, ...]:
+    """What the guards of the agent would say to a mission, as far as is known here.
+
+    Args:
+        plan: What would be flown.
+        state: Telemetry; without any nothing is foreseen.
+        limits: What the guards allow.
+    """
+    if state is None:
+        return ()
+    guards = _guards_of(state, limits)
+    refusals = []
+    checks: tuple[Callable[[], None], ...] = (
+        lambda: check_plan(guards, state, plan, allow_far=False),
+        lambda: check_battery(guards, state, plan),
+    )
+    for check in checks:
+        try:
+            check()
+        except GuardRefused as refusal:
+            refusals.append(refusal)
+    return tuple(refusals)
+
+
+def _guards_of(state: AircraftState, limits: Limits) -> GuardKeeper:
+    bounds = (limits.max_height_m, limits.max_radius_m, limits.max_speed_m_s)
+    envelope = Envelope(*(math.inf if one is None else one for one in bounds))
+    guards = Guards(envelope=envelope, battery_floor_percent=limits.battery_floor_percent)
+    origin = None
+    if limits.latitude_deg is not None and limits.longitude_deg is not None:
+        origin = frame_at(limits.latitude_deg, limits.longitude_deg)
+    return GuardKeeper(guards, state, origin)

@@ -1,0 +1,506 @@
+"""The one place that knows zenoh: a session, what goes out and what comes in by it.
+
+zenoh runs on threads of its own. What comes for a :class:`~m100link.apps.bus.network.Bus` is put
+into a bounded queue there, and taken in the event loop; what comes for a
+:class:`~m100link.apps.bus.network.PolledBus` waits in rings of zenoh's own, outside of Python.
+Nothing here blocks those threads, and a flood costs the oldest.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from m100link.apps.bus.network import (
+    DEPTH,
+    Answer,
+    Held,
+    Inbox,
+    Outlet,
+    Question,
+    Received,
+    TokenChange,
+)
+from m100link.apps.bus.waiting import AT_ONCE, Bundle, Looks, Patient, Queue, Ring
+from m100link.errors import UsageError
+from m100link.errors.texts import read_json
+
+if TYPE_CHECKING:
+    import zenoh
+
+__all__ = ["LARGEST", "Opening", "ZenohBus", "open_session"]
+
+_logger = logging.getLogger(__name__)
+
+LARGEST = 1 << 20
+"""Bytes of the longest message that a session puts together: zenoh's own limit is a gigabyte."""
+
+_AGAIN_S = 0.5
+_CLOSE_S = 1.0
+_MOST_ANSWERS = 256
+"""Of one probe: more of them would wait in zenoh until the question ends."""
+
+
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """How a session is opened, and in whose words it is refused.
+
+    Attributes:
+        purpose: What needs it, such as ``a fleet``.
+        extra: The extra of this package that brings zenoh.
+        options: Of zenoh, by name, as JSON: where it differs from the default or the file.
+        file: Configuration that is read first, and what told of it; none by default.
+        largest: Bytes of the longest payload that is read.
+        patience_s: Seconds in which a client that found no router tries again.
+        is_patient: It tries as long as it takes.
+        remedies: What to do where no session can be, by the mode; ``""`` for all others.
+    """
+
+    purpose: str
+    extra: str
+    options: Mapping[str, str]
+    file: tuple[str, str] | None = None
+    largest: int = LARGEST
+    patience_s: float = 0.0
+    is_patient: bool = False
+    remedies: Mapping[str, str] = field(default_factory=dict)
+
+
+class _Declared:
+    """Something of zenoh's that is declared until it is closed."""
+
+    def __init__(self, declared: Any) -> None:
+        self._declared: Any = declared
+
+    def close(self) -> None:
+        declared, self._declared = self._declared, None
+        if declared is not None:
+            _unless_closed(declared.undeclare)
+
+
+class _Outlet(_Declared, Outlet):
+    def __init__(self, declared: Any, *, is_kept: bool) -> None:
+        import zenoh
+
+        super().__init__(declared)
+        self._ended = zenoh.ZError
+        self._first = is_kept  # by who comes later
+        self._told: bool | None = None
+        self._listener: Any = None
+        if not is_kept:
+            # To ask costs 20 µs where a session has a thousand keys, and is asked a hundred times
+            # a second. What changes after the question is told by the listener, which is there.
+            self._listener = declared.declare_matching_listener(self._matching)
+            self._first = bool(declared.matching_status.matching)
+
+    def _matching(self, status: Any) -> None:
+        self._told = bool(status.matching)  # no bool, whatever its stub says
+
+    def put(self, payload: bytes, attachment: bytes | None = None) -> None:
+        if self._declared is None:
+            return
+        # Hundreds of times a second: what _unless_closed does, without what it costs.
+        try:
+            self._declared.put(payload, attachment=attachment)
+        except self._ended as error:
+            _logger.debug("not sent: %s", error)
+
+    def is_wanted(self) -> bool:
+        if self._declared is None:
+            return False
+        return self._first if self._told is None else self._told
+
+    def close(self) -> None:
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            _unless_closed(listener.undeclare)
+        super().close()
+
+
+def _unless_closed(send: Callable[..., object], *what: Any, **more: Any) -> None:
+    """Send; on a session that has ended, or to who has gone, nothing happens."""
+    import zenoh
+
+    try:
+        send(*what, **more)
+    except zenoh.ZError as error:
+        _logger.debug("not sent: %s", error)
+
+
+class ZenohBus:
+    """A session of zenoh.
+
+    It is a :class:`m100link.apps.bus.network.Bus` and a
+    :class:`m100link.apps.bus.network.PolledBus`.
+
+    Args:
+        session: Of zenoh.
+        largest: Bytes of the longest payload that is read.
+    """
+
+    def __init__(self, session: zenoh.Session, largest: int = LARGEST) -> None:
+        self._session, self._largest = session, largest
+        self._loop = asyncio.get_running_loop()
+        self._bundle = Bundle(self._loop)
+
+    @property
+    def session(self) -> str:
+        """Id of the session."""
+        return str(self._session.zid())
+
+    def _bytes(self, data: zenoh.ZBytes | None) -> bytes:
+        """The bytes; of what is longer than anything that is meant nothing, which none can read."""
+        return b"" if data is None or len(data) > self._largest else data.to_bytes()
+
+    # -- what goes out ---------------------------------------------------------------------------
+
+    def publish(self, key: str, *, kept: int = 0, within: float = 0.0) -> Outlet:
+        """Offer messages under a key.
+
+        Raises:
+            UsageError: They are to be kept, and this session cannot.
+        """
+        import zenoh
+
+        drop = zenoh.CongestionControl.DROP
+        if not kept:
+            # Remote: whether this session has to hear it itself would be looked for with each.
+            publisher = self._session.declare_publisher(
+                key, congestion_control=drop, allowed_destination=zenoh.Locality.REMOTE
+            )
+            outlet = _Outlet(publisher, is_kept=False)
+            return Patient(outlet, self._bundle, within) if within else outlet
+        import zenoh.ext  # which the package does not load by itself
+
+        try:
+            # rmw_zenoh asks for what was kept by zenoh's advanced subscriber.
+            latched: Any = zenoh.ext.declare_advanced_publisher(
+                self._session,
+                key,
+                congestion_control=drop,
+                cache=zenoh.ext.CacheConfig(max_samples=kept),
+                publisher_detection=True,
+            )
+        except zenoh.ZError as error:
+            raise UsageError(
+                f"this session of zenoh keeps nothing for who comes late: {error}",
+                remedy="let its configuration enable timestamping, as rmw_zenoh's own does",
+            ) from error
+        return _Outlet(latched, is_kept=True)
+
+    def declare(self, token: str) -> Held:
+        """Show a token."""
+        return _Declared(self._session.liveliness().declare_token(token))
+
+    # -- what comes in ---------------------------------------------------------------------------
+
+    def _received(self, sample: zenoh.Sample) -> Received:
+        return Received(self._bytes(sample.payload), self._bytes(sample.attachment))
+
+    def _question(self, query: zenoh.Query) -> Question:
+        drop: Callable[[], None] = query.drop
+
+        def answer(key: str, payload: bytes, attachment: bytes | None = None) -> None:
+            _unless_closed(query.reply, key, payload, attachment=attachment)
+            drop()
+
+        payload, attachment = self._bytes(query.payload), self._bytes(query.attachment)
+        return Question(str(query.key_expr), payload, answer, drop, attachment)
+
+    # -- handed over -----------------------------------------------------------------------------
+
+    def subscribe(
+        self,
+        pattern: str,
+        take: Callable[[str, bytes], None],
+        *,
+        depth: int = DEPTH,
+        within: float = 0.0,
+    ) -> Held:
+        """Hear messages."""
+        if within:
+            return self._look(pattern, take, depth, within)
+        queue = Queue(self._loop, take, depth)
+
+        def heard(sample: zenoh.Sample) -> None:
+            queue.put(str(sample.key_expr), self._bytes(sample.payload))
+
+        return _Declared(self._session.declare_subscriber(pattern, heard))
+
+    def _look(
+        self, pattern: str, take: Callable[[str, bytes], None], depth: int, within: float
+    ) -> Held:
+        import zenoh
+
+        channel: Any = zenoh.handlers.RingChannel(depth)
+        declared: Any = self._session.declare_subscriber(pattern, channel)
+
+        def made(sample: zenoh.Sample) -> tuple[str, bytes]:
+            return str(sample.key_expr), self._bytes(sample.payload)
+
+        ring = Ring(declared, made, min(depth, AT_ONCE), zenoh.ZError)
+        return Looks(_Declared(declared), ring, lambda one: take(*one), within)
+
+    def serve(self, key: str, take: Callable[[Question], None], *, depth: int = DEPTH) -> Held:
+        """Hear questions."""
+        queue = Queue(self._loop, take, depth)
+
+        def heard(query: zenoh.Query) -> None:
+            queue.put(self._question(query))
+
+        return _Declared(self._session.declare_queryable(key, heard))
+
+    def watch(self, pattern: str, take: Callable[[str, bool], None]) -> Held:
+        """See tokens come and go."""
+        import zenoh
+
+        queue = Queue(self._loop, take, DEPTH)
+        put = zenoh.SampleKind.PUT
+
+        def heard(sample: zenoh.Sample) -> None:
+            queue.put(str(sample.key_expr), sample.kind == put)
+
+        return _Declared(
+            self._session.liveliness().declare_subscriber(pattern, heard, history=True)
+        )
+
+    # -- taken in steps --------------------------------------------------------------------------
+
+    def inbox(self, pattern: str, depth: int) -> Inbox[Received]:
+        """Hear messages."""
+        import zenoh
+
+        ring: Any = zenoh.handlers.RingChannel(depth)
+        return Ring(
+            self._session.declare_subscriber(pattern, ring), self._received, depth, zenoh.ZError
+        )
+
+    def questions(self, key: str, depth: int) -> Inbox[Question]:
+        """Hear questions."""
+        import zenoh
+
+        ring: Any = zenoh.handlers.RingChannel(depth)
+        # Complete: a client of rmw_zenoh asks those alone that answer for the whole key.
+        declared = self._session.declare_queryable(key, ring, complete=True)
+        return Ring(declared, self._question, depth, zenoh.ZError)
+
+    def changes(self, pattern: str) -> Inbox[TokenChange]:
+        """See tokens come and go."""
+        import zenoh
+
+        ring: Any = zenoh.handlers.RingChannel(DEPTH)
+        declared = self._session.liveliness().declare_subscriber(pattern, ring, history=True)
+        put = zenoh.SampleKind.PUT
+
+        def change(one: zenoh.Sample) -> TokenChange:
+            return TokenChange(str(one.key_expr), one.kind == put)
+
+        return Ring(declared, change, DEPTH, zenoh.ZError)
+
+    def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
+        """Ask whether anybody answers."""
+        import zenoh
+
+        # No ring, which is emptied when the question has ended.
+        queue: Any = zenoh.handlers.FifoChannel(_MOST_ANSWERS)
+        asked = self._session.get(key, queue, timeout=timeout)
+        return Ring(asked, lambda reply: reply.ok is not None, _MOST_ANSWERS, zenoh.ZError)
+
+    # -- waited for ------------------------------------------------------------------------------
+
+    async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:
+        """Ask everybody who serves it."""
+        import zenoh
+
+        def get(handler: Any) -> None:
+            self._session.get(
+                key,
+                handler,
+                payload=payload,
+                timeout=timeout,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+
+        return [
+            Answer(str(one.key_expr), self._bytes(one.payload), session)
+            for session, one in await self._replies(get, timeout)
+        ]
+
+    async def tokens(self, pattern: str, *, timeout: float) -> list[str]:
+        """The tokens that are there."""
+
+        def get(handler: Any) -> None:
+            self._session.liveliness().get(pattern, handler, timeout=timeout)
+
+        return [str(one.key_expr) for _, one in await self._replies(get, timeout)]
+
+    async def _replies(
+        self, get: Callable[[Any], None], timeout: float
+    ) -> list[tuple[str, zenoh.Sample]]:
+        """Who answered, and what, until zenoh says that no more comes, or the time is over."""
+        import zenoh
+
+        found: list[tuple[str, zenoh.Sample]] = []
+        ended = asyncio.Event()
+
+        def heard(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                who = reply.replier_id
+                found.append(("" if who is None else str(who.zid), reply.ok))
+
+        def end() -> None:
+            try:
+                self._loop.call_soon_threadsafe(ended.set)
+            except RuntimeError:
+                _logger.debug("the event loop has ended: nobody waits for an answer")
+
+        try:
+            get(zenoh.handlers.Callback(heard, end))
+        except zenoh.ZError as error:
+            _logger.debug("not asked: %s", error)
+            return []
+        try:
+            async with asyncio.timeout(timeout + 1.0):
+                await ended.wait()
+        except TimeoutError:
+            _logger.warning("zenoh did not end a question in its time")
+        return found
+
+
+@asynccontextmanager
+async def open_session(opening: Opening) -> AsyncIterator[ZenohBus]:
+    """A session while the block runs; a router that is lost meanwhile is found again.
+
+    Args:
+        opening: How.
+
+    Raises:
+        UsageError: The package is missing, the file or an option cannot be, a port is taken, or
+            no router answered.
+    """
+    try:
+        import zenoh
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"{opening.purpose} needs {error.name}, which is not installed",
+            remedy=f"pip install '.[{opening.extra}]' in a clone of m100link",
+        ) from None
+    config = _config(opening)
+    mode = str(read_json(config.get_json("mode") or "null") or "peer")
+    is_told = False
+    clock = asyncio.get_running_loop().time
+    until = clock() + opening.patience_s
+    while True:
+        try:
+            session = await _opened(config)
+            break
+        except zenoh.ZError as error:
+            if not (mode == "client" and (opening.is_patient or clock() < until)):
+                raise _refused(error, mode, opening) from error
+            if not is_told and opening.is_patient:
+                places = config.get_json("connect/endpoints")
+                _logger.warning("no router answers yet at %s", places)
+                is_told = True
+        await asyncio.sleep(_AGAIN_S)
+    try:
+        yield ZenohBus(session, opening.largest)
+    finally:
+        await _closed(session)
+
+
+async def _opened(config: zenoh.Config) -> zenoh.Session:
+    """Open a session; one that comes when nobody waits any more is closed again.
+
+    A router that takes the connection and never answers, or refuses a certificate, holds up zenoh
+    for as long as it likes: a verb that ends meanwhile must not wait for it.
+    """
+    import zenoh
+
+    loop = asyncio.get_running_loop()
+    opened: asyncio.Future[zenoh.Session] = loop.create_future()
+
+    def done(session: zenoh.Session | None, error: Exception | None) -> None:
+        if opened.done():
+            if session is not None:
+                threading.Thread(target=_unless_closed, args=(session.close,), daemon=True).start()
+        elif session is not None:
+            opened.set_result(session)
+        else:
+            opened.set_exception(error or RuntimeError("no session"))
+
+    def work() -> None:
+        session, failed = None, None
+        try:
+            session = zenoh.open(config)
+        except Exception as error:  # noqa: BLE001 - raised again where it is waited for
+            failed = error
+        try:
+            loop.call_soon_threadsafe(done, session, failed)
+        except RuntimeError:  # the event loop has ended
+            if session is not None:
+                _unless_closed(session.close)
+
+    # None of the executor's: the loop would wait for it as it ends.
+    threading.Thread(target=work, name="m100link: a session", daemon=True).start()
+    return await opened
+
+
+async def _closed(session: zenoh.Session) -> None:
+    """Close a session; one whose router does not answer is left to a thread of its own.
+
+    There zenoh waits for its last try to connect, ten seconds long, and then raises: whoever
+    leaves the block would hear of it that much later why he had to, or of zenoh instead.
+    """
+    loop, is_closed = asyncio.get_running_loop(), asyncio.Event()
+
+    def close() -> None:
+        _unless_closed(session.close)
+        with suppress(RuntimeError):  # nobody waits any more, and the loop has ended
+            loop.call_soon_threadsafe(is_closed.set)
+
+    # None of the executor's: the loop would wait for it as it ends.
+    threading.Thread(target=close, name="m100link: end of a session", daemon=True).start()
+    try:
+        async with asyncio.timeout(_CLOSE_S):
+            await is_closed.wait()
+    except TimeoutError:
+        _logger.info("a session is being closed whose router does not answer")
+
+
+def _config(opening: Opening) -> zenoh.Config:
+    import zenoh
+
+    path, told_by = opening.file or ("", "")
+    try:
+        config = zenoh.Config.from_file(path) if path else zenoh.Config()
+    except (zenoh.ZError, OSError) as error:
+        raise UsageError(f"{told_by}: {path} cannot be read: {error}") from error
+    for name, value in opening.options.items():
+        try:
+            config.insert_json5(name, value)
+        except zenoh.ZError as error:
+            raise UsageError(f"{name}={value} cannot be in a session: {error}") from error
+    return config
+
+
+_NO_SESSION = {
+    "client": (
+        "no router answered",
+        "none runs there, a firewall is between, or it wants a certificate: nobody tells which",
+    ),
+    "router": ("no router can be here", ""),
+}
+
+
+def _refused(error: Exception, mode: str, opening: Opening) -> UsageError:
+    # What zenoh says ends with the place in its source.
+    seen = str(error).partition(" at /")[0].strip()
+    what, cause = _NO_SESSION.get(mode, ("no session of zenoh", ""))
+    remedy = opening.remedies.get(mode, opening.remedies.get("", ""))
+    return UsageError(f"{what}: {seen}", cause=cause, remedy=remedy)

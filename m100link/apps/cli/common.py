@@ -1,0 +1,227 @@
+"""What commands with an aircraft share: where it is, whose app it is, two consoles."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+from collections.abc import Callable, Coroutine, Iterable
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any, Literal
+
+from cyclopts import Parameter
+from rich.console import Console
+
+from m100link import errors
+from m100link.apps.cli.configuration import read_configuration
+from m100link.apps.cli.logs import AS_IT_IS, LogOptions
+from m100link.apps.cli.options import Above0, Counted, offered, options_of
+from m100link.apps.cli.outcome import ExitCode, complain
+from m100link.apps.station.config import ENVIRONMENT, Settings, resolve
+from m100link.apps.station.log_output import log_of
+from m100link.errors import UsageError
+from m100link.link.url import parse_url
+from m100link.protocol.commands.activation import Credentials
+from m100link.protocol.firmware import PROFILES
+
+__all__ = ["AppOptions", "LinkOptions", "Place", "Told", "Url", "err", "out", "places", "run_async"]
+
+out = Console(highlight=False)
+"""Standard output: data."""
+
+err = Console(stderr=True, highlight=False)
+"""Standard error: talk."""
+
+
+def places() -> list[str]:
+    """Where aircraft may be: those that have names, and the ports of this machine."""
+    from m100link.link.transport import serial_ports
+
+    return [*read_configuration().aircraft, *serial_ports(), "sim://"]
+
+
+Url = Annotated[
+    str | None,
+    Parameter(
+        help="Where the aircraft is: serial:///dev/ttyUSB0:230400, /dev/ttyUSB0, "
+        "tcp://host:port, sim://, or its name in the configuration file; without it, that of "
+        "--url or M100LINK_URL",
+    ),
+    offered(places),
+]
+
+
+_OfTheApp: Any = options_of(
+    Settings,
+    ("app_id", "key_file", "key", "level", "app_version", "bundle_id"),
+    environment=ENVIRONMENT,
+    is_layer=True,
+)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class AppOptions(_OfTheApp):  # type: ignore[misc] # a class that is made has no type
+    """The app that is registered with DJI: fields of the station's settings."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the aircraft is, how to talk to it, and whose app it is: from all sources.
+
+    Attributes:
+        url: Where the aircraft is.
+        settings: Everything else; each names its source.
+    """
+
+    url: str
+    settings: Settings
+
+    def arguments(self) -> dict[str, Any]:
+        """Keyword arguments of :func:`m100link.connect`."""
+        return {
+            "firmware": self.settings.firmware,
+            "baud_rate": self.settings.baud_rate,
+            "timeout": self.settings.timeout,
+        }
+
+    @property
+    def is_virtual(self) -> bool:
+        """Whether it lives in this process, where nothing can be hurt."""
+        return self.url.startswith("sim:")
+
+    def credentials(self) -> Credentials:
+        """The credentials, checked; those of the demo app for a ``sim://`` without any.
+
+        Raises:
+            UsageError, BadKey: Something is missing or cannot be right.
+        """
+        app = self.settings
+        if self.is_virtual and (app.app_id, app.key, app.key_file) == (None,) * 3:
+            from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY  # loads the simulator
+
+            return Credentials(DEMO_APP_ID, DEMO_KEY, level=app.level)
+        if app.origins.get("key") == "command line":
+            err.print("[yellow]warning:[/] --key shows the key to everybody who lists processes")
+        credentials = app.credentials()
+        if credentials is None:
+            raise UsageError(
+                "no app id was given",
+                remedy="give --app-id and --key-file, or set M100LINK_APP_ID and "
+                "M100LINK_KEY_FILE, or write both into the file that `m100link config` names; "
+                "those of `m100link sim`: m100link docs simulator",
+            )
+        return credentials
+
+
+@Parameter(name="*")
+@dataclass
+class LinkOptions:
+    """How to talk to it.
+
+    Attributes:
+        url: Where the aircraft is, or its name (M100LINK_URL), if no argument says it.
+        firmware: Force a firmware profile instead of choosing it from the version answer
+            (M100LINK_PROFILE).
+        baud: Baud rate when the URL has none (M100LINK_BAUD_RATE).
+        timeout: Seconds until an aircraft has to answer; 3 by default.
+        log: What is logged meanwhile.
+    """
+
+    url: Annotated[str | None, offered(places)] = None
+    firmware: Annotated[str | None, offered(PROFILES)] = None
+    baud: Annotated[int | None, Counted] = None
+    timeout: Annotated[float | None, Above0] = None
+    log: LogOptions = AS_IT_IS
+
+    def place(self, argument: str | None, app: AppOptions | None = None) -> Place:
+        """Where the aircraft is, and what holds for it.
+
+        The argument, else ``--url``, else the environment, else the configuration file says which;
+        it may be a name of that file. Options come before the environment, that before the file.
+
+        Raises:
+            UsageError: Nobody says it, or argument and option name two; something cannot be.
+        """
+        if None not in (argument, self.url) and argument != self.url:
+            raise UsageError(
+                f"two aircraft are named: {argument} and {self.url}", remedy="leave out one of them"
+            )
+        given = asdict(self) | asdict(app or AppOptions())
+        given |= {"url": argument or self.url, "baud_rate": given.pop("baud")}
+        del given["log"]
+        configuration = read_configuration()
+        settings = resolve(given, os.environ, of_aircraft=configuration.sources)
+        if settings.url is None:
+            raise UsageError(
+                "no URL says where the aircraft is",
+                remedy="give it as argument (after PLAN in `mission fly`) or with --url, set "
+                "M100LINK_URL, or name an aircraft in the file that `m100link config` names",
+            )
+        log_of(_shown(given["url"] or settings.url))
+        return Place(settings.url, settings)
+
+    def place_among(
+        self,
+        words: Iterable[str],
+        is_other: Callable[[str], bool],
+        app: AppOptions | None = None,
+    ) -> tuple[Place, tuple[str, ...]]:
+        """Where the aircraft is, and the words that follow.
+
+        Args:
+            words: Arguments of which the first may be a URL or a name.
+            is_other: Whether a word has the shape of what follows.
+            app: As in :meth:`place`.
+        """
+        first, *rest = words = tuple(words) or ("",)
+        if not first or is_other(first):
+            return self.place(None, app), tuple(filter(None, words))
+        return self.place(first, app), tuple(rest)
+
+
+def _shown(url: str) -> str:
+    """A name of the configuration file as it is, a URL without what it may keep secret."""
+    try:
+        return url if url in read_configuration().aircraft else str(parse_url(url))
+    except UsageError:
+        return ""  # who connects says what is wrong with it
+
+
+def run_async(work: Coroutine[Any, Any, int | None]) -> int:
+    """Run a command's coroutine; errors become a message and an exit status."""
+    try:
+        return asyncio.run(work) or ExitCode.OK
+    except errors.M100Error as error:
+        return complain(error)
+    except asyncio.CancelledError:  # told to end before it ran
+        return ExitCode.OK
+    except KeyboardInterrupt:
+        err.print("interrupted")
+        return ExitCode.INTERRUPTED
+
+
+class Told(asyncio.Event):
+    """Set by Ctrl-C and SIGTERM.
+
+    A task that has not come to wait for it yet is cancelled instead: it may wait for a router that
+    never answers. Made in the task of the verb.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._beginning = asyncio.current_task()
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, self._tell)
+
+    def _tell(self) -> None:
+        self.set()
+        if self._beginning is not None:
+            self._beginning.cancel()
+            err.print("ending")
+
+    async def wait(self) -> Literal[True]:
+        """Wait until it is set."""
+        self._beginning = None
+        return await super().wait()

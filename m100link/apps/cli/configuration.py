@@ -1,0 +1,258 @@
+"""The user's configuration file: aircraft by name, and what holds for all of them.
+
+Reading: :func:`read_configuration` gives a :class:`Configuration` of the file, checked; without a
+file it is empty. :meth:`Configuration.sources` is what the file says of one aircraft, as the
+weakest sources of :func:`m100link.apps.station.config.resolve`, which converts the values.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import stat
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from m100link.apps.station.config import Settings
+from m100link.errors import BadURL, UsageError
+from m100link.errors.texts import read_path, read_toml
+from m100link.link.keyfile import read_watched
+from m100link.link.url import EXAMPLES, parse_url
+from m100link.protocol.firmware import PROFILES
+from m100link.telemetry.names import ITEM_NAMES
+
+__all__ = ["Configuration", "configuration_path", "read_configuration", "shown"]
+
+FILE = "m100link.toml"
+
+_OF_ALL = (
+    *("firmware", "baud", "timeout"),
+    *("app_id", "key_file", "level", "app_version", "bundle_id"),
+)
+_OF_ONE = ("url", *_OF_ALL)
+_ELSEWHERE = ("url", "sim", "key", "token", "origins", "unused")
+_OF_STATION = tuple(one.name for one in fields(Settings) if one.name not in _ELSEWHERE)
+_PATHS = [one.name for one in fields(Settings) if str(one.type).startswith("Path")]
+"""Beside the file, when they are not absolute."""
+
+_SECRETS = {"key": "key_file", "token": "token_file"}
+"""What a configuration file is shown and copied too often for."""
+
+_CALLED: dict[str, str] = {"baud": "baud_rate"}
+"""The setting of a key, where it is not called so: keys are called as options are."""
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Configuration:
+    """What the file says.
+
+    Attributes:
+        path: Where it is, or would be.
+        exists: Whether it is there.
+        default: Name of the aircraft that is meant when nobody names one.
+        defaults: What holds for every aircraft that is not a virtual one.
+        aircraft: What holds for one aircraft, by its name; ``url`` is always among it.
+        station: Settings of ``serve`` and ``console``.
+    """
+
+    path: Path
+    exists: bool = False
+    default: str | None = None
+    defaults: Mapping[str, Any] = field(default_factory=dict)
+    aircraft: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    station: Mapping[str, Any] = field(default_factory=dict)
+
+    def sources(self, word: str | None) -> list[tuple[str, Mapping[str, Any]]]:
+        """What it says of an aircraft, strongest first; a ``url`` is what the word stands for.
+
+        The defaults are a real aircraft's: they do not hold for ``sim://`` and ``replay://``.
+
+        Args:
+            word: A name or a URL; None: nobody says which.
+
+        Raises:
+            BadURL: It is neither; the names that are near are told.
+        """
+        name = self.default if word is None else word
+        named = None if name is None else self.aircraft.get(name)
+        found: list[tuple[str, Mapping[str, Any]]] = []
+        if named is not None:
+            found.append((f"{shown(self.path)} [aircraft.{name}]", named))
+        elif word is not None:
+            self._refuse_strange(word)
+        url = word or "" if named is None else named["url"]
+        if not url.startswith(("sim:", "replay:")):
+            found.append((f"{shown(self.path)} [defaults]", self.defaults))
+        return found
+
+    def sources_of_station(self, word: str | None) -> list[tuple[str, Mapping[str, Any]]]:
+        """The same for ``serve`` and ``console``, which have settings of their own."""
+        return [(f"{shown(self.path)} [station]", self.station), *self.sources(word)]
+
+    def _refuse_strange(self, word: str) -> None:
+        try:
+            parse_url(word)
+        except BadURL as error:
+            if "://" in word:
+                raise
+            examples = "".join(f"\n      {example}" for example in EXAMPLES)
+            there = f", and {shown(self.path)} has no aircraft of that name" if self.exists else ""
+            near = _near(word, self.aircraft)
+            names = f"; it has {', '.join(self.aircraft)}" if self.aircraft and not near else ""
+            raise BadURL(
+                f"{error.seen}{there}{names}",
+                remedy=f"{f'{near} Or ' if near else ''}write it like one of these:{examples}",
+            ) from None
+
+
+def configuration_path(
+    environment: Mapping[str, str] | None = None, platform: str = sys.platform
+) -> Path:
+    """Where the file belongs: in XDG_CONFIG_HOME, else where the platform has such files.
+
+    Args:
+        environment: Environment variables; by default those of the process.
+        platform: As :data:`sys.platform`.
+    """
+    environment = os.environ if environment is None else environment
+    # The standard has a relative path there passed over.
+    for variable in ("XDG_CONFIG_HOME", "APPDATA" if platform == "win32" else ""):
+        folder = environment.get(variable, "")
+        if Path(folder).is_absolute():
+            return Path(folder) / FILE
+    folders = {"darwin": "Library/Application Support", "win32": "AppData/Roaming"}
+    return Path.home() / folders.get(platform, ".config") / FILE
+
+
+def read_configuration(path: Path | None = None) -> Configuration:
+    """The user's file; an empty configuration when there is none.
+
+    Args:
+        path: Another file.
+
+    Raises:
+        UsageError: It cannot be read, everybody may write it, or something in it is not known; the
+            message says where.
+    """
+    path = configuration_path() if path is None else path
+    try:
+        with path.open("rb") as file:
+            mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
+            tables = read_toml(read_watched(file, path))
+    except FileNotFoundError:
+        return Configuration(path=path)
+    except (OSError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else str(error)
+        raise UsageError(f"{shown(path)} cannot be read: {why}") from error
+    if mode & stat.S_IWOTH:
+        raise UsageError(
+            f"{shown(path)} can be written by everybody (mode {mode:o})",
+            cause="who writes it says which aircraft a name is",
+            remedy=f"chmod o-w {path}",
+        )
+    _check_keys(path, "", tables, ("defaults", "aircraft", "station"))
+    defaults = _table(path, "defaults", tables.get("defaults", {}), ("aircraft", *_OF_ALL))
+    named = _table(path, "aircraft", tables.get("aircraft", {}), None)
+    aircraft = {}
+    for name, table in named.items():
+        _check_name(path, name)
+        aircraft[name] = _table(path, f"aircraft.{name}", table, _OF_ONE)
+        if not isinstance(aircraft[name].get("url"), str):
+            raise UsageError(
+                f"{shown(path)} [aircraft.{name}]: nothing says where it is",
+                remedy='give it a url, such as url = "/dev/ttyUSB0"',
+            )
+    default = defaults.pop("aircraft", None)
+    if default is not None and (not isinstance(default, str) or default not in aircraft):
+        raise UsageError(
+            f"{shown(path)} [defaults]: there is no aircraft {default!r}",
+            remedy=_near(str(default), aircraft) or f"there are: {', '.join(aircraft) or 'none'}",
+        )
+    return Configuration(
+        path=path,
+        exists=True,
+        default=default,
+        defaults=defaults,
+        aircraft=aircraft,
+        station=_table(path, "station", tables.get("station", {}), _OF_STATION),
+    )
+
+
+def shown(path: Path) -> str:
+    """The path as people write it."""
+    try:
+        return f"~/{path.relative_to(Path.home())}"
+    except ValueError:
+        return str(path)
+
+
+def _near(word: str, known: Iterable[str]) -> str:
+    near = get_close_matches(word.lower(), list(known), n=3)
+    return f"did you mean {' or '.join(near)}?" if near else ""
+
+
+def _check_keys(path: Path, where: str, table: Mapping[str, Any], known: Iterable[str]) -> None:
+    for name in table:
+        if name in known:
+            continue
+        place = f"{shown(path)}{f' [{where}]' if where else ''}"
+        if name in _SECRETS:
+            raise UsageError(
+                f"{place}: a {name} does not belong in this file",
+                cause="it is shown by `m100link config` and copied with other settings",
+                remedy=f"put it into a file of its own that nobody else can read, and give its "
+                f"path as {_SECRETS[name]}",
+            )
+        raise UsageError(
+            f"{place}: there is no {'setting' if where else 'table'} {name!r}",
+            remedy=_near(name, known) or f"there are: {', '.join(known)}",
+        )
+
+
+def _check_name(path: Path, name: str) -> None:
+    if not _NAME.fullmatch(name) or re.match(r"COM\d", name):
+        raise UsageError(
+            f"{shown(path)}: an aircraft cannot be called {name!r}",
+            remedy="a letter, then letters, digits, - and _",
+        )
+    if name.lower() in ITEM_NAMES:
+        raise UsageError(
+            f"{shown(path)}: an aircraft cannot be called {name!r}: a telemetry item is",
+            remedy="give it another name, such as its place or its number",
+        )
+
+
+def _table(path: Path, where: str, table: Any, known: Iterable[str] | None) -> dict[str, Any]:
+    """A table of the file with its keys known and its numbers possible, as settings."""
+    if not isinstance(table, dict):
+        raise UsageError(f"{shown(path)}: {where} is a table: [{where}{'.NAME' * (known is None)}]")
+    if known is None:
+        return table
+    _check_keys(path, where, table, known)
+    made: dict[str, Any] = {}
+    for name, value in table.items():
+        if why := _wrong(name, value):
+            raise UsageError(f"{shown(path)} [{where}]: {name} cannot be {value!r}", remedy=why)
+        if name in _PATHS and isinstance(value, str):
+            value = path.parent / read_path(value)
+        made[str(_CALLED.get(name, name))] = value
+    return made
+
+
+def _wrong(name: str, value: Any) -> str:
+    """What a value should be instead; empty when it can be right."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if name in ("baud", "baud_rate") and not (isinstance(value, int) and value >= 1):
+        return "bits per second, such as 230400"
+    if name == "timeout" and not (is_number and 0.0 < value < math.inf):
+        return "seconds, above 0"
+    if name == "firmware" and value not in PROFILES:
+        return f"one of {', '.join(PROFILES)}, as text"
+    return ""

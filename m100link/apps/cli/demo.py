@@ -1,0 +1,402 @@
+"""``m100link demo``: a whole mission with the virtual aircraft over a real pseudo-terminal.
+
+At ``--speed max`` the line is in memory and the clock virtual: the same mission, as fast as the
+machine computes, and equal for equal seeds. A pseudo-terminal takes real time, of which a virtual
+clock knows nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import shlex
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import Parameter, validators
+from rich.console import Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from m100link.aircraft import Aircraft
+from m100link.aircraft.activation import ActivationProgress
+from m100link.apps.agent.connect import by_driver, by_url
+from m100link.apps.cli.canvas import line_plot, track_plot
+from m100link.apps.cli.common import err, out
+from m100link.apps.cli.logs import AS_IT_IS, LogOptions
+from m100link.apps.cli.outcome import ExitCode, complain, print_json
+from m100link.apps.station.config import RECORD_KEEP, RECORD_KEEP_MB
+from m100link.errors import M100Error, NotObserved
+from m100link.flight.control import Control
+from m100link.flight.guards import Guards
+from m100link.geodesy import LocalFrame
+from m100link.link import LinkStatistics
+from m100link.log.folder import Flights, default_folder
+from m100link.protocol.records import Position
+from m100link.protocol.setpoint import Setpoint
+from m100link.sim import Driver, PtyPort, VirtualAircraft, loop_factory
+
+__all__ = ["demo"]
+
+_STAGES = ("connect", "activate", "obtain control", "take off", "square", "land", "release")
+
+_FASTEST = 50.0
+"""Beyond it time-outs are shorter than what a machine needs to wake up."""
+
+_ARRIVED_M = 0.25
+_SETTLED_M_S = 0.3
+_GAIN = 0.7  # m/s of velocity per metre of distance
+_LEG_TIMEOUT = 40.0
+_RETURN_TOLERANCE_M = 1.0
+
+_PICTURE = 32
+"""Columns of a picture in the summary; two stand side by side where there is room for three."""
+
+
+@dataclass
+class _Flight:
+    """What happened, for the display and the summary."""
+
+    stages: dict[str, float] = field(default_factory=dict)
+    stage: str = ""
+    note: str = ""
+    track: list[tuple[float, float]] = field(default_factory=list)
+    heights: list[tuple[float, float]] = field(default_factory=list)
+    home: LocalFrame | None = None
+    setpoints: int = 0
+    battery_percent: int | None = None
+    landed: bool = False
+    firmware: str = ""
+    port: str = ""
+    line: LinkStatistics | None = None
+    flights: Flights | None = None
+
+    @property
+    def recording(self) -> str | None:
+        """Its log, if there is one."""
+        newest = None if self.flights is None else self.flights.newest
+        return None if newest is None else str(newest)
+
+    @contextlib.contextmanager
+    def during(self, stage: str) -> Iterator[None]:
+        clock = asyncio.get_running_loop().time
+        self.stage, self.note = stage, ""
+        began_at = clock()
+        yield
+        self.stages[stage] = clock() - began_at
+        self.stage = ""
+
+    def add(self, position: Position, now: float) -> None:
+        if not position.is_possible:
+            return
+        here = (position.latitude_deg, position.longitude_deg)
+        if self.home is None:
+            self.home = LocalFrame(*here)
+        self.track.append(self.home.to_local(*here))
+        self.heights.append((now, position.height_m))
+
+    @property
+    def returned_within_m(self) -> float:
+        if not self.track:
+            return math.inf
+        (n0, e0), (n1, e1) = self.track[0], self.track[-1]
+        return math.hypot(n1 - n0, e1 - e0)
+
+    @property
+    def path_length_m(self) -> float:
+        legs = pairwise(self.track)
+        return sum(math.hypot(n1 - n0, e1 - e0) for (n0, e0), (n1, e1) in legs)
+
+
+def _is_speed(_: object, speed: float | str) -> None:
+    if not isinstance(speed, str) and not 0.0 < speed <= _FASTEST:
+        raise ValueError(f"must be above 0 and at most {_FASTEST:g}, or max")
+
+
+def demo(
+    *,
+    speed: Annotated[float | Literal["max"], Parameter(validator=_is_speed)] = 1.0,
+    side: Annotated[float, Parameter(validator=validators.Number(gte=1, lte=200))] = 8.0,
+    firmware: str = "1.0",
+    seed: int = 1,
+    json: bool = False,
+    record: Path | None = None,
+    no_record: Annotated[bool, Parameter(negative=())] = False,
+    log: LogOptions = AS_IT_IS,
+) -> int:
+    """Fly the virtual aircraft over a real pseudo-terminal: a square, from take-off to landing.
+
+    Nothing needs to be connected. Exit status 0 says that the mission was flown: landed, and back
+    within a metre.
+
+    Args:
+        speed: Times faster than real; max takes no time for waiting, over a line in memory.
+        side: Side of the square in metres.
+        firmware: Firmware of the virtual aircraft: 1.0, 2.3 or 3.1.
+        seed: Of everything random.
+        json: One summary object instead of pictures.
+        record: Folder for the flight log; by default m100link/flights of the user's state folder
+            (~/.local/state), where the oldest make room.
+        no_record: Record nothing.
+        log: What is logged meanwhile.
+    """
+    flight = _Flight(flights=None if no_record else _flights(record))
+    began_at = time.monotonic()
+    failure: M100Error | None = None
+    factor = math.inf if speed == "max" else float(speed)
+    with asyncio.Runner(loop_factory=loop_factory(factor)) as runner:
+        try:
+            runner.run(_fly(flight, side, firmware, seed, factor, shows=not json))
+        except M100Error as error:
+            failure = error
+        except KeyboardInterrupt:
+            err.print("interrupted")
+            return ExitCode.INTERRUPTED
+    summary = _summary(flight, speed, seed, time.monotonic() - began_at, failure)
+    if json:
+        print_json(summary)
+    else:
+        _print_summary(flight, summary)
+    if failure is not None:
+        return complain(failure)
+    return ExitCode.OK if summary["flown"] else ExitCode.FAILED
+
+
+async def _fly(
+    flight: _Flight, side: float, firmware: str, seed: int, speed: float, *, shows: bool
+) -> None:
+    virtual = VirtualAircraft(seed=seed, firmware=firmware)
+    driver = Driver(virtual)
+    is_in_memory = math.isinf(speed)
+    flight.port = "a line in memory" if is_in_memory else PtyPort(driver).name
+    shows_live = shows and not is_in_memory
+    display = asyncio.create_task(_display(flight, speed)) if shows_live else None
+    try:
+        with flight.during("connect"):
+            if is_in_memory:
+                aircraft = await by_driver(driver, flights=flight.flights)()
+            else:
+                aircraft = await by_url(f"serial://{flight.port}:230400", flights=flight.flights)()
+        try:
+            await _mission(aircraft, flight, virtual, side, 1.0 if is_in_memory else speed)
+        finally:
+            flight.line = aircraft.statistics()
+            await aircraft.aclose()
+    finally:
+        driver.stop()
+        if display is not None:
+            display.cancel()
+            await asyncio.wait([display])
+
+
+def _flights(record: Path | None) -> Flights:
+    if record is not None:
+        return Flights(record, tell=_say)
+    return Flights(default_folder(), keep=RECORD_KEEP, keep_mb=RECORD_KEEP_MB, tell=_say)
+
+
+def _say(text: str, level: str) -> None:
+    if level != "info":  # where it is, is told at the end
+        err.print(text, style="yellow", markup=False)
+
+
+async def _mission(
+    aircraft: Aircraft, flight: _Flight, virtual: VirtualAircraft, side: float, speed: float
+) -> None:
+    flight.firmware = aircraft.firmware.name
+
+    def tell(progress: ActivationProgress) -> None:
+        flight.note = progress.code.meaning
+
+    with flight.during("activate"):
+        await aircraft.activate(virtual.credentials, progress=tell)
+    await aircraft.wait_for(
+        lambda state: state.position is not None and state.flight_status is not None,
+        timeout=5,
+        what="telemetry with position and flight status",
+    )
+    tracker = asyncio.create_task(_track(aircraft, flight))
+    try:
+        with flight.during("obtain control"):
+            # A second of the clock on the wall: what is written into a pseudo-terminal comes out
+            # when the kernel gets to it, however many seconds of flight go by meanwhile.
+            guards = Guards(stale_telemetry_s=max(1.0, speed))
+            control = await aircraft.control(stop="land", guards=guards).__aenter__()
+        try:
+            await _fly_square(aircraft, control, flight, side)
+        finally:
+            with flight.during("release"):
+                await control.__aexit__(*sys.exc_info())
+    finally:
+        tracker.cancel()
+        await asyncio.wait([tracker])
+
+
+async def _fly_square(aircraft: Aircraft, control: Control, flight: _Flight, side: float) -> None:
+    with flight.during("take off"):
+        await control.take_off()
+    position = aircraft.state.position
+    assert position is not None
+    frame = LocalFrame(position.latitude_deg, position.longitude_deg)
+    with flight.during("square"):
+        for corner in ((side, 0.0), (side, side), (0.0, side), (0.0, 0.0)):
+            flight.note = f"to {corner[0]:g} m north, {corner[1]:g} m east"
+            await _fly_to_corner(aircraft, control, frame, corner)
+        await control.stop()
+        flight.setpoints = control.setpoints_sent
+    with flight.during("land"):
+        await control.land()
+    flight.landed = True
+
+
+async def _fly_to_corner(
+    aircraft: Aircraft, control: Control, frame: LocalFrame, corner: tuple[float, float]
+) -> None:
+    """Velocity towards the corner, slower the nearer it is; 3 m above the take-off point."""
+    async for tick in control.ticks(rate_hz=50):
+        position = aircraft.state.position
+        assert position is not None
+        north, east = frame.to_local(position.latitude_deg, position.longitude_deg)
+        to_north, to_east = corner[0] - north, corner[1] - east
+        distance = math.hypot(to_north, to_east)
+        velocity = aircraft.state.velocity
+        speed = 0.0 if velocity is None else velocity.ground_speed_m_s
+        if distance < _ARRIVED_M and speed < _SETTLED_M_S:
+            return
+        if tick.elapsed > _LEG_TIMEOUT:
+            raise NotObserved(
+                f"corner {corner} was not reached in {_LEG_TIMEOUT:g} s; {distance:.1f} m are left",
+                situation=aircraft.state.situation(),
+            )
+        speed = min(3.0, _GAIN * distance)
+        up = max(-1.0, min(1.0, 3.0 - position.height_m))
+        control.send(
+            Setpoint.velocity(
+                north=speed * to_north / distance,
+                east=speed * to_east / distance,
+                up=up,
+                yaw_rate_deg_s=0.0,
+            )
+        )
+
+
+async def _track(aircraft: Aircraft, flight: _Flight) -> None:
+    async with aircraft.telemetry(Position, rate_hz=10) as samples:
+        async for sample in samples:
+            flight.add(sample[Position], sample.received_at)
+            if aircraft.state.battery is not None:
+                flight.battery_percent = aircraft.state.battery.percent
+
+
+# -- what a person sees ------------------------------------------------------------------------
+
+
+async def _display(flight: _Flight, speed: float) -> None:
+    with Live(console=out, refresh_per_second=10, transient=True) as live:
+        while True:
+            live.update(_progress(flight))
+            await asyncio.sleep(0.1 * speed)
+
+
+def _progress(flight: _Flight) -> Group:
+    table = Table(box=None, show_header=False, pad_edge=False)
+    for stage in _STAGES:
+        if stage in flight.stages:
+            table.add_row("[green]✓[/]", stage, f"{flight.stages[stage]:.1f} s")
+        elif stage == flight.stage:
+            table.add_row("[yellow]…[/]", f"[bold]{stage}[/]", flight.note)
+        else:
+            table.add_row("·", f"[dim]{stage}[/]", "")
+    parts: list[Any] = [table]
+    if flight.track:
+        north, east = flight.track[-1]
+        battery = "" if flight.battery_percent is None else f"   battery {flight.battery_percent} %"
+        parts.append(
+            f"height {flight.heights[-1][1]:5.2f} m   "
+            f"north {north:6.2f} m   east {east:6.2f} m{battery}"
+        )
+        parts.append(Text("\n".join(track_plot(flight.track, columns=min(44, out.width), rows=10))))
+    return Group(*parts)
+
+
+def _summary(
+    flight: _Flight, speed: float | str, seed: int, real_seconds: float, failure: M100Error | None
+) -> dict[str, Any]:
+    heights = [height for _, height in flight.heights]
+    flown = failure is None and flight.landed and flight.returned_within_m <= _RETURN_TOLERANCE_M
+    return {
+        "flown": flown,
+        "error": None if failure is None else failure.seen,
+        "error_code": None if failure is None else failure.error_code,
+        "firmware": flight.firmware,
+        "seed": seed,
+        "port": flight.port,
+        "speed": speed,
+        "seconds": round(sum(flight.stages.values()), 2),
+        "real_seconds": round(real_seconds, 2),
+        "stages": {stage: round(seconds, 2) for stage, seconds in flight.stages.items()},
+        "returned_within_m": round(flight.returned_within_m, 3),
+        "path_length_m": round(flight.path_length_m, 2),
+        "max_height_m": round(max(heights, default=0.0), 2),
+        "setpoints_sent": flight.setpoints,
+        "battery_percent": flight.battery_percent,
+        "recording": flight.recording,
+        "line": None if flight.line is None else asdict(flight.line),
+        "track": [[round(north, 2), round(east, 2)] for north, east in flight.track[::5]],
+    }
+
+
+def _print_summary(flight: _Flight, summary: dict[str, Any]) -> None:
+    table = Table(title="mission flown" if summary["flown"] else "mission NOT flown", box=None)
+    table.add_column("stage")
+    table.add_column("seconds", justify="right")
+    for stage in _STAGES:
+        seconds = flight.stages.get(stage)
+        table.add_row(stage, "—" if seconds is None else f"{seconds:.1f}")
+    numbers = Table(box=None, show_header=False)
+    line = flight.line
+    for name, value in (
+        ("flown over", f"{flight.port}, firmware {flight.firmware}, seed {summary['seed']}"),
+        ("back within", f"{summary['returned_within_m']:.2f} m of the start"),
+        ("path", f"{summary['path_length_m']:.1f} m, up to {summary['max_height_m']:.1f} m high"),
+        ("setpoints sent", str(summary["setpoints_sent"])),
+        (
+            "line",
+            ""
+            if line is None
+            else f"{line.frames_received} frames in, {line.frames_sent} out, "
+            f"{line.discarded_bytes} bytes discarded, {line.repeats} repeats",
+        ),
+        ("time", f"{summary['seconds']:.1f} s flown in {summary['real_seconds']:.1f} s"),
+    ):
+        numbers.add_row(f"[bold]{name}[/]", value)
+    out.print(table)
+    out.print(numbers)
+    if flight.track:
+        pictures = Table(box=None, pad_edge=False, show_header=out.width >= 3 * _PICTURE)
+        began_at = flight.heights[0][0]
+        heights = [(now - began_at, height) for now, height in flight.heights]
+        drawn = {
+            "track": Text("\n".join(track_plot(flight.track, columns=_PICTURE, rows=14))),
+            "height": Text("\n".join(line_plot(heights, unit="m", columns=_PICTURE, rows=13))),
+        }
+        if out.width < 3 * _PICTURE:
+            for title, picture in drawn.items():
+                pictures.add_row(title)
+                pictures.add_row(picture)
+        else:
+            for title in drawn:
+                pictures.add_column(title, justify="left")
+            pictures.add_row(*drawn.values())
+        out.print(pictures)
+    if flight.recording is not None:
+        quoted = shlex.quote(flight.recording)
+        out.print(f"recorded in {flight.recording}", markup=False, soft_wrap=True)
+        out.print(f"to see it again: m100link replay {quoted}", markup=False, soft_wrap=True)

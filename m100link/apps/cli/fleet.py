@@ -1,0 +1,307 @@
+"""``m100link fleet``: many aircraft on many machines, by zenoh."""
+
+from __future__ import annotations
+
+import asyncio
+import getpass
+import platform
+import sys
+from collections.abc import Awaitable, Callable
+from contextlib import AbstractAsyncContextManager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import cyclopts
+from cyclopts import Parameter
+from rich.table import Table
+
+from m100link.apps.cli.common import err, out, run_async
+from m100link.apps.cli.fleet_left import Begun, Left
+from m100link.apps.cli.logs import AS_IT_IS, LogOptions
+from m100link.apps.cli.options import Above0
+from m100link.apps.cli.outcome import ExitCode, print_json
+from m100link.apps.fleet.asking import PATIENCE_S, Sign
+from m100link.apps.fleet.client import Fleet, FleetAircraft, connect
+from m100link.apps.fleet.keys import DEFAULT_SITE, in_order
+from m100link.apps.fleet.outcome import Result
+from m100link.apps.fleet.payloads import Card
+from m100link.apps.fleet.signing import read_signer, signing, tls_options
+from m100link.errors import UsageError
+
+__all__ = [
+    "NO_OPTIONS",
+    "ROUTER",
+    "All",
+    "FleetOptions",
+    "Names",
+    "app",
+    "tell_results",
+    "wanted_names",
+]
+
+app = cyclopts.App(
+    name="fleet",
+    help="Many aircraft on many machines: a router, agents on board, pilots, formations.",
+    version_flags=(),
+)
+ROUTER = "tcp/127.0.0.1:7447"
+
+Names = Annotated[str, Parameter(help="Names of aircraft.")]
+All = Annotated[bool, Parameter(name="--all", negative=(), help="Every aircraft that is there.")]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class FleetOptions:
+    """Which fleet, and who asks.
+
+    Attributes:
+        connect: Endpoint of a router (M100LINK_FLEET); several times for several, of which the
+            first that answers serves.
+        site: Name of the site (M100LINK_SITE).
+        name: Who asks, for other people; the identity, or user and host, by default.
+        identity: Who signs orders, and whose certificate is shown to a router behind tls/.
+        pki: Folder with that certificate and key (M100LINK_PKI).
+        patience: Seconds without any answer after which it is unknown what became of an order; over
+            a way of 3 s an answer takes 6.5 s.
+        json_output: Print one JSON object per line.
+        log: What is logged.
+    """
+
+    connect: Annotated[tuple[str, ...], Parameter(env_var="M100LINK_FLEET", negative="")] = (
+        ROUTER,
+    )
+    site: Annotated[str, Parameter(env_var="M100LINK_SITE")] = DEFAULT_SITE
+    name: str | None = None
+    identity: str | None = None
+    pki: Annotated[Path, Parameter(env_var="M100LINK_PKI")] = Path()
+    patience: Annotated[float, Above0] = PATIENCE_S
+    json_output: Annotated[bool, Parameter(name="--json")] = False
+    log: LogOptions = AS_IT_IS
+
+    def open(self) -> AbstractAsyncContextManager[Fleet]:
+        """The fleet."""
+        options = {} if self.identity is None else tls_options(self.pki, self.identity)
+        return connect(
+            *self.connect,
+            site=self.site,
+            name=self.who,
+            sign=self.sign(),
+            options=options,
+            patience=self.patience,
+        )
+
+    @property
+    def who(self) -> str:
+        """Who asks, for other people."""
+        user = f"{getpass.getuser()}@{platform.node() or 'host'}"
+        return self.name or self.identity or user
+
+    def sign(self) -> Sign | None:
+        """What signs orders; None without an identity."""
+        if self.identity is None:
+            return None
+        return signing(read_signer(self.pki, self.identity))
+
+
+NO_OPTIONS = FleetOptions()
+
+
+# -- who is there ---------------------------------------------------------------------------------
+
+
+@app.command(name="list")
+def list_(*, options: FleetOptions = NO_OPTIONS) -> int:
+    """List the aircraft that are there: where each stands, and who has control.
+
+    Args:
+        options: Which fleet.
+    """
+
+    async def run() -> None:
+        async with options.open() as fleet:
+            names, cards = await fleet.names(), await fleet.cards()
+        # An agent of an older release shows another token, and tells where it stands all the same.
+        names = in_order({*names, *cards})
+        if options.json_output:
+            for name in names:
+                print_json(asdict(cards[name]) if name in cards else {"name": name})
+            return
+        if not names:
+            err.print(f"no agent is there at site {options.site}")
+        else:
+            out.print(_table(names, cards))
+
+    return run_async(run())
+
+
+def _table(names: list[str], cards: dict[str, Card]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for title in ("name", "link", "phase", "height", "battery", "flies", "control", "when lost"):
+        table.add_column(title)
+    for name in names:
+        card = cards.get(name)
+        if card is None:
+            table.add_row(name, "no answer")
+            continue
+        if card.fault is not None and not card.boot:
+            table.add_row(name, f"{card.connection}: {card.fault.seen}")
+            continue
+        height = "" if card.height_m is None else f"{card.height_m:.1f} m"
+        battery = "" if card.battery_percent is None else f"{card.battery_percent} %"
+        lost = f"{card.lost} after {card.lost_after:g} s"
+        row = (name, card.connection, card.phase, height, battery, card.task, card.holder, lost)
+        table.add_row(*row)
+    return table
+
+
+# -- what they are asked --------------------------------------------------------------------------
+
+_GOES_BACK = "control goes back, within 3 s at the latest: "
+_TAKE_OFF = Left(
+    f"{_GOES_BACK}what has left the ground hovers",
+    "m100link fleet list shows it, m100link fleet land {name} lands it",
+)
+_LANDING = Left(
+    "a landing that it has heard of goes on",
+    "m100link fleet list shows it, m100link fleet stop {name} ends it: it hovers",
+)
+_STOP = Left(
+    "it stops if it has heard of it",
+    "m100link fleet list shows it, m100link fleet stop {name} again",
+)
+_GOTO = Left(
+    f"{_GOES_BACK}it brakes and hovers",
+    "m100link fleet list shows it, m100link fleet land {name} lands it",
+)
+
+
+def wanted_names(names: tuple[str, ...], everybody: bool) -> list[str] | None:
+    """The names, None for all that are there.
+
+    Raises:
+        UsageError: Neither or both were given.
+    """
+    if bool(names) == everybody:
+        raise UsageError(
+            "no aircraft was named" if not names else "aircraft were named, and --all given",
+            remedy="name them, or give --all",
+        )
+    return None if everybody else list(names)
+
+
+def _each(
+    names: tuple[str, ...],
+    everybody: bool,
+    options: FleetOptions,
+    do: Callable[[FleetAircraft], Awaitable[object]],
+    left: Left,
+) -> int:
+    wanted = wanted_names(names, everybody)
+    begun = Begun(do, left)
+
+    async def run() -> int:
+        async with options.open() as fleet:
+            try:
+                results = await fleet.each(begun, wanted)
+            except asyncio.CancelledError:
+                tell_results(begun.results, as_json=options.json_output)
+                raise
+        if not results:
+            err.print(f"no agent is there at site {options.site}")
+            return ExitCode.NO_LINK
+        return tell_results(results, as_json=options.json_output)
+
+    return run_async(run())
+
+
+def tell_results(results: dict[str, Result], *, as_json: bool) -> int:
+    """Print what became of an order to each; 0 only when all is well."""
+    for name in in_order(results):
+        result = results[name]
+        error = result.error
+        if as_json:
+            told: dict[str, Any] = {"name": name, "outcome": result.outcome.value}
+            if error is not None:
+                told |= {"code": error.error_code, "seen": error.seen, "remedy": error.remedy}
+            print_json(told)
+            continue
+        why = "" if error is None else f"  {error.seen}"
+        style = "green" if result.is_ok else "red"
+        out.print(f"{name:12} [{style}]{result.outcome.value}[/]", end="")
+        out.print(why, markup=False, soft_wrap=True)
+        if error is not None and error.remedy:
+            err.print(f"{'':12} {error.remedy}", markup=False, soft_wrap=True)
+    bad = [result for result in results.values() if not result.is_ok]
+    if bad and not as_json:
+        sys.stdout.flush()
+        err.print(f"{len(results) - len(bad)} ok, {len(bad)} not", markup=False)
+    return ExitCode.FAILED if bad else ExitCode.OK
+
+
+@app.command
+def takeoff(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
+    """Let aircraft take off, all at once; each hovers at about 1.2 m, and control goes back.
+
+    Args:
+        names: Which.
+        everybody: All of them.
+        options: Which fleet.
+    """
+    return _each(names, everybody, options, FleetAircraft.take_off, _TAKE_OFF)
+
+
+@app.command
+def land(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
+    """Let aircraft land, all at once, whoever has control of them. Nobody is asked.
+
+    Args:
+        names: Which.
+        everybody: All of them.
+        options: Which fleet.
+    """
+    return _each(names, everybody, options, FleetAircraft.land, _LANDING)
+
+
+@app.command
+def stop(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
+    """Stop whatever aircraft do, all at once, whoever has control: each hovers.
+
+    Args:
+        names: Which.
+        everybody: All of them.
+        options: Which fleet.
+    """
+    return _each(names, everybody, options, FleetAircraft.stop, _STOP)
+
+
+@app.command
+def goto(
+    name: str,
+    latitude: Annotated[float, Parameter(allow_leading_hyphen=True)],
+    longitude: Annotated[float, Parameter(allow_leading_hyphen=True)],
+    height: Annotated[float, Above0],
+    /,
+    *,
+    speed: Annotated[float, Above0] = 5.0,
+    options: FleetOptions = NO_OPTIONS,
+) -> int:
+    """Let one fly straight to a place and hover there; the way is flown on board.
+
+    Args:
+        name: Which.
+        latitude: Degrees, WGS 84.
+        longitude: Degrees, WGS 84.
+        height: Metres above the take-off point.
+        speed: At most, m/s.
+        options: Which fleet.
+    """
+
+    async def fly(aircraft: FleetAircraft) -> None:
+        async with aircraft.control() as control:
+            await control.fly_to(
+                latitude_deg=latitude, longitude_deg=longitude, height=height, speed=speed
+            )
+
+    return _each((name,), False, options, fly, _GOTO)

@@ -1,0 +1,223 @@
+"""``m100link fleet router`` and ``fleet agent``: what runs beside the pilots."""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from m100link.apps.agent.journal import JOURNAL_LOG
+from m100link.apps.agent.messages import Event
+from m100link.apps.cli.common import Told, err, out, places, run_async
+from m100link.apps.cli.fleet import ROUTER
+from m100link.apps.cli.logs import AS_IT_IS, LogOptions
+from m100link.apps.cli.options import Above0, Counted, offered, options_of
+from m100link.apps.cli.outcome import ExitCode, print_json
+from m100link.apps.cli.serving import AS_USUAL, RunOptions, Teller, show
+from m100link.apps.cli.station import aircraft_of
+from m100link.apps.fleet.acl import router_config
+from m100link.apps.fleet.keys import DEFAULT_SITE
+from m100link.apps.fleet.logs.service import RATE
+from m100link.apps.fleet.lost import LostAction, LostPlan
+from m100link.apps.fleet.revocations import Revocations
+from m100link.apps.fleet.revoked import nobody
+from m100link.apps.fleet.rights import Rights
+from m100link.apps.fleet.session import open_fleet
+from m100link.apps.fleet.signing import tls_options, verifying
+from m100link.apps.station.child import leave_what_stays
+from m100link.apps.station.config import ENVIRONMENT, ONLY_NAME, Settings
+from m100link.apps.station.fleet import (
+    FleetSettings,
+    default_ledgers,
+    recorded_apart,
+    serving_fleet,
+)
+from m100link.apps.station.log_output import tell_elsewhere
+from m100link.errors import UsageError
+
+__all__ = ["agent", "router"]
+
+_FromSettings: Any = options_of(
+    Settings,
+    (
+        *("baud_rate", "firmware", "timeout", "app_id", "key", "key_file", "level"),
+        *("app_version", "bundle_id", "max_height", "max_radius", "keep_authority"),
+        *("record", "record_keep", "record_keep_mb"),
+    ),
+    environment=ENVIRONMENT,
+    called={"baud_rate": "--baud"},
+    is_layer=True,
+)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class AgentOptions(_FromSettings):  # type: ignore[misc] # a class that is made has no type
+    """Where the aircraft is, how far it may fly, and where its flights are recorded.
+
+    Each aircraft has a folder of its name in that of the logs.
+
+    Attributes:
+        no_record: Record nothing.
+        run: How the agent is run and told of.
+    """
+
+    no_record: Annotated[bool | None, Parameter(negative=())] = None
+    run: RunOptions = AS_USUAL
+
+
+def router(
+    *,
+    listen: Annotated[tuple[str, ...], Parameter(negative="")] = (ROUTER,),
+    connect: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    name: str = "router",
+    pki: Annotated[Path | None, Parameter(env_var="M100LINK_PKI")] = None,
+    rights: Path | None = None,
+    json_output: Annotated[bool, Parameter(name="--json")] = False,
+    log: LogOptions = AS_IT_IS,
+) -> int:
+    """Be the router that agents and pilots connect to, until Ctrl-C. Any zenohd does as well.
+
+    Whoever reaches it can fly every aircraft behind it: let it listen on loopback, in a network of
+    your own, or behind certificates.
+
+    Args:
+        listen: Where, such as tcp/0.0.0.0:7447, or tls/… with --pki; several times for several.
+        connect: Endpoint of another router, so that whoever is at one meets who is at the other;
+            several times for several. They begin in any order.
+        name: Of its certificate.
+        pki: Folder with its certificate and key (M100LINK_PKI): who comes by tls/ needs one, too.
+        rights: File of rights: what it does not allow is not routed. Needs --pki, because who
+            somebody is stands in the certificate. Who is in revoked.list there may do nothing; a
+            newer list counts from the next start.
+        json_output: Print one line of JSON when it runs.
+        log: What is logged.
+    """
+    options = {} if pki is None else tls_options(pki, name, listens=True)
+    if rights is not None and connect:
+        raise UsageError(
+            "the rules of --rights know no other router: nothing would pass between the two",
+            remedy="let agents and pilots --connect to both, without a way between them",
+        )
+    if rights is not None:
+        if pki is None or not all(place.startswith("tls/") for place in listen):
+            raise UsageError(
+                "the rules of --rights know everybody by a certificate",
+                remedy="--pki FOLDER, and --listen tls/… alone",
+            )
+        revoked = Revocations.of_folder(pki).revoked
+        options["access_control"] = json.dumps(
+            router_config(Rights.read(rights).without(revoked.names))
+        )
+
+    async def run() -> None:
+        ended = Told()
+        async with open_fleet("router", listen=listen, connect=connect, options=options):
+            if json_output:
+                print_json({"listen": list(listen)})
+            else:
+                out.print(f"router: {', '.join(listen)}", markup=False, soft_wrap=True)
+            await ended.wait()
+
+    return run_async(run())
+
+
+def agent(
+    *url: Annotated[str, offered(places)],
+    name: str = "a1",
+    count: Annotated[int, Counted] = 1,
+    connect: Annotated[tuple[str, ...], Parameter(env_var="M100LINK_FLEET", negative="")] = (
+        ROUTER,
+    ),
+    site: Annotated[str, Parameter(env_var="M100LINK_SITE")] = DEFAULT_SITE,
+    lost: LostAction = "hover",
+    lost_after: float = 10.0,
+    ledger: Path | None = None,
+    pki: Annotated[Path | None, Parameter(env_var="M100LINK_PKI")] = None,
+    rights: Path | None = None,
+    log_rate: Annotated[float, Above0] = RATE / 1e6,
+    options: AgentOptions = AgentOptions(),
+) -> int:
+    """Own an aircraft on board and serve it to a fleet, until Ctrl-C.
+
+    When the operator falls silent, the last setpoint ends after 0.2 s and the aircraft brakes; from
+    3 m/s it takes more than a second to hover. The lease ends after 3 s; then --lost applies.
+
+    Args:
+        url: Where the aircraft is, or its name (M100LINK_URL); several as name=URL.
+        name: What it is called in the fleet.
+        count: So many virtual ones of sim://, called NAME1, NAME2 and so on.
+        connect: Endpoint of a router (M100LINK_FLEET); several times for several.
+        site: Name of the site (M100LINK_SITE).
+        lost: What happens when the pilot is lost: hover, land or home.
+        lost_after: Seconds of hovering before that.
+        ledger: Folder in which orders that were begun are kept, so that none is carried out twice
+            when the agent is killed; by default in the user's folder for the state of programs,
+            and nowhere for virtual aircraft.
+        pki: Folder with its certificate and key, for a router behind tls/ (M100LINK_PKI).
+        rights: File of rights: orders that are not signed by who may are refused. With --pki so
+            are those of who is in revoked.list there, which fleet pki push brings up to date.
+        log_rate: Megabytes of flight logs a second that each aircraft gives away at most.
+        options: See below.
+    """
+    words = url
+    if count > 1:
+        if url != ("sim://",):
+            raise UsageError("--count is for virtual aircraft", remedy="give sim:// as URL")
+        words = tuple(f"{name}{number}=sim://" for number in range(1, count + 1))
+    aircraft = aircraft_of(options, words)
+    if ONLY_NAME in aircraft:
+        aircraft = {name: aircraft[ONLY_NAME]}
+    aircraft = {called: recorded_apart(one, called) for called, one in aircraft.items()}
+    if options.run.show_config:
+        for settings in aircraft.values():
+            show(settings)
+        return ExitCode.OK
+    is_virtual = all(settings.sim for settings in aircraft.values())
+    kept = ledger or (None if is_virtual else default_ledgers())
+    fleet = FleetSettings(connect, site, LostPlan(lost, lost_after), kept, log_rate=log_rate * 1e6)
+    if pki is not None:
+        fleet = replace(fleet, options=tls_options(pki, name))
+    if rights is not None:
+        fleet = replace(fleet, **_checking(Rights.read(rights), aircraft, pki))
+    return run_async(_serve(aircraft, fleet, options.run))
+
+
+def _checking(rights: Rights, names: Iterable[str], pki: Path | None) -> dict[str, Any]:
+    """What agents look at orders with, and whom they believe nothing any more."""
+    found = None if pki is None else Revocations.of_folder(pki, rights)
+    revoked = nobody if found is None else found.since
+    return {"verify": verifying(rights, names, time.time, revoked), "revocations": found}
+
+
+async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, run: RunOptions) -> int:
+    ended = Told()
+    tell_elsewhere(JOURNAL_LOG)
+    events = logging.getLogger(__name__)
+    with Teller() as teller:
+
+        def tell(name: str, event: Event) -> None:
+            if run.log.log_json:
+                level = logging.getLevelNamesMapping()[event.level.upper()]
+                events.log(level, "%s", event.text, extra={"aircraft": name})
+                return
+            style = {"warning": "yellow", "error": "red"}.get(event.level)
+            text = f"{name}: {event.text}"
+            teller.do(lambda: err.print(text, style=style, markup=False, soft_wrap=True))
+
+        async with serving_fleet(aircraft, fleet, tell) as agents:
+            if run.json_output:
+                print_json({"fleet": fleet.site, "agents": list(agents)})
+            else:
+                names = ", ".join(agents)
+                out.print(f"fleet:     {fleet.site}: {names}", markup=False, soft_wrap=True)
+            leave_what_stays()
+            await ended.wait()
+            teller.do(lambda: err.print("ending: an aircraft that flies hovers"))
+    return ExitCode.OK

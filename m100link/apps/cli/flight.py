@@ -1,0 +1,338 @@
+"""``m100link takeoff``, ``land``, ``home``, ``fly`` and ``release``.
+
+What brings the aircraft down is for people in a hurry: ``land`` asks nothing, and both ``land`` and
+``home`` end whatever mission flies. What lifts or moves it refuses beside one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import sys
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from m100link.aircraft import Aircraft, connect
+from m100link.aircraft.activation import ActivationProgress
+from m100link.apps.cli.common import (
+    AppOptions,
+    LinkOptions,
+    Place,
+    Url,
+    err,
+    out,
+    places,
+    run_async,
+)
+from m100link.apps.cli.options import Above0, offered
+from m100link.apps.cli.terminal import read_line
+from m100link.errors import AckTimeout, MissionRefused, MissionRunning, NotObserved, UsageError
+from m100link.flight.control import Control
+from m100link.flight.guards import Envelope, Guards
+from m100link.flight.guidance import GuidanceProgress
+from m100link.flight.mission_state import MissionKind
+from m100link.flight.tasks import TaskProgress, describe_situation
+from m100link.protocol.commands.activation import Credentials
+from m100link.protocol.commands.missions import MissionStatus
+
+__all__ = [
+    "activate_app",
+    "confirm",
+    "fly",
+    "hear_of_mission",
+    "home",
+    "land",
+    "release",
+    "require_no_mission",
+    "takeoff",
+]
+
+Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=())]
+
+_PUSHES_S = 1.0  # in which an aircraft that tells of its mission has done so
+
+_Flight = Callable[[Control], Awaitable[object]]
+
+
+def takeoff(
+    url: Url = None,
+    /,
+    *,
+    app: AppOptions | None = None,
+    link: LinkOptions | None = None,
+    yes: Yes = False,
+) -> int:
+    """Start the motors and climb to about 1.2 m; the aircraft hovers there.
+
+    Args:
+        url: Where the aircraft is.
+        app: The app that is registered with DJI.
+        link: How to talk to it.
+        yes: Do not ask.
+    """
+    place = (link or LinkOptions()).place(url, app)
+    return run_async(_fly(place, yes, "take off", lambda control: control.take_off(progress=_tell)))
+
+
+def land(
+    url: Url = None,
+    /,
+    *,
+    app: AppOptions | None = None,
+    link: LinkOptions | None = None,
+    yes: Yes = False,
+) -> int:
+    """Land in place and stop the motors.
+
+    Nobody is asked, and whatever mission flies is stopped first. Ctrl-C ends the landing, and the
+    aircraft hovers.
+
+    Args:
+        url: Where the aircraft is.
+        app: The app that is registered with DJI.
+        link: How to talk to it.
+        yes: Not needed: nobody is asked before a landing.
+    """
+    place = (link or LinkOptions()).place(url, app)
+    return run_async(_come_down(place, True, "land", lambda control: control.land(progress=_tell)))
+
+
+def home(
+    url: Url = None,
+    /,
+    *,
+    app: AppOptions | None = None,
+    link: LinkOptions | None = None,
+    yes: Yes = False,
+) -> int:
+    """Fly to the home point and land there.
+
+    Whatever mission flies is stopped first.
+
+    Args:
+        url: Where the aircraft is.
+        app: The app that is registered with DJI.
+        link: How to talk to it.
+        yes: Do not ask.
+    """
+    place = (link or LinkOptions()).place(url, app)
+    return run_async(
+        _come_down(place, yes, "go home", lambda control: control.go_home(progress=_tell))
+    )
+
+
+def fly(
+    *place: Annotated[
+        str,
+        Parameter(name=["[URL] NORTH EAST UP"], allow_leading_hyphen=True),
+        offered(places),
+    ],
+    app: AppOptions | None = None,
+    link: LinkOptions | None = None,
+    max_height: Annotated[float, Above0] = 50.0,
+    max_radius: Annotated[float, Above0] = 150.0,
+    yes: Yes = False,
+) -> int:
+    """Fly so many metres north, east and up from here, and hover there.
+
+    Args:
+        place: Where the aircraft is (else that of --url or M100LINK_URL), and metres north, east
+            and up, such as: sim:// -5 0 1.5
+        app: The app that is registered with DJI.
+        link: How to talk to it.
+        max_height: Height above the take-off point that is not exceeded, m.
+        max_radius: Distance from here that is not exceeded, m.
+        yes: Do not ask.
+    """
+    has_place = bool(place) and not _is_number(place[0])
+    north, east, up = _metres(place[1:] if has_place else place)
+    where = (link or LinkOptions()).place(place[0] if has_place else None, app)
+    if where.is_virtual:
+        err.print("sim:// is a new aircraft for each command, on the ground; `m100link sim` stays")
+    envelope = Envelope(max_height_m=max_height, max_radius_m=max_radius)
+    envelope.check("fly", far=math.hypot(north, east))
+
+    def progress(found: GuidanceProgress) -> None:
+        if sys.stderr.isatty():
+            err.print(
+                f"{found.distance_m:7.1f} m to go, {found.height_error_m:+6.1f} m of height",
+                end="\r",
+            )
+
+    flight = _fly(
+        where,
+        yes,
+        f"fly {north:g} m north, {east:g} m east, {up:g} m up",
+        lambda control: control.fly_to(north=north, east=east, up=up, progress=progress),
+        Guards(envelope=envelope),
+    )
+    return run_async(flight)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False
+
+
+def _metres(words: Sequence[str]) -> tuple[float, float, float]:
+    """Metres north, east and up.
+
+    Raises:
+        UsageError: Not three numbers.
+    """
+    strange = [word for word in words if not _is_number(word)]
+    if strange or len(words) != 3:
+        seen = f"{strange[0]!r} is not a number" if strange else f"{len(words)} numbers were given"
+        raise UsageError(
+            seen,
+            remedy="the aircraft first, if it is named at all, then metres north, east and up: "
+            "m100link fly sim:// 5 0 1.5",
+        )
+    north, east, up = map(float, words)
+    return north, east, up
+
+
+def release(
+    url: Url = None, /, *, app: AppOptions | None = None, link: LinkOptions | None = None
+) -> int:
+    """Give control authority back; the aircraft hovers and the pilot flies on.
+
+    Args:
+        url: Where the aircraft is.
+        app: The app that is registered with DJI.
+        link: How to talk to it.
+    """
+    place = (link or LinkOptions()).place(url, app)
+
+    async def run() -> None:
+        credentials = place.credentials()
+        async with connect(place.url, **place.arguments()) as aircraft:
+            await activate_app(aircraft, credentials)
+            if not await aircraft.release_authority():
+                raise NotObserved(
+                    "the aircraft did not say that it has control authority back",
+                    situation=aircraft.state.situation(),
+                    cause="the release or its answer was lost, or refused: see the log",
+                    remedy="it hovers, and the pilot takes it by the mode switch; try again",
+                )
+            out.print("released")
+
+    return run_async(run())
+
+
+async def _fly(
+    place: Place, yes: bool, what: str, flight: _Flight, guards: Guards | None = None
+) -> int:
+    credentials = place.credentials()  # what is wrong with them is told before a port is opened
+    async with connect(place.url, **place.arguments()) as aircraft:
+        if not yes and not place.is_virtual:
+            await confirm(aircraft, what)
+        await activate_app(aircraft, credentials)
+        await require_no_mission(aircraft, what)
+        async with aircraft.control(guards=guards) as control:
+            await flight(control)
+        _done(aircraft, what)
+    return 0
+
+
+async def _come_down(place: Place, is_sure: bool, what: str, flight: _Flight) -> int:
+    """End whatever mission flies, and land, here or at home.
+
+    A person in a hurry has one command to remember. One who is asked is told of the mission.
+    """
+    credentials = place.credentials()
+    async with connect(place.url, **place.arguments()) as aircraft:
+        if not is_sure and not place.is_virtual:
+            await hear_of_mission(aircraft)
+            mission = aircraft.mission
+            ends = f"end the {mission.kind.value} and " if mission.is_running else ""
+            await confirm(aircraft, ends + what)
+        await activate_app(aircraft, credentials)
+        await hear_of_mission(aircraft)
+        async with aircraft.control() as control:
+            if aircraft.mission.is_running:
+                await _end_mission(control)
+            await flight(control)
+        _done(aircraft, what)
+    return 0
+
+
+async def _end_mission(control: Control) -> None:
+    """Stop it; if it cannot be stopped, say so and let the landing break it off."""
+    try:
+        kind = await control.stop_mission()
+    except (MissionRefused, AckTimeout) as error:
+        err.print(f"{error}\nit is told to land all the same", markup=False)
+        return
+    if kind is not MissionKind.NONE:
+        err.print(f"stopped: {kind.value}")
+
+
+def _done(aircraft: Aircraft, what: str) -> None:
+    out.print(f"done: {what} ({describe_situation(aircraft.state.situation())})")
+
+
+async def activate_app(aircraft: Aircraft, credentials: Credentials) -> None:
+    """Activate, and tell the terminal why that takes its time."""
+
+    def tell(progress: ActivationProgress) -> None:
+        if progress.next_attempt_in is not None:
+            err.print(f"activation: {progress.code.meaning}; again in a moment")
+
+    await aircraft.activate(credentials, progress=tell)
+
+
+async def hear_of_mission(aircraft: Aircraft) -> None:
+    """A moment in which an aircraft that knows missions may tell what it flies."""
+    if not MissionStatus.is_known_to(aircraft.firmware):
+        return
+    clock = asyncio.get_running_loop().time
+    until = clock() + _PUSHES_S
+    # A push sets it, and none may ever come: there is no event to wait for.
+    while aircraft.mission.kind is MissionKind.UNKNOWN and clock() < until:  # noqa: ASYNC110
+        await asyncio.sleep(0.05)
+
+
+async def require_no_mission(aircraft: Aircraft, what: str) -> None:
+    """See that no mission flies, before control is asked for: it would be ignored beside one.
+
+    Raises:
+        MissionRunning: One does.
+    """
+    await hear_of_mission(aircraft)
+    mission = aircraft.mission
+    if mission.is_running:
+        raise MissionRunning(
+            f"{what} was asked for while a {mission.kind.value} flies the aircraft; nothing was "
+            "sent, and it flies on",
+            cause="it was started from a phone, by another program, or by one that is gone",
+            remedy="`m100link mission stop` first: the aircraft hovers then, and this can follow; "
+            "in danger `m100link land`, or the pilot takes it by the mode switch",
+        )
+
+
+async def confirm(aircraft: Aircraft, what: str) -> None:
+    """Ask the person in front of the terminal.
+
+    Raises:
+        UsageError: There is none, or the answer is no.
+    """
+    if not sys.stdin.isatty():
+        raise UsageError(
+            f"{what} was not confirmed", remedy="say --yes when nobody is there to be asked"
+        )
+    err.print(f"{aircraft.link.name}: firmware {aircraft.firmware}")
+    err.print(f"Clear of people? Really {what}? \\[y/N] ", end="")
+    if (await read_line()).lower() not in ("y", "yes"):
+        raise UsageError(f"{what} was not confirmed")
+
+
+def _tell(progress: TaskProgress) -> None:
+    if sys.stderr.isatty():
+        height = "" if progress.height_m is None else f"{progress.height_m:5.2f} m"
+        phase = "" if progress.phase is None else progress.phase.name.lower().replace("_", " ")
+        err.print(f"{progress.elapsed:5.1f} s  {phase:<18} {height}", end="\r")

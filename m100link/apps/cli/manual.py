@@ -1,0 +1,287 @@
+"""``m100link docs``: the manual, from the package itself.
+
+Reading: pages stand under ``m100link/manual`` as text or as Markdown (``hatch_build.py`` says
+when), and in a source tree under ``docs``. Markdown is shown by rich, after :func:`_plain` has said
+in words what only the builder of the manual can make.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import io
+import os
+import re
+import shutil
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+from rich.console import Console
+from rich.markdown import Markdown
+from rich.table import Table
+from rich.text import Text
+
+import m100link
+from m100link.apps.cli.common import err, out
+from m100link.apps.cli.options import offered
+from m100link.apps.cli.outcome import ExitCode
+from m100link.errors import M100Error, UsageError
+
+__all__ = ["docs", "error_classes"]
+
+_FOLDERS = ("tutorial", "howto", "explanation", "reference")
+_WIDEST = 100
+"""Longer lines are hard to read."""
+
+
+@dataclass(frozen=True)
+class _Page:
+    """A page of the manual."""
+
+    path: Path
+
+    @property
+    def topic(self) -> str:
+        return self.path.stem
+
+    @property
+    def folder(self) -> str:
+        return self.path.parent.name
+
+    @property
+    def text(self) -> str:
+        return self.path.read_text(encoding="utf-8")
+
+    @property
+    def title(self) -> str:
+        return self.text.lstrip().partition("\n")[0].removeprefix("# ")
+
+    def printed(self, width: int, *, in_colour: bool) -> str:
+        """The page as it is read, in lines of this width."""
+        if self.path.suffix == ".txt":
+            return self.text
+        console = Console(
+            file=io.StringIO(), width=width, force_terminal=in_colour, no_color=not in_colour
+        )
+        console.print(Markdown(_plain(self.text, self.path.parents[1]), hyperlinks=False))
+        assert isinstance(console.file, io.StringIO)
+        return "\n".join(line.rstrip() for line in console.file.getvalue().splitlines()) + "\n"
+
+
+def _pages() -> list[_Page]:
+    """All of them, in the order in which one reads."""
+    package = Path(m100link.__file__).parent
+    root = next(
+        (one for one in (package / "manual", package.parent / "docs") if one.is_dir()), package
+    )
+    return [
+        _Page(path)
+        for folder in _FOLDERS
+        for path in sorted((root / folder).glob("*.*"))
+        if path.suffix in (".md", ".txt") and path.stem != "index"
+    ]
+
+
+def _topics() -> list[str]:
+    return [page.topic for page in _pages()]
+
+
+def docs(
+    topic: Annotated[
+        str | None,
+        Parameter(help="Which page, or the code of an error (M100-LINK-LOST); without one, a list"),
+        offered(_topics),
+    ] = None,
+    /,
+    *,
+    find: str | None = None,
+) -> int:
+    """Read the manual: a page by its topic, or the list of topics. Needs no network.
+
+    Args:
+        topic: Which page; or the code of an error, such as M100-LINK-LOST.
+        find: List the lines that have this word instead, with their topics.
+    """
+    if topic is not None and topic.upper().startswith("M100-"):
+        return _show_error(topic)
+    pages = _pages()
+    if not pages:
+        raise UsageError(
+            "this installation has no manual", remedy="install m100link from a wheel or its source"
+        )
+    if find is not None:
+        return _find(pages, topic, find)
+    if topic is None:
+        return _list(pages)
+    _show(_page_of(pages, topic))
+    return ExitCode.OK
+
+
+def _page_of(pages: list[_Page], topic: str) -> _Page:
+    """The page of a topic.
+
+    Raises:
+        UsageError: There is none; those that are near, or have the word in their title, are named.
+    """
+    wanted = topic.lower().rpartition("/")[2].removesuffix(".md")
+    for page in pages:
+        if page.topic == wanted:
+            return page
+    near = get_close_matches(wanted, [page.topic for page in pages], n=3)
+    near += [page.topic for page in pages if wanted in page.title.lower()]
+    raise UsageError(
+        f"no page of the manual is called {topic!r}",
+        remedy=f"did you mean {' or '.join(dict.fromkeys(near))}?"
+        if near
+        else f"m100link docs lists them; m100link docs --find {topic} looks into them",
+    )
+
+
+def _list(pages: list[_Page]) -> int:
+    if not sys.stdout.isatty():
+        for page in pages:
+            sys.stdout.write(f"{page.topic}\t{page.title}\n")
+        return ExitCode.OK
+    table = Table(box=None, show_header=False, pad_edge=False)
+    for folder in _FOLDERS:
+        table.add_row(Text(folder.capitalize(), style="bold"), "")
+        for page in pages:
+            if page.folder == folder:
+                table.add_row(f"  {page.topic}", Text(page.title))
+    out.print(table)
+    out.print("\nm100link docs TOPIC shows a page, m100link docs --find WORD looks into all.")
+    return ExitCode.OK
+
+
+def _find(pages: list[_Page], topic: str | None, word: str) -> int:
+    looked_into = pages if topic is None else [_page_of(pages, topic)]
+    found = False
+    for page in looked_into:
+        for line in page.text.splitlines():
+            if word.lower() in line.lower():
+                found = True
+                out.print(f"{page.topic}: {line.strip()}", markup=False, soft_wrap=True)
+    if not found:
+        err.print(f"no line {'of it' if topic else 'of the manual'} has {word!r}", markup=False)
+    return ExitCode.OK if found else ExitCode.FAILED
+
+
+def _show(page: _Page) -> None:
+    if not sys.stdout.isatty():
+        sys.stdout.write(page.printed(_WIDEST, in_colour=False))
+        return
+    import pydoc
+
+    # less shows colours when it is told to; nobody knows of other pagers.
+    in_colour = "PAGER" not in os.environ and shutil.which("less") is not None
+    if in_colour:
+        os.environ.setdefault("LESS", "-R")
+    pydoc.pager(page.printed(min(out.width, _WIDEST), in_colour=in_colour))
+
+
+# -- errors ---------------------------------------------------------------------------------------
+
+
+def error_classes() -> list[type[M100Error]]:
+    """Every class of errors of the package, each before those that derive from it."""
+    for elsewhere in (
+        "m100link.apps.agent.fault",
+        "m100link.apps.fleet.pki",
+        "m100link.apps.fleet.show.steering",
+        "m100link.sim.orders.ctl",
+    ):
+        importlib.import_module(elsewhere)
+    return list(_derived(M100Error))
+
+
+def _derived(base: type[M100Error]) -> Iterator[type[M100Error]]:
+    yield base
+    for kind in base.__subclasses__():
+        if kind.__module__.startswith("m100link."):  # programs have their own
+            yield from _derived(kind)
+
+
+def _show_error(code: str) -> int:
+    """What the manual says of one class of errors."""
+    kinds = {kind.error_code: kind for kind in error_classes()}
+    kind = kinds.get(code.upper())
+    if kind is None:
+        near = get_close_matches(code.upper(), kinds, n=3)
+        raise UsageError(
+            f"no error has the code {code}",
+            remedy=f"did you mean {' or '.join(near)}?" if near else "m100link docs errors",
+        )
+    for title, text in (
+        (code.upper(), f"{kind.__name__}, a kind of {kind.__bases__[0].__name__}"),
+        ("says", (inspect.getdoc(kind) or "").partition("\n\n")[0].replace("\n", " ")),
+        ("usual cause", kind.usual_cause),
+        ("what to do", kind.usual_remedy),
+    ):
+        out.print(f"{title}: {text}", markup=False, soft_wrap=True)
+    return ExitCode.OK
+
+
+# -- what only the builder of the manual can make, in words ---------------------------------------
+
+_FENCE = re.compile(r"^```\{([\w-]+)\} *(.*?)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_ROLE = re.compile(r"\{[\w:]+\}`~?(?:m100link\.)?([^`]*)`")
+_LINK = re.compile(r"\[([^\]]+)\]\((?:[\w./-]*/)?([\w-]+)\.md(?:#[\w-]*)?\)")
+_CODE = ("doctest", "testcode", "testoutput")
+_TALK = ("warning", "caution", "note")
+_SILENT = ("testsetup", "toctree")
+
+
+def _plain(text: str, root: Path) -> str:
+    """MyST as plain Markdown.
+
+    Args:
+        text: A page.
+        root: The folder of the manual; the examples are in it, or beside it.
+    """
+    return _LINK.sub(
+        _named, _ROLE.sub(r"`\1`", _FENCE.sub(lambda found: _unfenced(found, root), text))
+    )
+
+
+def _named(found: re.Match[str]) -> str:
+    """A link to another page as its topic."""
+    text, topic = found.groups()
+    return text if topic in ("index", text.lower()) else f"{text} (→ {topic})"
+
+
+def _unfenced(found: re.Match[str], root: Path) -> str:
+    name, argument, body = found.groups()
+    if name == "literalinclude":
+        programs = (one / "examples" / Path(argument).name for one in (root, root.parent))
+        program = next((one for one in programs if one.exists()), None)
+        return f"`{argument}`" if program is None else f"```python\n{program.read_text()}```"
+    if name in _SILENT:
+        return ""
+    if name in _CODE:
+        return f"```python\n{body}```"
+    if name in _TALK:
+        said = " ".join(body.split())
+        return f"> **{name.capitalize()}.** {said}"
+    if name == "eval-rst":
+        return "\n".join(_described(body))
+    what = " ".join([*name.split("-"), argument]).strip()
+    return f"*({what}: made of the code, see the manual that `nox -s docs` builds)*"
+
+
+def _described(body: str) -> Iterator[str]:
+    """Names that the builder would describe, each with its first sentence."""
+    for dotted in re.findall(r"^\.\. (?:auto|py:)\w+:: ([\w.]+)", body, re.MULTILINE):
+        module, _, name = dotted.rpartition(".")
+        try:
+            described = getattr(importlib.import_module(module), name)
+        except (ImportError, AttributeError):  # a method, or what is described in place
+            yield f"- `{dotted}`"
+            continue
+        sentence = (inspect.getdoc(described) or "").partition("\n\n")[0].replace("\n", " ")
+        yield f"- `{dotted}`: {sentence}"
+    yield "\n`python -m pydoc NAME` shows all of it."

@@ -1,0 +1,438 @@
+"""``m100link mission``: let the aircraft fly a plan, and act on a mission that flies already."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import sys
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from dataclasses import asdict
+from typing import Annotated
+
+import cyclopts
+from cyclopts import Parameter
+from rich.console import Group
+from rich.live import Live
+from rich.text import Text
+
+from m100link.aircraft import Aircraft, connect
+from m100link.apps.cli.canvas import Point, track_plot
+from m100link.apps.cli.common import AppOptions, LinkOptions, Place, Url, err, out, run_async
+from m100link.apps.cli.flight import activate_app, confirm, hear_of_mission, require_no_mission
+from m100link.apps.cli.options import Above0
+from m100link.apps.cli.outcome import ExitCode, print_json
+from m100link.apps.cli.plan import File, FileOptions, read_plan, require_free
+from m100link.apps.cli.terminal import ReaderGone
+from m100link.errors import UsageError
+from m100link.flight.control import Control
+from m100link.flight.guards import Envelope, Guards
+from m100link.flight.mission_state import MissionKind
+from m100link.flight.missions.checks import check_envelope
+from m100link.flight.missions.events import (
+    Finished,
+    MissionEvent,
+    MissionProgress,
+    Reached,
+    Uploaded,
+    Uploading,
+)
+from m100link.flight.missions.waypoint import WaypointFlight
+from m100link.geodesy import LocalFrame
+from m100link.missions import files
+from m100link.missions.plan import AtEnd, WaypointPlan
+from m100link.protocol.commands.activation import Credentials
+from m100link.protocol.commands.missions import MissionStatus
+from m100link.protocol.records import FlightPhase, Position
+from m100link.telemetry.subscription import Latest
+
+__all__ = ["app", "event_name", "event_words"]
+
+app = cyclopts.App(
+    name="mission",
+    help="Let the aircraft fly a plan by itself, and act on a mission that flies (firmware 3.1).",
+    version_flags=(),
+)
+
+
+_STATUS_S = 1.0  # in which an aircraft that tells of its flight status has done so
+_TRACK_HZ = 4.0
+
+
+@app.command
+def fly(
+    plan: File,
+    url: Url = None,
+    /,
+    *,
+    file: FileOptions | None = None,
+    app: AppOptions | None = None,
+    link: LinkOptions | None = None,
+    take_off: Annotated[bool, Parameter(negative=())] = False,
+    allow_far: Annotated[bool, Parameter(negative=())] = False,
+    max_height: Annotated[float, Above0] = 50.0,
+    max_radius: Annotated[float, Above0] = 150.0,
+    yes: Annotated[bool, Parameter(name=["--yes", "-y"], negative=())] = False,
+) -> int:
+    """Upload a plan, let the aircraft fly it, and watch. Ctrl-C stops it, and the aircraft hovers.
+
+    In a terminal with a map; otherwise one JSON object per event. On Linux, a guardian stops the
+    mission when this program is killed. `m100link mission stop` ends one that is left in flight.
+
+    Args:
+        plan: A file, JSON or .plan; - is standard input.
+        url: See `m100link mission --help`.
+        file: How a .plan is read.
+        app: The app that is registered with DJI.
+        link: How to talk to it.
+        take_off: Take off first, from the ground.
+        allow_far: Let it begin more than 500 m from here.
+        max_height: Height above the take-off point that is not exceeded, m.
+        max_radius: Distance from here that is not exceeded, m.
+        yes: Do not ask.
+    """
+    found = read_plan(plan, file)  # first: it tells of arguments that are exchanged
+    place = (link or LinkOptions()).place(url, app)
+    envelope = Envelope(max_height_m=max_height, max_radius_m=max_radius)
+    check_envelope(envelope, found)  # before the aircraft is asked anything
+    credentials = place.credentials()
+
+    left: list[Callable[[], str]] = []
+
+    async def flight(aircraft: Aircraft, control: Control) -> None:
+        show = _Show(found, aircraft)
+        mission = control.waypoint_mission(
+            found, take_off=take_off, allow_far=allow_far, progress=show.uploading
+        )
+        left.append(lambda: show.stopped(mission))
+        async with show.watching(), mission:
+            async for event in mission:
+                show.tell(event, mission)
+        show.end()
+
+    async def run() -> int:
+        what = _announcement(found, place, take_off=take_off)
+        try:
+            return await _with_control(
+                place,
+                credentials,
+                flight,
+                what=None if yes else what,
+                guards=Guards(envelope=envelope),
+                is_admitted=None if take_off else _require_airborne,
+                is_new=True,
+            )
+        except (asyncio.CancelledError, ReaderGone) as error:
+            # Told when the control block has ended: with Ctrl-C that is what stops the mission.
+            gone = "output closed: " if isinstance(error, ReaderGone) else ""
+            for words in left:
+                err.print(gone + words(), markup=False, soft_wrap=True)
+            raise
+
+    try:
+        return run_async(run())
+    except ReaderGone:  # elsewhere that is success; here it ended a flight
+        return ExitCode.FAILED
+
+
+def _announcement(plan: WaypointPlan, place: Place, *, take_off: bool) -> str:
+    """What will happen, told before it is asked for."""
+    err.print(
+        f"{len(plan.waypoints)} waypoints, about {plan.estimate()}; at the end "
+        f"{plan.at_end.name.lower().replace('_', ' ')}, without RC "
+        f"{plan.on_rc_loss.name.lower()}. Ctrl-C stops it. On Linux, a guardian stops it "
+        "when this program is killed.",
+        markup=False,
+    )
+    return f"{'take off and ' if take_off else ''}fly this mission"
+
+
+class _Show:
+    """What a person sees of a mission: a map and a line that says how far it is; or JSON lines."""
+
+    def __init__(self, plan: WaypointPlan, aircraft: Aircraft) -> None:
+        first = plan.waypoints[0]
+        self._frame = LocalFrame(first.latitude_deg, first.longitude_deg)
+        self._places = [
+            (self._frame.to_local(point.latitude_deg, point.longitude_deg), str(index))
+            for index, point in enumerate(plan.waypoints)
+        ]
+        self._lands = plan.at_end in (AtEnd.GO_HOME, AtEnd.LAND)
+        self._aircraft = aircraft
+        self._track: list[Point] = []
+        self._reached = -1
+        self._has_begun = self._is_finished = False
+        self._line = "uploading"
+        self._live = (
+            Live(console=out, refresh_per_second=4, transient=True) if sys.stdout.isatty() else None
+        )
+
+    @asynccontextmanager
+    async def watching(self) -> AsyncIterator[None]:
+        """The map follows the aircraft in here."""
+        follower = asyncio.create_task(self._follow())
+        if self._live is not None:
+            self._live.start()
+        try:
+            yield
+        finally:
+            follower.cancel()
+            if self._live is not None:
+                self._live.stop()
+
+    async def _follow(self) -> None:
+        samples = self._aircraft.telemetry(Position, policy=Latest(), rate_hz=_TRACK_HZ)
+        async for sample in samples:
+            position = sample.get(Position)
+            if position is None or not position.is_possible:
+                continue
+            here = self._frame.to_local(position.latitude_deg, position.longitude_deg)
+            if not self._track or math.dist(self._track[-1], here) > 0.2:
+                self._track.append(here)
+            self._draw()
+
+    def uploading(self, told: Uploading) -> None:
+        """A waypoint was taken."""
+        self._line = f"uploading {self._bar(told.index + 1)} {told.index + 1} of {told.total}"
+        self._draw()
+
+    def tell(self, event: MissionEvent, mission: WaypointFlight) -> None:
+        """Something happened."""
+        self._has_begun = True
+        self._is_finished = self._is_finished or isinstance(event, Finished)
+        if isinstance(event, Reached):
+            self._reached = event.index
+        total, done = len(self._places), self._reached + 1
+        words = event_words(event)
+        if isinstance(event, MissionProgress) and event.distance_m is not None:
+            words = f"{event.distance_m:.0f} m to waypoint {event.index}, {event.elapsed:.0f} s"
+        self._line = f"{self._bar(done)} {done} of {total}  {words}"
+        if self._live is None:
+            print_json({"event": event_name(event)} | asdict(event))
+        elif isinstance(event, MissionProgress):
+            self._draw()
+        else:
+            self._live.console.print(words, markup=False)
+
+    def _bar(self, done: int) -> str:
+        width = 20
+        filled = round(width * done / len(self._places))
+        return "█" * filled + "░" * (width - filled)
+
+    def _draw(self) -> None:
+        if self._live is not None:
+            self._live.update(Group(Text("\n".join(self._map())), Text(self._line)))
+
+    def _map(self) -> list[str]:
+        here = [(self._track[-1], "@")] if self._track else []
+        width = max(20, min(out.width, 80))
+        return track_plot(
+            self._track, columns=width, rows=min(16, width // 3), marks=[*here, *self._places]
+        )
+
+    def stopped(self, mission: WaypointFlight) -> str:
+        """What became of a mission that this program left before its end."""
+        state = self._aircraft.state
+        status, position = state.flight_status, state.position
+        if self._has_begun and not mission.is_over:
+            if self._is_finished and self._lands:
+                return "every waypoint was flown; the aircraft lands, as planned"
+            return "the stop was not confirmed, the mission may fly on: m100link mission stop"
+        words = "mission not started"
+        if self._is_finished:
+            words = "mission finished"
+        elif self._has_begun:
+            reached = f"after waypoint {self._reached}"
+            words = f"mission stopped {reached if self._reached >= 0 else 'before waypoint 0'}"
+        if status is not None and status.status == FlightPhase.STANDBY:
+            return f"{words}; the aircraft stands on the ground"
+        height = "" if position is None else f" at {position.height_m:.1f} m"
+        return f"{words}; the aircraft hovers{height}: m100link land"
+
+    def end(self) -> None:
+        """The track stays in the terminal."""
+        if self._live is not None:
+            for line in self._map():
+                out.print(line, markup=False)
+
+
+def event_name(event: MissionEvent) -> str:
+    """Reached is "reached", ActionsDone "actions_done"."""
+    name = type(event).__name__
+    return "".join(f"_{c.lower()}" if c.isupper() else c for c in name).removeprefix("_")
+
+
+def event_words(event: MissionEvent) -> str:
+    """An event in a few words."""
+    words = event_name(event).replace("_", " ")
+    if isinstance(event, Uploaded):
+        time = "" if event.estimated_time is None else f", about {event.estimated_time:.0f} s"
+        return f"{words}: {event.points} waypoints{time}"
+    index, reason = getattr(event, "index", None), getattr(event, "reason", "")
+    return words + (f" {index}" if index is not None else "") + (f": {reason}" if reason else "")
+
+
+async def _with_control(
+    place: Place,
+    credentials: Credentials,
+    flight: Callable[[Aircraft, Control], Awaitable[object]],
+    *,
+    what: str | None = None,
+    guards: Guards | None = None,
+    is_admitted: Callable[[Aircraft], Awaitable[None]] | None = None,
+    is_new: bool = False,
+) -> int:
+    """Connect, ask, activate, obtain control.
+
+    Args:
+        place: Where the aircraft is.
+        credentials: The app's; what is wrong with them is told before anything is announced.
+        flight: What is done with control.
+        what: What the person is asked for; None asks nothing.
+        guards: Of the control block.
+        is_admitted: Raises what would be refused anyway, before anybody is asked.
+        is_new: A mission is to begin: refused while one flies, before control is obtained.
+    """
+    async with connect(place.url, **place.arguments()) as aircraft:
+        if what is not None and not place.is_virtual:
+            if is_admitted is not None:
+                await is_admitted(aircraft)
+            await confirm(aircraft, what)
+        await activate_app(aircraft, credentials)
+        if is_new:
+            await require_no_mission(aircraft, "a waypoint mission")
+        else:
+            await hear_of_mission(aircraft)
+        async with aircraft.control(guards=guards) as control:
+            await flight(aircraft, control)
+    return 0
+
+
+async def _require_airborne(aircraft: Aircraft) -> None:
+    """Refuse a mission on the ground; when nobody knows, the control block asks again.
+
+    Raises:
+        UsageError: It stands on the ground.
+    """
+    if not MissionStatus.is_known_to(aircraft.firmware):
+        return  # refused for that, and not for where it stands
+    clock = asyncio.get_running_loop().time
+    until = clock() + _STATUS_S
+    # That nobody knows is an answer here, where wait_for would raise.
+    while aircraft.state.flight_status is None and clock() < until:  # noqa: ASYNC110
+        await asyncio.sleep(0.05)
+    status = aircraft.state.flight_status
+    if status is not None and status.status == FlightPhase.STANDBY:
+        raise UsageError(
+            "the aircraft stands on the ground",
+            cause="it may take off by itself when a mission starts",
+            remedy="--take-off; or m100link takeoff first",
+        )
+
+
+@app.command
+def stop(
+    url: Url = None, /, *, app: AppOptions | None = None, link: LinkOptions | None = None
+) -> int:
+    """Stop whatever mission flies, whoever started it; the aircraft hovers.
+
+    Args:
+        url: See `m100link mission --help`.
+        app: The app that is registered with DJI.
+        link: How to talk to it.
+    """
+    place = (link or LinkOptions()).place(url, app)
+
+    async def flight(aircraft: Aircraft, control: Control) -> None:
+        kind = await control.stop_mission()
+        out.print("no mission flies" if kind is MissionKind.NONE else f"stopped: {kind.value}")
+
+    return run_async(_with_control(place, place.credentials(), flight))
+
+
+@app.command
+def pause(
+    url: Url = None, /, *, app: AppOptions | None = None, link: LinkOptions | None = None
+) -> int:
+    """Pause whatever mission flies; the aircraft hovers in it, and authority is kept.
+
+    Args:
+        url: See `m100link mission --help`.
+        app: The app that is registered with DJI.
+        link: How to talk to it.
+    """
+    place = (link or LinkOptions()).place(url, app)
+
+    async def flight(aircraft: Aircraft, control: Control) -> None:
+        kind = await control.pause_mission()
+        control.detach_mission()  # giving authority back would break it off
+        out.print(f"paused: {kind.value}")
+
+    return run_async(_with_control(place, place.credentials(), flight))
+
+
+@app.command
+def resume(
+    url: Url = None,
+    /,
+    *,
+    app: AppOptions | None = None,
+    link: LinkOptions | None = None,
+    yes: Annotated[bool, Parameter(name=["--yes", "-y"], negative=())] = False,
+) -> int:
+    """Let a mission that is paused go on, by itself; authority is kept.
+
+    Args:
+        url: See `m100link mission --help`.
+        app: The app that is registered with DJI.
+        link: How to talk to it.
+        yes: Do not ask.
+    """
+    place = (link or LinkOptions()).place(url, app)
+
+    async def flight(aircraft: Aircraft, control: Control) -> None:
+        kind = await control.resume_mission()
+        control.detach_mission()  # giving authority back would break it off
+        out.print(f"resumed: {kind.value}; it flies on by itself")
+
+    what = None if yes else "let the mission go on"
+    return run_async(_with_control(place, place.credentials(), flight, what=what))
+
+
+@app.command
+def download(
+    url: Url = None,
+    /,
+    *,
+    app: AppOptions | None = None,
+    link: LinkOptions | None = None,
+    output: Annotated[File, Parameter(name=["--output", "-o"])] = "-",
+    force: Annotated[bool, Parameter(negative=())] = False,
+) -> int:
+    """Read back the plan that the aircraft has stored.
+
+    Args:
+        url: See `m100link mission --help`.
+        app: The app that is registered with DJI.
+        link: How to talk to it.
+        output: The file to write, for QGroundControl if its name ends in .plan; - is standard
+            output, as JSON.
+        force: Write over a file that is there.
+    """
+    place = (link or LinkOptions()).place(url, app)
+    if output != "-":
+        require_free(output, force=force)
+
+    async def run() -> int:
+        credentials = place.credentials()
+        async with connect(place.url, **place.arguments()) as aircraft:
+            await activate_app(aircraft, credentials)
+            plan = await aircraft.download_waypoint_plan()
+        text = plan.to_qgroundcontrol() if files.is_named_plan(output) else plan.to_json()
+        if output == "-":
+            sys.stdout.write(text)
+        else:
+            files.write(output, text)
+        return 0
+
+    return run_async(run())

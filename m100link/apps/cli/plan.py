@@ -1,0 +1,400 @@
+"""``m100link plan``: look at plans of waypoints, check and convert them. No aircraft is needed."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import cyclopts
+from cyclopts import Parameter
+
+from m100link.apps.cli.options import Above0
+from m100link.apps.cli.outcome import ExitCode, print_json
+from m100link.errors import BadPlan, UsageError
+from m100link.geodesy import LocalFrame
+from m100link.missions import files
+from m100link.missions.checks import leg_lengths
+from m100link.missions.estimate import HOVER_MINUTES, PlanEstimate
+from m100link.missions.plan import WaypointPlan
+from m100link.missions.survey import survey as lines_over
+from m100link.missions.waypoint import GimbalPitch, Heading, Stay, TurnTo, Waypoint, WaypointAction
+
+__all__ = ["File", "FileOptions", "app", "read_plan", "require_free"]
+
+app = cyclopts.App(
+    name="plan",
+    help="Look at plans of waypoints, check and convert them; no aircraft is needed.",
+    version_flags=(),
+)
+
+File = Annotated[str | Path, Parameter(allow_leading_hyphen=True)]
+"""A name, or a hyphen for a standard stream: as it was typed. For a path shells offer files."""
+
+_WIDE = 64
+"""Columns of a terminal that has room for places in degrees."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class FileOptions:
+    """How a .plan of QGroundControl is read.
+
+    Attributes:
+        leave_out: What of it may be left out: an item's number in MAVLink (530), a name (geoFence,
+            rallyPoints); several with commas between them, or given several times.
+        home_altitude: Of the take-off point above sea level, m, for heights that count from there.
+    """
+
+    leave_out: Annotated[tuple[str, ...], Parameter(negative="")] = ()
+    home_altitude: float | None = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class EstimateOptions:
+    """What the estimate reckons with.
+
+    Attributes:
+        home: LATITUDE,LONGITUDE of the take-off point: the ways from there and back count.
+        hover_minutes: How long a full battery carries the aircraft.
+    """
+
+    home: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    hover_minutes: Annotated[float, Above0] = HOVER_MINUTES
+
+    @property
+    def place(self) -> tuple[float, float] | None:
+        """Home in degrees.
+
+        Raises:
+            UsageError: These are not two.
+        """
+        if self.home is None:
+            return None
+        try:
+            latitude, longitude = map(float, self.home.split(","))
+            LocalFrame(latitude, longitude)
+        except ValueError:
+            raise UsageError(
+                f"home is {self.home!r}", remedy="LATITUDE,LONGITUDE in degrees: 52.1,4.31"
+            ) from None
+        return latitude, longitude
+
+    def of(self, plan: WaypointPlan) -> PlanEstimate:
+        """The estimate."""
+        return plan.estimate(home=self.place, hover_minutes=self.hover_minutes)
+
+
+def read_plan(file: str | Path, options: FileOptions | None = None) -> WaypointPlan:
+    """The plan in a file; ``-`` is standard input.
+
+    Raises:
+        BadPlan: It is none, or cannot be read.
+        UsageError: It names an aircraft.
+    """
+    path = str(file)
+    if _names_an_aircraft(path):
+        raise UsageError(
+            f"the plan is {path!r}, which names an aircraft",
+            remedy="did you exchange PLAN and URL? First the file: m100link mission fly PLAN URL",
+        )
+    options = options or FileOptions()
+    names = [name.strip() for word in options.leave_out for name in word.split(",")]
+    leave_out = [int(name) if name.isdecimal() else name for name in names if name]
+    how: dict[str, Any] = {"home_altitude": options.home_altitude, "leave_out": leave_out}
+    if path != "-":
+        return WaypointPlan.read(path, **how)
+    return WaypointPlan.parse(sys.stdin.buffer.read(), **how)
+
+
+def _names_an_aircraft(word: str) -> bool:
+    """Whether a word that should be a file is a URL, a port, or a name of the configuration."""
+    if "://" in word or word.startswith("sim:"):
+        return True
+    if Path(word).exists():
+        return Path(word).is_char_device()
+    if word.startswith("/dev/"):
+        return True
+    from m100link.apps.cli.configuration import read_configuration
+
+    return word in read_configuration().aircraft
+
+
+@app.command
+def check(
+    plan: File,
+    /,
+    *,
+    file: FileOptions | None = None,
+    reckoning: EstimateOptions | None = None,
+    json: Annotated[bool | None, Parameter(negative="--table")] = None,
+) -> int:
+    """Say what is wrong with a plan, what may surprise, and what it takes.
+
+    Ends with 0 if the aircraft would take it, with 2 if not. A file that cannot be understood is
+    told by its first mistake; then all values that cannot be flown; when there are none of these,
+    distances between waypoints.
+
+    Args:
+        plan: A file, JSON or .plan; - is standard input.
+        file: How a .plan is read.
+        reckoning: For the estimate.
+        json: One JSON object instead of text; the default when output is not a terminal.
+    """
+    as_json = (not sys.stdout.isatty()) if json is None else json
+    reckoning = reckoning or EstimateOptions()
+    place = reckoning.place
+    try:
+        found = read_plan(plan, file)
+    except BadPlan as error:
+        if as_json:
+            print_json({"ok": False, "problems": [_problem(one) for one in error.problems]})
+        else:
+            for one in error.problems:
+                _say(f"✗ {one.seen}", f"  {one.remedy}" if one.remedy else "")
+        return ExitCode.USAGE
+    made = reckoning.of(found)
+    first = found.waypoints[0]
+    near = place or (first.latitude_deg, first.longitude_deg)
+    facts = {
+        "waypoints": len(found.waypoints),
+        "lowest_m": found.heights[0],
+        "highest_m": found.heights[1],
+        "farthest_m": round(found.farthest_m(*near), 2),
+    }
+    if as_json:
+        told = {"ok": True, "problems": [], "remarks": found.remarks()}
+        print_json(told | facts | {"estimate": asdict(made)})
+        return ExitCode.OK
+    _say(*(f"! {remark}" for remark in found.remarks()))
+    low, high = found.heights
+    _say(
+        f"✓ {len(found.waypoints)} waypoints, {f'{low:g} to ' if low < high else ''}{high:g} m "
+        f"high, at most {found.farthest_m(*near):.0f} m from {'home' if place else 'the first'}",
+        f"  about {made}",
+    )
+    return ExitCode.OK
+
+
+def _problem(error: BadPlan) -> dict[str, Any]:
+    value = error.value if isinstance(error.value, bool | int | float | str) else None
+    return {
+        "point": error.point,
+        "field": error.field,
+        "value": value,
+        "seen": error.seen,
+        "remedy": error.remedy,
+    }
+
+
+def _say(*lines: str) -> None:
+    from m100link.apps.cli.common import out
+
+    for line in lines:
+        if line:
+            out.print(line, markup=False)
+
+
+@app.command
+def show(
+    plan: File,
+    /,
+    *,
+    file: FileOptions | None = None,
+    reckoning: EstimateOptions | None = None,
+) -> int:
+    """Draw a plan: the way from above, its heights, and a table of its waypoints.
+
+    Args:
+        plan: A file, JSON or .plan; - is standard input.
+        file: How a .plan is read.
+        reckoning: For the estimate.
+    """
+    from m100link.apps.cli.common import out
+
+    reckoning = reckoning or EstimateOptions()
+    found = read_plan(plan, file)
+    made = reckoning.of(found)
+    width = max(20, min(out.width, 100))
+    _say(*_pictures(found, width), "")
+    out.print(_table(found, is_wide=out.width >= _WIDE))
+    _say("", *_choices(found), f"about {made}", *(f"! {remark}" for remark in found.remarks()))
+    return ExitCode.OK
+
+
+def _pictures(plan: WaypointPlan, width: int) -> Iterator[str]:
+    """Seen from above, and from the side."""
+    from m100link.apps.cli.canvas import line_plot, track_plot
+
+    first = plan.waypoints[0]
+    frame = LocalFrame(first.latitude_deg, first.longitude_deg)
+    places = [frame.to_local(point.latitude_deg, point.longitude_deg) for point in plan.waypoints]
+    names = [str(index) for index in range(len(places))]
+    yield from track_plot(places, columns=width, rows=min(20, width // 3), names=names)
+    flown = [0.0]
+    for length in leg_lengths(plan.waypoints):
+        flown.append(flown[-1] + length)
+    heights = [(at, point.height) for at, point in zip(flown, plan.waypoints, strict=True)]
+    if plan.heights[0] != plan.heights[1]:
+        yield ""
+        yield from line_plot(heights, unit="m", over="m", columns=width - 10, rows=6)
+
+
+def _table(plan: WaypointPlan, *, is_wide: bool) -> Any:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    places = ("latitude", "longitude") if is_wide else ()
+    by_waypoint = plan.heading is Heading.BY_WAYPOINT
+    for title in ("", *places, "height", "leg", *(("heading",) if by_waypoint else ()), "there"):
+        table.add_column(title, justify="left" if title == "there" else "right", overflow="fold")
+    legs = ["", *(f"{length:.1f} m" for length in leg_lengths(plan.waypoints))]
+    for index, (point, leg) in enumerate(zip(plan.waypoints, legs, strict=True)):
+        degrees = (f"{point.latitude_deg:.7f}", f"{point.longitude_deg:.7f}") if is_wide else ()
+        heading = (f"{point.heading_deg:g}°",) if by_waypoint else ()
+        table.add_row(str(index), *degrees, f"{point.height:g} m", leg, *heading, _there(point))
+    return table
+
+
+def _there(point: Waypoint) -> str:
+    """What is done at a waypoint, in a few words."""
+    words = ", ".join(map(_word, point.actions))
+    if point.actions and point.action_repeat > 1:
+        words += f" ×{point.action_repeat}"
+    if point.damping:
+        words += f"{', ' if words else ''}corner {point.damping:g} m"
+    return words
+
+
+def _word(action: WaypointAction) -> str:
+    match action:
+        case Stay(seconds):
+            return f"stay {seconds:g} s"
+        case TurnTo(heading):
+            return f"turn to {heading:g}°"
+        case GimbalPitch(pitch):
+            return f"gimbal {pitch:g}°"
+        case _:
+            # TakePhoto is "photo", StartVideo "start video".
+            return {"TakePhoto": "photo", "StartVideo": "start video"}.get(
+                type(action).__name__, "stop video"
+            )
+
+
+def _choices(plan: WaypointPlan) -> Iterator[str]:
+    words = [
+        plan.heading.name,
+        plan.trace.name,
+        f"at the end {plan.at_end.name}",
+        f"without RC {plan.on_rc_loss.name}",
+    ]
+    yield (
+        f"{plan.speed:g} m/s, with the stick up to {plan.max_speed:g} m/s"
+        + (", flown twice" if plan.repeat == 2 else "")
+    )
+    yield ", ".join(word.lower().replace("_", " ").replace(" rc", " RC") for word in words)
+
+
+@app.command
+def convert(
+    source: File,
+    target: File,
+    /,
+    *,
+    file: FileOptions | None = None,
+    to: Literal["json", "plan"] | None = None,
+    force: bool = False,
+) -> int:
+    """Read a plan and write it as JSON, or for QGroundControl if the name ends in .plan.
+
+    What the plan of QGroundControl has and the M100 cannot fly is refused, nothing is left out
+    that is not named.
+
+    Args:
+        source: A file, JSON or .plan; - is standard input.
+        target: The file to write; - is standard output.
+        file: How a .plan is read.
+        to: What is written, whatever the name says; JSON on standard output without it.
+        force: Write over a file that is there.
+    """
+    return _write(read_plan(source, file), target, to, force=force)
+
+
+def _write(
+    plan: WaypointPlan, target: File, to: Literal["json", "plan"] | None, *, force: bool
+) -> int:
+    kind = to or ("plan" if files.is_named_plan(target) else "json")
+    text = plan.to_qgroundcontrol() if kind == "plan" else plan.to_json()
+    if str(target) == "-":
+        sys.stdout.write(text)
+        return ExitCode.OK
+    require_free(target, force=force)
+    files.write(target, text)
+    return ExitCode.OK
+
+
+def require_free(target: str | Path, *, force: bool) -> None:
+    """See that a file may be written there, before anything is done for it.
+
+    Raises:
+        UsageError: There is one, and nobody said ``--force``; or there cannot be one.
+    """
+    path = Path(target)
+    if path.is_dir():
+        raise UsageError(f"{target} is a folder", remedy=f"name a file: {path / 'plan.json'}")
+    if path.exists() and not force:
+        raise UsageError(f"{target} is there already", remedy="--force writes over it")
+    if not path.parent.is_dir():
+        raise UsageError(
+            f"there is no folder {path.parent}", remedy="make it first, or name another one"
+        )
+
+
+@app.command
+def survey(
+    target: File,
+    /,
+    *area: Annotated[str, Parameter(allow_leading_hyphen=True)],
+    height: Annotated[float, Above0],
+    spacing: Annotated[float, Above0],
+    angle: float = 0.0,
+    photo_every: Annotated[float | None, Above0] = None,
+    speed: Annotated[float, Above0] = 5.0,
+    to: Literal["json", "plan"] | None = None,
+    force: bool = False,
+) -> int:
+    """Write a plan of parallel lines over an area.
+
+    Args:
+        target: The file to write; - is standard output.
+        area: Corners of the polygon in their order, each LATITUDE,LONGITUDE; 3 or more.
+        height: Above the take-off point, m.
+        spacing: Between lines, m.
+        angle: Direction of the lines, ° clockwise from north.
+        photo_every: Metres between photographs along a line; none without it.
+        speed: m/s.
+        to: What is written, whatever the name says; JSON on standard output without it.
+        force: Write over a file that is there.
+    """
+    plan = lines_over(
+        [_corner(word) for word in area],
+        height=height,
+        spacing=spacing,
+        angle_deg=angle,
+        photo_every=photo_every,
+        speed=speed,
+    )
+    return _write(plan, target, to, force=force)
+
+
+def _corner(word: str) -> tuple[float, float]:
+    try:
+        latitude, longitude = map(float, word.split(","))
+    except ValueError:
+        raise UsageError(
+            f"a corner is {word!r}", remedy="LATITUDE,LONGITUDE in degrees: 52.1,4.31"
+        ) from None
+    return latitude, longitude

@@ -1,0 +1,154 @@
+"""``m100link replay``: recorded flights in the console, as they were."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import os
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from m100link.apps.agent.messages import Action
+from m100link.apps.cli.common import err
+from m100link.apps.cli.serving import run_station
+from m100link.apps.cli.sim_live import read_keys
+from m100link.apps.cli.station import StationOptions, aircraft_of
+from m100link.apps.station.config import namespace_of
+from m100link.errors import M100Error, UsageError
+
+__all__ = ["replay"]
+
+KEYS = {
+    " ": "toggle",
+    "LEFT": "by -10",
+    "RIGHT": "by 10",
+    "<": "by -60",
+    ">": "by 60",
+    "+": "faster",
+    "-": "slower",
+    "1": "speed 1",
+    "m": "speed max",
+    "0": "seek 0",
+}
+_AS_THEY_ARE = StationOptions()
+
+_HELP = "keys: space pauses, ← → 10 s, < > a minute, + - speed, 1 as it was, 0 begin, q ends"
+
+
+def replay(
+    *file: Path,
+    speed: Annotated[float | Literal["max"], Parameter()] = 1.0,
+    from_: Annotated[float, Parameter(name="--from")] = 0.0,
+    to: float | None = None,
+    console_port: int | None = None,
+    tiles: Path | None = None,
+    open_browser: bool = True,
+    options: StationOptions = _AS_THEY_ARE,
+) -> int:
+    """Show a recorded flight in the console, as it was: pause, move, change its speed.
+
+    Nothing flies: the page says REPLAY, and gives nobody control. Two files are two aircraft of
+    one station, each with a page of its own.
+
+    Args:
+        file: Flight logs, by `m100link record`, `serve`, `console`, `demo` or connect(record=…).
+        speed: Times as fast as it was flown, 0.1 to 100, or max.
+        from_: Where to begin, seconds from its first byte.
+        to: Where to end.
+        console_port: Port of the console (M100LINK_CONSOLE_PORT).
+        tiles: Folder with map tiles {z}/{x}/{y}.png; without it the track is drawn on a grid.
+        open_browser: Open the console in the browser.
+        options: See below.
+    """
+    if not file:
+        raise UsageError("no flight log was named", remedy="m100link replay flight.mcap")
+    end = "" if to is None else f"&to={to!r}"
+    urls = [f"replay://{path.absolute()}?speed={speed}&from={from_!r}{end}" for path in file]
+    words = urls
+    if len(urls) > 1:
+        names = _names(file)
+        words = [f"{name}={url}" for name, url in zip(names, urls, strict=True)]
+    more: dict[str, Any] = {"console_port": console_port, "tiles": tiles, "no_record": True}
+    aircraft = aircraft_of(options, words, launch=options.launch, **more)
+    how = options.run
+    return run_station(aircraft, how, with_console=True, open_browser=open_browser, keys=_keys)
+
+
+def _names(files: tuple[Path, ...]) -> list[str]:
+    """What the aircraft are called: as their files, each by a name of its own."""
+    names: list[str] = []
+    for path in files:
+        stem = re.sub(r"[^A-Za-z0-9_]+", "_", path.stem).strip("_") or "flight"
+        stem = stem if stem[0].isalpha() else f"flight_{stem}"
+        name, number = stem, 1
+        while namespace_of(name) in map(namespace_of, names):
+            number += 1
+            name = f"{stem}_{number}"
+        names.append(name)
+    return names
+
+
+@contextlib.contextmanager
+def _keys(station: Any, ended: asyncio.Event) -> Iterator[None]:
+    """Let keys at the terminal move what is played, if there is a terminal."""
+    try:
+        import termios
+        import tty
+    except ModuleNotFoundError:  # not on this system
+        yield
+        return
+    if not sys.stdin.isatty():
+        yield
+        return
+    loop, descriptor = asyncio.get_running_loop(), sys.stdin.fileno()
+    tasks: set[asyncio.Task[None]] = set()
+
+    def pressed() -> None:
+        for key in read_keys(os.read(descriptor, 64)):
+            if key == "q":
+                ended.set()
+            elif key in KEYS:
+                task = loop.create_task(_order(station, KEYS[key]))
+                tasks.add(task)
+                task.add_done_callback(tasks.discard)
+
+    before = termios.tcgetattr(descriptor)
+    err.print(_HELP, markup=False)
+    tty.setcbreak(descriptor)
+    loop.add_reader(descriptor, pressed)
+    try:
+        yield
+    finally:
+        loop.remove_reader(descriptor)
+        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+
+
+async def _order(station: Any, text: str) -> None:
+    """The same for every recording that is shown."""
+    agents = getattr(station, "agents", None)
+    try:
+        if agents is None:
+            await station.agent.order_replay(text)
+            told = station.agent.replay.told()
+        else:
+            for agent in agents.values():
+                await agent.ask(Action.REPLAY, data=text.encode())
+            told = next(iter(agents.values())).state.replay
+    except M100Error as error:
+        err.print(error.seen, style="yellow", markup=False)
+        return
+    if told is not None:
+        speed = "max" if not told.speed else f"{told.speed:g} ×"
+        state = "at its end" if told.is_at_end else "paused" if told.is_paused else speed
+        err.print(f"{_clock(told.position_s)} of {_clock(told.duration_s)}, {state}", markup=False)
+
+
+def _clock(seconds: float) -> str:
+    whole = math.floor(seconds)
+    return f"{whole // 60}:{whole % 60:02d}"

@@ -1,0 +1,399 @@
+"""``m100link sim``: run virtual aircraft, and give orders to running ones."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import secrets
+import signal
+import sys
+import termios
+import tty
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import cyclopts
+from cyclopts import Parameter
+from rich.table import Table
+
+from m100link.apps.cli.common import out
+from m100link.apps.cli.logs import AS_IT_IS, LogOptions
+from m100link.apps.cli.options import Above0, Firmware, options_of
+from m100link.apps.cli.outcome import print_json
+from m100link.apps.cli.sim_live import LiveView, read_keys
+from m100link.errors import UsageError
+from m100link.link.keyfile import read_key
+from m100link.sim.clock import loop_factory
+from m100link.sim.line import LineFaults
+from m100link.sim.orders.actions import ACTIONS
+from m100link.sim.orders.ctl import CtlServer, send_order
+from m100link.sim.orders.scenario import Scenario
+from m100link.sim.ports.driver import Driver
+from m100link.sim.ports.pty import PtyPort
+from m100link.sim.ports.tcp import TcpServer, serve_tcp
+from m100link.sim.ports.url import LINE_OPTIONS, MISSION_OPTIONS, SITE_OPTIONS
+from m100link.sim.vehicle.missions.settings import MissionSettings
+from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
+from m100link.sim.virtual import VirtualAircraft
+from m100link.wire import Key
+
+__all__ = ["app"]
+
+app = cyclopts.App(
+    name="sim",
+    help="A virtual Matrice 100, for people and other programs.",
+    version_flags=(),
+)
+
+
+_OfTheLine: Any = options_of(
+    LineFaults,
+    LINE_OPTIONS,
+    called={field: f"--{option}" for field, option in LINE_OPTIONS.items()},
+)
+
+
+@Parameter(name="*", group="Line faults")
+@dataclass(frozen=True)
+class FaultOptions(_OfTheLine):  # type: ignore[misc] # a class that is made has no type
+    """What is wrong with the line, in both directions: every fault that there is."""
+
+    def faults(self) -> LineFaults:
+        """As the line takes them."""
+        return LineFaults(**asdict(self))
+
+
+_OfTheSite: Any = options_of(
+    AircraftSettings,
+    SITE_OPTIONS,
+    called={field: f"--{option}" for field, option in SITE_OPTIONS.items()},
+    defaults={"noise": 1.0},
+)
+
+
+@Parameter(name="*", group="Site and sensors")
+@dataclass(frozen=True)
+class SiteOptions(_OfTheSite):  # type: ignore[misc] # a class that is made has no type
+    """Where it stands, and how good its sensors are."""
+
+    def settings(self, missions: MissionSettings) -> AircraftSettings:
+        """As the aircraft takes them."""
+        return AircraftSettings(**asdict(self), missions=missions)
+
+
+_OfMissions: Any = options_of(
+    MissionSettings,
+    MISSION_OPTIONS,
+    called={field: f"--{option}" for field, option in MISSION_OPTIONS.items()},
+)
+
+
+@Parameter(name="*", group="Missions")
+@dataclass(frozen=True)
+class MissionOptions(_OfMissions):  # type: ignore[misc] # a class that is made has no type
+    """How firmware 3.1 takes missions, where sources are silent or disagree."""
+
+    def settings(self) -> MissionSettings:
+        """As the aircraft takes them."""
+        return MissionSettings(**asdict(self))
+
+
+_OfTheAssistant: Any = options_of(AssistantSettings, ("baud_rate",), called={"baud_rate": "--baud"})
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class AssistantOptions(_OfTheAssistant):  # type: ignore[misc] # a class that is made has no type
+    """What the PC assistant sets.
+
+    Attributes:
+        rate: ITEM=HZ, a telemetry rate in the assistant's settings (0, 1, 10, 50, 100); may be
+            given several times.
+    """
+
+    rate: tuple[str, ...] = ()
+
+    def settings(self, *, cold: bool) -> AssistantSettings:
+        """As the aircraft takes them."""
+        return AssistantSettings(
+            api_control_enabled=not cold,
+            baud_rate=self.baud_rate,
+            rates_hz=_read_rates(self.rate),
+        )
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What one call of the command is to run."""
+
+    aircraft: list[VirtualAircraft]
+    link: Path | None
+    tcp: tuple[str, int] | None
+    scenario: Path | None
+    duration: float | None
+    as_json: bool
+    seed: int
+
+
+@app.default
+def run(
+    *,
+    link: Path | None = None,
+    tcp: str | None = None,
+    app_id: int = DEMO_APP_ID,
+    key: str | None = None,
+    key_file: Path | None = None,
+    level: Literal[0, 1, 2] = 2,
+    firmware: Firmware = "1.0",
+    seed: int | None = None,
+    cold: bool = False,
+    activated: bool = False,
+    speed: float = 1.0,
+    pace: bool = True,
+    count: int = 1,
+    scenario: Path | None = None,
+    duration: Annotated[float | None, Above0] = None,
+    json_output: Annotated[bool, Parameter(name="--json")] = False,
+    assistant: AssistantOptions = AssistantOptions(),
+    faults: FaultOptions = FaultOptions(),
+    site: SiteOptions = SiteOptions(),
+    missions: MissionOptions = MissionOptions(),
+    log: LogOptions = AS_IT_IS,
+) -> int:
+    """Run a virtual aircraft behind a serial port that programs can open.
+
+    It stands ready to fly, and answers until it is ended (Ctrl-C, SIGTERM). On a terminal it is
+    shown live and has keys; otherwise one line of JSON is printed once it answers.
+
+    Args:
+        link: Name of the port: a symbolic link to the pseudo-terminal, removed at the end.
+        tcp: Listen on [HOST:]PORT instead; port 0 chooses a free one. With --link, as well.
+        app_id: App id registered at the server.
+        key: Its AES key, 64 hex digits. By default the well-known demo key 000102…1f.
+        key_file: File that holds the key.
+        level: Authorization level of the registration.
+        firmware: Which firmware speaks.
+        seed: Of everything random; by default a new one, which is printed.
+        cold: The state after power-on: API control not enabled, switch in P, no app, no GPS.
+        activated: Activated for that app already, as by an earlier program.
+        speed: Times as fast as real.
+        pace: Bytes take the time that they need at --baud, in both directions.
+        count: So many aircraft; the ports are numbered from 0.
+        scenario: TOML file of what happens when.
+        duration: End by itself after so many seconds of its own time.
+        json_output: Print the line of JSON on a terminal, too, and show nothing live.
+        assistant: The assistant's settings.
+        faults: Line faults.
+        site: Site and sensors.
+        missions: Missions.
+        log: What is logged: what happens to the aircraft (info).
+    """
+    if seed is None:
+        seed = secrets.randbits(32)
+    if count < 1:
+        raise UsageError(f"{count} aircraft cannot be run")
+    if not 0.0 < speed <= 1000.0:
+        raise UsageError(f"speed is above 0 and at most 1000, not {speed:g}")
+    options: dict[str, Any] = {
+        "firmware": firmware,
+        "app_id": app_id,
+        "key": _read_key(key, key_file),
+        "level": level,
+        "cold": cold,
+        "paced": pace,
+        "activated": activated,
+    }
+    try:
+        options |= {
+            "settings": site.settings(missions.settings()),
+            "faults": faults.faults(),
+            "assistant": assistant.settings(cold=cold),
+        }
+        aircraft = [VirtualAircraft(seed=seed + index, **options) for index in range(count)]
+    except UsageError:
+        raise
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    as_json = json_output or not sys.stdout.isatty()
+    address = None if tcp is None else _read_address(tcp)
+    plan = _Plan(aircraft, link, address, scenario, duration, as_json, seed)
+    with asyncio.Runner(loop_factory=loop_factory(speed)) as runner:
+        return runner.run(_serve(plan))
+
+
+def _read_key(text: str | None, path: Path | None) -> Key:
+    if text is not None and path is not None:
+        raise UsageError("give --key or --key-file, not both")
+    if path is not None:
+        return read_key(path)
+    return DEMO_KEY if text is None else Key(text)
+
+
+def _read_rates(words: tuple[str, ...]) -> dict[str, int]:
+    rates = {}
+    for word in words:
+        name, separator, hertz = word.partition("=")
+        if not separator or not hertz.isdecimal():
+            raise UsageError(f"{word!r} is not ITEM=HZ", remedy="--rate control_device=10")
+        rates[name] = int(hertz)
+    return rates
+
+
+def _read_address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not port.isdecimal() or int(port) > 65_535:
+        raise UsageError(f"{text!r} is not [HOST:]PORT", remedy="--tcp 7000 or --tcp 0.0.0.0:7000")
+    return host or "127.0.0.1", int(port)
+
+
+async def _serve(plan: _Plan) -> int:
+    ended = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, ended.set)
+    drivers = [Driver(aircraft) for aircraft in plan.aircraft]
+    servers: list[TcpServer] = []
+    control = CtlServer(plan.aircraft)
+    try:
+        ports = await _open_ports(plan, drivers, servers)
+        if plan.scenario is not None:
+            for driver in drivers:
+                driver.scenario = Scenario.read(plan.scenario)
+        await control.start()
+        if plan.as_json:
+            print_json(_announcement(plan, ports, control))
+            await _wait(ended, plan.duration)
+        else:
+            await _show(plan, ports, ended)
+    finally:
+        await control.stop()
+        for server in servers:
+            await server.stop()
+        for driver in drivers:
+            driver.stop()
+    return 0
+
+
+async def _open_ports(plan: _Plan, drivers: list[Driver], servers: list[TcpServer]) -> list[str]:
+    """One port per aircraft, or two with --link and --tcp; the first of each is returned."""
+    ports = []
+    for index, driver in enumerate(drivers):
+        names = []
+        if plan.link is not None or plan.tcp is None:
+            link = plan.link
+            if link is not None and len(drivers) > 1:
+                link = link.with_name(f"{link.name}{index}")
+            names.append(PtyPort(driver, link=link).name)
+        if plan.tcp is not None:
+            host, number = plan.tcp
+            try:
+                server = await serve_tcp(driver, host, number + index if number else 0)
+            except OSError as error:
+                raise UsageError(f"cannot listen on {host}:{number}: {error.strerror}") from error
+            servers.append(server)
+            names.append(f"tcp://{host}:{server.port}")
+        ports.append(names[0])
+    return ports
+
+
+def _announcement(plan: _Plan, ports: list[str], control: CtlServer) -> dict[str, Any]:
+    first = plan.aircraft[0]
+    line: dict[str, Any] = {
+        "port": ports[0],
+        "firmware": first.autopilot.profile.name,
+        "seed": plan.seed,
+        "app_id": first.credentials.app_id,
+        "level": first.credentials.level,
+        "serial_number": first.vehicle.serial_number,
+        "pid": os.getpid(),
+        "control_socket": str(control.path),
+    }
+    if len(ports) > 1:
+        line["ports"] = ports
+    return line
+
+
+async def _wait(ended: asyncio.Event, duration: float | None) -> None:
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(duration):
+            await ended.wait()
+
+
+async def _show(plan: _Plan, ports: list[str], ended: asyncio.Event) -> None:
+    """The live view, until it ends."""
+    from rich.live import Live
+
+    view = LiveView(plan.aircraft[0], ports)
+    loop = asyncio.get_running_loop()
+    deadline = None if plan.duration is None else loop.time() + plan.duration
+    with _raw_keys(loop, view), Live(view.render(), auto_refresh=False, screen=True) as live:
+        while not ended.is_set() and (deadline is None or loop.time() < deadline):
+            live.update(view.render(), refresh=True)
+            await _wait(ended, 0.1)
+
+
+@contextlib.contextmanager
+def _raw_keys(loop: asyncio.AbstractEventLoop, view: LiveView) -> Any:
+    """Keys without Enter, while the block runs."""
+    if not sys.stdin.isatty():
+        yield
+        return
+    descriptor = sys.stdin.fileno()
+    before = termios.tcgetattr(descriptor)
+
+    def on_keys() -> None:
+        for key in read_keys(os.read(descriptor, 64)):
+            view.press(key)
+
+    tty.setcbreak(descriptor)
+    loop.add_reader(descriptor, on_keys)
+    try:
+        yield
+    finally:
+        loop.remove_reader(descriptor)
+        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+
+
+@app.command
+def ctl(
+    *order: Annotated[str, Parameter(allow_leading_hyphen=True)],
+    socket: Path | None = None,
+    aircraft: int = 0,
+) -> int:
+    """Give an order to a virtual aircraft that runs in another shell.
+
+    Without an order, the actions are listed.
+
+    Args:
+        order: The action and its arguments, such as: rc-mode P
+        socket: Which simulator, if several run (their first line names it).
+        aircraft: Which aircraft, if it has several, from 0.
+    """
+    if not order:
+        _list_actions()
+        return 0
+    answer = send_order(list(order), path=socket, aircraft=aircraft)
+    if not answer.get("ok"):
+        raise UsageError(str(answer.get("error", "no answer")))
+    if sys.stdout.isatty():
+        table = Table.grid(padding=(0, 2))
+        for name, value in answer["status"].items():
+            table.add_row(name, str(value))
+        out.print(table)
+    else:
+        print_json(answer["status"])
+    return 0
+
+
+def _list_actions() -> None:
+    if not sys.stdout.isatty():
+        for action in ACTIONS.values():
+            sys.stdout.write(f"{action.name} {action.usage}".rstrip() + f"\t{action.help}\n")
+        return
+    table = Table.grid(padding=(0, 2))
+    for action in ACTIONS.values():
+        table.add_row(action.name, action.usage, action.help)
+    out.print(table)

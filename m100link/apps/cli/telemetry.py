@@ -1,0 +1,369 @@
+"""``m100link echo``, ``hz`` and ``plot``."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import csv
+import math
+import sys
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from m100link.aircraft import Aircraft, connect
+from m100link.apps.cli.canvas import line_plot
+from m100link.apps.cli.common import LinkOptions, Place, Url, err, out, places, run_async
+from m100link.apps.cli.options import Above0, Counted, offered
+from m100link.apps.cli.outcome import ExitCode, complain, print_json
+from m100link.apps.cli.values import columns_of, items_named, row
+from m100link.errors import UsageError
+from m100link.protocol.items import BY_NAME, BY_RECORD
+from m100link.telemetry.names import ITEM_NAMES, column_named
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.subscription import Lossless
+
+__all__ = ["echo", "hz", "plot"]
+
+_SILENT_S = 2.0
+"""The slowest rate that can be set is 1 Hz: what was silent for so long is at 0."""
+
+_SCALE_COLUMNS = 14
+"""Left of a plot: eleven digits and the axis."""
+
+_WIDE = 64
+"""Columns of a terminal that has room for everything that is measured."""
+
+
+async def _until(seconds: float | None, work: Any) -> None:
+    """Run for so long; whatever ends it earlier is raised."""
+    try:
+        async with asyncio.timeout(seconds) as limit:
+            await work
+    except TimeoutError:
+        if not limit.expired():
+            raise
+
+
+def echo(
+    url: Url = None,
+    /,
+    *items: Annotated[str, offered(BY_NAME)],
+    link: LinkOptions | None = None,
+    rate: Annotated[float | None, Above0] = None,
+    duration: Annotated[float | None, Above0] = None,
+    count: Annotated[int | None, Counted] = None,
+    csv: bool = False,
+    json: bool = False,
+) -> int:
+    """Print telemetry as it arrives: one JSON object, or one row of CSV, per package.
+
+    Every column is named item.field; ``received_at`` is this computer's monotonic clock, s, and
+    ``utc`` the same as POSIX time.
+
+    Args:
+        url: Where the aircraft is.
+        items: Item names, such as position; all without one.
+        link: How to talk to it.
+        rate: At most so many packages per second.
+        duration: Seconds until it ends by itself.
+        count: Packages until it ends by itself.
+        csv: CSV with a header line.
+        json: JSON lines; the default.
+    """
+    if csv and json:
+        return complain(UsageError("--csv and --json exclude each other"))
+    link = link or LinkOptions()
+    place, names = link.place_among([url or "", *items], _is_item)
+    return run_async(_echo(place, names, rate, duration, count, csv))
+
+
+def _is_item(word: str) -> bool:
+    return word.lower() in ITEM_NAMES
+
+
+async def _echo(
+    place: Place,
+    items: tuple[str, ...],
+    rate: float | None,
+    duration: float | None,
+    count: int | None,
+    as_csv: bool,
+) -> None:
+    records = items_named(items)
+    columns = ["received_at", "utc", *columns_of(records)]
+    writer = csv.DictWriter(sys.stdout, columns, lineterminator="\n")
+
+    def tell_silent(aircraft: Aircraft) -> None:
+        if items and aircraft.link.is_open:
+            _tell(_silent(aircraft, records))
+
+    async def print_all(aircraft: Aircraft) -> None:
+        printed = 0
+        async with aircraft.telemetry(*records, policy=Lossless(2000), rate_hz=rate) as samples:
+            asyncio.get_running_loop().call_later(_SILENT_S, tell_silent, aircraft)
+            async for sample in samples:
+                values = {
+                    "received_at": round(sample.received_at, 6),
+                    "utc": round(sample.received_at + aircraft.utc_offset_s, 6),
+                    **_values(sample, records),
+                }
+                if as_csv:
+                    writer.writerow(values)
+                else:
+                    print_json(values)
+                printed += 1
+                if printed == count:
+                    return
+
+    async with connect(place.url, **place.arguments()) as aircraft:
+        if as_csv:
+            writer.writeheader()
+        await _until(duration, print_all(aircraft))
+    sys.stdout.flush()
+
+
+def _silent(aircraft: Aircraft, records: list[type[Any]]) -> list[str]:
+    """Names of those items of which nothing ever came."""
+    return [
+        BY_RECORD[record].name for record in records if not aircraft.state.statistics(record).count
+    ]
+
+
+def _tell(silent: list[str]) -> None:
+    for name in silent:
+        err.print(
+            f"{name} is at 0 Hz: nothing of it arrives; set its rate in the PC assistant",
+            style="yellow",
+            markup=False,
+        )
+
+
+def _values(sample: Sample, records: list[type[Any]]) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for record in records:
+        found = sample.get(record)
+        if found is not None:
+            values |= row(found)
+    return values
+
+
+def hz(
+    url: Url = None,
+    /,
+    *,
+    link: LinkOptions | None = None,
+    duration: Annotated[float, Above0] = 5.0,
+    json: bool = False,
+) -> int:
+    """Measure how the items arrive: rate, jitter, longest gap, and the aircraft's clock.
+
+    Args:
+        url: Where the aircraft is.
+        link: How to talk to it.
+        duration: Seconds to measure.
+        json: One JSON object instead of the table; the default in a pipe.
+    """
+    link = link or LinkOptions()
+    return run_async(_hz(link.place(url), duration, json or not sys.stdout.isatty()))
+
+
+async def _hz(place: Place, duration: float, as_json: bool) -> None:
+    async with connect(place.url, **place.arguments()) as aircraft:
+        if as_json:
+            await asyncio.sleep(duration)
+        else:
+            with Live(console=out, refresh_per_second=4) as live:
+                end = asyncio.get_running_loop().time() + duration
+                while asyncio.get_running_loop().time() < end and aircraft.link.is_open:
+                    await asyncio.sleep(0.25)
+                    live.update(_rates_table(aircraft))
+        if aircraft.link.failure is not None:
+            raise aircraft.link.failure.again()
+        if as_json:
+            print_json(_rates(aircraft))
+
+
+def _rates(aircraft: Aircraft) -> dict[str, Any]:
+    items = {}
+    for record, item in BY_RECORD.items():
+        statistics = aircraft.state.statistics(record)
+        items[item.name] = {
+            "count": statistics.count,
+            "rate_hz": statistics.rate_hz,
+            "jitter_s": statistics.jitter_s,
+            "longest_gap_s": statistics.longest_gap_s if statistics.count > 1 else None,
+        }
+    clock = aircraft.device_clock
+    known_to = clock.uncertainty_s
+    return {
+        "items": items,
+        "device_clock": {
+            "tick_hz": clock.tick_hz,
+            "offset_s": clock.offset_s,
+            "skew_ppm": clock.skew_ppm,
+            "uncertainty_s": known_to if math.isfinite(known_to) else None,
+            "resets": clock.resets,
+        },
+        "telemetry_mismatches": aircraft.telemetry_mismatches,
+    }
+
+
+def _rates_table(aircraft: Aircraft) -> Table:
+    measured = _rates(aircraft)
+    clock = measured["device_clock"]
+    known_to = _number(clock["uncertainty_s"], 1000, 1)
+    table = Table(
+        box=None,
+        caption=f"device clock {clock['tick_hz']} Hz, skew {clock['skew_ppm']:.1f} ppm, "
+        + (f"known to {known_to} ms" if known_to else "not known yet"),
+    )
+    titles: tuple[str, ...] = ("item", "Hz", "count", "jitter ms", "longest gap ms")
+    titles = titles if out.width >= _WIDE else titles[:3]
+    for title in titles:
+        table.add_column(title, justify="left" if title == "item" else "right", no_wrap=True)
+    for name, values in measured["items"].items():
+        if not values["count"]:
+            table.add_row(f"[dim]{name}[/]", "[dim]0[/]", "[dim]0[/]")
+            continue
+        cells = (
+            name,
+            _number(values["rate_hz"], 1, 1),
+            str(values["count"]),
+            _number(values["jitter_s"], 1000, 2),
+            _number(values["longest_gap_s"], 1000, 1),
+        )
+        table.add_row(*cells[: len(titles)])
+    return table
+
+
+def _number(value: float | None, factor: float, digits: int) -> str:
+    return "" if value is None else f"{value * factor:.{digits}f}"
+
+
+def plot(
+    source: Annotated[
+        str | None,
+        Parameter(help="A URL, or a CSV file that `m100link echo --csv` wrote"),
+        offered(places),
+    ] = None,
+    /,
+    *fields: Annotated[str, offered(columns_of(BY_RECORD))],
+    link: LinkOptions | None = None,
+    duration: Annotated[float, Above0] = 10.0,
+) -> int:
+    """Plot columns over time: live from an aircraft, or of a recorded span.
+
+    Args:
+        source: A URL, or a CSV file.
+        fields: Columns, such as position.height_m; that one without any.
+        link: How to talk to the aircraft.
+        duration: Seconds to plot live.
+    """
+    if source is not None and column_named(source):
+        fields, source = (source, *fields), None
+    wanted = []
+    for field in fields or ("position.height_m",):
+        column = column_named(field)
+        if column is None:
+            return complain(_unknown_column(field))
+        wanted.append(column)
+    if source is not None and source.endswith(".csv"):
+        return _plot_file(Path(source), tuple(wanted))
+    link = link or LinkOptions()
+    return run_async(_plot_live(link.place(source), tuple(wanted), duration))
+
+
+def _unknown_column(field: str) -> UsageError:
+    known = columns_of(BY_RECORD)
+    if field.lower() in ITEM_NAMES:
+        item = ITEM_NAMES[field.lower()].name
+        columns = [name for name in known if name.partition(".")[0] == item]
+        return UsageError(
+            f"{field} is an item, not a column", remedy=f"one of: {', '.join(columns)}"
+        )
+    by_end = {name.rpartition(".")[2]: name for name in known} | {name: name for name in known}
+    near = [by_end[end] for end in get_close_matches(field.lower(), by_end, n=2, cutoff=0.7)]
+    meant = f"did you mean {' or '.join(dict.fromkeys(near))}? " if near else ""
+    return UsageError(
+        f"no column is called {field!r}", remedy=f"{meant}columns: {', '.join(known)}"
+    )
+
+
+def _plot_file(path: Path, fields: tuple[str, ...]) -> int:
+    points: dict[str, list[tuple[float, float]]] = {field: [] for field in fields}
+    lines = 1
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            for values in csv.DictReader(file):
+                lines += 1
+                for field in fields:
+                    if values.get(field):
+                        points[field].append((float(values["received_at"]), float(values[field])))
+    except OSError as error:
+        return complain(
+            UsageError(
+                f"{path} cannot be read: {error.strerror}",
+                remedy="check its name, and who may read it",
+            )
+        )
+    except (KeyError, ValueError) as error:
+        return complain(
+            UsageError(
+                f"{path} cannot be plotted, line {lines}: {error}",
+                cause="not a file of `m100link echo --csv`, or a column without numbers",
+            )
+        )
+    _draw(points)
+    return ExitCode.OK if any(points.values()) else ExitCode.FAILED
+
+
+async def _plot_live(place: Place, fields: tuple[str, ...], duration: float) -> int:
+    records = items_named(dict.fromkeys(field.partition(".")[0] for field in fields))
+    points: dict[str, list[tuple[float, float]]] = {field: [] for field in fields}
+
+    async def collect(aircraft: Aircraft) -> None:
+        async with aircraft.telemetry(*records, policy=Lossless(2000), rate_hz=50) as samples:
+            async for sample in samples:
+                values = _values(sample, records)
+                for field in fields:
+                    value = values.get(field)
+                    if isinstance(value, int | float):
+                        points[field].append((sample.received_at, float(value)))
+
+    async with connect(place.url, **place.arguments()) as aircraft:
+        shown = Live(console=out, refresh_per_second=5) if sys.stdout.isatty() else None
+        with shown or contextlib.nullcontext():
+            task = asyncio.ensure_future(_until(duration, collect(aircraft)))
+            try:
+                while not task.done():
+                    await asyncio.wait([task], timeout=0.2)
+                    if shown is not None:
+                        shown.update(Text("\n".join(_lines(points))))
+            finally:
+                task.cancel()
+                await asyncio.wait([task])
+        task.result()
+        silent = _silent(aircraft, records) if duration >= _SILENT_S else []
+    if shown is None:
+        _draw(points)
+    _tell(silent)
+    return ExitCode.OK if any(points.values()) else ExitCode.FAILED
+
+
+def _lines(points: dict[str, list[tuple[float, float]]]) -> list[str]:
+    lines = []
+    for field, values in points.items():
+        lines.append(field)
+        width = max(8, min(60, out.width - _SCALE_COLUMNS))
+        lines += line_plot(values, columns=width) if values else ["  nothing received"]
+    return lines
+
+
+def _draw(points: dict[str, list[tuple[float, float]]]) -> None:
+    out.print(Text("\n".join(_lines(points))))

@@ -1,0 +1,323 @@
+"""The stages at which bytes are listened to: do any arrive, and are they an aircraft's?"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from m100link.apps.doctor.findings import Finding, Stage, Verdict
+from m100link.apps.doctor.listening import RATES, Heard, hear
+from m100link.apps.doctor.port import Ear, failed, open_ear
+from m100link.errors import LinkError, M100Error, UsageError
+from m100link.link.url import ConnectionString
+from m100link.protocol.commands.activation import GetVersion
+from m100link.protocol.commands.monitor import PushTelemetry
+from m100link.protocol.firmware import FIRMWARE_1_0
+from m100link.wire.frame import encode_frame
+
+__all__ = ["look_at_line"]
+
+LISTEN_S = 1.2
+"""Seconds in which the slowest usual telemetry comes several times."""
+
+ANSWER_S = 0.4
+"""Seconds in which an answer to a version query comes, twice."""
+
+SCAN_S = 0.5
+"""Seconds at each other baud rate."""
+
+_ENOUGH_FRAMES_SHARE = 0.5
+"""Good frames below this share of the bytes may have been left in the port by somebody before."""
+
+_LEFT_BEHIND = 8192
+"""Bytes of frames that a port may hold from before: what its driver and the kernel keep."""
+
+_PICKED_UP = 200
+"""Bytes in the time of listening that a wire which is joined to nothing picks up."""
+
+_DAMAGE = ("header_crc", "frame_crc")
+_MOST_PIECES, _NOISE_SHARE, _DISCARDED_SHARE = 3, 0.02, 0.05
+_SESSION, _SEQUENCE = 2, 0xD0C
+_TELEMETRY = bytes(PushTelemetry.ADDRESS)
+_QUERY = encode_frame(GetVersion().encode(FIRMWARE_1_0), session=_SESSION, sequence=_SEQUENCE)
+
+
+async def look_at_line(address: ConnectionString) -> tuple[Finding, ...]:
+    """Listen, and ask for the version to hear whether anything comes back.
+
+    Opens the port, and closes it again. Ends with the first failure.
+
+    Raises:
+        UsageError: The options of a URL cannot be: that is no matter of the line.
+    """
+    try:
+        ear = await open_ear(address)
+    except UsageError:
+        raise
+    except M100Error as error:
+        return (failed(Stage.OPENING, error),)
+    opened = Finding(Stage.OPENING, Verdict.GOOD, str(address))
+    try:
+        heard = await _listen(ear)
+        was_lost = ear.is_lost  # by the other side: closing it here comes next
+    finally:
+        await ear.close()
+    if was_lost:
+        return (opened, _went_away(address, ear))
+    if not heard.data:
+        return (opened, _silence(address))
+    arrived = Finding(
+        Stage.BYTES,
+        Verdict.GOOD,
+        f"{len(heard.data)} bytes in {LISTEN_S + 2 * ANSWER_S:g} s",
+        details={"bytes": len(heard.data)},
+    )
+    if _is_echo(heard):
+        return (opened, arrived, _echo(heard))
+    if not heard.frames or _may_be_left_behind(heard):
+        frames = await _no_frames(address, heard)
+    else:
+        frames = _frames(heard)
+    if frames.verdict is Verdict.FAILED:
+        return (opened, arrived, frames)
+    return (opened, arrived, frames, _telemetry(heard))
+
+
+async def _listen(ear: Ear, seconds: float = LISTEN_S) -> Heard:
+    await ear.listen(seconds)
+    for _ in range(2):
+        ear.say(_QUERY)
+        await ear.listen(ANSWER_S)
+    return hear(bytes(ear.data))
+
+
+def _went_away(address: ConnectionString, ear: Ear) -> Finding:
+    after = f" after {len(ear.data)} bytes" if ear.data else " at once"
+    why = f": {ear.lost}" if ear.lost is not None else ""
+    if address.scheme != "serial":
+        return Finding(
+            Stage.BYTES,
+            Verdict.FAILED,
+            f"the other end closed the connection{after}{why}",
+            (
+                "the program that listens there has another client, and takes one only",
+                "it has lost its aircraft",
+            ),
+            ("end the other client, or look at what that program says",),
+        )
+    return Finding(
+        Stage.BYTES,
+        Verdict.FAILED,
+        f"the port went away while it was listened to{after}{why}",
+        ("the adapter was unplugged, lost power, or its cable has a bad contact",),
+        ("plug it in again and look: dmesg | tail",),
+    )
+
+
+def _silence(address: ConnectionString) -> Finding:
+    if address.scheme == "tcp":
+        return Finding(
+            Stage.BYTES,
+            Verdict.FAILED,
+            "it is open, and not one byte comes",
+            (
+                "the program that listens there has no aircraft",
+                "the aircraft has no power, or the wire from its TX carries nothing",
+            ),
+            ("run m100link doctor on the computer that the cable is plugged into",),
+        )
+    return Finding(
+        Stage.BYTES,
+        Verdict.FAILED,
+        f"not one byte in {LISTEN_S + 2 * ANSWER_S:g} s, and no answer to two version queries",
+        (
+            "TX and RX are swapped",
+            "the aircraft has no power, or is still starting",
+            "no common ground, or the wire from the aircraft's TX is broken",
+            "another port than the aircraft's",
+        ),
+        (
+            "swap TX and RX at one end, and run this again",
+            "m100link ports",
+            (
+                "join TX and RX of the adapter, nothing else connected, and run this again: if "
+                "that is silent, too, the adapter or its cable is broken"
+            ),
+        ),
+    )
+
+
+def _is_echo(heard: Heard) -> bool:
+    """Whether the only frames are those that were sent."""
+    asked = GetVersion().encode(FIRMWARE_1_0)
+    return bool(heard.frames) and all(
+        not one.is_ack and (one.session, one.sequence, one.data) == (_SESSION, _SEQUENCE, asked)
+        for one in heard.frames
+    )
+
+
+def _echo(heard: Heard) -> Finding:
+    return Finding(
+        Stage.FRAMES,
+        Verdict.FAILED,
+        "what was sent comes back, and nothing else",
+        (
+            (
+                "TX and RX of this adapter are joined: adapter and cable are good, and no aircraft "
+                "is connected"
+            ),
+            "the two wires touch each other",
+        ),
+        ("part them, and connect TX to the aircraft's RX and RX to its TX",),
+        heard.details(),
+    )
+
+
+def _may_be_left_behind(heard: Heard) -> bool:
+    """Whether the few frames among much else waited in the port: of another rate, or before."""
+    good = len(heard.data) - heard.discarded_bytes
+    return heard.damaged_share > _ENOUGH_FRAMES_SHARE and good <= _LEFT_BEHIND
+
+
+async def _no_frames(address: ConnectionString, heard: Heard) -> Finding:
+    seen = f"{len(heard.data)} bytes, and not one valid frame"
+    if heard.frames:
+        seen = (
+            f"{heard.discarded_bytes} of {len(heard.data)} bytes are part of no frame; the "
+            f"{len(heard.frames)} that are valid may have waited in the port"
+        )
+    likeness = heard.likeness()
+    if likeness is not None:
+        return Finding(
+            Stage.FRAMES,
+            Verdict.FAILED,
+            f"{seen}: {likeness.seen}",
+            likeness.causes,
+            likeness.commands,
+            {**heard.details(), "likeness": likeness.name},
+        )
+    if len(heard.data) < _PICKED_UP and not heard.frames:
+        return _picked_up(seen, heard)
+    details = heard.details()
+    if address.scheme == "serial" and address.number is not None:
+        found = await _scan(address)
+        details["rates_tried"] = [rate for rate in RATES if rate != address.number]
+        if found is not None:
+            place = f"{address.target}:{found}"
+            return Finding(
+                Stage.FRAMES,
+                Verdict.FAILED,
+                f"{seen} at {address.number} baud; at {found} baud they are frames",
+                (f"the aircraft is set to {found} baud in the PC assistant",),
+                (f"m100link doctor {place}", f"or set {address.number} baud in the PC assistant"),
+                {**details, "rate_found": found},
+            )
+        seen += f" at {address.number} baud, nor at any other usual rate"
+    return Finding(
+        Stage.FRAMES,
+        Verdict.FAILED,
+        seen,
+        (
+            "noise: no common ground, wires along a motor cable, 5 V levels on a 3.3 V port",
+            "a baud rate of its own: look into the PC assistant",
+            "another device than an M100",
+        ),
+        (
+            "check the ground wire, and that the adapter's levels are 3.3 V",
+            f"the rate as the PC assistant shows it: m100link doctor {address.target}:RATE",
+        ),
+        details,
+    )
+
+
+def _picked_up(seen: str, heard: Heard) -> Finding:
+    return Finding(
+        Stage.FRAMES,
+        Verdict.FAILED,
+        f"{seen}: an aircraft sends far more",
+        (
+            (
+                "RX is joined to nothing and picks up noise: TX and RX are swapped, or the wire "
+                "from the aircraft's TX is broken"
+            ),
+            "the aircraft has no power, or is still starting",
+            "no common ground",
+        ),
+        (
+            "swap TX and RX at one end, and run this again",
+            "check the ground wire, and that the adapter's levels are 3.3 V",
+        ),
+        heard.details(),
+    )
+
+
+async def _scan(address: ConnectionString) -> int | None:
+    """The other rate at which frames come, or None."""
+    for rate in RATES:
+        if rate == address.number:
+            continue
+        try:
+            ear = await open_ear(replace(address, number=rate))
+        except LinkError:
+            continue  # an adapter that does not know this rate
+        try:
+            heard = await _listen(ear, SCAN_S)
+        finally:
+            await ear.close()
+        if heard.frames and heard.damaged_share < _ENOUGH_FRAMES_SHARE:
+            return rate
+    return None
+
+
+def _frames(heard: Heard) -> Finding:
+    good = len(heard.frames)
+    seen = f"{good} frames with good checksums"
+    damaged = sum(heard.discards.get(cause, 0) for cause in _DAMAGE)
+    # A port that is opened in the middle of a frame has a piece of it at the beginning.
+    few = damaged <= max(_MOST_PIECES, _NOISE_SHARE * good)
+    if few and heard.damaged_share <= _DISCARDED_SHARE:
+        return Finding(Stage.FRAMES, Verdict.GOOD, seen, details=heard.details())
+    return Finding(
+        Stage.FRAMES,
+        Verdict.DOUBTFUL,
+        f"{seen}, and {damaged} damaged ones; {heard.discarded_bytes} of {len(heard.data)} bytes "
+        "are part of no frame",
+        (
+            "noise: no common ground, wires along a motor cable, 5 V levels on a 3.3 V port",
+            "a half-duplex radio that is busy with telemetry",
+            "a cable that is too long for the baud rate",
+        ),
+        (
+            "check the ground wire and keep the cable away from those of the motors",
+            "lower the baud rate or the telemetry rates in the PC assistant",
+        ),
+        heard.details(),
+    )
+
+
+def _telemetry(heard: Heard) -> Finding:
+    count = heard.count(_TELEMETRY)
+    if count:
+        return Finding(
+            Stage.TELEMETRY,
+            Verdict.GOOD,
+            f"{count} packages of telemetry",
+            details={"packages": count},
+        )
+    if not any(one.is_ack for one in heard.frames):
+        return Finding(
+            Stage.TELEMETRY,
+            Verdict.DOUBTFUL,
+            f"{len(heard.frames)} frames, and among them neither telemetry nor an answer",
+            (
+                "RX is joined to the TX of another computer, not to the aircraft's",
+                "all telemetry rates are 0, and the aircraft does not hear this program",
+            ),
+            ("follow the wire from RX to the aircraft's TX",),
+        )
+    return Finding(
+        Stage.TELEMETRY,
+        Verdict.DOUBTFUL,
+        "answers come, and no telemetry",
+        ("all telemetry rates are 0 in the PC assistant",),
+        ("set them in the PC assistant; with firmware 3.1: m100link rates PORT attitude=50",),
+    )

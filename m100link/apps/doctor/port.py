@@ -1,0 +1,257 @@
+"""The stages that need no byte of the aircraft: the port, who may open it, who disturbs it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from typing import Final, cast
+
+from m100link.apps.doctor.findings import Finding, Stage, Verdict
+from m100link.apps.doctor.machine import Machine
+from m100link.errors import M100Error
+from m100link.link.transport import open_transport, serial_ports
+from m100link.link.url import ConnectionString
+
+__all__ = ["Ear", "failed", "look_at_latency", "look_at_port", "open_ear"]
+
+MOST_LATENCY_MS: Final = 4
+"""What an FTDI adapter may collect bytes for; 16 is what it does by default."""
+
+
+def failed(stage: Stage, error: M100Error, *commands: str) -> Finding:
+    """A stage at which a typed error came up: its cause, and its remedy before the commands."""
+    return Finding(
+        stage,
+        Verdict.FAILED,
+        error.seen,
+        (error.cause,) if error.cause else (),
+        tuple(filter(None, (error.remedy, *commands))),
+        error=error,
+    )
+
+
+def look_at_port(device: str, machine: Machine) -> Iterator[Finding]:
+    """What the machine tells of a port without opening it; ends with the first failure."""
+    for look in (_exists, _permission, _owner, _interference):
+        finding = look(device, machine)
+        yield finding
+        if finding.verdict is Verdict.FAILED:
+            return
+
+
+def _exists(device: str, machine: Machine) -> Finding:
+    path = str(machine.device(device))
+    try:
+        is_terminal = machine.is_terminal_device(path)
+    except PermissionError as error:
+        return Finding(
+            Stage.PORT,
+            Verdict.FAILED,
+            f"nobody can tell whether there is a device {device}: {error.strerror}",
+            ("a folder on the way to it belongs to somebody else",),
+            (f"ls -ld {machine.device(device).parent}", "m100link ports"),
+        )
+    except OSError as error:
+        ports = serial_ports()
+        causes = ["the adapter is not plugged in, or has another name"]
+        if machine.is_container:
+            causes.insert(0, f"this is a container, and it was not given: --device={device}")
+        return Finding(
+            Stage.PORT,
+            Verdict.FAILED,
+            f"there is no device {device}",
+            tuple(causes),
+            ("m100link ports", "plug it in, then: dmesg | tail"),
+            {"ports": ports, "reason": error.strerror or ""},
+        )
+    if not is_terminal:
+        return Finding(
+            Stage.PORT,
+            Verdict.FAILED,
+            f"{device} is not a serial port",
+            ("a file or a folder of that name",),
+            ("m100link ports",),
+        )
+    adapter = machine.adapter(device)
+    names = machine.stable_names(device)
+    seen = " ".join(filter(None, (device, "→" if path != device else "", path)))
+    if path == device:
+        seen = device
+    if adapter.name or adapter.driver:
+        seen += f": {adapter.name or adapter.driver}"
+    details = {"device": path, "adapter": adapter.name, "driver": adapter.driver}
+    return Finding(Stage.PORT, Verdict.GOOD, seen, details={**details, "stable_names": list(names)})
+
+
+def _permission(device: str, machine: Machine) -> Finding:
+    path = str(machine.device(device))
+    try:
+        permission = machine.permission(path)
+    except OSError as error:
+        return Finding(Stage.PERMISSION, Verdict.FAILED, f"{device} went away: {error.strerror}")
+    details = {"mode": permission.mode, "owner": permission.owner, "group": permission.group}
+    if permission.is_granted:
+        return Finding(Stage.PERMISSION, Verdict.GOOD, str(permission), details=details)
+    if permission.is_member:
+        cause = f"you were added to the group {permission.group} after you logged in"
+        commands = ("log out and in again", f"at once, in this shell: newgrp {permission.group}")
+    elif permission.group in ("root", "0"):
+        cause = "no rule gives the device to a group of users"
+        commands = ("m100link udev --install", "plug the adapter in again")
+    else:
+        cause = f"you are not in the group {permission.group}"
+        commands = (f"sudo usermod -aG {permission.group} $USER", "log out and in again")
+    return Finding(
+        Stage.PERMISSION,
+        Verdict.FAILED,
+        f"you may not read and write {device}: {permission}",
+        (cause,),
+        commands,
+        details,
+    )
+
+
+def _owner(device: str, machine: Machine) -> Finding:
+    holders = machine.holders(device)
+    if not holders:
+        return Finding(Stage.OWNER, Verdict.GOOD, "no other program has it open")
+    names = ", ".join(map(str, holders))
+    return Finding(
+        Stage.OWNER,
+        Verdict.FAILED,
+        f"in use by {names}",
+        ("two programs on one port each get half of the bytes",),
+        (
+            f"end it: kill {' '.join(str(one.pid) for one in holders)}",
+            "or share the aircraft: m100link serve, and connect to that",
+        ),
+        {"holders": [{"pid": one.pid, "name": one.name} for one in holders]},
+    )
+
+
+def _interference(device: str, machine: Machine) -> Finding:
+    name = machine.device(device).name
+    logins = machine.login_programs(device)
+    if logins:
+        return Finding(
+            Stage.INTERFERENCE,
+            Verdict.FAILED,
+            f"a login prompt runs on it: {', '.join(map(str, logins))}",
+            ("the system offers a console on this port and answers what the aircraft says",),
+            (f"sudo systemctl disable --now serial-getty@{name}.service",),
+        )
+    if machine.is_kernel_console(device):
+        return Finding(
+            Stage.INTERFERENCE,
+            Verdict.FAILED,
+            "the kernel writes its messages to it",
+            (f"console={name} is on the kernel's command line",),
+            ("remove it there (Raspberry Pi: cmdline.txt), then restart the computer",),
+        )
+    manager = machine.modem_manager()
+    if manager is not None and machine.adapter(device).is_usb and not machine.is_left_alone(device):
+        return Finding(
+            Stage.INTERFERENCE,
+            Verdict.DOUBTFUL,
+            f"{manager} speaks to new serial ports, and no rule keeps it away from this one",
+            ("it may send AT commands to the aircraft in the first half minute after plugging in",),
+            ("m100link udev --install",),
+        )
+    return Finding(Stage.INTERFERENCE, Verdict.GOOD, "nothing of the system talks on it")
+
+
+def look_at_latency(device: str, machine: Machine) -> Finding:
+    """How long the adapter keeps bytes back."""
+    latency = machine.adapter(device).latency_ms
+    if latency is None:
+        return Finding(Stage.LATENCY, Verdict.GOOD, "it has no timer that keeps bytes back")
+    if latency <= MOST_LATENCY_MS:
+        return Finding(Stage.LATENCY, Verdict.GOOD, f"latency timer {latency} ms")
+    name = machine.device(device).name
+    return Finding(
+        Stage.LATENCY,
+        Verdict.DOUBTFUL,
+        f"latency timer {latency} ms: each ack and each package is late by up to that",
+        ("an FTDI adapter as it comes",),
+        (
+            "m100link udev --install",
+            (
+                f"until it is unplugged: echo 1 | sudo tee "
+                f"/sys/bus/usb-serial/devices/{name}/latency_timer"
+            ),
+        ),
+        {"latency_ms": latency},
+    )
+
+
+class Ear(asyncio.Protocol):
+    """Keeps what arrives.
+
+    Attributes:
+        data: All of it.
+        lost: Why the line ended; None while it has not.
+        transport: The line.
+    """
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.is_lost = False
+        self.lost: Exception | None = None
+        self.transport: asyncio.Transport | None = None
+        self._ended = asyncio.Event()
+        self._made = asyncio.Event()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """The line is open."""
+        self.transport = cast(asyncio.Transport, transport)  # it is a stream, whatever its class
+        self._made.set()
+
+    def data_received(self, data: bytes) -> None:
+        """More of it."""
+        self.data += data
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """The line is gone."""
+        self.is_lost, self.lost = True, exc
+        self._ended.set()
+
+    async def listen(self, seconds: float) -> bytes:
+        """What is new after so many seconds, or when the line ends."""
+        before = len(self.data)
+        try:
+            async with asyncio.timeout(seconds):
+                await self._ended.wait()
+        except TimeoutError:
+            pass
+        return bytes(self.data[before:])
+
+    def say(self, data: bytes) -> None:
+        """Send something."""
+        if self.transport is not None and not self.is_lost:
+            self.transport.write(data)
+
+    async def open(self) -> None:
+        """Wait until the line is open: an opener may return before it is."""
+        await self._made.wait()
+
+    async def close(self) -> None:
+        """Give the line back."""
+        if self.transport is not None:
+            self.transport.abort()
+            try:
+                async with asyncio.timeout(1.0):
+                    await self._ended.wait()
+            except TimeoutError:
+                pass  # it ends by itself; whoever opens it next finds it busy, and says so
+
+
+async def open_ear(address: ConnectionString) -> Ear:
+    """Open a line to listen.
+
+    Raises:
+        BadURL, PortNotFound, PortPermissionDenied, PortBusy, PortFailed: See each class.
+    """
+    ear = Ear()
+    await open_transport(address, ear)
+    await ear.open()
+    return ear

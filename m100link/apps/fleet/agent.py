@@ -1,0 +1,498 @@
+"""The agent of a fleet, on board: one aircraft under keys of its own.
+
+It is a front like any other: what it knows comes from an
+:class:`~m100link.apps.agent.client.AgentClient`, what is asked of it goes there. Control, guards,
+lease and log are the agent's, so that a network that is lost costs a hover.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import re
+import time
+import uuid
+import zlib
+from collections import Counter, deque
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
+
+import m100link
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.fault import MessageError, fault_of
+from m100link.apps.agent.message_bytes import decode
+from m100link.apps.agent.messages import Event, Message, Telemetry
+from m100link.apps.bus.network import Bus, Held, Question
+from m100link.apps.fleet.age import OrderAges, require_young
+from m100link.apps.fleet.aloft import Aloft
+from m100link.apps.fleet.book import OrderBook
+from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.ledger import Ledger
+from m100link.apps.fleet.lost import Lost, LostPlan
+from m100link.apps.fleet.missions.board import Missions
+from m100link.apps.fleet.namesake import Namesakes
+from m100link.apps.fleet.orders import (
+    Done,
+    Orders,
+    acquires,
+    is_kept,
+    lands,
+    moves,
+    renews,
+    revokes,
+    takes,
+)
+from m100link.apps.fleet.outcome import outcome_of
+from m100link.apps.fleet.payloads import (
+    Card,
+    Order,
+    Progress,
+    Reply,
+    pack,
+    unpack,
+    unpack_steer,
+)
+from m100link.apps.fleet.revoked import Since, nobody
+from m100link.apps.fleet.stream import Dropped, SetpointStream, broken
+from m100link.apps.fleet.thinning import WALL_WITHIN_S, Thinner
+from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, UsageError
+from m100link.protocol.records import Battery, Position
+from m100link.telemetry.sample import Sample
+
+__all__ = ["HOLD_S", "FleetAgent", "Verify"]
+
+HOLD_S = 0.5
+"""Seconds that a question waits for what becomes of its order; then it hears that it runs."""
+
+_ID = re.compile(r"[0-9a-f]{32}")
+_CARD_S = 1.0
+_FRESH_S = 5.0
+_NAMESAKE_S = 2.0
+_SHORT = 2048
+"""Bytes of an order that is read at once: with its signature STOP has 600."""
+_MOST_LONG = 16
+_LONG_S = 0.02
+
+Verify = Callable[[Order], None]
+"""Looks at an order before anything is done; raises :class:`~m100link.errors.NotAllowed`."""
+
+
+class FleetAgent:
+    """One aircraft of a fleet.
+
+    Args:
+        client: What knows its agent.
+        bus: The network.
+        keys: Its keys.
+        ledger: What outlives it.
+        lost: What happens when whoever flies is lost.
+        verify: Looks at each order; without it the router alone decides who may ask.
+        revoked: Who is shut out.
+        utc: POSIX time, s.
+
+    Attributes:
+        client: As given.
+        boot: Which run of this agent it is.
+        namesakes: Whether another agent has its name.
+        dropped: Setpoints that were not flown, by reason.
+    """
+
+    def __init__(
+        self,
+        client: AgentClient,
+        bus: Bus,
+        keys: Keys,
+        ledger: Ledger,
+        *,
+        lost: LostPlan | None = None,
+        verify: Verify | None = None,
+        revoked: Since = nobody,
+        utc: Callable[[], float] = time.time,
+    ) -> None:
+        self.client = client
+        self._bus = bus
+        self._keys = keys
+        self._ledger = ledger
+        self._lost_plan = lost or LostPlan()
+        self._verify = verify
+        self._utc = utc
+        self.boot = uuid.uuid4().hex[:8]
+        self.namesakes = Namesakes(keys.name, self.boot)
+        self._has_namesake = False
+        self.dropped: Counter[Dropped] = Counter()
+        unsure_before = client.now if ledger.damaged else -math.inf
+        self._book = OrderBook(ledger.begun, unsure_before=unsure_before)
+        self._ages = OrderAges()
+        self._orders = Orders(client, ledger, revoked)
+        self._aloft = Aloft(client, ledger)
+        descend = partial(self._orders.descend, take_over=False)
+        self._lost = Lost(client, self._lost_plan, descend, self._aloft)
+        self._ended: dict[str, asyncio.Event] = {}
+        # Long orders, which wait until short ones have been read.
+        self._long: deque[Question] = deque()
+        self._has_long = asyncio.Event()
+        self._stream = SetpointStream()
+        self._thinner = Thinner()
+        client.on_steer_refused.append(self._steer_refused)
+
+    async def run(self) -> None:
+        """Be there, until this is cancelled."""
+        keys, bus = self._keys, self._bus
+        with ExitStack() as stack:
+
+            def hold(held: Held) -> None:
+                stack.callback(held.close)
+
+            self._event = bus.publish(keys.event)
+            self._state = bus.publish(keys.state, within=WALL_WITHIN_S)
+            self._full = bus.publish(keys.telemetry)
+            self._wall = bus.publish(keys.thinned, within=WALL_WITHIN_S)
+            for outlet in (self._event, self._state, self._full, self._wall):
+                hold(outlet)
+            for key in (keys.command, keys.lease):
+                hold(bus.serve(key, self._on_order))
+            hold(bus.serve(keys.status(), self._on_status))
+            hold(bus.serve(keys.state, self._on_state))
+            hold(bus.subscribe(keys.setpoint, self._on_setpoint))
+            hold(bus.subscribe(keys.state, self._on_own_state))
+            self.client.on_event.append(self._on_event)
+            # No task is woken for each of a hundred packages a second.
+            self.client.on_sample.append(self._on_sample)
+            for token in (keys.live_by(bus.session), keys.live_beside):
+                hold(bus.declare(token))
+            self._tell_damage()
+            self._ledger.tell = partial(self.client.note, level="error")
+            self._lost.inherit(self._ledger.aloft)
+            try:
+                async with asyncio.TaskGroup() as group:
+                    group.create_task(self._aloft.keep())
+                    group.create_task(self._answer_long())
+                    group.create_task(self._tell_state())
+            finally:
+                self.client.on_event.remove(self._on_event)
+                self.client.on_sample.remove(self._on_sample)
+
+    @property
+    def missions(self) -> Missions:
+        """What flies by plans."""
+        return self._orders.missions
+
+    def shut_out(self) -> None:
+        """Somebody was revoked: what he flies hovers, and his lease ends as if he fell silent."""
+        who = self._orders.shut_out()
+        if who:
+            self._ages.revoke(self.client.now)
+            self.client.note(f"{who} is revoked: this aircraft hovers", "error")
+            self.client.background.spawn(self.client.stop(), "stop of who is revoked")
+
+    def _tell_damage(self) -> None:
+        if self._ledger.damaged:
+            self.client.note(
+                f"{self._ledger.damaged} words of the ledger are damaged or gone: orders of before "
+                "are told as unknown and not carried out, and nobody is landed for who flew then",
+                "error",
+            )
+
+    async def require_alone(self) -> None:
+        """Look whether the name is free; one whose agent was killed is seen for a while yet.
+
+        Raises:
+            UsageError: Another agent has it, and both would obey.
+        """
+        deadline = self.client.now + _NAMESAKE_S
+        while await self._bus.tokens(self._keys.live, timeout=1.0):
+            if self.client.now >= deadline:
+                raise UsageError(
+                    f"an agent named {self._keys.name} is there already",
+                    remedy="give this aircraft another --name, or end the other agent",
+                )
+            await asyncio.sleep(0.2)
+
+    # -- what is told ----------------------------------------------------------------------------
+
+    def _on_event(self, event: Event) -> None:
+        self._event.put(pack(event))
+
+    def _on_sample(self, sample: Sample) -> None:
+        is_for_wall = self._thinner.goes_on(sample.flags, sample.received_at)
+        is_watched = self._full.is_wanted()
+        if is_for_wall:
+            self._wall.put_later(partial(_package, sample))
+        if is_watched:
+            self._full.put(_package(sample))
+
+    async def _tell_state(self) -> None:
+        # Of hundreds that were begun together and told of at one moment, some would be lost. So
+        # each has one of twenty moments, and shares it: to wake for each would cost as much again.
+        moments = round(_CARD_S / WALL_WITHIN_S)
+        own = zlib.crc32(self._keys.name.encode()) % moments * WALL_WITHIN_S
+        clock = asyncio.get_running_loop().time
+        due = clock() + (own - clock()) % _CARD_S
+        while True:
+            self._state.put_later(self._packed_card)
+            self._look_for_namesakes()
+            await asyncio.sleep(max(0.0, due - clock()))
+            due += _CARD_S * (1 + max(0.0, clock() - due) // _CARD_S)
+
+    def _packed_card(self) -> bytes:
+        return pack(self.card())
+
+    def _on_own_state(self, key: str, payload: bytes) -> None:
+        try:
+            card: Card = unpack(Card, payload)
+        except MessageError:
+            return  # of another version, or nothing that an agent tells
+        self.namesakes.hear(card.boot, self.client.now)
+        self._look_for_namesakes()
+
+    def _look_for_namesakes(self) -> None:
+        """Whoever steers sees two aircraft as one: what he flies hovers, and he is told."""
+        client, had = self.client, self._has_namesake
+        self._has_namesake = self.namesakes.is_there(client.now)
+        if self._has_namesake and not had:
+            told = f"another agent is named {self._keys.name}: this aircraft hovers until one ends"
+            client.note(told, "error")
+            if client.holder.number in self._orders.leases:  # a show flies by what is on board
+                client.halt(told)
+        elif had and not self._has_namesake:
+            client.note(f"no other agent is named {self._keys.name} any more")
+
+    def card(self) -> Card:
+        """Where the agent stands."""
+        client, state = self.client, self.client.state
+        position = battery = None
+        if client.telemetry is not None:
+            position = client.telemetry.fresh(Position, within=_FRESH_S)
+            battery = client.telemetry.fresh(Battery, within=_FRESH_S)
+        is_place = position is not None and position.is_possible
+        is_charge = battery is not None and battery.percent <= 100
+        phase = self._orders.phase
+        return Card(
+            name=self._keys.name,
+            boot=self.boot,
+            at=self._utc(),
+            connection=state.connection if not client.is_silent else "lost",
+            fault=state.connection_fault,
+            firmware=state.firmware,
+            holder=client.holder.name,
+            fence=client.holder.number,
+            has_authority=client.has_authority,
+            task=state.task
+            or state.pattern
+            or (state.guided.what if state.guided else "")
+            or self.missions.words,
+            phase="" if phase is None else phase.name.lower().replace("_", " "),
+            height_m=position.height_m if position is not None and is_place else None,
+            latitude_deg=position.latitude_deg if position is not None and is_place else None,
+            longitude_deg=position.longitude_deg if position is not None and is_place else None,
+            battery_percent=battery.percent if battery is not None and is_charge else None,
+            lost=self._lost_plan.action,
+            lost_after=self._lost_plan.after_s,
+            version=m100link.__version__,
+        )
+
+    def _on_state(self, question: Question) -> None:
+        question.answer(self._keys.state, pack(self.card()))
+
+    # -- orders ----------------------------------------------------------------------------------
+
+    def _on_order(self, question: Question) -> None:
+        if len(question.payload) <= _SHORT:
+            self.client.background.spawn(self._answer_order(question), "order of the fleet")
+        elif len(self._long) < _MOST_LONG:
+            self._long.append(question)
+            self._has_long.set()
+        else:
+            question.drop()  # whoever waits for it asks again
+
+    async def _answer_long(self) -> None:
+        """Long orders one after the other, with time between them: STOP is short."""
+        while True:
+            await self._has_long.wait()
+            question = self._long.popleft()
+            if not self._long:
+                self._has_long.clear()
+            self.client.background.spawn(self._answer_order(question), "order of the fleet")
+            await asyncio.sleep(_LONG_S)
+
+    async def _answer_order(self, question: Question) -> None:
+        # The key of this aircraft, whatever pattern was asked: of several answers under one key
+        # the network hands over one, and hides the other's failure.
+        is_lease = question.key.endswith("/lease")
+        key = self._keys.lease if is_lease else self._keys.command
+        try:
+            order: Order = unpack(Order, question.payload)
+            is_repeated = self._book.heard(order.id, order.digest())
+            if not is_repeated:
+                self._begin(order)
+        except M100Error as error:
+            refused = replace(self._reply("", error), clock=self.client.now)
+            question.answer(key, pack(refused))
+            return
+        await self._wait(order.id)
+        question.answer(key, pack(self._told(order.id, is_repeated=is_repeated)))
+
+    def _begin(self, order: Order) -> None:
+        """Hear an order for the first time.
+
+        Raises:
+            NotAllowed: Not for this aircraft, or not by this identity.
+            MessageError: It says nothing that can be done.
+            StaleLease: It needs the lease, and came without.
+            GuardRefused: It comes too late.
+        """
+        if not _ID.fullmatch(order.id):
+            raise MessageError("the id of an order is 32 hexadecimal digits")
+        if order.aircraft != self._keys.name:
+            raise NotAllowed(f"an order to {order.aircraft} came to {self._keys.name}")
+        if self._verify is not None:
+            self._verify(order)
+        try:
+            message = self._admitted(order)
+        except M100Error as error:
+            if self._verify is None:
+                raise
+            # Signatures let an order through once: the same again hears the same.
+            self._book.begin(order.id, order.digest(), self.client.now)
+            refused = replace(self._reply(order.id, error), order=order.digest())
+            self._book.end(refused, self.client.now)
+            return
+        self._book.begin(order.id, order.digest(), self.client.now)
+        self._ended[order.id] = asyncio.Event()
+        self.client.background.spawn(self._carry_out(order, message), "order of the fleet")
+
+    def _admitted(self, order: Order) -> Message:
+        """What an order asks for, if it may begin now. Raises: as :meth:`_begin`."""
+        message = decode(order.message)
+        if moves(message):
+            self.namesakes.require_none(self.client.now)
+        if self._may_have_begun(order, message):
+            pass  # whatever it comes under now, it may have been done
+        elif is_kept(message):
+            # Looked at before a stranger's words are worth a disk's time.
+            if self._orders.lease_for(order, message) is not None:
+                self._ages.hear(order.fence, order.clock, self.client.now)
+        elif takes(message) or renews(message) or (acquires(message) and order.clock):
+            # Who never heard this clock cannot say when, and takes nothing from anybody. A renewal
+            # that was recorded is of no use when its id has been forgotten.
+            require_young(order.clock, self.client.now)
+        elif revokes(message):
+            if lands(message):
+                require_young(order.clock, self.client.now)
+            self._ages.revoke(self.client.now)
+        return message
+
+    def _may_have_begun(self, order: Order, message: Message) -> bool:
+        """Whether an agent before began it, or may have where its ledger is damaged."""
+        is_of_before = order.fence and is_kept(message) and self._book.is_unsure(order.clock)
+        return bool(is_of_before) or self._book.was_begun_before(order.id)
+
+    async def _carry_out(self, order: Order, message: Message) -> None:
+        failed = OutcomeUnknown("the agent failed while it did this", remedy="see its log")
+        reply = self._reply(order.id, failed)
+        try:
+            if self._may_have_begun(order, message):
+                reply = self._reply(order.id, _begun_before())
+                return
+            if is_kept(message):
+                await self._ledger.begin(order.id)
+                self._ages.check(order.clock, self.client.now)
+            reply = self._reply(order.id, None, await self._orders.carry_out(order, message))
+        except M100Error as error:
+            reply = self._reply(order.id, error)
+        finally:
+            self._book.end(replace(reply, order=order.digest()), self.client.now)
+            self._ended.pop(order.id).set()
+
+    def _reply(self, identity: str, error: M100Error | None, done: Done | None = None) -> Reply:
+        done = done or Done()
+        return Reply(
+            id=identity,
+            name=self._keys.name,
+            boot=self.boot,
+            progress=Progress.DONE,
+            outcome=outcome_of(error),
+            fault=fault_of(error) or done.fault,
+            text=done.text,
+            number=done.number,
+            offer=done.offer,
+            key=done.key,
+        )
+
+    async def _wait(self, identity: str) -> None:
+        ended = self._ended.get(identity)
+        if ended is not None:
+            try:
+                async with asyncio.timeout(HOLD_S):
+                    await ended.wait()
+            except TimeoutError:
+                pass  # it runs, and that is what is told
+
+    def _told(self, identity: str, *, is_repeated: bool) -> Reply:
+        """What is known of an order now."""
+        reply = self._book.reply(identity)
+        if reply is None:
+            if self._book.is_known(identity):
+                progress = Progress.RUNNING
+            elif self._book.was_begun_before(identity):
+                return replace(self._reply(identity, _begun_before()), clock=self.client.now)
+            else:
+                progress = Progress.NEVER
+            reply = Reply(identity, self._keys.name, self.boot, progress)
+        return replace(reply, clock=self.client.now, is_repeated=is_repeated)
+
+    def _on_status(self, question: Question) -> None:
+        self.client.background.spawn(self._answer_status(question), "status of an order")
+
+    async def _answer_status(self, question: Question) -> None:
+        identity = question.key.rpartition("/")[2]
+        if not _ID.fullmatch(identity):  # a pattern asks for no order
+            question.drop()
+            return
+        await self._wait(identity)
+        question.answer(self._keys.status(identity), pack(self._told(identity, is_repeated=True)))
+
+    # -- setpoints -------------------------------------------------------------------------------
+
+    def _on_setpoint(self, key: str, payload: bytes) -> None:
+        if len(payload) > _SHORT:
+            self.dropped[Dropped.DAMAGED] += 1
+            return
+        try:
+            found = unpack_steer(payload, self._orders.secret)
+        except MessageError:
+            self.dropped[Dropped.DAMAGED] += 1
+            return
+        if found is None:
+            self.dropped[Dropped.STALE] += 1
+            return
+        steer, begins = found
+        if self._has_namesake:
+            self.dropped[Dropped.NAMESAKE] += 1
+            return
+        holder = self.client.holder
+        why = self._stream.drop(steer, begins=begins, fence=holder.number, now=self.client.now)
+        if why is not None:
+            self.dropped[why] += 1
+            if why is Dropped.BROKEN:
+                self._orders.refused = broken()
+            return
+        self.client.steer(self._orders.leases[steer.fence].lease, steer.setpoint, steer.lifetime)
+
+    def _steer_refused(self, fence: int, error: M100Error) -> None:
+        """Whoever steers hears of it as its lease is renewed, twice a second."""
+        self._orders.refused = error
+
+
+def _package(sample: Sample) -> bytes:
+    return pack(Telemetry(sample.value, sample.profile.name, sample.received_at))
+
+
+def _begun_before() -> OutcomeUnknown:
+    return OutcomeUnknown(
+        "the agent was started anew after it had begun this, or may have",
+        cause="it was killed, or its computer was",
+        remedy="look at the aircraft: it may or may not have been done",
+    )

@@ -1,0 +1,347 @@
+"""Asks one aircraft of a fleet for something, and finds out what became of it.
+
+An answer that does not come says nothing. Then it is asked what became of the order, by its id: an
+agent that never heard it is given the same order again, one that did says how it ended. A new id is
+never given to what may have been done.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+import uuid
+from collections.abc import Callable, Collection, Iterable
+
+from m100link.apps.agent.actions import LeaseAction
+from m100link.apps.agent.fault import MessageError
+from m100link.apps.agent.lease import Lease
+from m100link.apps.agent.message_bytes import encode
+from m100link.apps.agent.messages import LeaseAsk, Message
+from m100link.apps.bus.network import Answer, Bus
+from m100link.apps.fleet.answers import believed, clocks_told
+from m100link.apps.fleet.keys import Keys, session_in
+from m100link.apps.fleet.outcome import Outcome
+from m100link.apps.fleet.payloads import Order, Progress, Reply, pack
+from m100link.apps.fleet.questions import Questions
+from m100link.apps.fleet.secret import Half, LeaseRequest
+from m100link.apps.fleet.show.clock import DRIFT
+from m100link.errors import NotAllowed, OutcomeUnknown, StaleLease, Unreachable
+
+__all__ = ["PATIENCE_S", "Asker", "Sign", "nobody_there"]
+
+PATIENCE_S = 10.0
+"""Seconds without any answer after which the outcome counts as unknown.
+
+Over a way of 3 s an answer needs 6.5 s, and what is lost is asked for again.
+"""
+
+_AGAIN_S = 0.1
+
+Sign = Callable[[Order], Order]
+"""Signs an order."""
+
+
+def nobody_there(name: str) -> Unreachable:
+    """What is said of an aircraft whose agent does not show itself."""
+    return Unreachable(
+        f"no agent named {name} is there; nothing was sent",
+        remedy="m100link fleet list shows who is there",
+    )
+
+
+def _unsigned(order: Order) -> Order:
+    """Without an identity the router alone decides who may ask."""
+    return order
+
+
+class Asker:
+    """Asks one aircraft.
+
+    Args:
+        bus: The network.
+        keys: Of the aircraft.
+        name: Who asks, for people.
+        sign: Signs orders.
+        patience: Seconds without any answer after which the outcome is unknown.
+        sessions: Ids of those that are known to show its token, without asking anybody.
+        utc: POSIX time, s.
+
+    Attributes:
+        patience: As given.
+        heard_at: When it answered last, on the event loop's clock; None: never.
+        its_clock: What the agent's own clock showed in that answer, s.
+        doubtful_clocks: Clocks of several agents that answered; nobody knows which is the aircraft.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        name: str,
+        *,
+        sign: Sign = _unsigned,
+        patience: float = PATIENCE_S,
+        sessions: Callable[[], Collection[str]] = frozenset,
+        utc: Callable[[], float] = time.time,
+    ) -> None:
+        self._known = sessions
+        self._found: frozenset[str] = frozenset()
+        self._bus = bus
+        self._keys = keys
+        self._name = name
+        self._sign = sign
+        self.patience = patience
+        self._utc = utc
+        self._clock = asyncio.get_running_loop().time
+        self.heard_at: float | None = None
+        self.its_clock = 0.0
+        self.doubtful_clocks: list[float] = []
+
+    async def is_there(self) -> bool:
+        """Whether its agent shows itself."""
+        if not self._known():
+            tokens = await self._bus.tokens(self._keys.live, timeout=self.patience)
+            self._found = frozenset(map(session_in, tokens))
+        return bool(self._sessions)
+
+    @property
+    def _sessions(self) -> Collection[str]:
+        return self._known() or self._found
+
+    async def ask(
+        self,
+        message: Message,
+        *,
+        fence: int = 0,
+        token: str = "",
+        clock: float = 0.0,
+        identity: str = "",
+        patience: float | None = None,
+    ) -> Reply:
+        """Ask for something, and wait for what becomes of it.
+
+        Args:
+            message: What: a question of the agent's messages.
+            fence: Number of the lease it is asked under; 0 for none.
+            token: Secret of that lease; it is proved, and not sent.
+            clock: The agent's own clock, at the earliest, s; by default what follows from its last
+                answer. What moves has to say it, and is not carried out when it is old.
+            identity: Of the order; a new one by default.
+            patience: Seconds without any answer after which the outcome is unknown.
+
+        Raises:
+            Unreachable: No agent of that name is there; nothing was sent.
+            OutcomeUnknown: Nobody knows what became of it.
+            StaleLease: The lease is not in force.
+            NotAllowed: The agent refused who asked.
+            M100Error: What the agent tells.
+        """
+        if not await self.is_there():
+            raise nobody_there(self._keys.name)
+        order = self._order(message, fence, token, clock or self._its_at_least(), identity)
+        key = self._key(message)
+        return _raised(await self._answered(key, order, patience or self.patience))
+
+    def lease_request(
+        self, action: LeaseAction = LeaseAction.ACQUIRE, offer: str = "", *, clock: float = 0.0
+    ) -> LeaseRequest:
+        """A request for the lease, for :meth:`take_lease`.
+
+        Args:
+            action: Acquire it, or confirm that it is taken over.
+            offer: What is confirmed.
+            clock: As :meth:`ask`.
+        """
+        half = Half()
+        ask = encode(LeaseAsk(0, action, self._name, offer))
+        order = self._around(ask, clock=clock or self._its_at_least(), key=half.public)
+        return LeaseRequest(order, half)
+
+    async def take_lease(self, request: LeaseRequest) -> tuple[Lease, float]:
+        """Ask for the lease, whose secret this side and the agent then know and nobody else.
+
+        Returns:
+            The lease, and the agent's time in its answer, s.
+
+        Raises:
+            M100Error: As :meth:`ask`.
+        """
+        if not await self.is_there():
+            raise nobody_there(self._keys.name)
+        reply = _raised(await self._answered(self._keys.lease, request.order, self.patience))
+        return request.lease(reply), reply.clock
+
+    async def renew(self, lease: Lease, clock: float, *, within: float) -> Reply | None:
+        """Renew a lease: what may be asked again, and nobody else can say.
+
+        Args:
+            lease: Which.
+            clock: As :meth:`ask`.
+            within: Seconds.
+
+        Returns:
+            The answer; None when none came in time that can be read, which says nothing.
+
+        Raises:
+            M100Error: As :meth:`ask`.
+        """
+        order = self._order(LeaseAsk(0, LeaseAction.RENEW), lease.number, lease.token, clock)
+        answers = await self._bus.ask(self._keys.lease, pack(order), timeout=within)
+        reply = self._read(answers, order)
+        if not isinstance(reply, Reply) or reply.progress is not Progress.DONE:
+            return None  # anybody may answer nonsense: it ends nothing that silence would not
+        return _raised(reply)
+
+    async def look(self, order: Order | None = None, *, within: float) -> Reply | None:
+        """Ask once what became of an order; of none, what time it is there.
+
+        Args:
+            order: As it was asked.
+            within: Seconds.
+
+        Returns:
+            The answer, whatever it says; None when none came in time that can be read.
+
+        Raises:
+            OutcomeUnknown: Two agents answered, or the reply belongs to another order.
+        """
+        asked = order or Order(uuid.uuid4().hex, self._keys.name, self._name, 0, 0.0, b"")
+        answers = await self._bus.ask(self._keys.status(asked.id), timeout=within)
+        reply = self._read(answers, asked)
+        return reply if isinstance(reply, Reply) else None
+
+    def is_of_aircraft(self, answer: Answer) -> bool:
+        """Whether it comes from a session that shows the aircraft's token."""
+        return answer.session in self._sessions
+
+    def _its_at_least(self) -> float:
+        """What the agent's clock shows by now, at the earliest; 0: nobody knows."""
+        if self.heard_at is None:
+            return 0.0
+        return self.its_clock + (self._clock() - self.heard_at) * (1 - DRIFT)
+
+    def _key(self, message: Message) -> str:
+        return self._keys.lease if isinstance(message, LeaseAsk) else self._keys.command
+
+    def around(self, message: bytes) -> Order:
+        """A new order around what is no message of the agent, such as a question about logs."""
+        return self._around(message)
+
+    def _order(
+        self,
+        message: Message,
+        fence: int = 0,
+        token: str = "",
+        clock: float = 0.0,
+        identity: str = "",
+    ) -> Order:
+        order = self._around(encode(message), fence, clock, identity)
+        return order.under(token) if token else order
+
+    def _around(
+        self,
+        message: bytes,
+        fence: int = 0,
+        clock: float = 0.0,
+        identity: str = "",
+        key: bytes = b"",
+    ) -> Order:
+        named, at = identity or uuid.uuid4().hex, self._utc()
+        order = Order(named, self._keys.name, self._name, fence, at, message, clock, key=key)
+        return self._sign(order)
+
+    async def _answered(self, key: str, order: Order, patience: float) -> Reply:
+        payload, status = pack(order), self._keys.status(order.id)
+        silent_since = began = self._clock()
+        sent = 0  # the question that the order was; 0: it is to be sent
+        async with Questions(self._bus) as questions:
+            while (left := silent_since + patience - self._clock()) > 0:
+                if not sent:
+                    # Only what never arrived is sent, and sent again.
+                    sent = questions.ask(key, payload, within=left)
+                elif questions.is_due:
+                    questions.ask(status, within=left)
+                number, reply = await self._next(questions, order, min(left, questions.left))
+                if isinstance(reply, MessageError):
+                    # Whoever answered may well have done it, and what he says cannot be read.
+                    raise OutcomeUnknown(reply.seen, cause=reply.cause, remedy=reply.remedy)
+                if reply is None:
+                    if questions.is_due:
+                        await asyncio.sleep(_AGAIN_S)
+                    continue
+                silent_since = self._clock()
+                if reply.progress is Progress.DONE:
+                    return reply
+                # What was asked before the order was sent again says nothing of that.
+                if reply.progress is Progress.NEVER and number > sent:
+                    if self._clock() - began >= patience:
+                        raise self._never_arrives()
+                    sent = 0
+                    await asyncio.sleep(_AGAIN_S)
+        raise OutcomeUnknown(
+            f"{self._keys.name} gave no answer for {patience:g} s",
+            cause="the way there or back is cut or takes longer, its agent hangs, or the router "
+            "lets no answer pass to this identity",
+        )
+
+    async def _next(
+        self, questions: Questions, order: Order, within: float
+    ) -> tuple[int, Reply | MessageError | None]:
+        """The next answer and the number of its question; none when it is to be asked again."""
+        until = self._clock() + within
+        while (left := until - self._clock()) > 0:
+            ended = await questions.answered(left)
+            if ended is None:
+                break
+            number, answers = ended
+            found = self._read(answers, order)
+            if found is not None:
+                return number, found
+            if questions.is_due:  # nobody was there for the newest one
+                break
+        return 0, None
+
+    def _never_arrives(self) -> OutcomeUnknown:
+        """It answers what became of the order, and the order does not come to it."""
+        return OutcomeUnknown(
+            f"{self._keys.name} answers, and has not heard of the order",
+            cause="the router routes no such order of this identity, or the way there loses it",
+            remedy="m100link fleet acl check FILE --who NAME, with the router's file of rights",
+        )
+
+    def _read(self, answers: Iterable[Answer], order: Order) -> Reply | MessageError | None:
+        """One answer, or why there are only such as cannot be read; None for none.
+
+        Raises:
+            OutcomeUnknown: There are answers of two agents, two that disagree, or one of another
+                order.
+        """
+        came = list(answers)
+        try:
+            found = believed(came, self._keys, order.id, self._sessions, order.digest())
+        except OutcomeUnknown:
+            self.doubtful_clocks = clocks_told(came, self._keys.name)
+            raise
+        if isinstance(found, Reply):
+            self.heard_at, self.its_clock = self._clock(), found.clock
+        return found
+
+
+def _raised(reply: Reply) -> Reply:
+    """The reply, if it is good; else raised as what it means."""
+    if reply.outcome is Outcome.OK:
+        return reply
+    error = (
+        reply.fault.error()
+        if reply.fault is not None
+        else MessageError(f"{reply.name} gave no reason")
+    )
+    kinds = {
+        Outcome.STALE_LEASE: StaleLease,
+        Outcome.NOT_ALLOWED: NotAllowed,
+        Outcome.UNKNOWN: OutcomeUnknown,
+    }
+    kind = kinds.get(reply.outcome)
+    if kind is not None and not isinstance(error, kind):
+        raise kind(error.seen, cause=error.cause, remedy=error.remedy) from error
+    raise error

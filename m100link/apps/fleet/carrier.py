@@ -1,0 +1,435 @@
+"""The way of a front to an agent of a fleet: a console on the ground flies what is far away.
+
+A front says what it would say to an agent on its own machine. Here that becomes orders of the
+fleet, with ids, signatures and the age that the agent looks at, and setpoints stamped by its clock.
+What the agent tells comes back with its times by the front's own clock: nobody takes what is old
+for new because two clocks differ.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from m100link.apps.agent.actions import LeaseAction, Stage
+from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.client import MAX_SILENCE
+from m100link.apps.agent.fault import Fault, MessageError, agent_gone
+from m100link.apps.agent.guided import GuidedOrder
+from m100link.apps.agent.lease import TAKE_OVER_LIFETIME, Lease, LeaseRefused
+from m100link.apps.agent.messages import (
+    VERSION,
+    Ask,
+    Event,
+    Goodbye,
+    Hello,
+    LeaseAsk,
+    LeaseChanged,
+    LeaseGranted,
+    LinkCounted,
+    Message,
+    Note,
+    Outcome,
+    State,
+    Steer,
+    SteerRefused,
+    TakeOverOffered,
+    Telemetry,
+)
+from m100link.apps.bus.network import Bus, Held
+from m100link.apps.fleet.asking import Asker
+from m100link.apps.fleet.clock import AgentClock
+from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.orders import revokes
+from m100link.apps.fleet.payloads import Reply, unpack_message
+from m100link.apps.fleet.sending import SetpointSender
+from m100link.errors import M100Error, UsageError
+
+__all__ = ["FleetChannel", "reach"]
+
+_logger = logging.getLogger(__name__)
+
+_GREETING_S = 1.5
+_CLOCK_S = 2.0
+"""Seconds between two looks at the agent's clock."""
+
+_RENEWAL_S = 0.4
+"""A tab renews with each beat; that often it goes over the network, be the last answered or not."""
+
+_UNANSWERED_S = 4.0
+_LET_GO_S = 1.0
+_MOST_LEASES = 8
+_MOST_ASKS = 64
+
+
+async def reach(bus: Bus, keys: Keys, asker: Callable[[str], Asker]) -> FleetChannel:
+    """A way to the agent of one aircraft.
+
+    Args:
+        bus: The network.
+        keys: Of the aircraft.
+        asker: What asks it, in the name of somebody.
+
+    Raises:
+        LinkError: It is not there, or it is older than this front.
+    """
+    channel = FleetChannel(bus, keys, asker)
+    if not await asker("").is_there() or not await channel.look_at_clock():
+        channel.close()
+        raise agent_gone(f"{keys.name} does not answer, or has an older release")
+    return channel
+
+
+class FleetChannel:
+    """A front's end; see :class:`m100link.apps.agent.carriers.Channel`.
+
+    Args:
+        bus: The network.
+        keys: Of the aircraft.
+        asker: What asks it, in the name of somebody.
+
+    Attributes:
+        unread: Messages that this version cannot read.
+        old: Messages that were too long on their way to say anything.
+        untaken: Messages that this side failed over; the first is in the log.
+    """
+
+    def __init__(self, bus: Bus, keys: Keys, asker: Callable[[str], Asker]) -> None:
+        self._bus, self._keys, self._asker_of = bus, keys, asker
+        self._asker = asker("")
+        self._clock = asyncio.get_running_loop().time
+        self._agent_clock = AgentClock()
+        self._setpoints = SetpointSender(bus, keys, self._agent_clock)
+        self._background = BackgroundTasks()
+        self._on_message: Callable[[Message], None] | None = None
+        self._on_closed: Callable[[str], None] | None = None
+        self._held: list[Held] = []
+        self._telemetry: Held | None = None
+        self._is_full = False
+        self._boot = ""
+        self._is_closed = False
+        # By the agent's clock: how new the word on the lease is that comes next, and when a lease
+        # was granted to this front, whose answer overtakes what was told before.
+        self._told_at = self._granted_at = 0.0
+        self._holder = LeaseChanged(0, "")
+        self._leases: dict[int, Lease] = {}
+        self._renewed_at = -_RENEWAL_S
+        # Why the newest setpoint that the agent told of was not flown. A page shows what is true of
+        # the newest beat: it is told again with each, until the agent says that they fly.
+        self._unflown: Fault | None = None
+        self._asks = 0
+        self._answered_at = self._clock()
+        self.unread = self.old = self.untaken = 0
+        self._sending: dict[type[Any], Callable[[Any], None]] = {
+            LeaseAsk: self._send_lease_ask,
+            Ask: self._send_ask,
+            Steer: self._steer,
+            **dict.fromkeys(GuidedOrder.__args__, self._send_ask),
+        }
+
+    # -- the channel -----------------------------------------------------------------------------
+
+    def open(self, on_message: Callable[[Message], None], on_closed: Callable[[str], None]) -> None:
+        """Begin to receive."""
+        self._on_message, self._on_closed = on_message, on_closed
+        bus, keys = self._bus, self._keys
+        self._deliver(Hello(VERSION, self._boot, self._clock()))
+        self._held += [
+            bus.subscribe(keys.told, self._hear),
+            bus.subscribe(keys.event, self._hear),
+            bus.watch(keys.live, self._token),
+        ]
+        self.watch(full=self._is_full)
+        self._background.spawn(self._keep_clock(), "clock of an agent")
+
+    def send(self, message: Message) -> None:
+        """Send a message; never waits. On a closed channel nothing happens."""
+        if self._is_closed or isinstance(message, Hello | Goodbye):
+            return
+        if isinstance(message, Note):  # the journal on board takes none from the network
+            _logger.info("%s: %s", self._keys.name, message.text)
+            return
+        sending = self._sending.get(type(message))
+        if sending is None:
+            raise MessageError(f"a front does not send {type(message).__name__}")
+        sending(message)
+
+    def close(self, reason: str = "") -> None:
+        """Close it. Leases that were granted here end by silence; see :meth:`let_go`."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        for one in (*self._held, self._setpoints, self._telemetry):
+            if one is not None:
+                one.close()
+        self._background.cancel()
+
+    def _end(self, reason: str) -> None:
+        is_new, on_closed = not self._is_closed, self._on_closed
+        self.close()
+        if is_new and on_closed is not None:
+            on_closed(reason)
+
+    async def let_go(self) -> None:
+        """Give back what was granted here: it hovers, and authority goes back. Before the close."""
+        lease = self._leases.get(self._holder.number)
+        if lease is not None and not self._is_closed:
+            try:
+                await self._asker.ask(
+                    LeaseAsk(0, LeaseAction.RELEASE),
+                    fence=lease.number,
+                    token=lease.token,
+                    patience=_LET_GO_S,
+                )
+            except M100Error as error:
+                _logger.warning("%s is left to silence: %s", self._keys.name, error.seen)
+
+    # -- what comes in ---------------------------------------------------------------------------
+
+    def watch(self, *, full: bool) -> None:
+        """Hear every package of telemetry, or what suffices for a wall."""
+        if self._is_closed or (self._telemetry is not None and full is self._is_full):
+            return
+        before, self._is_full = self._telemetry, full
+        key = self._keys.telemetry if full else self._keys.thinned
+        self._telemetry = self._bus.subscribe(key, self._hear)
+        if before is not None:
+            before.close()
+
+    def _token(self, _key: str, is_there: bool) -> None:
+        if not is_there:
+            self._end(f"{self._keys.name} is not there any more")
+
+    async def _keep_clock(self) -> None:
+        while True:
+            await asyncio.sleep(_CLOCK_S)
+            await self.look_at_clock()
+
+    async def look_at_clock(self) -> bool:
+        """Ask the agent what time it is there; whether it answered."""
+        asked_at = self._clock()
+        answers = await self._bus.ask(self._keys.told, timeout=_GREETING_S)
+        answered_at = self._clock()
+        for answer in answers:
+            if not self._asker.is_of_aircraft(answer):
+                continue
+            message = self._read(answer.payload)
+            if isinstance(message, Hello) and self._greeted(message):
+                self._heard_clock(asked_at, message.at, answered_at)
+                return True
+        return False
+
+    def _heard_clock(self, asked_at: float, its: float, answered_at: float) -> None:
+        self._answered_at = answered_at
+        self._agent_clock.heard(asked_at, its, answered_at)
+
+    def _greeted(self, hello: Hello) -> bool:
+        """Whether it is still the agent that it was."""
+        self._boot = self._boot or hello.name
+        if hello.version != VERSION:
+            self._end(f"it speaks version {hello.version}, this front {VERSION}")
+        elif hello.name != self._boot:
+            self._end(f"the agent of {self._keys.name} was started anew")
+        return not self._is_closed
+
+    def _read(self, payload: bytes) -> Message | None:
+        try:
+            return unpack_message(payload)
+        except MessageError as error:
+            if not self.unread:
+                _logger.warning(
+                    "what is told of %s cannot be read (more of it is counted): %s",
+                    self._keys.name,
+                    error.seen,
+                )
+            self.unread += 1
+            return None
+
+    def _hear(self, _key: str, payload: bytes) -> None:
+        message = self._read(payload)
+        if message is None or self._is_closed:
+            return
+        if isinstance(message, Hello):
+            self._told_at = message.at if self._greeted(message) else self._told_at
+        elif isinstance(message, LeaseChanged):
+            self._lease_changed(message)
+        else:
+            self._deliver_in_time(message)
+
+    def _deliver_in_time(self, message: Message) -> None:
+        """Hand over what was told, with its time by this side's clock."""
+        now = self._clock()
+        if isinstance(message, Telemetry):
+            at = self._ours(message.received_at, now)
+            message = replace(message, received_at=at)
+        elif isinstance(message, State | LinkCounted | Event):
+            at = self._ours(message.at, now)
+            message = replace(message, at=at)
+        else:
+            at = now
+        # What waited in the network does not make a silent agent one that is heard.
+        if now - at > MAX_SILENCE and not isinstance(message, Event):
+            self.old += 1
+        else:
+            self._deliver(message)
+
+    def _ours(self, its: float, now: float) -> float:
+        return min(now, its - (self._agent_clock.its(now) - now))
+
+    def _lease_changed(self, change: LeaseChanged) -> None:
+        is_overtaken = change.number < self._holder.number and self._told_at < self._granted_at
+        if change.number == self._holder.number or is_overtaken:
+            return
+        self._holder, self._unflown = change, None
+        self._deliver(change)
+
+    def _deliver(self, message: Message) -> None:
+        if self._on_message is None or self._is_closed:
+            return
+        try:
+            self._on_message(message)
+        except Exception:
+            # As with a socket: what goes wrong at one end does not happen to the other. Whoever
+            # tells it again and again would fill a disk.
+            if not self.untaken:
+                _logger.exception("a %s was not taken", type(message).__name__)
+            self.untaken += 1
+
+    # -- what goes out ---------------------------------------------------------------------------
+
+    def _answer(self, identity: int, reply: Reply | None, error: M100Error | None = None) -> None:
+        if error is not None and not identity:
+            _logger.warning("%s: %s", self._keys.name, error.seen)
+        if not identity:
+            return
+        if error is not None:
+            self._deliver(Outcome(identity, Stage.FAILED, Fault.of(error)))
+        elif reply is not None:
+            self._deliver(Outcome(identity, Stage.DONE, None, reply.text, reply.number))
+
+    def _spawn(self, message: Any, doing: Callable[[], Any], name: str) -> None:
+        # What ends a movement is never refused here, however much waits for answers.
+        if self._asks >= _MOST_ASKS and not revokes(message):
+            error = UsageError(f"{self._asks} questions of this front wait already")
+            self._answer(message.id, None, error)
+            return
+
+        self._asks += 1
+
+        async def carry_out() -> None:
+            try:
+                await doing()
+            except M100Error as error:
+                self._answer(message.id, None, error)
+            finally:
+                self._asks -= 1
+
+        self._background.spawn(carry_out(), f"{name} of {self._keys.name}")
+
+    def _send_ask(self, message: Ask | GuidedOrder) -> None:
+        # Stamped as it is said, not as its turn comes.
+        asker, fence = self._asker, message.fence
+        clock = self._agent_clock.made_at(self._clock(), asker.its_clock)
+
+        async def ask() -> None:
+            lease = self._leases.get(fence)
+            token = "" if lease is None else lease.token
+            plain = replace(message, id=0)
+            self._answer(message.id, await asker.ask(plain, fence=fence, token=token, clock=clock))
+
+        self._spawn(message, ask, type(message).__name__)
+
+    def _steer(self, steer: Steer) -> None:
+        try:
+            lease = self._leases.get(steer.fence)
+            if lease is None or steer.fence != self._holder.number:
+                raise LeaseRefused(f"lease {steer.fence} is not in force")
+            # Who steers renews nothing else meanwhile. What comes too late to be flown renews no
+            # lease, and that it was not flown, and how slow the way is, is told by renewals alone.
+            self._keep(lease)
+            self._require_answers()
+            self._setpoints.send(
+                steer.fence, lease.token, steer.setpoint, steer.lifetime, made_at=steer.sent_at
+            )
+            if self._unflown is not None:
+                self._deliver(SteerRefused(steer.fence, self._unflown))
+        except M100Error as error:
+            self._deliver(SteerRefused(steer.fence, Fault.of(error)))
+
+    def _require_answers(self) -> None:
+        """What the agent's clock showed long ago says nothing of how slow the way is by now."""
+        silent = self._clock() - self._answered_at
+        if silent > _UNANSWERED_S:
+            raise UsageError(
+                f"{self._keys.name} has answered nothing for {silent:.0f} s: nobody knows whether "
+                "it flies what is sent",
+                cause="the way there and back is cut, or takes too long",
+                remedy="let go, and look where the aircraft is",
+            )
+
+    # -- the lease -------------------------------------------------------------------------------
+
+    def _send_lease_ask(self, ask: LeaseAsk) -> None:
+        if ask.action is LeaseAction.RENEW and not ask.id:
+            lease = self._lease_of(ask)
+            if lease is not None:
+                self._keep(lease)
+            return
+        self._spawn(ask, lambda: self._ask_lease(ask), f"{ask.action.value} lease")
+
+    def _lease_of(self, ask: LeaseAsk) -> Lease | None:
+        """The lease that a front means, which was granted here."""
+        return next((one for one in self._leases.values() if one.token == ask.token), None)
+
+    def _keep(self, lease: Lease) -> None:
+        if self._clock() - self._renewed_at < _RENEWAL_S:
+            return
+        self._renewed_at = self._clock()
+        self._background.spawn(self._renew(lease), "renewal of a lease")
+
+    async def _renew(self, lease: Lease) -> None:
+        asked_at, fence = self._clock(), self._holder.number
+        made_at = self._agent_clock.made_at(asked_at, self._asker.its_clock)
+        try:
+            reply = await self._asker.renew(lease, made_at, within=_GREETING_S)
+        except M100Error as error:
+            _logger.info("%s: %s", self._keys.name, error.seen)  # who has it is told by the agent
+            return
+        if reply is not None:
+            self._heard_clock(asked_at, reply.clock, self._clock())
+            self._unflown = reply.fault
+            if reply.fault is not None:
+                self._deliver(SteerRefused(fence, reply.fault))
+
+    async def _ask_lease(self, ask: LeaseAsk) -> None:
+        asked_at = self._clock()
+        made_at = self._agent_clock.made_at(asked_at, self._asker.its_clock)
+        asker = self._asker_of(ask.name)
+        if ask.action in (LeaseAction.ACQUIRE, LeaseAction.CONFIRM):
+            request = asker.lease_request(ask.action, ask.token, clock=made_at)
+            lease, its = await asker.take_lease(request)
+            self._heard_clock(asked_at, its, self._clock())
+            # By what is told none of them ends: that may be old, lost on the way, or of a stranger,
+            # and who believes to have control has to be able to steer, and to give it back.
+            kept = sorted({**self._leases, lease.number: lease}.items())
+            self._leases = dict(kept[-_MOST_LEASES:])
+            self._granted_at = self._told_at = its
+            self._lease_changed(LeaseChanged(lease.number, lease.name))
+            self._deliver(LeaseGranted(ask.id, lease.name, lease.token, lease.number))
+            return
+        held = self._lease_of(ask)
+        fence, token = (0, "") if held is None else (held.number, held.token)
+        plain = replace(ask, id=0, token="")
+        reply = await asker.ask(plain, fence=fence, token=token, clock=made_at)
+        self._heard_clock(asked_at, reply.clock, self._clock())
+        if ask.action is LeaseAction.TAKE_OVER:
+            until = self._clock() + TAKE_OVER_LIFETIME
+            offer = (ask.id, ask.name, reply.text, reply.offer, reply.number, until)
+            self._deliver(TakeOverOffered(*offer))
+        elif ask.action is LeaseAction.RELEASE:
+            self._answer(ask.id, reply)
+        else:
+            self._deliver(LeaseGranted(ask.id, reply.text, ask.token, reply.number))

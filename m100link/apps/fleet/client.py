@@ -1,0 +1,437 @@
+"""A pilot's end of a fleet: who is there, and what each of them is asked."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self
+
+from m100link.apps.agent.actions import Action
+from m100link.apps.agent.fault import MessageError, fault_of
+from m100link.apps.agent.messages import Ask
+from m100link.apps.bus.network import Bus, Held
+from m100link.apps.fleet.age import ORDER_AGE
+from m100link.apps.fleet.asking import PATIENCE_S, Asker, Sign, nobody_there
+from m100link.apps.fleet.carrier import FleetChannel, reach
+from m100link.apps.fleet.control import FleetControl
+from m100link.apps.fleet.keys import DEFAULT_SITE, Keys, in_order, name_in, session_in
+from m100link.apps.fleet.logs.fetching import Fetched, LogFetcher, Progress
+from m100link.apps.fleet.logs.words import LogEntry
+from m100link.apps.fleet.missions.flight import mission_card
+from m100link.apps.fleet.outcome import Result
+from m100link.apps.fleet.payloads import Card, MissionCard, unpack
+from m100link.apps.fleet.session import open_fleet
+from m100link.apps.fleet.thinning import WALL_WITHIN_S
+from m100link.errors import GuardRefused, M100Error, OutcomeUnknown
+
+__all__ = ["Change", "Fleet", "FleetAircraft", "connect"]
+
+_ANSWER_S = 1.5
+_LANDINGS_ASKED = 3
+"""Once to hear what time it is there, once to be lost on the way."""
+
+_MOST_CHANGES = 4096
+_MOST_DOUBTFUL = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """An agent appeared, or is gone.
+
+    Attributes:
+        name: The aircraft.
+        is_there: Which of both.
+        silent_s: Seconds since it was heard last; None when it was never heard.
+    """
+
+    name: str
+    is_there: bool
+    silent_s: float | None = None
+
+
+class FleetAircraft:
+    """One aircraft of a fleet.
+
+    Args:
+        bus: The network.
+        keys: Its keys.
+        asker: Asks it.
+        name: Who asks, for people.
+    """
+
+    def __init__(self, bus: Bus, keys: Keys, asker: Asker, name: str) -> None:
+        self._bus = bus
+        self._asker = asker
+        self._name = name
+        self.keys = keys
+
+    def __repr__(self) -> str:
+        return f"<FleetAircraft {self.name!r} of {self.keys.site!r}>"
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return self.keys.name
+
+    @property
+    def asker(self) -> Asker:
+        """What asks it, for what has no method here."""
+        return self._asker
+
+    def control(
+        self, *, stop: Literal["hover", "land"] = "hover", take_over: bool = False
+    ) -> FleetControl:
+        """Control of it, as ``async with``: the lease, authority, and what flies.
+
+        Args:
+            stop: What is done when the block is left: ``hover`` or ``land``.
+            take_over: Take the lease from whoever has it.
+
+        Raises (when it is entered):
+            LeaseHeld: Another pilot has the lease.
+            M100Error: As :meth:`m100link.Control.obtain`, and :class:`m100link.errors.FleetError`.
+        """
+        return FleetControl(
+            self._bus, self.keys, self._asker, self._name, stop=stop, take_over=take_over
+        )
+
+    async def take_off(self) -> None:
+        """Take control, take off, give control back: it hovers.
+
+        Raises:
+            M100Error: As :meth:`control` and :meth:`m100link.Control.take_off`.
+        """
+        async with self.control() as control:
+            await control.take_off()
+
+    async def land(self) -> None:
+        """Land in place, whoever has control: it is taken over for that long. Needs no lease.
+
+        Raises:
+            GuardRefused: It came there more than 5 s after it was asked for, three times, and was
+                not begun: the way there and back takes longer.
+            M100Error: As :meth:`m100link.Control.land`, and :class:`m100link.errors.FleetError`.
+        """
+        self._asker.doubtful_clocks = []
+        for left in reversed(range(_LANDINGS_ASKED)):
+            try:
+                await self._asker.ask(Ask(0, Action.LAND))
+            except GuardRefused as error:
+                # It was not begun, and the answer told what time it is there: that is known now.
+                if error.guard != ORDER_AGE or not left:
+                    raise
+            except OutcomeUnknown:
+                await self._land_each(self._asker.doubtful_clocks)
+                raise
+            else:
+                return
+
+    async def _land_each(self, clocks: list[float]) -> None:
+        """Where nobody knows which of them is the aircraft, each is asked by its own time."""
+        asked = (self._asker.ask(Ask(0, Action.LAND), clock=one) for one in clocks[:_MOST_DOUBTFUL])
+        await asyncio.gather(*asked, return_exceptions=True)
+
+    async def stop(self) -> None:
+        """Stop whatever happens: motion, program, task. Needs no lease.
+
+        Raises:
+            FleetError: Unreachable, not allowed, or nobody knows.
+        """
+        await self._asker.ask(Ask(0, Action.STOP))
+
+    async def logs(self) -> list[LogEntry]:
+        """The flight logs on board, the newest first.
+
+        Raises:
+            Unreachable, NotAllowed: It is not there, or refused who asked.
+        """
+        return await self._fetcher().logs()
+
+    async def fetch_log(
+        self, log: str = "", to: Path | str = "", progress: Progress | None = None
+    ) -> Fetched:
+        """Bring a flight log here; what was cut off goes on where it ended.
+
+        Args:
+            log: Its name on board; that of the newest by default.
+            to: The folder for it, where it is ``NAME-LOG``; until it is whole, ``NAME-LOG.part``.
+            progress: Told how many bytes are here, and how many there will be.
+
+        Raises:
+            UsageError: There is no such log, or it cannot be written here.
+            Unreachable: It is not there, or gives no answer any more. What came is kept.
+            NotAllowed: It refused who asked.
+            FleetError: What came is not what it has.
+        """
+        return await self._fetcher().fetch(log, to, progress)
+
+    async def mission(self) -> MissionCard:
+        """Where its mission is.
+
+        Raises:
+            Unreachable, OutcomeUnknown: It is not there, or gives no answer.
+        """
+        if not await self._asker.is_there():
+            raise nobody_there(self.name)
+        return await mission_card(self._bus, self.keys, patience=self._asker.patience)
+
+    def _fetcher(self) -> LogFetcher:
+        return LogFetcher(self._bus, self.keys, self._asker)
+
+    async def card(self) -> Card:
+        """Where its agent stands.
+
+        Raises:
+            Unreachable, OutcomeUnknown: It is not there, or gives no answer.
+        """
+        found = await cards(self._bus, self.keys)
+        if self.name not in found:
+            await self._asker.ask(Ask(0, Action.VERSION))  # which says why
+            found = await cards(self._bus, self.keys)
+        return found[self.name]
+
+
+async def cards(bus: Bus, keys: Keys) -> dict[str, Card]:
+    """Where agents stand, by name: those that answered in time and can be read."""
+    found = {}
+    for answer in await bus.ask(keys.state, timeout=_ANSWER_S):
+        name = name_in(answer.key)
+        try:
+            card: Card = unpack(Card, answer.payload)
+            if card.name != name:  # rules of a router go by the key
+                raise MessageError(f"under the key of {name} somebody tells of {card.name}")
+        except MessageError as error:
+            # Another version, or a lie: it is told as what is wrong, not left out.
+            card = Card(name, "", 0.0, "unreadable", fault=fault_of(error))
+        found[name] = card
+    return found
+
+
+class Fleet:
+    """The aircraft of one site; to be used as ``async with``.
+
+    Args:
+        bus: The network.
+        site: Which site.
+        name: Who this is, for people.
+        sign: Signs orders.
+        patience: Seconds without any answer after which an outcome is unknown. An order over a way
+            of so many seconds needs more than twice as long.
+        utc: POSIX time, s.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        *,
+        site: str = DEFAULT_SITE,
+        name: str = "pilot",
+        sign: Sign | None = None,
+        patience: float = PATIENCE_S,
+        utc: Callable[[], float] = time.time,
+    ) -> None:
+        self.bus = bus
+        self.keys = Keys(site)
+        self._name = name
+        self._options: dict[str, Any] = {"patience": patience, "utc": utc}
+        if sign is not None:
+            self._options["sign"] = sign
+        self._clock = asyncio.get_running_loop().time
+        # Ids of the sessions that show the token of each.
+        self._present: dict[str, set[str]] = {}
+        self._heard_at: dict[str, float] = {}
+        self._listeners: list[tuple[deque[Change], asyncio.Event]] = []
+        self._held: list[Held] = []
+
+    async def __aenter__(self) -> Self:
+        # Asked before anything is watched: while zenoh fills the tables of a watch, it answers
+        # from what it has of them, and leaves out whom it does not have yet.
+        for token in await self._tokens():
+            self._on_token(token, is_there=True)
+        self._held = [
+            self.bus.subscribe(self.keys.state, self._on_state, within=WALL_WITHIN_S),
+            self.bus.watch(self.keys.live, self._on_token),
+        ]
+        return self
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        for one in self._held:
+            one.close()
+
+    # -- who is there ----------------------------------------------------------------------------
+
+    def _on_state(self, key: str, payload: bytes) -> None:
+        self._heard_at[name_in(key)] = self._clock()
+
+    def _on_token(self, key: str, is_there: bool) -> None:
+        name = name_in(key)
+        if not name:
+            return
+        sessions = self._present.setdefault(name, set())
+        had = bool(sessions)
+        (sessions.add if is_there else sessions.discard)(session_in(key))
+        if not sessions:
+            del self._present[name]
+        if had != bool(sessions):
+            self._tell(name, is_there=is_there)
+
+    def _tell(self, name: str, *, is_there: bool) -> None:
+        heard_at = self._heard_at.get(name)
+        silent = None if heard_at is None else self._clock() - heard_at
+        change = Change(name, is_there, silent)
+        for waiting, event in self._listeners:
+            waiting.append(change)
+            event.set()
+
+    async def _tokens(self) -> list[str]:
+        return await self.bus.tokens(self.keys.live, timeout=self._options["patience"])
+
+    @property
+    def present(self) -> frozenset[str]:
+        """Names of the agents that are there, as far as is known."""
+        return frozenset(self._present)
+
+    async def names(self) -> list[str]:
+        """Names of the agents that are there: those that were seen come, and who is found now."""
+        found = filter(None, map(name_in, await self._tokens()))
+        return in_order(set(self._present).union(found))
+
+    async def changes(self) -> AsyncIterator[Change]:
+        """Who appears and who is gone, without end; first those that are there."""
+        waiting: deque[Change] = deque(
+            (Change(name, True) for name in in_order(self._present)), maxlen=_MOST_CHANGES
+        )
+        event = asyncio.Event()
+        listener = (waiting, event)
+        self._listeners.append(listener)
+        try:
+            while True:
+                while waiting:
+                    yield waiting.popleft()
+                event.clear()
+                await event.wait()
+        finally:
+            self._listeners.remove(listener)
+
+    async def cards(self) -> dict[str, Card]:
+        """Where the agents stand, by name: those that answered in time."""
+        found = await cards(self.bus, self.keys)
+        # A router with rules lets nobody ask all who may not ask each.
+        others = [Keys(self.keys.site, name) for name in await self.names() if name not in found]
+        for more in await asyncio.gather(*(cards(self.bus, keys) for keys in others)):
+            found |= more
+        return found
+
+    # -- what they are asked ---------------------------------------------------------------------
+
+    def __getitem__(self, name: str) -> FleetAircraft:
+        """One aircraft, whether it is there or not.
+
+        Raises:
+            UsageError: That cannot be a name.
+        """
+        return FleetAircraft(self.bus, Keys(self.keys.site, name), self.asker(name), self._name)
+
+    def asker(self, name: str, by: str = "") -> Asker:
+        """What asks one aircraft.
+
+        Args:
+            name: Of the aircraft.
+            by: Who of those that ask by this end, for people.
+
+        Raises:
+            UsageError: That cannot be a name.
+        """
+        return Asker(
+            self.bus,
+            Keys(self.keys.site, name),
+            f"{self._name}: {by}" if by else self._name,
+            sessions=lambda: self._present.get(name, frozenset()),
+            **self._options,
+        )
+
+    async def reach(self, name: str) -> FleetChannel:
+        """A way for a front to the agent of one aircraft: what a console flies it by.
+
+        Raises:
+            LinkError: It is not there, or it is older than this front.
+            UsageError: That cannot be a name.
+        """
+        keys = Keys(self.keys.site, name)
+        return await reach(self.bus, keys, lambda by: self.asker(name, by))
+
+    async def each(
+        self,
+        do: Callable[[FleetAircraft], Awaitable[object]],
+        names: Iterable[str] | None = None,
+    ) -> dict[str, Result]:
+        """Do something with each aircraft, all at once.
+
+        Nobody waits for another one, and what goes wrong with one is its result.
+
+        Args:
+            do: What; an error of this package that it raises is that aircraft's result.
+            names: Which; all that are there by default.
+
+        Returns:
+            A result for every name.
+        """
+        wanted = list(dict.fromkeys(await self.names() if names is None else names))
+
+        async def one(name: str) -> Result:
+            try:
+                return Result.of(name, None, await do(self[name]))
+            except M100Error as error:
+                return Result.of(name, error)
+
+        results = await asyncio.gather(*map(one, wanted))
+        return {result.name: result for result in results}
+
+    async def land(self, names: Iterable[str] | None = None) -> dict[str, Result]:
+        """Let each land, whoever has control."""
+        return await self.each(FleetAircraft.land, names)
+
+    async def stop(self, names: Iterable[str] | None = None) -> dict[str, Result]:
+        """Stop each, whatever it does."""
+        return await self.each(FleetAircraft.stop, names)
+
+
+@asynccontextmanager
+async def connect(
+    *endpoints: str,
+    site: str = DEFAULT_SITE,
+    name: str = "pilot",
+    sign: Sign | None = None,
+    options: dict[str, str] | None = None,
+    patience: float = PATIENCE_S,
+) -> AsyncIterator[Fleet]:
+    """A fleet, by the routers that its agents know.
+
+    Args:
+        endpoints: Of routers, such as ``tcp/127.0.0.1:7447``; the first that answers serves.
+        site: Which site.
+        name: Who this is, for people.
+        sign: Signs orders; see :mod:`m100link.apps.fleet.identity`.
+        options: More options of zenoh, by name, as JSON: certificates, for example.
+        patience: Seconds without any answer after which an outcome is unknown.
+
+    Raises:
+        UsageError: The package is missing, an endpoint or option cannot be, or no router answered
+            within 2 s.
+    """
+    async with (
+        open_fleet("client", connect=endpoints, options=options) as bus,
+        Fleet(bus, site=site, name=name, sign=sign, patience=patience) as fleet,
+    ):
+        yield fleet

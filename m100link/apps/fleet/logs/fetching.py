@@ -1,0 +1,256 @@
+"""Fetches logs of one aircraft of a fleet, and goes on where it was cut off.
+
+What has come is kept in a file whose name ends in ``.part``. Whatever ends a fetch, the next one of
+the same log goes on there; whether all of it is what the aircraft has, the digest at its end says.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from m100link.apps.agent.fault import MessageError
+from m100link.apps.bus.network import Bus
+from m100link.apps.fleet.asking import PATIENCE_S, Asker, nobody_there
+from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.logs.part import Part
+from m100link.apps.fleet.logs.words import (
+    LogEntry,
+    LogQuestion,
+    LogReply,
+    What,
+    pack_question,
+    unpack_entries,
+    unpack_reply,
+)
+from m100link.apps.fleet.outcome import Outcome
+from m100link.apps.fleet.payloads import pack
+from m100link.errors import FleetError, M100Error, Unreachable, UsageError
+from m100link.log.folder import is_log_name
+
+__all__ = ["PIECE", "Fetched", "LogFetcher", "Progress"]
+
+PIECE = 64 * 1024
+"""Bytes that are asked for at once: what is under way when somebody else asks is little."""
+
+_ANSWER_S = 2.0
+_AGAIN_S = 0.2
+_MOST_AGAIN_S = 2.0
+
+_in_thread = asyncio.to_thread
+
+Progress = Callable[[int, int], None]
+"""Told how many bytes of a log are here, and how many there will be."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fetched:
+    """A log that is here.
+
+    Attributes:
+        name: Of which aircraft.
+        log: Its name on board.
+        path: The file.
+        size: Bytes.
+        came: Bytes of them that came now; the others were here already.
+        is_written: Whether it was being written still: this is what was there of it.
+    """
+
+    name: str
+    log: str
+    path: Path
+    size: int
+    came: int
+    is_written: bool
+
+
+class LogFetcher:
+    """Asks one aircraft for its logs.
+
+    Args:
+        bus: The network.
+        keys: Of the aircraft.
+        asker: What asks it.
+        patience: Seconds without any answer after which it counts as gone.
+    """
+
+    def __init__(self, bus: Bus, keys: Keys, asker: Asker, *, patience: float = PATIENCE_S) -> None:
+        self._bus, self._keys, self._asker, self._patience = bus, keys, asker, patience
+        self._clock = asyncio.get_running_loop().time
+        self._has_answered = False
+
+    async def logs(self) -> list[LogEntry]:
+        """The logs on board, the newest first.
+
+        Raises:
+            Unreachable: It is not there, or gives no answer.
+            NotAllowed: It refused who asked.
+        """
+        _, data = await self._ask(LogQuestion(What.LIST))
+        return unpack_entries(data)
+
+    async def fetch(
+        self, log: str = "", to: Path | str = "", progress: Progress | None = None
+    ) -> Fetched:
+        """Bring a log here, or what is still missing of it.
+
+        Args:
+            log: Its name; that of the newest by default.
+            to: The folder for it; it is made.
+            progress: Told how far it is.
+
+        Raises:
+            UsageError: There is no such log, or it cannot be written here.
+            Unreachable: It is not there, or gives no answer any more. What came is kept.
+            NotAllowed: It refused who asked.
+            FleetError: What came is not what it has.
+        """
+        entry = await self._entry(log)
+        part = await _in_thread(Part, Path(to), f"{self._keys.name}-{entry.log}")
+        try:
+            await _in_thread(part.open, entry.size)
+            return await self._fetch(entry, part, progress or _ignore)
+        except M100Error as error:
+            raise _with_rest(error, part, entry.size) from error
+        finally:
+            part.close()  # at once: whoever was cancelled is cancelled at every wait
+
+    async def _entry(self, log: str) -> LogEntry:
+        if log and not is_log_name(log):
+            raise UsageError(
+                f"{log!r} is no name of a log", remedy=f"m100link fleet log list {self._keys.name}"
+            )
+        entries = await self.logs()
+        if not entries:
+            raise UsageError(
+                f"{self._keys.name} has no logs",
+                cause="nothing is recorded there (--no-record), or no aircraft was connected yet",
+            )
+        found = next((one for one in entries if log in ("", one.log)), None)
+        if found is None:
+            raise UsageError(
+                f"{self._keys.name} has no log {log}",
+                cause="it made room for newer ones, or is of another aircraft",
+                remedy=f"m100link fleet log list {self._keys.name}",
+            )
+        return found
+
+    async def _fetch(self, entry: LogEntry, part: Part, progress: Progress) -> Fetched:
+        name, size = self._keys.name, entry.size
+        fetched = Fetched(name, entry.log, part.whole, size, 0, entry.is_written)
+        if await _in_thread(part.whole.exists):
+            have = await self._same(entry, part)
+            if have == size:
+                progress(size, size)
+                return fetched
+            await _in_thread(part.take_up)
+        at = began_at = part.at
+        while True:
+            progress(at, size)
+            while at < size:
+                data = await self._piece(entry.log, at, min(PIECE, size - at))
+                await _in_thread(part.add, data)
+                at += len(data)
+                progress(at, size)
+            if await self._digest(entry.log, size) == await _in_thread(part.digest):
+                await _in_thread(part.finish)
+                return replace(fetched, came=size - began_at)
+            await _in_thread(part.forget)
+            if not began_at:
+                raise FleetError(
+                    f"what came of {entry.log} is not what {name} has",
+                    cause="it was changed on board meanwhile, or on its way",
+                    remedy="fetch it again",
+                )
+            at = began_at = 0  # what was here from before is of something else
+
+    async def _same(self, entry: LogEntry, part: Part) -> int:
+        """How many bytes of the log were fetched before.
+
+        Raises:
+            UsageError: The file of that name is another one.
+        """
+        have, digest = await _in_thread(part.whole_digest)
+        if have > entry.size or await self._digest(entry.log, have) != digest:
+            raise UsageError(
+                f"{part.whole} is there already, and is not that log",
+                remedy="name another folder by --to",
+            )
+        return have
+
+    async def _piece(self, log: str, at: int, length: int) -> bytes:
+        reply, data = await self._ask(LogQuestion(What.PIECE, log, at, length))
+        if reply.offset != at or not 0 < len(data) <= length:
+            raise UsageError(
+                f"{log} of {self._keys.name} ends at {reply.size} bytes",
+                cause="it became shorter on board meanwhile",
+                remedy="fetch it again",
+            )
+        return data
+
+    async def _digest(self, log: str, length: int) -> bytes:
+        _, digest = await self._ask(LogQuestion(What.DIGEST, log, 0, length))
+        return digest
+
+    async def _ask(self, question: LogQuestion) -> tuple[LogReply, bytes]:
+        """Ask until it is answered: nothing on board changes by it."""
+        name = self._keys.name
+        # One that has answered may come back, with the router or by being started anew.
+        if not self._has_answered and not await self._asker.is_there():
+            raise nobody_there(name)
+        silent_since = self._clock()
+        unread: MessageError | None = None
+        while self._clock() - silent_since < self._patience:
+            # A new one each time, for a signature ages.
+            order = self._asker.around(pack_question(question))
+            found = None
+            answers = await self._bus.ask(self._keys.log, pack(order), timeout=_ANSWER_S)
+            for answer in filter(self._asker.is_of_aircraft, answers):
+                try:
+                    reply, data = unpack_reply(answer.payload)
+                except MessageError as error:
+                    unread = error
+                    continue
+                if reply.name == name and reply.id in (order.id, ""):
+                    found = reply, data
+            if found is None:
+                await asyncio.sleep(_AGAIN_S)
+                continue
+            self._has_answered = True
+            reply, data = found
+            if reply.outcome is not Outcome.OK:
+                raise _error_of(reply)
+            if reply.again_s <= 0.0:
+                return reply, data
+            silent_since = self._clock()
+            await asyncio.sleep(min(reply.again_s, _MOST_AGAIN_S))
+        if unread is not None:
+            raise unread
+        raise Unreachable(
+            f"{name} gave no answer about its logs for {self._patience:g} s",
+            cause="the way there or back is cut, its agent hangs or is an old one, or the router "
+            "lets no answer pass to this identity",
+            remedy="m100link fleet acl check FILE --who NAME, with the router's file of rights",
+        )
+
+
+def _error_of(reply: LogReply) -> M100Error:
+    if reply.fault is None:
+        return MessageError(f"{reply.name} gave no reason")
+    return reply.fault.error()
+
+
+def _with_rest(error: M100Error, part: Part, size: int) -> M100Error:
+    """The error, with what is here already."""
+    told = error.again()
+    if part.at:
+        told.seen = f"{error.seen}; {part.at:,} of {size:,} bytes are in {part.path}"
+        told.remedy = error.remedy or "the same command goes on there"
+        told.args = (told.seen, told.cause, told.remedy)
+    return told
+
+
+def _ignore(at: int, size: int) -> None:
+    """Nobody wants to know how far it is."""

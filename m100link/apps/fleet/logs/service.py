@@ -1,0 +1,249 @@
+"""The logs of one aircraft, for whoever may watch it.
+
+Whoever flies comes first. Threads of its own read the disk, so many bytes a second leave it and
+no more, and few questions wait: of a flood most are dropped before they are read. Nothing is kept
+for who asks; who is slow, or gone, costs nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import OrderedDict
+from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.fault import fault_of
+from m100link.apps.bus.network import Bus, Question
+from m100link.apps.fleet.agent import Verify
+from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.logs.shelf import Shelf
+from m100link.apps.fleet.logs.words import (
+    LogQuestion,
+    LogReply,
+    What,
+    pack_entries,
+    pack_reply,
+    unpack_question,
+)
+from m100link.apps.fleet.outcome import outcome_of
+from m100link.apps.fleet.payloads import Order, unpack
+from m100link.errors import M100Error, NotAllowed, UsageError
+
+__all__ = ["RATE", "LogService"]
+
+T = TypeVar("T")
+
+RATE = 1_000_000
+"""Bytes of logs a second that leave an aircraft, by default: 38 MB of an hour in 38 s, and a radio
+of 10 Mbit/s has room for orders."""
+
+_MOST_WAITING = 16
+_MOST_WAIT_S = 0.5
+_LIST_COSTS = 64 * 1024
+_DIGEST_S = 0.5
+_MOST_DIGESTS = 8
+
+
+class Apart(Protocol):
+    """Where the disk is waited for."""
+
+    async def do(self, work: Callable[[], T]) -> T:
+        """Have it done, and wait for what it gives."""
+        ...
+
+    def close(self) -> None:
+        """Nothing more is done."""
+
+
+class OwnThreads:
+    """Threads of its own: a disk that hangs must not hold up what others have threads for.
+
+    One for the digest that is made at a time, one for everything else.
+
+    Args:
+        name: Of the threads.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._threads = ThreadPoolExecutor(2, thread_name_prefix=name)
+
+    async def do(self, work: Callable[[], T]) -> T:
+        """Have it done, and wait for what it gives."""
+        return await asyncio.get_running_loop().run_in_executor(self._threads, work)
+
+    def close(self) -> None:
+        """Nothing more is done; what has begun is not waited for."""
+        self._threads.shutdown(wait=False, cancel_futures=True)
+
+
+class LogService:
+    """One aircraft's end.
+
+    Args:
+        bus: The network.
+        keys: Its keys.
+        folder: Where its logs are; None for nowhere.
+        verify: Looks at each question; without it the router alone decides who may ask.
+        rate: Bytes a second, at most.
+        apart: Where the disk is waited for.
+
+    Attributes:
+        dropped: Questions of a flood that were not read.
+
+    Raises:
+        UsageError: Nothing could ever leave at that rate.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        folder: Path | None,
+        *,
+        verify: Verify | None = None,
+        rate: float = RATE,
+        apart: Apart | None = None,
+    ) -> None:
+        if not rate > 0.0:
+            raise UsageError(f"logs cannot leave at {rate:g} bytes a second")
+        self._bus, self._keys, self._verify = bus, keys, verify
+        self._shelf = Shelf(folder)
+        self._rate = rate
+        self._clock = asyncio.get_running_loop().time
+        self._free_at = self._clock()
+        self._background = BackgroundTasks()
+        self._waiting = 0
+        self._is_ended = False
+        self._apart = apart or OwnThreads(f"logs of {keys.name}")
+        self._digests: OrderedDict[tuple[str, int], asyncio.Task[bytes]] = OrderedDict()
+        self.dropped = 0
+        self._doing: dict[What, Callable[[LogQuestion, Order], Awaitable[bytes]]] = {
+            What.LIST: self._list,
+            What.PIECE: self._piece,
+            What.DIGEST: self._digest,
+        }
+
+    async def run(self) -> None:
+        """Answer until this is cancelled."""
+        with ExitStack() as stack:
+            stack.callback(self._end)
+            served = self._bus.serve(self._keys.log, self._on_question, depth=_MOST_WAITING)
+            stack.callback(served.close)
+            try:
+                await asyncio.Event().wait()
+            finally:
+                await self._background.end()
+
+    def _end(self) -> None:
+        self._is_ended = True
+        self._apart.close()
+
+    def _on_question(self, question: Question) -> None:
+        if self._waiting >= _MOST_WAITING:
+            self.dropped += 1
+            question.drop()
+            return
+        self._waiting += 1
+        self._background.spawn(self._answer(question), "question about logs")
+
+    async def _answer(self, question: Question) -> None:
+        identity = ""
+        try:
+            order: Order = unpack(Order, question.payload)
+            identity = order.id
+            payload = await self._answered(order)
+        except M100Error as error:
+            fault = LogReply(identity, self._keys.name, outcome_of(error), fault_of(error))
+            payload = pack_reply(fault)
+        finally:
+            self._waiting -= 1
+        question.answer(self._keys.log, payload)
+
+    async def _answered(self, order: Order) -> bytes:
+        """The answer.
+
+        Raises:
+            NotAllowed: Not for this aircraft, or not by this identity.
+            MessageError: It asks nothing about logs.
+            UsageError: There is no such log.
+        """
+        if order.aircraft != self._keys.name:
+            raise NotAllowed(f"an order to {order.aircraft} came to {self._keys.name}")
+        if self._verify is not None:
+            self._verify(order)
+        question = unpack_question(order.message)
+        return await self._doing[question.what](question, order)
+
+    def _turn(self, size: int) -> float:
+        """Seconds until the turn of so many bytes; a negative number is when to ask again."""
+        now = self._clock()
+        waits = max(0.0, self._free_at - now)
+        if waits > _MOST_WAIT_S:
+            return -waits
+        self._free_at = now + waits + size / self._rate
+        return waits
+
+    async def _may_go(self, size: int) -> float:
+        """Wait for the turn of so many bytes; 0, or seconds after which to ask again."""
+        waits = self._turn(size)
+        if waits < 0.0:
+            return -waits
+        await asyncio.sleep(waits)
+        return 0.0
+
+    async def _list(self, question: LogQuestion, order: Order) -> bytes:
+        again = await self._may_go(_LIST_COSTS)
+        entries = [] if again else await self._apart.do(self._shelf.entries)
+        return pack_reply(
+            self._reply(order, again_s=again), b"" if again else pack_entries(entries)
+        )
+
+    async def _piece(self, question: LogQuestion, order: Order) -> bytes:
+        again = await self._may_go(question.length)
+        if again:
+            return pack_reply(self._reply(order, again_s=again))
+        log, offset, length = question.log, question.offset, question.length
+        data, entry = await self._apart.do(lambda: self._shelf.piece(log, offset, length))
+        reply = self._reply(order, offset=offset, size=entry.size, is_written=entry.is_written)
+        return pack_reply(reply, data)
+
+    async def _digest(self, question: LogQuestion, order: Order) -> bytes:
+        """Of one log at a time: whoever asks comes again until it is ready."""
+        wanted = (question.log, question.length)
+        task = self._digests.get(wanted)
+        if task is None:
+            if any(not one.done() for one in self._digests.values()):
+                return pack_reply(self._reply(order, again_s=_DIGEST_S))
+            task = self._background.spawn(self._digested(*wanted), f"digest of {question.log}")
+            self._digests[wanted] = task
+            while len(self._digests) > _MOST_DIGESTS:
+                self._digests.popitem(last=False)
+        await asyncio.wait([task], timeout=_DIGEST_S)
+        if not task.done():
+            return pack_reply(self._reply(order, again_s=_DIGEST_S))
+        if task.cancelled() or task.exception() is not None:
+            del self._digests[wanted]  # another time the disk may do it
+        return pack_reply(self._reply(order, size=question.length), await task)
+
+    async def _digested(self, log: str, length: int) -> bytes:
+        return await self._apart.do(
+            lambda: self._shelf.digest(log, length, lambda: not self._is_ended)
+        )
+
+    def _reply(
+        self,
+        order: Order,
+        *,
+        again_s: float = 0.0,
+        offset: int = 0,
+        size: int = 0,
+        is_written: bool = False,
+    ) -> LogReply:
+        name = self._keys.name
+        return LogReply(
+            order.id, name, again_s=again_s, offset=offset, size=size, is_written=is_written
+        )

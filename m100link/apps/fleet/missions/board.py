@@ -1,0 +1,235 @@
+"""The missions of one aircraft, at its agent on board.
+
+A plan comes whole or not at all: in one order, and the start names the digest of what it starts. So
+nothing flies of an upload that was lost half-way, and nothing of one plan in the middle of another.
+The aircraft hears of it when it is started; whatever ends the lease or the agent's block stops it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+from dataclasses import replace
+
+from m100link.apps.agent.actions import TAKE_OFF_FIRST, UNTIL_OVER, Action
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.fault import Fault, fault_of
+from m100link.apps.agent.lease import Lease
+from m100link.apps.agent.message_bytes import encode
+from m100link.apps.agent.messages import Ask, LeaseChanged, MissionTold, PlanTold
+from m100link.apps.agent.plan_told import plan_of
+from m100link.apps.fleet.missions.stages import MissionInput, MissionStage, after
+from m100link.apps.fleet.payloads import MissionCard
+from m100link.errors import M100Error, UsageError
+from m100link.geodesy import distance_m
+from m100link.missions.plan import WaypointPlan
+from m100link.protocol.records import Position
+
+__all__ = ["Missions", "digest_of"]
+
+_FRESH_S = 5.0
+_REACHED, _FINISHED = 2, 1
+_ARRIVED = 4
+"""The second byte of a push that a waypoint was reached; it says, too, that its actions ended."""
+
+_MOST_REACHED = 1024
+
+
+def digest_of(plan: PlanTold) -> str:
+    """What names a plan: SHA-256 over what would be told to the aircraft, hex."""
+    return hashlib.sha256(encode(replace(plan, name=""))).hexdigest()
+
+
+class Missions:
+    """The missions of one aircraft.
+
+    Args:
+        client: What knows its agent.
+
+    Attributes:
+        stage: How far the mission is.
+    """
+
+    def __init__(self, client: AgentClient) -> None:
+        self._client = client
+        self.stage = MissionStage.NONE
+        self._plan: WaypointPlan | None = None
+        self._digest, self._by, self._points = "", "", 0
+        # One plan at a time goes to the agent, and none while it begins to fly one.
+        self._telling = asyncio.Lock()
+        self._reached = bytearray()
+        self._begun_at: float | None = None
+        self._ended_at: float | None = None
+        self._is_paused = self._is_finished = False
+        self._fault: Fault | None = None
+        client.on_mission_told.append(self._told)
+        client.on_lease.append(self._lease_changed)
+
+    # -- orders ----------------------------------------------------------------------------------
+
+    async def upload(self, lease: Lease, plan: PlanTold, by: str) -> str:
+        """Take a plan; nothing is told to the aircraft.
+
+        Args:
+            lease: The lease.
+            plan: All of it.
+            by: Who sends it, for people.
+
+        Returns:
+            Its digest, by which it is started.
+
+        Raises:
+            UsageError: It is none that this version can read, or cannot be flown.
+            MissionRunning: One flies.
+            M100Error: As the agent tells.
+        """
+        found = plan_of(plan)
+        if found is None:
+            raise UsageError(
+                "what was uploaded is no plan that can be flown",
+                cause="pilot and agent are of different releases",
+                remedy="install the same release on both",
+            )
+        async with self._telling:
+            after(self.stage, MissionInput.UPLOADED)
+            # Until all of it is there the one before is void.
+            self.void()
+            ask = self._client.ask
+            await ask(Action.MISSION_PLAN, lease, data=plan.mission)
+            for point in plan.points:
+                await ask(Action.MISSION_POINT, lease, data=point)
+            self._client.check(lease)
+            self.stage = after(self.stage, MissionInput.UPLOADED)
+            self._digest, self._plan, self._by = digest_of(plan), found, by
+            self._points = len(found.waypoints)
+            self._clear()
+            return self._digest
+
+    def _clear(self) -> None:
+        self._reached.clear()
+        self._begun_at = self._ended_at = self._fault = None
+        self._is_paused = self._is_finished = False
+
+    async def start(self, lease: Lease, ask: Ask) -> None:
+        """Let the plan fly; done when it has begun, or with ``UNTIL_OVER`` when it is over.
+
+        Args:
+            lease: The lease.
+            ask: What was asked for; its data is the digest of the plan, empty for whichever is
+                there.
+
+        Raises:
+            UsageError: It is another plan, there is none, or one is being uploaded.
+            MissionRunning: One flies.
+            M100Error: As :meth:`m100link.apps.agent.agent.Agent.fly_mission`.
+        """
+        after(self.stage, MissionInput.ASKED)
+        if self._telling.locked():
+            # Not to be waited for: somebody may press STOP meanwhile, and it would start behind it.
+            raise UsageError(
+                "a plan is being uploaded; nothing was started", remedy="start it then"
+            )
+        async with self._telling:
+            named = ask.data.decode("ascii", "replace")
+            if named and named != self._digest:
+                raise UsageError(
+                    "the plan that is to start is not the one on board; nothing was started",
+                    cause="another one was uploaded since, or the lease under which it came ended",
+                    remedy="upload it again, then start",
+                )
+            self.stage = after(self.stage, MissionInput.ASKED)
+            self._clear()
+            begun = asyncio.Event()
+            flying = self._client.background.spawn(
+                self._fly(lease, ask.number & TAKE_OFF_FIRST, begun), "mission of a fleet"
+            )
+            beginning = asyncio.ensure_future(begun.wait())
+            try:
+                await asyncio.wait((flying, beginning), return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                beginning.cancel()
+        if flying.done() or ask.number & UNTIL_OVER:
+            await asyncio.shield(flying)
+
+    async def _fly(self, lease: Lease, number: int, begun: asyncio.Event) -> None:
+        def accepted() -> None:
+            self.stage = after(self.stage, MissionInput.BEGUN)
+            self._begun_at = self._client.now
+            begun.set()
+
+        try:
+            await self._client.ask(
+                Action.MISSION_START, lease, number=number | UNTIL_OVER, accepted=accepted
+            )
+            self._is_finished = True
+        except M100Error as error:
+            self._fault = fault_of(error)
+            raise
+        finally:
+            self.stage = after(self.stage, MissionInput.ENDED)
+            self._ended_at = self._client.now
+            self._is_paused = False
+
+    def void(self) -> None:
+        """The plan on board is not the one that was named any more."""
+        self._digest, self._plan = "", None
+
+    def paused(self, action: Action) -> None:
+        """A pause or its end was carried out."""
+        self._is_paused = action is Action.MISSION_PAUSE and self.stage is MissionStage.FLYING
+
+    # -- what happens ----------------------------------------------------------------------------
+
+    def _told(self, told: MissionTold) -> None:
+        if told.event == _REACHED and told.data[1:2] == bytes([_ARRIVED]):
+            self._reached += told.data[:1]
+            del self._reached[:-_MOST_REACHED]
+        elif told.event == _FINISHED:
+            self._is_finished = True
+
+    def _lease_changed(self, change: LeaseChanged) -> None:
+        self.stage = after(self.stage, MissionInput.LEASE_ENDED)
+        self.void()  # whoever comes next starts nothing of it
+
+    # -- what is told ----------------------------------------------------------------------------
+
+    @property
+    def words(self) -> str:
+        """What the aircraft flies by itself, in words; empty for nothing."""
+        state = self._client.state
+        if self.stage is MissionStage.FLYING:
+            paused = ", paused" if self._is_paused else ""
+            return f"mission, {len(set(self._reached))} of {self._points}{paused}"
+        return "" if state.mission == "no mission" else state.mission
+
+    def card(self, name: str, boot: str) -> MissionCard:
+        """Where the mission is."""
+        client, state, plan = self._client, self._client.state, self._plan
+        until = client.now if self._ended_at is None else self._ended_at
+        index = state.mission_index
+        position = None
+        if client.telemetry is not None:
+            position = client.telemetry.finite(Position, within=_FRESH_S)
+        ahead = plan.waypoints[index:] if plan is not None and index >= 0 else ()
+        distance = None
+        if self.stage is MissionStage.FLYING and ahead and position and position.is_possible:
+            there = (ahead[0].latitude_deg, ahead[0].longitude_deg)
+            distance = distance_m(position.latitude_deg, position.longitude_deg, *there)
+        return MissionCard(
+            name=name,
+            boot=boot,
+            stage=self.stage,
+            by=self._by,
+            digest=self._digest,
+            points=self._points,
+            reached=bytes(self._reached),
+            is_paused=self._is_paused,
+            is_finished=self._is_finished,
+            fault=self._fault,
+            kind=state.mission,
+            index=None if index < 0 else index,
+            status=None if state.mission_status < 0 else state.mission_status,
+            elapsed_s=0.0 if self._begun_at is None else until - self._begun_at,
+            distance_m=distance,
+            height_m=None if position is None else position.height_m,
+        )

@@ -1,0 +1,291 @@
+"""A mission of an aircraft of a fleet, in the shape of :class:`m100link.WaypointFlight`.
+
+What is ordered goes under the lease of a control block. What happens is asked for twice a second:
+whatever the network loses, the next answer has all of it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import deque
+from collections.abc import Awaitable, Callable
+from types import TracebackType
+from typing import Self
+
+from m100link.apps.agent.actions import TAKE_OFF_FIRST, Action
+from m100link.apps.agent.fault import MessageError
+from m100link.apps.agent.messages import Ask, Message
+from m100link.apps.agent.plan_told import told_of
+from m100link.apps.bus.network import Bus
+from m100link.apps.fleet.asking import PATIENCE_S
+from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.missions.stages import MissionStage
+from m100link.apps.fleet.payloads import MissionCard, Reply, unpack
+from m100link.apps.fleet.questions import Questions
+from m100link.errors import M100Error, MissionAborted, OutcomeUnknown
+from m100link.flight.missions.events import (
+    Finished,
+    MissionEvent,
+    MissionProgress,
+    Paused,
+    Reached,
+    Resumed,
+    Started,
+    Stopped,
+    Uploaded,
+)
+from m100link.missions.plan import WaypointPlan
+
+__all__ = ["FleetMission", "MissionOrders", "mission_card"]
+
+_logger = logging.getLogger(__name__)
+
+_LOOK_S = 0.5
+_AGAIN_S = 0.2
+
+OrderUnderLease = Callable[[Message], Awaitable[Reply]]
+
+
+async def mission_card(bus: Bus, keys: Keys, *, patience: float = PATIENCE_S) -> MissionCard:
+    """Where the mission of an aircraft is.
+
+    Raises:
+        OutcomeUnknown: It gives no answer for so many seconds.
+        MessageError: Its answer cannot be read.
+    """
+    clock = asyncio.get_running_loop().time
+    until, unread = clock() + patience, None
+    async with Questions(bus) as questions:
+        while (left := until - clock()) > 0:
+            if questions.is_due:
+                questions.ask(keys.mission, within=left)
+            ended = await questions.answered(min(left, questions.left))
+            for answer in [] if ended is None else ended[1]:
+                try:
+                    card: MissionCard = unpack(MissionCard, answer.payload)
+                except MessageError as error:
+                    unread = error
+                    continue
+                if card.name == keys.name:
+                    return card
+            if questions.is_due:
+                await asyncio.sleep(_AGAIN_S)
+    if unread is not None:
+        raise unread
+    raise OutcomeUnknown(
+        f"{keys.name} does not tell where its mission is",
+        cause="the way there or back is cut, its agent is gone or an old one, or the router lets "
+        "no answer pass to this identity",
+        remedy="look at the aircraft; m100link fleet stop",
+    )
+
+
+class MissionOrders:
+    """What is ordered about missions under one lease.
+
+    Args:
+        name: Of the aircraft.
+        ask: Orders something under the lease.
+    """
+
+    def __init__(self, name: str, ask: OrderUnderLease) -> None:
+        self._name, self._ask = name, ask
+
+    async def upload(self, plan: WaypointPlan) -> str:
+        """Bring a plan on board, where it waits; the aircraft has not heard of it.
+
+        Returns:
+            Its digest.
+
+        Raises:
+            M100Error: As :meth:`m100link.apps.fleet.asking.Asker.ask`.
+        """
+        return (await self._ask(told_of(plan, ""))).text
+
+    async def start(self, digest: str, *, take_off: bool = False) -> None:
+        """Let the plan of that digest fly; done when it has begun.
+
+        Raises:
+            M100Error: As :meth:`m100link.Control.waypoint_mission`, and :class:`FleetError`.
+        """
+        number = TAKE_OFF_FIRST if take_off else 0
+        await self._ask(Ask(0, Action.MISSION_START, number=number, data=digest.encode()))
+
+    async def pause(self) -> None:
+        """Let it hover in the mission."""
+        await self._ask(Ask(0, Action.MISSION_PAUSE))
+
+    async def resume(self) -> None:
+        """Let it go on."""
+        await self._ask(Ask(0, Action.MISSION_RESUME))
+
+    async def stop(self, why: str = "") -> None:
+        """End it: the aircraft hovers. Waits for no disk, and for nothing that it leads to."""
+        await self._ask(Ask(0, Action.HALT, text=why or "whoever flies stopped it"))
+
+    async def set_speed(self, speed: float) -> float:
+        """Change its speed, m/s; returns the one in force."""
+        ask = Ask(0, Action.MISSION_SPEED, number=round(speed * 1000))
+        return (await self._ask(ask)).number / 1000
+
+
+class FleetMission:
+    """A waypoint mission: ``async with control.waypoint_mission(plan) as mission``.
+
+    Entering uploads and starts it. ``async for event in mission`` gives the events that a mission
+    of one aircraft gives, until its end. Leaving the block before stops it.
+
+    Args:
+        bus: The network.
+        keys: Of the aircraft.
+        orders: Under the lease.
+        plan: What to fly.
+        take_off: Take off first, from the ground.
+    """
+
+    def __init__(
+        self, bus: Bus, keys: Keys, orders: MissionOrders, plan: WaypointPlan, *, take_off: bool
+    ) -> None:
+        self._bus, self._keys, self._orders = bus, keys, orders
+        self.plan = plan
+        self._take_off = take_off
+        self._digest = self._boot = ""
+        self._events: deque[MissionEvent] = deque()
+        self._seen = 0
+        self._was_paused = self._is_stopped = self._is_told_finished = False
+        self._has_begun = False
+        self._end: MissionCard | None = None
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether it was told to start, whatever came of that."""
+        return self._has_begun
+
+    @property
+    def is_over(self) -> bool:
+        """Whether its end is known."""
+        return self._end is not None
+
+    async def __aenter__(self) -> Self:
+        self._digest = await self._orders.upload(self.plan)
+        self._events.append(Uploaded(len(self.plan.waypoints), None))
+        self._boot = (await mission_card(self._bus, self._keys)).boot
+        self._has_begun = True
+        try:
+            await self._orders.start(self._digest, take_off=self._take_off)
+        except (asyncio.CancelledError, OutcomeUnknown):
+            await self._leave(is_quiet=True)  # it may have begun
+            raise
+        self._events.append(Started())
+        return self
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        await self._leave(is_quiet=exc_type is not None)
+
+    async def _leave(self, *, is_quiet: bool) -> None:
+        if self.is_over:
+            return
+        try:
+            await self.stop()
+        except M100Error as error:
+            if not is_quiet:
+                raise
+            # What ends the block is told. The mission ends with the lease, if it flies still.
+            _logger.warning("%s: its mission was not stopped: %s", self._keys.name, error.seen)
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> MissionEvent:
+        """The next event.
+
+        Raises:
+            MissionAborted, NotObserved: What ended it before its end.
+            OutcomeUnknown: Nobody knows where it is, or its agent was started anew.
+        """
+        while not self._events:
+            if self._end is not None:
+                if self._end.fault is not None and not self._is_stopped:
+                    raise self._end.fault.error()
+                raise StopAsyncIteration
+            await asyncio.sleep(_LOOK_S)
+            await self.look()
+        return self._events.popleft()
+
+    async def look(self) -> MissionCard:
+        """Ask where it is, and take note of what happened since.
+
+        Raises: as :meth:`__anext__`, but for how it ended.
+        """
+        card = await mission_card(self._bus, self._keys)
+        if card.boot != self._boot:
+            raise OutcomeUnknown(
+                f"the agent of {self._keys.name} was started anew while its mission flew",
+                remedy="look at the aircraft: it may fly on; m100link fleet stop",
+            )
+        if card.digest not in (self._digest, "") or card.stage is MissionStage.UPLOADED:
+            raise MissionAborted(f"another plan was uploaded to {self._keys.name}", code=None)
+        self._note(card)
+        return card
+
+    def _note(self, card: MissionCard) -> None:
+        for index in card.reached[self._seen :]:
+            self._events.append(Reached(index))
+        self._seen = len(card.reached)
+        if card.is_paused != self._was_paused:
+            self._was_paused = card.is_paused
+            self._events.append(Paused() if card.is_paused else Resumed())
+        if card.is_finished and not self._is_told_finished:
+            self._is_told_finished = True
+            self._events.append(Finished())
+        if card.stage in (MissionStage.OVER, MissionStage.NONE):
+            if self._end is None and self._is_stopped:
+                self._events.append(Stopped())
+            self._end = card
+        elif not self._events:
+            told = (card.elapsed_s, card.index, card.status, card.distance_m, card.height_m)
+            self._events.append(MissionProgress(*told))
+
+    # -- orders ----------------------------------------------------------------------------------
+
+    async def pause(self) -> None:
+        """Let it hover in the mission.
+
+        Raises:
+            M100Error: As :meth:`m100link.MissionFlight.pause`, and :class:`FleetError`.
+        """
+        await self._orders.pause()
+
+    async def resume(self) -> None:
+        """Let it go on. Raises: as a pause."""
+        await self._orders.resume()
+
+    async def set_speed(self, speed: float) -> float:
+        """Change its speed, m/s; returns the one in force. Raises: as a pause."""
+        return await self._orders.set_speed(speed)
+
+    async def stop(self) -> None:
+        """End it; done when something else may fly, and the aircraft hovers.
+
+        Raises:
+            FleetError: It may be flying on.
+        """
+        clock = asyncio.get_running_loop().time
+        self._is_stopped = True
+        await self._orders.stop()
+        until = clock() + PATIENCE_S
+        while not self.is_over:
+            if clock() > until:
+                raise OutcomeUnknown(
+                    f"{self._keys.name} was told to stop its mission, and did not say that it is "
+                    "over",
+                    remedy="look at the aircraft; m100link fleet stop",
+                )
+            await asyncio.sleep(_AGAIN_S)
+            await self.look()

@@ -1,0 +1,378 @@
+"""What an agent on board does when somebody of the fleet asks for it.
+
+Stop, hover and landing need no lease and wait for nobody. Everything else that moves the aircraft
+comes under the lease in force, and with the proof of it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+
+from m100link.apps.agent.actions import Action, LeaseAction
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.fault import Fault, MessageError, fault_of
+from m100link.apps.agent.guided import GuidedOrder
+from m100link.apps.agent.lease import Flown, Lease, LeaseHeld
+from m100link.apps.agent.messages import Ask, LeaseAsk, Message, PlanTold
+from m100link.apps.fleet.ledger import Ledger
+from m100link.apps.fleet.missions.board import Missions
+from m100link.apps.fleet.payloads import Order
+from m100link.apps.fleet.revoked import Since, nobody
+from m100link.apps.fleet.secret import agree
+from m100link.errors import M100Error, MissionRunning, NotAllowed, StaleLease, TaskRefused
+from m100link.protocol.commands.control import Task
+from m100link.protocol.records import FlightPhase, FlightStatus
+
+__all__ = ["Done", "Orders", "acquires", "is_kept", "lands", "moves", "renews", "revokes", "takes"]
+
+_RENEWAL_S = 0.5
+_STATUS_S = 2.5
+_LOOK_S = 0.1
+_REFUSED_S = 5.0
+_UNKEPT = (Action.STOP, Action.HALT, Action.LAND, Action.VERSION)
+"""What is begun without a word to the ledger: it must not wait for a disk, or moves nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """What an order gave.
+
+    Attributes:
+        text: Where it is a text.
+        number: Where it is a number.
+        offer: What confirms a take-over.
+        key: Public half of the secret of a lease.
+        fault: Why the last setpoint was not flown.
+    """
+
+    text: str = ""
+    number: int = 0
+    offer: str = ""
+    key: bytes = b""
+    fault: Fault | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Granted:
+    """A lease that was granted to the fleet.
+
+    Attributes:
+        lease: As the agent knows it; its token never leaves the aircraft.
+        secret: What orders and setpoints under it are proved with.
+        signer: Who signed for it, who may be revoked meanwhile; empty when nobody did.
+    """
+
+    lease: Lease
+    secret: str = field(repr=False)
+    signer: str
+
+
+def is_kept(message: Message) -> bool:
+    """Whether the ledger has to know before it begins: twice would be once too often."""
+    if isinstance(message, Ask):
+        return message.action not in _UNKEPT
+    return isinstance(message, GuidedOrder)
+
+
+def revokes(message: Message) -> bool:
+    """Whether what was asked for before, and comes later, is not wanted any more."""
+    return isinstance(message, Ask) and message.action in (Action.STOP, Action.HALT, Action.LAND)
+
+
+def moves(message: Message) -> bool:
+    """Whether it moves the aircraft, or lets somebody move it; what ends movement does not."""
+    if isinstance(message, LeaseAsk):
+        return message.action not in (LeaseAction.RENEW, LeaseAction.RELEASE)
+    return is_kept(message)
+
+
+def takes(message: Message) -> bool:
+    """Whether it takes the lease from who has it: nobody loses it to who waits for it no more."""
+    return isinstance(message, LeaseAsk) and message.action is LeaseAction.CONFIRM
+
+
+def acquires(message: Message) -> bool:
+    """Whether it takes a lease that is free: granted to nobody, nobody has it for three seconds."""
+    return isinstance(message, LeaseAsk) and message.action is LeaseAction.ACQUIRE
+
+
+def renews(message: Message) -> bool:
+    """Whether it lets a lease last, which nobody who recorded it may do later."""
+    return isinstance(message, LeaseAsk) and message.action is LeaseAction.RENEW
+
+
+def lands(message: Message) -> bool:
+    """Whether it brings the aircraft down: that nobody may be surprised by, minutes later."""
+    return isinstance(message, Ask) and message.action is Action.LAND
+
+
+class Orders:
+    """Carries orders out.
+
+    Args:
+        client: What knows the agent.
+        ledger: What is kept.
+        revoked: Who is shut out.
+
+    Attributes:
+        missions: What flies by plans.
+        leases: Those in force that were granted to the fleet, by number.
+        refused: Why the last setpoint was not flown; told when the lease is renewed.
+    """
+
+    def __init__(self, client: AgentClient, ledger: Ledger, revoked: Since = nobody) -> None:
+        self._revoked = revoked
+        # Who signed for the landing under way: they may be revoked meanwhile.
+        self._descent_signers: set[str] = set()
+        self._client = client
+        self._ledger = ledger
+        self.missions = Missions(client)
+        self.leases: dict[int, Granted] = {}
+        self.refused: M100Error | None = None
+        # A landing that nobody has to hold a lease for, and that all who ask for it wait for.
+        self._descent: asyncio.Task[None] | None = None
+        self._descends_by = Task.LAND
+        # Orders under a lease that have begun: the aircraft may be about to leave the ground.
+        self._underway = 0
+        self._doing: dict[LeaseAction, Callable[[Order, LeaseAsk], Awaitable[Done]]] = {
+            LeaseAction.ACQUIRE: self._acquire,
+            LeaseAction.RENEW: self._renew,
+            LeaseAction.RELEASE: self._release,
+            LeaseAction.TAKE_OVER: self._take_over,
+            LeaseAction.CONFIRM: self._confirm,
+        }
+        client.on_lease.append(lambda _: self._forget())
+
+    def _forget(self) -> None:
+        """Leases that have ended are of no use, nor is why a setpoint under one was not flown."""
+        self.refused = None
+        number = self._client.holder.number
+        self.leases = {one: it for one, it in self.leases.items() if one >= number > 0}
+
+    def secret(self, number: int) -> str | None:
+        """Secret of the lease of that number; None when it is not in force, or not the fleet's."""
+        granted = self.leases.get(number)
+        return None if granted is None else granted.secret
+
+    def shut_out(self) -> str:
+        """Let nobody who is revoked steer any more; who did until now, empty for nobody."""
+        found = ""
+        descent = None if self._descent is None or self._descent.done() else self._descent
+        if descent is not None and all(map(self._revoked, self._descent_signers)):
+            descent.cancel()
+            found = ", ".join(sorted(self._descent_signers))
+        for number, granted in list(self.leases.items()):
+            if self._revoked(granted.signer):
+                del self.leases[number]
+                found = granted.signer
+        return found
+
+    async def carry_out(self, order: Order, message: Message) -> Done:
+        """Do what is asked for.
+
+        Raises:
+            StaleLease: It needs the lease, and came without.
+            MessageError: That is nothing to be asked for.
+            M100Error: As the agent tells.
+        """
+        client = self._client
+        if isinstance(message, LeaseAsk):
+            return await self._doing[message.action](order, message)
+        if isinstance(message, GuidedOrder):
+            await client.guide(self.require_lease(order), message)
+            return Done()
+        if isinstance(message, PlanTold):
+            digest = await self.missions.upload(self.require_lease(order), message, order.by)
+            return Done(digest)
+        if not isinstance(message, Ask):
+            raise MessageError(f"{type(message).__name__} is no order")
+        if message.action is Action.STOP:
+            await client.stop()
+            return Done()
+        if message.action is Action.HALT:
+            client.halt(message.text or f"{order.by}: hover", self._lease_if_any(order))
+            return Done()
+        if message.action is Action.LAND and not order.fence:
+            await self.descend(Task.LAND, f"landing for {order.by}", signer=order.signer)
+            return Done()
+        lease = None if message.action is Action.VERSION else self.lease_for(order, message)
+        if message.action is Action.ACTIVATE and client.state.is_activated:
+            return Done()
+        self._underway += 1
+        try:
+            return await self._do(message, lease)
+        finally:
+            self._underway -= 1
+
+    async def _do(self, ask: Ask, lease: Lease | None) -> Done:
+        if ask.action is Action.MISSION_START and lease is not None:
+            await self.missions.start(lease, ask)
+            return Done()
+        if ask.action in (Action.MISSION_PLAN, Action.MISSION_POINT):
+            self.missions.void()  # by pieces comes a plan without a name
+        outcome = await self._client.ask(ask.action, lease, number=ask.number, data=ask.data)
+        if ask.action in (Action.MISSION_PAUSE, Action.MISSION_RESUME):
+            self.missions.paused(ask.action)
+        return Done(outcome.text, outcome.number)
+
+    # -- the lease -------------------------------------------------------------------------------
+
+    def _lease_if_any(self, order: Order) -> Lease | None:
+        granted = self.leases.get(order.fence)
+        if granted is None or order.fence != self._client.holder.number:
+            return None
+        return granted.lease if order.proves(granted.secret) else None
+
+    def lease_for(self, order: Order, message: Message) -> Lease | None:
+        """The lease that something is asked under; None for an activation that nobody minds.
+
+        Raises:
+            StaleLease: It needs the lease, and came without.
+        """
+        is_activation = isinstance(message, Ask) and message.action is Action.ACTIVATE
+        if is_activation and not order.fence and not self._client.holder.number:
+            return None
+        return self.require_lease(order)
+
+    def require_lease(self, order: Order) -> Lease:
+        """The lease in force, if the order proves that its asker has it.
+
+        Raises:
+            StaleLease: It does not.
+        """
+        lease = self._lease_if_any(order)
+        if lease is None:
+            holder = self._client.holder
+            who = f"; {holder.name} has control" if holder.number else "; nobody has control"
+            raise StaleLease(f"lease {order.fence} is not in force{who}")
+        return lease
+
+    async def _grant(self, order: Order, asked: Awaitable[Lease], key: bytes, secret: str) -> Done:
+        lease = await asked
+        since = self._revoked(order.signer)
+        if since:  # while it was being granted
+            self._client.let_go(lease)
+            raise NotAllowed(f"{order.signer} is revoked since {since}")
+        self.leases[lease.number] = Granted(lease, secret, order.signer)
+        await self._ledger.granted(lease.number)
+        return Done(lease.name, lease.number, key=key)
+
+    async def _acquire(self, order: Order, ask: LeaseAsk) -> Done:
+        key, secret = agree(order)  # before anything is taken from anybody
+        return await self._grant(order, self._client.acquire(order.by), key, secret)
+
+    async def _renew(self, order: Order, ask: LeaseAsk) -> Done:
+        lease = await self._client.renew(self.require_lease(order).token)
+        refused, self.refused = self.refused, None
+        return Done(lease.name, lease.number, fault=fault_of(refused))
+
+    async def _release(self, order: Order, ask: LeaseAsk) -> Done:
+        await self._client.release_lease(self.require_lease(order).token)
+        return Done()
+
+    async def _take_over(self, order: Order, ask: LeaseAsk) -> Done:
+        offer = await self._client.ask_take_over(order.by)
+        return Done(offer.from_name, offer.number, offer.token)
+
+    async def _confirm(self, order: Order, ask: LeaseAsk) -> Done:
+        key, secret = agree(order)
+        return await self._grant(order, self._client.confirm(ask.token), key, secret)
+
+    # -- down ------------------------------------------------------------------------------------
+
+    @property
+    def phase(self) -> FlightPhase | None:
+        """What the aircraft says of being on the ground or in the air; None when nobody knows."""
+        telemetry = self._client.telemetry
+        status = None if telemetry is None else telemetry.fresh(FlightStatus, within=_STATUS_S)
+        return None if status is None else status.phase
+
+    async def descend(
+        self, task: Task, who: str, *, take_over: bool = True, signer: str = ""
+    ) -> None:
+        """Land, here or at home, whoever has the lease: it is taken over for that long.
+
+        Who asks while the aircraft lands already waits for the same landing.
+
+        Args:
+            task: Land, or go home.
+            who: Under which name.
+            take_over: Whether the lease is taken from who has it.
+            signer: Who asked for it; empty when nobody signed.
+
+        Raises:
+            LeaseHeld: Somebody has the lease, and it is not to be taken over.
+            M100Error: As :meth:`m100link.apps.agent.client.AgentClient.fly`.
+        """
+        if self.phase is FlightPhase.STANDBY and not self._underway:
+            return  # it is where it is wanted
+        is_under_way = self._descent is not None and not self._descent.done()
+        if self._descent is None or not is_under_way or task is not self._descends_by:
+            self._descends_by = task
+            self._descent_signers.clear()
+            self._descent = self._client.background.spawn(
+                self._descended(task, who, take_over=take_over), who
+            )
+        self._descent_signers.add(signer)
+        await asyncio.shield(self._descent)
+
+    async def _descended(self, task: Task, who: str, *, take_over: bool) -> None:
+        client = self._client
+        lease = await self._seize(who, take_over=take_over)
+        async with self._kept(lease):
+            if not client.state.is_activated:
+                await client.activate(lease)
+            await self._end_task()
+            await client.obtain(lease)
+            await self._fly_down(lease, task)
+
+    async def _end_task(self) -> None:
+        """End what the aircraft flies by itself; a landing is left to its end."""
+        client = self._client
+        while client.state.task == Flown.LAND.value:  # noqa: ASYNC110 - no event says it
+            await asyncio.sleep(_LOOK_S)
+        if client.state.task:
+            await client.stop()  # nothing else ends a task
+
+    async def _fly_down(self, lease: Lease, task: Task) -> None:
+        until = self._client.now + _REFUSED_S
+        while self.phase is not FlightPhase.STANDBY:
+            try:
+                await self._client.fly(lease, task)
+            except (TaskRefused, MissionRunning):
+                # What was broken off takes its time to end, in the air or on the ground.
+                if self._client.now > until:
+                    raise
+                await asyncio.sleep(_RENEWAL_S)
+            else:
+                return
+
+    async def _seize(self, who: str, *, take_over: bool) -> Lease:
+        client = self._client
+        try:
+            lease = await client.acquire(who)
+        except LeaseHeld:
+            if not take_over:
+                raise
+            offer = await client.ask_take_over(who)
+            lease = await client.confirm(offer.token)
+        await self._ledger.granted(lease.number)
+        return lease
+
+    @asynccontextmanager
+    async def _kept(self, lease: Lease) -> AsyncIterator[None]:
+        async def keep() -> None:
+            while True:
+                self._client.keep(lease)
+                await asyncio.sleep(_RENEWAL_S)
+
+        keeping = self._client.background.spawn(keep(), "lease of a landing")
+        try:
+            yield
+        finally:
+            keeping.cancel()
+            if self._client.holds(lease):
+                self._client.let_go(lease)

@@ -1,0 +1,335 @@
+"""The bytes of a fleet: a version, and the messages of agent and front as they are.
+
+The first byte of every payload is :data:`VERSION`; who reads another one says so and reads no more.
+Behind it telemetry, events and setpoints are the messages of :mod:`m100link.apps.agent.messages`,
+by :mod:`m100link.apps.agent.message_bytes`. What a fleet adds is in three values: :class:`Order`
+around a message that asks for something, :class:`Reply`, and :class:`Card`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Any
+
+from m100link.apps.agent.codec import BadValue, Fields
+from m100link.apps.agent.fault import Fault, MessageError
+from m100link.apps.agent.message_bytes import decode, encode
+from m100link.apps.agent.messages import Message, Steer
+from m100link.apps.fleet.missions.stages import MissionStage
+from m100link.apps.fleet.outcome import Outcome
+from m100link.errors.texts import read_json
+
+__all__ = [
+    "SHOW",
+    "VERSION",
+    "Card",
+    "MissionCard",
+    "Order",
+    "Progress",
+    "Reply",
+    "body",
+    "pack",
+    "pack_steer",
+    "unpack",
+    "unpack_message",
+    "unpack_steer",
+]
+
+VERSION = 2
+"""Of these payloads."""
+
+SHOW = b"show\n"
+"""What the message of an order to take part in a show begins with; behind it is JSON."""
+
+_PROOF = 16
+_MOST = 64 * 1024
+
+
+class Progress(Enum):
+    """How far an order is, as its agent knows."""
+
+    DONE = "done"  # the outcome stands beside it
+    RUNNING = "running"
+    NEVER = "never"  # this id was not seen by this agent, nor by one of its name before
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """Something is asked of one aircraft.
+
+    Attributes:
+        id: Chosen by who asks, 32 hex digits. An order is carried out once for each id.
+        aircraft: For which one it is meant.
+        by: Who asks, for people; what a signature proves is in :attr:`signer`.
+        fence: Number of the lease that it is asked under; 0 for none.
+        at: When it was made, POSIX time, s.
+        message: The agent's message, by :mod:`m100link.apps.agent.message_bytes`.
+        clock: When it was made at the earliest, by the agent's own clock, s; 0: nobody knows.
+        proof: That whoever asks has the lease; empty without one.
+        signer: Whose signature it is; empty for none.
+        signature: Over :meth:`signed`; empty for none.
+        key: Public half of the secret of the lease that it asks for; see
+            :mod:`m100link.apps.fleet.secret`. Empty where it asks for none.
+    """
+
+    id: str
+    aircraft: str
+    by: str
+    fence: int
+    at: float
+    message: bytes
+    clock: float = 0.0
+    proof: bytes = b""
+    signer: str = ""
+    signature: bytes = b""
+    key: bytes = b""
+
+    def signed(self) -> bytes:
+        """What proof and signature are over: everything that must not be changed on the way."""
+        head = [self.id, self.aircraft, self.by, self.fence, self.at, self.clock, self.signer]
+        return json.dumps([*head, self.key.hex()]).encode() + b"\n" + self.message
+
+    def digest(self) -> bytes:
+        """What a reply names the order by, 16 bytes: an id is heard by all, and said again."""
+        return hashlib.sha256(self.signed()).digest()[:16]
+
+    def under(self, token: str) -> Order:
+        """The order with the proof that whoever asks has the lease."""
+        return replace(self, proof=_proof(token, self.signed()))
+
+    def proves(self, token: str) -> bool:
+        """Whether the proof is one of this lease."""
+        return hmac.compare_digest(self.proof, _proof(token, self.signed()))
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What an agent says of an order.
+
+    Attributes:
+        id: Of the order.
+        name: The aircraft.
+        boot: Which run of its agent this is.
+        progress: How far it is.
+        outcome: What became of it; means something when it is done.
+        fault: Why it is not ``ok``.
+        text: What was asked for, where that is a text.
+        number: What was asked for, where that is a number.
+        offer: What confirms a take-over that was asked for; no secret.
+        key: Public half of the secret of a lease that was granted; empty otherwise.
+        clock: The agent's own clock, s; setpoints are stamped by it.
+        is_repeated: The order had been heard before.
+        order: :meth:`Order.digest` of the order that was heard under the id; empty where none was.
+    """
+
+    id: str
+    name: str
+    boot: str
+    progress: Progress
+    outcome: Outcome = Outcome.UNKNOWN
+    fault: Fault | None = None
+    text: str = ""
+    number: int = 0
+    offer: str = ""
+    key: bytes = b""
+    clock: float = 0.0
+    is_repeated: bool = False
+    order: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """Where an agent stands, for a list.
+
+    Attributes:
+        name: The aircraft.
+        boot: Which run of its agent this is.
+        at: When, POSIX time, s.
+        connection: ``"connecting"``, ``"connected"`` or ``"lost"``.
+        fault: Why it is not connected.
+        firmware: Firmware profile; empty when not connected.
+        holder: Who has the lease; empty for nobody.
+        fence: Number of the lease; 0 for none.
+        has_authority: Whether the aircraft obeys the agent.
+        task: What it flies by itself, or what flies it; empty for nothing.
+        phase: Whether it is on the ground or in the air, in words; empty when nobody knows.
+        height_m: Above the take-off point; None when nobody knows.
+        latitude_deg: None when nobody knows.
+        longitude_deg: Likewise.
+        battery_percent: Likewise.
+        lost: What happens when whoever flies is lost: ``"hover"``, ``"land"`` or ``"home"``.
+        lost_after: Seconds until then.
+        version: Of its program.
+    """
+
+    name: str
+    boot: str
+    at: float
+    connection: str = "connecting"
+    fault: Fault | None = None
+    firmware: str = ""
+    holder: str = ""
+    fence: int = 0
+    has_authority: bool = False
+    task: str = ""
+    phase: str = ""
+    height_m: float | None = None
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
+    battery_percent: int | None = None
+    lost: str = "hover"
+    lost_after: float = 10.0
+    version: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class MissionCard:
+    """Where the mission of an aircraft is.
+
+    Attributes:
+        name: The aircraft.
+        boot: Which run of its agent this is.
+        stage: How far the mission is that came over the fleet.
+        by: Who uploaded it, for people.
+        digest: What names its plan; empty without one.
+        points: Waypoints of the plan that came last; 0 when none came.
+        reached: Waypoints that were reached, in their order, a byte each; the last 1024.
+        is_paused: It hovers in it.
+        is_finished: Every waypoint was flown.
+        fault: What ended it before.
+        kind: The kind of mission that the aircraft says it flies, whoever started it; empty when
+            nobody knows.
+        index: Waypoint that it flies to, counted from 0; None when nobody knows.
+        status: Status of the mission as on the wire; None when nobody knows.
+        elapsed_s: Seconds since it began, until it ended.
+        distance_m: Horizontally to that waypoint; None when nobody knows.
+        height_m: Above the take-off point; None when nobody knows.
+    """
+
+    name: str
+    boot: str
+    stage: MissionStage = MissionStage.NONE
+    by: str = ""
+    digest: str = ""
+    points: int = 0
+    reached: bytes = b""
+    is_paused: bool = False
+    is_finished: bool = False
+    fault: Fault | None = None
+    kind: str = ""
+    index: int | None = None
+    status: int | None = None
+    elapsed_s: float = 0.0
+    distance_m: float | None = None
+    height_m: float | None = None
+
+
+Value = Order | Reply | Card | MissionCard
+
+_FIELDS: dict[type[Any], Fields] = {kind: Fields(kind) for kind in Value.__args__}
+
+
+def _proof(token: str, data: bytes) -> bytes:
+    return hmac.new(token.encode(), data, hashlib.sha256).digest()[:_PROOF]
+
+
+def pack(value: Value | Message) -> bytes:
+    """The bytes of a value of a fleet, or of a message of the agent.
+
+    Raises:
+        MessageError: It cannot be written.
+    """
+    if not isinstance(value, Value):
+        return bytes([VERSION]) + encode(value)
+    try:
+        text = json.dumps(_FIELDS[type(value)].write(value), separators=(",", ":"))
+    except BadValue as error:
+        raise MessageError(f"{type(value).__name__} cannot be sent: {error}") from None
+    return bytes([VERSION]) + text.encode()
+
+
+def body(payload: bytes, most: int = _MOST) -> bytes:
+    """What stands behind the version.
+
+    Raises:
+        MessageError: Nothing, more than ``most`` bytes, or what another version wrote.
+    """
+    if not payload or len(payload) > most:
+        raise MessageError(f"{len(payload)} bytes are no payload of a fleet")
+    if payload[0] != VERSION:
+        raise MessageError(
+            f"it speaks version {payload[0]} of the fleet's messages, this side {VERSION}",
+            cause="an old agent and a new pilot, or the other way round",
+            remedy="install the same release on both",
+        )
+    return payload[1:]
+
+
+def unpack(kind: type[Any], payload: bytes) -> Any:
+    """The value of these bytes.
+
+    Args:
+        kind: :class:`Order`, :class:`Reply`, :class:`Card` or :class:`MissionCard`.
+        payload: The bytes.
+
+    Raises:
+        MessageError: They are none of that kind, or of another version.
+    """
+    text = body(payload)
+    try:
+        return _FIELDS[kind].read(read_json(text))
+    except BadValue as error:
+        raise MessageError(f"not a {kind.__name__}: {error}") from None
+    except ValueError:
+        raise MessageError(f"not a {kind.__name__}: this is not JSON") from None
+
+
+def unpack_message(payload: bytes) -> Message:
+    """The agent's message in these bytes.
+
+    Raises:
+        MessageError: There is none, or of another version.
+    """
+    return decode(body(payload))
+
+
+def pack_steer(steer: Steer, token: str, *, begins: bool) -> bytes:
+    """The bytes of a setpoint, with the proof that whoever sends it has the lease.
+
+    Args:
+        steer: The setpoint.
+        token: Secret of the lease.
+        begins: It begins a stream; see :mod:`m100link.apps.fleet.stream`.
+    """
+    data = bytes([begins]) + encode(steer)
+    return bytes([VERSION]) + _proof(token, data) + data
+
+
+def unpack_steer(
+    payload: bytes, token_of: Callable[[int], str | None]
+) -> tuple[Steer, bool] | None:
+    """The setpoint in these bytes, and whether it begins a stream.
+
+    Args:
+        payload: The bytes.
+        token_of: Secret of the lease of a number; None where none was granted.
+
+    Returns:
+        None when the lease that it names is not proved.
+
+    Raises:
+        MessageError: They are none.
+    """
+    found = body(payload)
+    proof, data = found[:_PROOF], found[_PROOF:]
+    steer = decode(data[1:])
+    if not isinstance(steer, Steer):
+        raise MessageError(f"{type(steer).__name__} is no setpoint")
+    token = token_of(steer.fence)
+    is_proved = token is not None and hmac.compare_digest(proof, _proof(token, data))
+    return (steer, data[0] != 0) if is_proved else None

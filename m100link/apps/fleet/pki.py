@@ -1,0 +1,359 @@
+"""Certificates of a fleet: an authority of its own, and what it issues for 30 days.
+
+Keys are ECDSA over P-256. Every file is made anew and readable for its owner alone; what is there
+is never written over unless somebody says so. Where time comes from is up to the caller.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from enum import Enum
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.hashes import SHA256
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    load_pem_private_key,
+)
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from m100link.apps.fleet.identity import Signer
+from m100link.apps.fleet.keys import NAME
+from m100link.apps.fleet.revocations import AUTHORITY, LIST, Revocations
+from m100link.apps.fleet.revoked import Revoked, sign_revoked
+from m100link.errors import UsageError
+from m100link.link.keyfile import read_token, replace_file
+
+__all__ = [
+    "AUTHORITY_DAYS",
+    "ISSUED_DAYS",
+    "BadAuthority",
+    "Issued",
+    "Kind",
+    "init",
+    "issue",
+    "listed",
+    "revoke",
+]
+
+ISSUED_DAYS = 30
+AUTHORITY_DAYS = 730
+_EARLY = timedelta(minutes=5)
+"""Valid so long before it is made: clocks differ."""
+_CA = "ca"
+
+
+class BadAuthority(
+    UsageError,
+    code="M100-BAD-AUTHORITY",
+    cause="the folder is another one, or its files are there already",
+    remedy="`m100link fleet pki init FOLDER` makes an authority, `issue` its certificates",
+):
+    """Certificates that cannot be made, or must not be made again."""
+
+
+class Kind(Enum):
+    """What a certificate is for."""
+
+    ROUTER = "router"
+    AGENT = "agent"
+    PILOT = "pilot"
+
+
+@dataclass(frozen=True, slots=True)
+class Issued:
+    """What was made.
+
+    Attributes:
+        certificate: PEM file.
+        key: PEM file with its key; mode 0600.
+        ends: When it is not valid any more.
+        signing_key: File with the key that signs orders, for pilots; mode 0600.
+        public_key: What belongs to it, for the file of rights, 64 hex digits.
+    """
+
+    certificate: Path
+    key: Path
+    ends: datetime
+    signing_key: Path | None = None
+    public_key: str = ""
+
+
+def init(folder: Path, *, now: datetime, force: bool = False) -> Issued:
+    """Make an authority.
+
+    Args:
+        folder: Where its files go; it is made, for its owner alone.
+        now: The time, with its zone.
+        force: Write over one that is there: whatever it has issued is worth nothing then. Who was
+            revoked stays so.
+
+    Raises:
+        BadAuthority: One is there, or the folder cannot be written.
+        BadRevoked: The list of revoked names there is not its.
+    """
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "m100link fleet")])
+    ends = now + timedelta(days=AUTHORITY_DAYS)
+    usage = _usage(digital_signature=False, key_cert_sign=True)
+    certificate = (
+        _builder(name, name, key, now, ends)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(usage, critical=True)
+        .sign(key, SHA256())
+    )
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadAuthority(f"{folder} cannot be made: {error.strerror}") from error
+    made = Issued(folder / AUTHORITY, folder / f"{_CA}.key", ends)
+    files = {made.key: _pem_of(key), made.certificate: _pem(certificate)}
+    if force and (folder / LIST).exists():  # keys that sign outlive certificates
+        before = Revocations.of_folder(folder).revoked
+        files[folder / LIST] = sign_revoked(before.number + 1, before.names, key)
+    _write(files, force=force)
+    return made
+
+
+def issue(
+    folder: Path,
+    kind: Kind,
+    name: str,
+    *,
+    now: datetime,
+    hosts: Sequence[str] = (),
+    force: bool = False,
+) -> Issued:
+    """Make a certificate, its key, and for a pilot a key that signs orders.
+
+    Args:
+        folder: Of the authority.
+        kind: What it is for.
+        name: Common name: of an aircraft, a pilot, a router.
+        now: The time, with its zone.
+        hosts: Of a router: names and addresses by which others reach it.
+        force: Write over what is there under that name; the signing key of a pilot stays.
+
+    Raises:
+        BadAuthority: There is no authority, it has ended, a file is there, or the name or the hosts
+            cannot be.
+    """
+    if not NAME.fullmatch(name) or name == _CA:
+        raise BadAuthority(
+            f"{name!r} is no name for a certificate",
+            remedy=f"1 to 32 letters, digits, - and _; not {_CA!r}",
+        )
+    if (kind is Kind.ROUTER) != bool(hosts):
+        raise BadAuthority(
+            f"a certificate for {'a router' if kind is Kind.ROUTER else f'the {kind.value} {name}'}"
+            f" with {len(hosts)} hosts",
+            remedy="name the hosts of a router, and of nobody else: --host base --host 10.0.0.1",
+        )
+    authority, its_key = _authority(folder, now)
+    since = _revoked(folder, authority).names.get(name)
+    if since is not None:
+        raise BadAuthority(
+            f"{name} is revoked since {since}",
+            cause="who is revoked once stays so: nobody could tell the new key from the lost one",
+            remedy="give whoever it is another name, here and in the file of rights",
+        )
+    key = ec.generate_private_key(ec.SECP256R1())
+    ends = min(now + timedelta(days=ISSUED_DAYS), authority.not_valid_after_utc)
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+    purposes = [ExtendedKeyUsageOID.CLIENT_AUTH]
+    if kind is Kind.ROUTER:  # one router is another one's client
+        purposes.append(ExtendedKeyUsageOID.SERVER_AUTH)
+    builder = (
+        _builder(subject, authority.subject, key, now, ends)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(_usage(digital_signature=True, key_cert_sign=False), critical=True)
+        .add_extension(x509.ExtendedKeyUsage(purposes), critical=False)
+        .add_extension(
+            x509.AuthorityKeyIdentifier.from_issuer_public_key(its_key.public_key()), critical=False
+        )
+    )
+    names = [_host(host) for host in hosts] or [x509.DNSName(name)]
+    builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
+    certificate = builder.sign(its_key, SHA256())
+    place, its_place = folder / f"{name}.pem", folder / f"{name}.key"
+    files = {its_place: _pem_of(key), place: _pem(certificate)}
+    if kind is not Kind.PILOT:
+        _write(files, force=force)
+        return Issued(place, its_place, ends)
+    signing = folder / f"{name}.signing.key"
+    # It stands in the files of rights on board: a new certificate must not change it.
+    secret = _kept(signing) if force and signing.exists() else None
+    if secret is None:
+        secret = secrets.token_bytes(32)
+        files[signing] = secret.hex().encode() + b"\n"
+    _write(files, force=force)
+    return Issued(place, its_place, ends, signing, Signer(name, secret).public_key.hex())
+
+
+def revoke(folder: Path, names: Sequence[str], *, now: datetime) -> Revoked:
+    """Shut out names before their certificates end: write the next list, with all before them.
+
+    Args:
+        folder: Of the authority; the list lies there as ``revoked.list``.
+        names: Common names of certificates, which are names of pilots as well.
+        now: The time, with its zone.
+
+    Raises:
+        BadAuthority: There is no authority, it has ended, or a name cannot be.
+        BadRevoked: The list that lies there is not the authority's, or is full.
+    """
+    authority, its_key = _authority(folder, now)
+    before = _revoked(folder, authority)
+    for name in names:
+        if not NAME.fullmatch(name):
+            raise BadAuthority(f"{name!r} is no name of a certificate", remedy="as issue named it")
+    since = now.astimezone(UTC).date().isoformat()
+    found = {**dict.fromkeys(names, since), **before.names}
+    if found == before.names:
+        return before  # all of them are shut out already
+    data = sign_revoked(before.number + 1, found, its_key)
+    _write({folder / LIST: data}, force=True)
+    return Revoked.verified(data, authority)
+
+
+def listed(folder: Path) -> list[tuple[str, datetime, str]]:
+    """Certificates of a folder: name, when it ends, and since when it is revoked, or empty.
+
+    Raises:
+        UsageError: There is no authority, or a list of revoked names that is not its.
+    """
+    revoked = Revocations.of_folder(folder).revoked.names
+    found = {}
+    for place in sorted(folder.glob("*.pem")):
+        if place.name == AUTHORITY:
+            continue
+        try:
+            ends = x509.load_pem_x509_certificate(place.read_bytes()).not_valid_after_utc
+        except (OSError, ValueError) as error:
+            raise BadAuthority(f"{place} holds no certificate") from error
+        found[place.stem] = ends
+    return [(name, ends, revoked.get(name, "")) for name, ends in found.items()]
+
+
+def _revoked(folder: Path, authority: x509.Certificate) -> Revoked:
+    """The list that lies in the folder of the authority."""
+    found = Revocations(authority, folder / LIST)
+    found.read()
+    return found.revoked
+
+
+def _kept(path: Path) -> bytes:
+    try:
+        return bytes.fromhex(read_token(path))
+    except ValueError as error:
+        raise BadAuthority(f"{path} holds no signing key", remedy="move it away") from error
+
+
+def _host(host: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host))
+    except ValueError:
+        pass  # then it is a name
+    if not re.fullmatch(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?", host):
+        raise BadAuthority(f"{host!r} is no host", remedy="a name or an address, without a port")
+    return x509.DNSName(host)
+
+
+def _builder(
+    subject: x509.Name,
+    issuer: x509.Name,
+    key: ec.EllipticCurvePrivateKey,
+    now: datetime,
+    ends: datetime,
+) -> x509.CertificateBuilder:
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - _EARLY)
+        .not_valid_after(ends)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+    )
+
+
+def _usage(*, digital_signature: bool, key_cert_sign: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=digital_signature,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=key_cert_sign,
+        crl_sign=key_cert_sign,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _authority(folder: Path, now: datetime) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
+    """Its certificate and key.
+
+    Raises:
+        BadAuthority: They are not there, are none, do not belong together, or have ended.
+    """
+    try:
+        certificate = x509.load_pem_x509_certificate((folder / AUTHORITY).read_bytes())
+        key = load_pem_private_key((folder / f"{_CA}.key").read_bytes(), None)
+    except OSError as error:
+        raise BadAuthority(
+            f"there is no authority in {folder}: {error.strerror}",
+            remedy=f"m100link fleet pki init {folder}",
+        ) from error
+    except (ValueError, TypeError) as error:
+        raise BadAuthority(f"the files of the authority in {folder} are damaged") from error
+    if (
+        not isinstance(key, ec.EllipticCurvePrivateKey)
+        or key.public_key() != certificate.public_key()
+    ):
+        raise BadAuthority(f"{_CA}.key in {folder} does not belong to {_CA}.pem")
+    if now >= certificate.not_valid_after_utc:
+        raise BadAuthority(
+            f"the authority in {folder} ended on {certificate.not_valid_after_utc:%Y-%m-%d}",
+            remedy="make a new one in another folder, and issue all certificates anew",
+        )
+    return certificate, key
+
+
+def _pem(certificate: x509.Certificate) -> bytes:
+    return certificate.public_bytes(Encoding.PEM)
+
+
+def _pem_of(key: ec.EllipticCurvePrivateKey) -> bytes:
+    return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+
+
+def _write(files: dict[Path, bytes], *, force: bool) -> None:
+    """Write all of them or none, each readable for its owner alone.
+
+    Raises:
+        BadAuthority: One is there, or cannot be written.
+    """
+    there = [path for path in files if path.exists() or path.is_symlink()]
+    if there and not force:
+        raise BadAuthority(
+            f"{there[0]} is there already",
+            cause="it was made before; what was written over could not be had back",
+            remedy="--force makes it anew",
+        )
+    for path, data in files.items():
+        try:
+            # Nobody else reads it at any moment, and whoever reads it sees all of it.
+            replace_file(path, data)
+        except OSError as error:
+            raise BadAuthority(f"{path} cannot be written: {error.strerror}") from error

@@ -1,0 +1,309 @@
+"""The list of revoked names that an agent believes, and how a newer one comes to it.
+
+It is read as the agent begins, from the folder of its certificates. While it runs a newer one comes
+in two ways: the file is written anew, or somebody brings one over the network. Whoever brings it
+needs no right of his own beyond the router's: the authority has signed it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Awaitable, Callable, Sequence
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from cryptography import x509
+
+from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.fault import MessageError, fault_of
+from m100link.apps.bus.network import Bus, Question
+from m100link.apps.fleet.answers import believed
+from m100link.apps.fleet.asking import nobody_there
+from m100link.apps.fleet.keys import Keys, session_in
+from m100link.apps.fleet.outcome import outcome_of
+from m100link.apps.fleet.payloads import VERSION, Progress, Reply, body, pack
+from m100link.apps.fleet.revoked import LARGEST, BadRevoked, Revoked
+from m100link.apps.fleet.rights import Rights
+from m100link.errors import M100Error, OutcomeUnknown, UsageError
+from m100link.link.keyfile import replace_file
+
+__all__ = ["AUTHORITY", "LIST", "RevocationService", "Revocations", "bring"]
+
+AUTHORITY = "ca.pem"
+"""The file whose key signs lists."""
+
+LIST = "revoked.list"
+"""Where a list is kept, beside it."""
+
+_LOOK_S = 1.0
+_MOST_WAITING = 8
+_ANSWER_S = 1.5
+_TRIES = 4
+_AGAIN_S = 0.2
+
+
+class Revocations:
+    """The list in force.
+
+    Args:
+        authority: Whose lists are believed.
+        path: Where the list is kept; None: nowhere.
+        rights: Who has which certificate: a name of either kind is revoked.
+        apart: Does beside the loop what may have to wait for a disk.
+
+    Attributes:
+        revoked: The list.
+        on_change: Called when a newer one is in force.
+    """
+
+    def __init__(
+        self,
+        authority: x509.Certificate,
+        path: Path | None = None,
+        rights: Rights | None = None,
+        *,
+        apart: Callable[..., Awaitable[Any]] = asyncio.to_thread,
+    ) -> None:
+        self._apart = apart
+        self._authority = authority
+        self._path = path
+        self._rights = rights
+        self._seen: object = None
+        self._kept = b""
+        self._keeping = asyncio.Lock()
+        self.revoked = Revoked(0, {})
+        self.on_change: list[Callable[[], None]] = []
+
+    @classmethod
+    def of_folder(
+        cls,
+        folder: Path,
+        rights: Rights | None = None,
+        *,
+        apart: Callable[..., Awaitable[Any]] = asyncio.to_thread,
+    ) -> Revocations:
+        """Those of a folder with certificates: ``ca.pem``, and ``revoked.list`` if there is one.
+
+        Raises:
+            UsageError: There is no authority, or no list that can be believed: beginning without
+                it would let in again who was shut out.
+        """
+        place = folder / AUTHORITY
+        try:
+            authority = x509.load_pem_x509_certificate(place.read_bytes())
+        except OSError as error:
+            raise UsageError(
+                f"{place} cannot be read: {error.strerror}",
+                remedy="name the folder that holds it, with your certificate",
+            ) from error
+        except ValueError as error:
+            raise UsageError(f"{place} holds no certificate") from error
+        found = cls(authority, folder / LIST, rights, apart=apart)
+        found.read()
+        return found
+
+    @property
+    def number(self) -> int:
+        """Of the list in force; 0 for none."""
+        return self.revoked.number
+
+    def since(self, name: str) -> str:
+        """Since when somebody is revoked, by its own name or that of its certificate; or empty."""
+        names = self.revoked.names
+        one = None if self._rights is None else self._rights.identity(name)
+        common_name = name if one is None else one.common_name
+        return names.get(name) or names.get(common_name, "")
+
+    def take_in(self, data: bytes) -> bool:
+        """Believe a list from now on, if it is newer; whether it is.
+
+        Raises:
+            BadRevoked: It is not the authority's, or older than the one in force.
+        """
+        if data == self.revoked.data:
+            return False
+        found, now = Revoked.verified(data, self._authority), self.number
+        if found.number <= now:
+            raise BadRevoked(
+                f"list {found.number} of revoked names came, and list {now} is in force",
+                cause="somebody brings an old one, or two lists were made from one",
+            )
+        self.revoked = found
+        for callback in list(self.on_change):
+            callback()
+        return True
+
+    def read(self) -> bool:
+        """Believe what the file holds, if it was written anew; whether that is a newer list.
+
+        Raises:
+            BadRevoked: It is not to be believed.
+            UsageError: It cannot be read.
+        """
+        data = self._written()
+        return data is not None and self.take_in(data)
+
+    def _written(self) -> bytes | None:
+        """What was written since it was looked at; None: nothing."""
+        if self._path is None:
+            return None
+        try:
+            with self._path.open("rb") as file:
+                told = os.fstat(file.fileno())
+                seen = told.st_ino, told.st_mtime_ns, told.st_size
+                if seen == self._seen:
+                    return None
+                self._seen = seen
+                return file.read(LARGEST + 1)
+        except FileNotFoundError:
+            return None  # nobody was ever revoked
+        except OSError as error:
+            raise UsageError(f"{self._path} cannot be read: {error.strerror}") from error
+
+    async def look(self) -> bool:
+        """As :meth:`read`, beside the loop: a disk may stand still."""
+        async with self._keeping:
+            data = await self._apart(self._written)
+        return data is not None and self.take_in(data)
+
+    async def keep(self) -> None:
+        """Write the list in force where the agent after this one reads it.
+
+        Raises:
+            UsageError: The disk does not take it.
+        """
+        path = self._path
+        async with self._keeping:
+            data = self.revoked.data
+            if path is None or data == self._kept:
+                return
+            try:
+                await self._apart(partial(replace_file, mode=0o666), path, data)  # no secret
+                self._kept = data
+            except OSError as error:
+                raise UsageError(
+                    f"{path}: {error.strerror or error}",
+                    cause="the list is in force, and whoever runs this agent next has it no more",
+                    remedy="let the folder be written, and bring the list once more",
+                ) from error
+
+
+class RevocationService:
+    """One aircraft's end: a list comes here, and who is shut out by it is shut out at once.
+
+    Args:
+        bus: The network.
+        keys: Its keys.
+        boot: Which run of the agent this is.
+        revocations: What is believed; agents in one process share it.
+        shut_out: Called in turn when there is a newer list: whoever is in it steers no more.
+        note: Tells people, at a level.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        boot: str,
+        revocations: Revocations,
+        *,
+        shut_out: Sequence[Callable[[], None]],
+        note: Callable[[str, str], None],
+    ) -> None:
+        self._bus, self._keys, self._boot = bus, keys, boot
+        self._revocations = revocations
+        self._shut_out, self._note = shut_out, note
+        self._background = BackgroundTasks()
+        self._waiting = 0
+
+    async def run(self) -> None:
+        """Answer, and look at the file, until this is cancelled."""
+        with ExitStack() as stack:
+            stack.callback(self._background.cancel)
+            served = self._bus.serve(self._keys.revoked, self._on_question, depth=_MOST_WAITING)
+            stack.callback(served.close)
+            self._revocations.on_change.append(self._changed)
+            stack.callback(self._revocations.on_change.remove, self._changed)
+            while True:
+                await asyncio.sleep(_LOOK_S)
+                try:
+                    await self._revocations.look()
+                except M100Error as error:
+                    self._note(f"{LIST}: {error.seen}", "error")
+
+    def _changed(self) -> None:
+        for shut_out in self._shut_out:
+            shut_out()
+        found = self._revocations.revoked
+        names = ", ".join(found.names)
+        self._note(f"list {found.number} of revoked names is in force: {names}", "warning")
+
+    def _on_question(self, question: Question) -> None:
+        if self._waiting >= _MOST_WAITING or len(question.payload) > LARGEST + 1:
+            question.drop()
+            return
+        self._waiting += 1
+        self._background.spawn(self._answer(question), "list of revoked names")
+
+    async def _answer(self, question: Question) -> None:
+        fault: M100Error | None = None
+        try:
+            data = body(question.payload)
+            if data:  # else it is asked which one is in force
+                self._revocations.take_in(data)
+                await self._revocations.keep()
+        except (BadRevoked, MessageError, UsageError) as error:
+            fault = error
+        finally:
+            self._waiting -= 1
+        reply = Reply(
+            id="",
+            name=self._keys.name,
+            boot=self._boot,
+            progress=Progress.DONE,
+            outcome=outcome_of(fault),
+            fault=fault_of(fault),
+            number=self._revocations.number,
+        )
+        question.answer(self._keys.revoked, pack(reply))
+
+
+async def bring(bus: Bus, keys: Keys, data: bytes = b"") -> int:
+    """Bring a list to an agent, which believes it when it is newer.
+
+    Args:
+        bus: The network.
+        keys: Of the aircraft.
+        data: The list; without one it is only asked which is in force.
+
+    Returns:
+        Number of the list in force there; 0 for none.
+
+    Raises:
+        Unreachable: There is no such agent.
+        OutcomeUnknown: It gives no answer.
+        UsageError: It does not believe the list, or cannot keep it, as it says itself.
+        MessageError: Its answer cannot be read.
+    """
+    sessions = {session_in(token) for token in await bus.tokens(keys.live, timeout=_ANSWER_S)}
+    if not sessions:
+        raise nobody_there(keys.name)
+    for attempt in range(_TRIES):
+        await asyncio.sleep(attempt * _AGAIN_S)
+        answers = await bus.ask(keys.revoked, bytes([VERSION]) + data, timeout=_ANSWER_S)
+        reply = believed(answers, keys, "", sessions)
+        if isinstance(reply, MessageError):
+            raise reply
+        if reply is not None and reply.fault is not None:
+            raise reply.fault.error()
+        if reply is not None:
+            return reply.number
+    raise OutcomeUnknown(
+        f"{keys.name} does not say which list of revoked names it has",
+        cause="its agent has no --rights, no --pki or an older release, the way is cut, or the "
+        "router lets nothing pass: who may stop it may bring a list",
+        remedy=f"copy {LIST} into the folder of its certificates",
+    )

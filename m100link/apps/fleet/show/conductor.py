@@ -1,0 +1,315 @@
+"""Lets the aircraft of a fleet fly a show: all of them are ready, or none begins.
+
+Every aircraft confirms the hash of its track, takes its place, and is told when to begin by its own
+clock, which is measured here. From then on nobody here is needed: who leaves is told, and the
+others fly on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+import math
+import time
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from m100link.apps.agent.fault import MessageError
+from m100link.apps.bus.network import Bus
+from m100link.apps.fleet.answers import believed
+from m100link.apps.fleet.asking import Sign
+from m100link.apps.fleet.keys import Keys, session_in
+from m100link.apps.fleet.payloads import SHOW, Order, Reply, pack
+from m100link.apps.fleet.show.checks import SKEW_S
+from m100link.apps.fleet.show.clock import ClockEstimate
+from m100link.apps.fleet.show.document import Show
+from m100link.apps.fleet.show.performer import Leave, Stage
+from m100link.apps.fleet.show.steering import ShowRefused, Why
+from m100link.apps.fleet.show.track import BadShow, TimedTrack
+from m100link.errors import M100Error, Unreachable
+from m100link.errors.texts import read_json
+
+__all__ = ["Conductor", "Part"]
+
+_ANSWER_S = 1.0
+_TRIES = 5
+_PLACING_S = 180.0
+_ROUND_TRIPS = 12
+_COUNTDOWN_S = 5.0
+_LOOK_S = 0.5
+_ATTENDING_S = 2.0
+_GONE_S = 5.0
+_PIECE = 800
+"""Bytes of a track that are sent at once: an order has room for 2048 with all that is around."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Where one aircraft stands in a show.
+
+    Attributes:
+        name: Which one.
+        stage: How far it is; None: nobody knows, it does not answer.
+        digest: Of its track.
+        farthest_m: Farthest from its track, by its own telemetry.
+        why: Why it left, or tells nothing.
+        clock: Its own clock as it answered, s.
+    """
+
+    name: str
+    stage: Stage | None
+    digest: str = ""
+    farthest_m: float = 0.0
+    why: str = ""
+    clock: float = 0.0
+
+
+class Conductor:
+    """Conducts one show.
+
+    Args:
+        bus: The network.
+        site: Whose aircraft.
+        who: Who conducts, for people.
+        show: What they fly; checked by whoever calls.
+        leave: What each does at the end, and when it has to leave.
+        sign: Signs orders; without it the router alone decides who may.
+        tell: What happens, for people.
+        utc: POSIX time, s.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        site: str,
+        who: str,
+        show: Show,
+        *,
+        leave: Leave = "land",
+        sign: Sign | None = None,
+        tell: Callable[[str], None] = lambda _text: None,
+        utc: Callable[[], float] = time.time,
+    ) -> None:
+        self._bus = bus
+        self._who = who
+        self._tracks = {track.name: track for track in show.tracks}
+        self._keys = {name: Keys(site, name) for name in self._tracks}
+        self._least = show.least_distance_m
+        digests = sorted(track.digest for track in show.tracks)
+        self._digest = hashlib.sha256("".join(digests).encode()).hexdigest()[:16]
+        self._leave = leave
+        # Orders of nobody else are carried out until this show is over, and none of ours behind it.
+        self._run = uuid.uuid4().hex
+        self._sign = sign
+        self._tell = tell
+        self._utc = utc
+        self._clock = asyncio.get_running_loop().time
+        # Our own clock less each agent's, at most, as of its last answer.
+        self._behind: dict[str, float] = {}
+
+    async def fly(self) -> dict[str, Part]:
+        """Fly it.
+
+        Returns:
+            How it ended for each: ``FLOWN``, ``LEFT``, or None for one that fell silent.
+
+        Raises:
+            M100Error: One of them could not begin; none has, and all that flew hover.
+        """
+        attending = asyncio.create_task(self._attend(), name="m100link: conductor of a show")
+        try:
+            await self._each(self._load)
+            self._tell("all have their tracks")
+            await self._each(self._place)
+            self._tell("all are at their places")
+            clocks = dict(zip(self._tracks, await self._each(self._measure), strict=True))
+            start_at = self._clock() + _COUNTDOWN_S
+            await self._each(lambda track: self._start(track, clocks[track.name], start_at))
+            self._tell(f"the show begins in {start_at - self._clock():.1f} s")
+        except BaseException:
+            await asyncio.shield(self.leave())
+            raise
+        finally:
+            attending.cancel()
+        return dict(zip(self._tracks, await self._each(self._watch), strict=True))
+
+    async def _attend(self) -> None:
+        """Be heard by those that are ready while others are not: they would leave."""
+        while True:
+            await asyncio.sleep(_ATTENDING_S)
+            asked = (self._ask(track, {"do": "tell"}) for track in self._tracks.values())
+            await asyncio.gather(*asked, return_exceptions=True)
+
+    async def leave(self) -> None:
+        """Let all of them leave, wherever they are; who does not answer is not waited for."""
+        await asyncio.gather(
+            *(self._ask(track, {"do": "leave"}) for track in self._tracks.values()),
+            return_exceptions=True,
+        )
+
+    async def _each(self, do: Callable[[TimedTrack], Any]) -> list[Any]:
+        """Something with each at once; the first that fails is raised when all have ended."""
+        found = await asyncio.gather(
+            *(do(track) for track in self._tracks.values()), return_exceptions=True
+        )
+        for one in found:
+            if isinstance(one, BaseException):
+                raise one
+        return found
+
+    # -- one of them -----------------------------------------------------------------------------
+
+    async def _ask(self, track: TimedTrack, wanted: dict[str, Any]) -> Part:
+        """One question; each try is an order of its own, which the stage admits once.
+
+        Raises:
+            Unreachable: No answer came to any try.
+            M100Error: What the agent says.
+        """
+        keys = self._keys[track.name]
+        for _ in range(_TRIES):
+            message = SHOW + json.dumps(wanted | {"run": self._run}).encode()
+            order = Order(
+                uuid.uuid4().hex,
+                track.name,
+                self._who,
+                0,
+                self._utc(),
+                message,
+                self._its_at_least(track.name),
+            )
+            payload = pack(order if self._sign is None else self._sign(order))
+            # Asked beside it: what ends a show waits for nothing.
+            answers, tokens = await asyncio.gather(
+                self._bus.ask(keys.show, payload, timeout=_ANSWER_S),
+                self._bus.tokens(keys.live, timeout=_ANSWER_S),
+            )
+            reply = believed(answers, keys, order.id, set(map(session_in, tokens)))
+            if isinstance(reply, MessageError):
+                raise reply
+            if reply is not None:
+                self._behind[track.name] = self._clock() - reply.clock
+                if reply.fault is not None:
+                    raise reply.fault.error()
+                return _part(reply)
+            await asyncio.sleep(0.1)
+        raise Unreachable(
+            f"{track.name} does not answer",
+            cause="no agent of that name is there, or the router routes nothing to it",
+            remedy="m100link fleet list; m100link fleet acl check",
+        )
+
+    def _its_at_least(self, name: str) -> float:
+        """What the clock of an agent shows by now, at the earliest, s; 0: it was not heard yet."""
+        behind = self._behind.get(name)
+        return 0.0 if behind is None else self._clock() - behind
+
+    async def _do(self, track: TimedTrack, wanted: dict[str, Any], *done: Stage) -> Part:
+        """An order; one that was done although its answer was lost is refused and yet done."""
+        try:
+            return await self._ask(track, wanted)
+        except Unreachable:
+            raise
+        except M100Error:
+            part = await self._ask(track, {"do": "tell"})
+            if part.stage in done:
+                return part
+            raise
+
+    async def _load(self, track: TimedTrack) -> None:
+        await self._ask(track, {"do": "tell"})  # from then on each order says when it was made
+        data = track.to_bytes()
+        for at in range(0, len(data), _PIECE):
+            piece = data[at : at + _PIECE].hex()
+            await self._ask(track, {"do": "piece", "at": at, "data": piece})
+        wanted = {"do": "load", "leave": self._leave, "show": self._digest, "least_m": self._least}
+        wanted["others"] = len(self._tracks) - 1
+        part = await self._ask(track, wanted)
+        if part.digest != track.digest:
+            raise BadShow(
+                f"{track.name} has another track than was sent to it",
+                aircraft=(track.name,),
+                remedy="look who else conducts a show, and begin anew",
+            )
+
+    async def _place(self, track: TimedTrack) -> None:
+        await self._do(track, {"do": "place"}, Stage.PLACING, Stage.READY)
+        began = self._clock()
+        while (part := await self._ask(track, {"do": "tell"})).stage is not Stage.READY:
+            took = self._clock() - began
+            if part.stage is not Stage.PLACING or took > _PLACING_S:
+                raise ShowRefused(
+                    f"{track.name} did not take its place: {part.why or f'not in {took:.0f} s'}",
+                    why=Why.PLACE,
+                    measured=took,
+                    limit=_PLACING_S,
+                )
+            await asyncio.sleep(_LOOK_S)
+
+    async def _measure(self, track: TimedTrack) -> ClockEstimate:
+        estimate = ClockEstimate()
+        for _ in range(_ROUND_TRIPS):
+            sent = self._clock()
+            there = (await self._ask(track, {"do": "tell"})).clock
+            estimate.heard(sent, there, there, self._clock())
+        return estimate
+
+    async def _start(self, track: TimedTrack, estimate: ClockEstimate, start_at: float) -> None:
+        found = estimate.offset(self._clock())
+        if found is None or not found.bound <= SKEW_S:
+            bound = math.inf if found is None else found.bound
+            raise ShowRefused(
+                f"the clock of {track.name} may be wrong by {bound * 1000:.0f} ms",
+                why=Why.CLOCK,
+                measured=bound,
+                limit=SKEW_S,
+            )
+        at = start_at + found.seconds
+        wanted = {"do": "start", "digest": track.digest, "at": at, "bound": found.bound}
+        await self._do(track, wanted, Stage.FLYING)
+
+    async def _watch(self, track: TimedTrack) -> Part:
+        """Until it has flown its track, has left, or is silent."""
+        heard_at = self._clock()
+        while True:
+            try:
+                part = await self._ask(track, {"do": "tell"})
+                heard_at = self._clock()
+            except M100Error as error:
+                if self._clock() - heard_at >= _GONE_S:
+                    # One that answers and tells nothing flies on: that is no cable.
+                    why = "" if isinstance(error, Unreachable) else error.seen
+                    refuses = f"tells nothing more: {why}" if why else "is silent"
+                    self._tell(f"{track.name} {refuses}; the others fly on")
+                    return Part(track.name, None, why=why)
+                await asyncio.sleep(_LOOK_S)
+                continue
+            if part.stage is Stage.FLOWN:
+                self._tell(f"{track.name} has flown its track")
+                return part
+            if part.stage is not Stage.FLYING:
+                self._tell(f"{track.name} left: {part.why}; the others fly on")
+                return part
+            await asyncio.sleep(_LOOK_S)
+
+
+def _part(reply: Reply) -> Part:
+    try:
+        told = read_json(reply.text)
+        return Part(
+            reply.name,
+            Stage(told["stage"]),
+            str(told["digest"]),
+            float(told["farthest_m"]),
+            str(told["why"]),
+            reply.clock,
+        )
+    except (ValueError, TypeError, KeyError) as error:
+        raise MessageError(
+            f"where {reply.name} stands in the show cannot be read: {error!r}",
+            cause="its agent has another release",
+            remedy="install the same release on both",
+        ) from error

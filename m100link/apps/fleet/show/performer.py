@@ -1,0 +1,470 @@
+"""An aircraft of a fleet in a show: on board, beside its agent, which has control and the guards.
+
+It is loaded with a track, takes its place, is told when to begin, and flies by its own clock: the
+network is not needed any more from then on; until then it leaves when whoever conducts falls
+silent. When it has to leave (its tube, the clock, telemetry, a guard, another one that it would
+come too near to) what was chosen follows, hover or land. When somebody else wants the aircraft
+(STOP, a take-over, the pilot) it lets go of it and does nothing more.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from enum import Enum
+from typing import Literal
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.guided import ChangeHeight, FlyTo
+from m100link.apps.agent.lease import Lease
+from m100link.apps.agent.messages import Event, Topic
+from m100link.apps.fleet.age import OrderAges
+from m100link.apps.fleet.show.ahead import Ahead, Neighbours, by_speed, by_track
+from m100link.apps.fleet.show.clock import DRIFT
+from m100link.apps.fleet.show.silence import RestOfTrack
+from m100link.apps.fleet.show.steering import LeftShow, TrackSteering, Why
+from m100link.apps.fleet.show.track import BadShow, TimedTrack, Vector
+from m100link.errors import M100Error, NoAuthority, TelemetryStalled, UsageError
+from m100link.flight.guards import MAX_COMMAND_M_S
+from m100link.flight.pacing import Ticker
+from m100link.geodesy import LocalFrame
+from m100link.protocol.commands.control import Task
+from m100link.protocol.records import Attitude, FlightStatus, Position, Velocity
+from m100link.protocol.setpoint import Setpoint
+
+__all__ = ["ALLOWED", "ATTENDED_S", "Leave", "Order", "Performer", "Stage"]
+
+Leave = Literal["hover", "land"]
+
+ATTENDED_S = 10.0
+"""Seconds without a word of whoever conducts after which an aircraft that takes or has its place
+leaves: nobody waits for it there any more."""
+
+_FRESH_S = 0.5
+_STATUS_S = 2.5
+_RENEWAL_S = 0.5
+_LOOK_S = 0.2
+_ASSURED_S = 1.0
+"""Seconds before the beginning at which all have to be heard; soon after it they begin to move."""
+_TOLD_S = 600.0
+"""Seconds after its track in which one still tells the others where it is."""
+
+
+class Stage(Enum):
+    """How far an aircraft is in a show."""
+
+    EMPTY = "empty"
+    LOADED = "loaded"
+    PLACING = "placing"  # it takes off and flies to its first point
+    READY = "ready"  # it hovers there
+    FLYING = "flying"  # it waits for the beginning, or flies
+    FLOWN = "flown"
+    LEFT = "left"  # it gave up: the reason stands beside it
+
+
+class Order(Enum):
+    """What it is told."""
+
+    LOAD = "load"
+    PLACE = "place"
+    START = "start"
+    LEAVE = "leave"
+
+
+ALLOWED: dict[Order, frozenset[Stage]] = {
+    Order.LOAD: frozenset({Stage.EMPTY, Stage.LOADED, Stage.FLOWN, Stage.LEFT}),
+    Order.PLACE: frozenset({Stage.LOADED}),
+    Order.START: frozenset({Stage.READY}),
+    # Whoever wants out gets out, and may say so any number of times.
+    Order.LEAVE: frozenset(Stage),
+}
+
+
+_BUSY = (Stage.PLACING, Stage.READY, Stage.FLYING)
+_IN_SHOW = (Stage.LOADED, *_BUSY)
+
+
+class Performer:
+    """One aircraft.
+
+    Args:
+        client: What knows its agent.
+        name: Of the aircraft.
+
+    Attributes:
+        stage: How far it is.
+        fault: Why it left; None otherwise.
+        track: What it is loaded with; None for nothing.
+        farthest_m: Farthest from its track, by its own telemetry.
+        neighbours: The others of the show; None when it was loaded without a word about them.
+        ages: Which orders come too late: nobody waits for them, or it was stopped since.
+        run: Who conducts, by a word that is another one each time; empty when none was told.
+    """
+
+    def __init__(self, client: AgentClient, name: str) -> None:
+        self._client = client
+        self._name = name
+        self.stage = Stage.EMPTY
+        self.fault: M100Error | None = None
+        self.track: TimedTrack | None = None
+        self.farthest_m = 0.0
+        self.neighbours: Neighbours | None = None
+        self.ages = OrderAges()
+        self.run = ""
+        self._rest: RestOfTrack | None = None
+        # When its show begins, by the agent's clock; None before that is known.
+        self._start_at: float | None = None
+        self._leave: Leave = "land"
+        self._lease: Lease | None = None
+        self._refused: M100Error | None = None  # why the last setpoint was not flown
+        self._work: asyncio.Task[None] | None = None
+        self._heard_at = client.now  # whoever conducts, or asks where it stands
+        client.on_event.append(self._hear)
+        client.on_steer_refused.append(self._steer_refused)
+        client.on_authority_taken.append(self._gave_way)
+
+    def close(self) -> None:
+        """Leave, and hear nothing more of the agent; not even a landing is seen to its end."""
+        self.leave()
+        if self._work is not None:
+            self._work.cancel()
+        self._let_go()
+        self._client.on_event.remove(self._hear)
+        self._client.on_steer_refused.remove(self._steer_refused)
+        self._client.on_authority_taken.remove(self._gave_way)
+
+    # -- who else wants the aircraft -------------------------------------------------------------
+
+    def _hear(self, event: Event) -> None:
+        if event.topic in (Topic.STOPPED, Topic.HALTED):
+            # An order to take off may be on its way here, of somebody who has not seen it.
+            self.ages.revoke(self._client.now)
+            self._gave_way(NoAuthority(f"{self._name} was stopped: {event.text}"))
+
+    def _steer_refused(self, fence: int, error: M100Error) -> None:
+        if self._lease is not None and self._lease.number == fence:
+            self._refused = error
+
+    def _gave_way(self, error: M100Error) -> None:
+        if self.stage in _IN_SHOW:
+            self.fault = error
+            self.leave()
+        elif self.stage is Stage.LEFT and isinstance(self.fault, NoAuthority):
+            # It was told that nothing is flown before it was told who took the aircraft.
+            self.fault = error
+
+    def shut_out(self, error: M100Error) -> None:
+        """Whoever placed it may not any more: it leaves, for this reason."""
+        self._gave_way(error)
+
+    def heard(self, run: str = "") -> None:
+        """Whoever conducts is there; another one who asks is not waited for."""
+        if run in ("", self.run):
+            self._heard_at = self._client.now
+
+    def require_run(self, run: str) -> None:
+        """Whether an order comes of who conducts the show that it is in.
+
+        Raises:
+            UsageError: It is in a show, and another one conducts that.
+        """
+        silent = self._client.now - self._heard_at
+        is_over = self.stage is Stage.LOADED and silent > ATTENDED_S  # nobody conducts it any more
+        if run not in ("", self.run) and self.stage in _IN_SHOW and not is_over:
+            raise UsageError(
+                f"{self._name} is {self.stage.value} in a show that another one conducts",
+                cause="two conduct shows with the same aircraft, or an order came late",
+                remedy=f"wait until that show is over, or end it: m100link fleet stop {self._name}",
+            )
+
+    # -- what it is told -------------------------------------------------------------------------
+
+    def _require(self, order: Order) -> None:
+        is_landing = order is Order.LOAD and self._lease is not None
+        if self.stage not in ALLOWED[order] or is_landing:
+            stage = f"{self.stage.value}{' and landing' * is_landing}"
+            left = "" if self.fault is None else f"it left: {self.fault.seen}"
+            raise UsageError(
+                f"{self._name} is {stage} and cannot {order.value}",
+                cause=left or "two conduct the same show, or an order came late",
+                remedy="let it leave, and begin anew: load, place, start",
+            )
+
+    def load(
+        self, data: bytes, leave: Leave, neighbours: Neighbours | None = None, run: str = ""
+    ) -> str:
+        """Take a track.
+
+        Args:
+            data: Of :meth:`TimedTrack.to_bytes`.
+            leave: What follows the track, or whatever ends it.
+            neighbours: The others of the show; None: they are not looked at.
+            run: Who conducts; until it is over orders of nobody else are carried out.
+
+        Returns:
+            Its digest: whoever sent it compares.
+
+        Raises:
+            BadShow: It is none, or another aircraft's.
+            UsageError: It is in a show.
+        """
+        self._require(Order.LOAD)
+        track = TimedTrack.from_bytes(data)
+        if track.name != self._name:
+            raise BadShow(f"the track of {track.name} came to {self._name}", aircraft=(self._name,))
+        if leave not in ("hover", "land"):
+            raise UsageError(f"leave cannot be {leave!r}", remedy="hover or land")
+        self.track, self._leave, self.fault = track, leave, None
+        self.neighbours, self._rest = neighbours, RestOfTrack(track)
+        self._start_at, self.run = None, run
+        self.heard()
+        self.stage = Stage.LOADED
+        return track.digest
+
+    def place(self, who: str) -> None:
+        """Begin to take off and to fly to the first point.
+
+        Args:
+            who: Who conducts, for people.
+
+        Raises:
+            ShowRefused: Its guards do not let it fly as fast as its track.
+            UsageError: It is not loaded.
+        """
+        self._require(Order.PLACE)
+        TrackSteering(self._loaded(), self._fastest).require_fast_enough()
+        self.heard()
+        self.stage = Stage.PLACING
+        self._do(lambda: self._place(who))
+
+    def start(self, digest: str, start_at: float, bound: float) -> None:
+        """Begin the track at a time.
+
+        Args:
+            digest: Of the track that is meant.
+            start_at: By the agent's clock, s.
+            bound: By how much whoever says so may be wrong about that clock, s.
+
+        Raises:
+            ShowRefused: The clock, the time or the place is wrong.
+            UsageError: It is not ready, or loaded with another track.
+        """
+        self._require(Order.START)
+        track = self._loaded()
+        if digest != track.digest:
+            raise UsageError(f"{self._name} is loaded with another track", remedy="load it anew")
+        steering = TrackSteering(track, self._fastest)
+        steering.require_ready(start_at - self._client.now, bound, self._here(track))
+        self.stage, self._start_at = Stage.FLYING, start_at
+        self._do(lambda: self._fly(track, steering, start_at, bound))
+
+    def leave(self) -> None:
+        """End it, wherever it is: control is given back, and it hovers.
+
+        What lands because its show has ended lands on: STOP ends that.
+        """
+        self.ages.revoke(self._client.now)
+        if self.stage not in _IN_SHOW:
+            return
+        if self._work is not None:
+            self._work.cancel()
+        self.stage = Stage.LEFT
+        self._let_go()
+
+    def ahead(self) -> Ahead | None:
+        """Where it will be, for the others of its show; None when there is nothing to tell."""
+        track, show, start_at = self.track, self.neighbours, self._start_at
+        if track is None or show is None or start_at is None:
+            return None
+        at = self._client.now - start_at
+        if at > track.end + _TOLD_S:
+            return None
+        try:
+            here = self._here(track)
+        except TelemetryStalled:
+            return None  # nobody knows; it leaves for that, or has left
+        if self.stage is Stage.FLYING:
+            return by_track(show.show, track, at, here)
+        telemetry = self._client.telemetry
+        speed = None if telemetry is None else telemetry.finite(Velocity, within=_FRESH_S)
+        moves = (0.0, 0.0, 0.0)
+        if speed is not None:
+            moves = speed.north_m_s, speed.east_m_s, speed.up_m_s
+        return by_speed(show.show, self._name, at, here, moves)
+
+    # -- what it does ----------------------------------------------------------------------------
+
+    @property
+    def _fastest(self) -> float:
+        """The most that may be asked for horizontally, m/s: what the agent's guards let pass."""
+        most = self._client.state.limits.max_speed_m_s
+        return min(MAX_COMMAND_M_S, MAX_COMMAND_M_S if most is None else most) * (1 - 1e-6)
+
+    def _loaded(self) -> TimedTrack:
+        assert self.track is not None, "every stage from LOADED on has one"
+        return self.track
+
+    def _do(self, work: Callable[[], Awaitable[None]]) -> None:
+        async def guarded() -> None:
+            try:
+                await work()
+            except M100Error as error:
+                self.fault, self.stage = error, Stage.LEFT
+                self._client.note(f"show: {error.seen}", "error")
+                await self._end()
+
+        if self._work is not None:
+            self._work.cancel()
+        self._work = self._client.background.spawn(guarded(), "show")
+
+    async def _place(self, who: str) -> None:
+        client, track = self._client, self._loaded()
+        TrackSteering(track, 1.0).require_below(self._here(track))
+        self._lease = lease = await client.acquire(f"show of {who}")
+        keeping = client.background.spawn(self._keep(lease), "lease of a show")
+        attending = client.background.spawn(self._attend(), "conductor of a show")
+        try:
+            if not client.state.is_activated:
+                await client.activate(lease)
+            await client.obtain(lease)
+            telemetry = client.telemetry
+            status = None if telemetry is None else telemetry.fresh(FlightStatus, within=_STATUS_S)
+            if status is None or not status.is_airborne:
+                await client.fly(lease, Task.TAKE_OFF)
+            first = track.points[0]
+            height = first.height - track.ground_m
+            await client.guide(lease, ChangeHeight(height))
+            place = LocalFrame(*track.origin).to_geodetic(first.north, first.east)
+            await client.guide(lease, FlyTo(*place, height, yaw_deg=track.heading_deg))
+            self.stage = Stage.READY
+            await asyncio.Event().wait()  # it keeps the lease until it is told to begin
+        finally:
+            attending.cancel()
+            keeping.cancel()
+
+    async def _attend(self) -> None:
+        while True:
+            rest = self._heard_at + ATTENDED_S - self._client.now
+            if rest <= 0.0:
+                break
+            await asyncio.sleep(rest)
+        self._do(self._abandoned)
+
+    async def _abandoned(self) -> None:
+        raise LeftShow(
+            f"{self._name} left the show before it began: whoever conducts was silent for "
+            f"{ATTENDED_S:g} s",
+            why=Why.CONDUCTOR,
+            at=0.0,
+            measured=self._client.now - self._heard_at,
+            limit=ATTENDED_S,
+            cause="its program was ended, or the network between is cut",
+        )
+
+    async def _keep(self, lease: Lease) -> None:
+        while True:
+            self._client.keep(lease)
+            await asyncio.sleep(_RENEWAL_S)
+
+    async def _fly(
+        self, track: TimedTrack, steering: TrackSteering, start_at: float, bound: float
+    ) -> None:
+        client, told_at, self._refused = self._client, self._client.now, None
+        lease = client.check(self._lease)
+        heading = track.heading_deg if track.heading_deg is not None else self._heading()
+        look_at = told_at
+        is_assured = False
+        async for _ in Ticker():
+            client.check(lease)
+            if self._refused is not None:
+                raise self._refused
+            now = client.now
+            if now >= start_at - _ASSURED_S and not is_assured:
+                is_assured = True
+                self._require_all()
+            if now >= look_at:
+                look_at = now + _LOOK_S
+                self._require_apart()
+            wrong = bound + DRIFT * (now - told_at)
+            velocity = steering.step(now - start_at, wrong, self._here(track))
+            self.farthest_m = steering.farthest_m
+            if velocity is None:
+                break
+            north, east, up = velocity
+            client.steer(lease, Setpoint.velocity(north=north, east=east, up=up, yaw_deg=heading))
+        self.stage = Stage.FLOWN
+        client.note(f"show: {self._name} has flown its track")
+        await self._end()
+
+    def _require_all(self) -> None:
+        """All of them begin, or none: one that was not told to would stand in the others' way."""
+        others = self.neighbours
+        missing = 0 if others is None else others.missing(self._client.now)
+        if missing:
+            raise LeftShow(
+                f"{self._name} does not begin the show: {missing} of the others are not heard to",
+                why=Why.NEAR,
+                at=0.0,
+                measured=missing,
+                limit=0,
+                cause="they were not told to, have been killed, or the network between is cut",
+            )
+
+    def _require_apart(self) -> None:
+        """Leave, before another one comes too near."""
+        own, others = self.ahead(), self.neighbours
+        if own is None or others is None:
+            return
+        near = others.near(own, self._client.now, self._rest)
+        if near is None:
+            return
+        told, cause = "", f"{near.name} or this one is beside its track, or has left it"
+        if near.silent_s:
+            told = f"{near.name} has been silent for {near.silent_s:.1f} s and may stand there: "
+            cause = f"{near.name} was killed, or one of the two is cut off"
+        raise LeftShow(
+            f"{self._name} left the show at {own.at:.1f} s: {told}{near.name} would come as near "
+            f"as {near.distance_m:.1f} m in {near.at - own.at:.1f} s; "
+            f"{others.least_m:g} m are allowed",
+            why=Why.NEAR,
+            at=own.at,
+            measured=near.distance_m,
+            limit=others.least_m,
+            cause=cause,
+        )
+
+    async def _end(self) -> None:
+        """What follows: it hovers, or lands; and whoever comes next may have control."""
+        client, lease = self._client, self._lease
+        has_control = client.holds(lease) and client.has_authority
+        if self._leave == "land" and lease is not None and has_control:
+            keeping = client.background.spawn(self._keep(lease), "lease of a show")
+            try:
+                await client.fly(lease, Task.LAND)
+            except M100Error as error:
+                client.note(f"show: {error.seen}", "error")
+            finally:
+                keeping.cancel()
+        self._let_go()
+
+    def _let_go(self) -> None:
+        lease, self._lease = self._lease, None
+        if lease is not None and self._client.holds(lease):
+            self._client.let_go(lease)
+
+    # -- where it is -----------------------------------------------------------------------------
+
+    def _here(self, track: TimedTrack) -> Vector:
+        telemetry = self._client.telemetry
+        found = None if telemetry is None else telemetry.fresh(Position, within=_FRESH_S)
+        if found is None or not found.is_possible:
+            raise TelemetryStalled(f"where {self._name} is, is not known")
+        north, east = LocalFrame(*track.origin).to_local(found.latitude_deg, found.longitude_deg)
+        return north, east, found.height_m + track.ground_m
+
+    def _heading(self) -> float:
+        telemetry = self._client.telemetry
+        found = None if telemetry is None else telemetry.finite(Attitude, within=_FRESH_S)
+        if found is None:
+            raise TelemetryStalled(f"where the nose of {self._name} points is not known")
+        return found.yaw_deg

@@ -1,0 +1,254 @@
+"""What an agent of a fleet is asked of a show, and what it answers.
+
+Orders are those of the fleet, signed as all are; each is admitted by the stage that the aircraft is
+in, so that one that comes twice does nothing. Whoever conducts learns by asking where it stands.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.fault import MessageError, fault_of
+from m100link.apps.bus.network import Bus, Question
+from m100link.apps.fleet.agent import Verify
+from m100link.apps.fleet.keys import Keys, name_in
+from m100link.apps.fleet.namesake import Namesakes
+from m100link.apps.fleet.outcome import outcome_of
+from m100link.apps.fleet.payloads import SHOW, VERSION, Order, Progress, Reply, pack, unpack
+from m100link.apps.fleet.revoked import Since
+from m100link.apps.fleet.show.ahead import Ahead, Neighbours
+from m100link.apps.fleet.show.performer import Performer
+from m100link.apps.fleet.show.track import MAX_POINTS, BadShow
+from m100link.errors import M100Error, NotAllowed
+from m100link.errors.texts import read_json
+
+__all__ = ["Beside", "ShowService"]
+
+_TELL_S = 0.2
+_MOST_ORDER = 4096
+"""Bytes: a piece of a track has 2048 with all that is around it."""
+_MOST_KNOWN = 1024
+_MOST_BYTES = 32 * MAX_POINTS + 1024
+
+
+class Beside:
+    """The aircraft that one process serves: its session of the network does not hear itself."""
+
+    def __init__(self) -> None:
+        self._hear: list[Callable[[Ahead], None]] = []
+
+    def hear(self, take: Callable[[Ahead], None]) -> Callable[[], None]:
+        """Hear where each of them will be, until what is returned is called."""
+        self._hear.append(take)
+        return lambda: self._hear.remove(take)
+
+    def tell(self, ahead: Ahead) -> None:
+        """One of them tells where it will be."""
+        for take in self._hear:
+            take(ahead)
+
+
+class ShowService:
+    """One aircraft's end.
+
+    Args:
+        client: What knows its agent.
+        bus: The network.
+        keys: Its keys.
+        verify: Looks at each order; without it the router alone decides who may ask.
+        namesakes: Whether another agent has its name: then it does not begin.
+        beside: Other aircraft of the same session; None where it has one of its own.
+    """
+
+    def __init__(
+        self,
+        client: AgentClient,
+        bus: Bus,
+        keys: Keys,
+        *,
+        verify: Verify | None = None,
+        namesakes: Namesakes | None = None,
+        beside: Beside | None = None,
+    ) -> None:
+        self._client = client
+        self._bus = bus
+        self._keys = keys
+        self._verify = verify
+        self._namesakes = namesakes
+        self._beside = beside or Beside()
+        self.performer = Performer(client, keys.name)
+        # What became of orders that were let through: the network may bring one twice.
+        self._known: dict[bytes, M100Error | None] = {}
+        self._pieces = bytearray()
+        self._placed_by = ""
+
+    async def run(self) -> None:
+        """Answer until this is cancelled; whatever flies then leaves the show, and hovers."""
+        with ExitStack() as stack:
+            stack.callback(self.performer.close)
+            stack.callback(self._bus.serve(self._keys.show, self._on_order).close)
+            places = self._bus.publish(self._keys.place)
+            stack.callback(places.close)
+            everybody = Keys(self._keys.site).place
+            stack.callback(self._bus.subscribe(everybody, self._on_place).close)
+            stack.callback(self._beside.hear(self._hear))
+            while True:
+                ahead = self.performer.ahead()
+                if ahead is not None:
+                    self._beside.tell(ahead)
+                    places.put(bytes([VERSION]) + ahead.to_bytes())
+                await asyncio.sleep(_TELL_S)
+
+    def shut_out(self, revoked: Since) -> None:
+        """Leave the show of who is revoked: it hovers."""
+        since = self._placed_by and revoked(self._placed_by)
+        if since:
+            self.performer.shut_out(NotAllowed(f"{self._placed_by} is revoked since {since}"))
+
+    def _on_place(self, key: str, payload: bytes) -> None:
+        if self.performer.neighbours is None or payload[:1] != bytes([VERSION]):
+            return
+        try:
+            ahead = Ahead.from_bytes(payload[1:])
+        except BadShow:
+            return  # nothing that an aircraft tells
+        if ahead.name == name_in(key):
+            self._hear(ahead)
+
+    def _hear(self, ahead: Ahead) -> None:
+        if self.performer.neighbours is not None:
+            self.performer.neighbours.hear(ahead, self._client.now)
+
+    def _on_order(self, question: Question) -> None:
+        if len(question.payload) > _MOST_ORDER:
+            question.drop()  # before it costs the time that STOP needs
+            return
+        identity, fault = "", None
+        try:
+            order: Order = unpack(Order, question.payload)
+            identity, digest = order.id, order.digest()
+            if digest not in self._known:  # by its id somebody else's would be taken for it
+                self._admit(order)
+                self._remember(digest, self._obey(order))
+            fault = self._known[digest]
+        except M100Error as error:
+            fault = error
+        question.answer(self._keys.show, pack(self._reply(identity, fault)))
+
+    def _remember(self, digest: bytes, fault: M100Error | None) -> None:
+        self._known[digest] = fault
+        if len(self._known) > _MOST_KNOWN:
+            del self._known[next(iter(self._known))]
+
+    def _admit(self, order: Order) -> None:
+        if order.aircraft != self._keys.name:
+            raise NotAllowed(f"an order to {order.aircraft} came to {self._keys.name}")
+        if self._verify is not None:
+            self._verify(order)
+
+    def _obey(self, order: Order) -> M100Error | None:
+        """Do it; what it is refused for, if it is."""
+        try:
+            self._do(order, _read(order.message))
+        except M100Error as error:
+            return error
+        return None
+
+    def _do(self, order: Order, wanted: dict[str, Any]) -> None:
+        performer, run, do = self.performer, str(wanted.get("run", "")), wanted.pop("do", None)
+        if do != "tell":
+            performer.require_run(run)
+        performer.heard(run)
+        try:
+            match do:
+                case "tell":
+                    pass  # the answer says where it stands
+                case "piece":
+                    self._take_piece(int(wanted["at"]), bytes.fromhex(wanted["data"]))
+                case "load":
+                    self._require_wanted(order)
+                    others = self._others(wanted)
+                    performer.load(bytes(self._pieces), wanted["leave"], others, run)
+                case "place":
+                    # It takes off: not minutes later, when whoever conducts has given up.
+                    self._require_wanted(order)
+                    self._require_name()
+                    self._placed_by = order.signer
+                    performer.place(order.signer or order.by)
+                case "start":
+                    self._require_wanted(order)
+                    self._require_name()
+                    performer.start(
+                        str(wanted["digest"]), float(wanted["at"]), float(wanted["bound"])
+                    )
+                case "leave":
+                    performer.leave()
+                case other:
+                    raise MessageError(f"a show knows no order {other!r}")
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            if isinstance(error, M100Error):
+                raise
+            raise MessageError(f"an order to a show cannot be read: {error!r}") from error
+
+    def _others(self, wanted: dict[str, Any]) -> Neighbours | None:
+        show, least = str(wanted.get("show", "")), float(wanted.get("least_m", 0.0))
+        count = int(wanted.get("others", 0))
+        return Neighbours(show, self._keys.name, least, count) if show else None
+
+    def _require_wanted(self, order: Order) -> None:
+        """Whether it is waited for still, and was made after whatever ended a show here.
+
+        Raises:
+            GuardRefused: It was not.
+        """
+        self.performer.ages.check(order.clock, self._client.now)
+
+    def _require_name(self) -> None:
+        if self._namesakes is not None:
+            self._namesakes.require_none(self._client.now)
+
+    def _take_piece(self, at: int, data: bytes) -> None:
+        """A track comes in pieces: from the beginning, and each where the one before ended."""
+        if not 0 <= at <= len(self._pieces) or at + len(data) > _MOST_BYTES:
+            raise MessageError(
+                f"a piece of a track at {at} comes behind {len(self._pieces)} bytes",
+                cause="two upload tracks to the same aircraft, or one is far too long",
+                remedy="upload it anew from its beginning",
+            )
+        self._pieces[at:] = data
+
+    def _reply(self, identity: str, error: M100Error | None) -> Reply:
+        performer = self.performer
+        told = {
+            "stage": performer.stage.value,
+            "digest": "" if performer.track is None else performer.track.digest,
+            "farthest_m": performer.farthest_m,
+            "why": "" if performer.fault is None else performer.fault.seen,
+        }
+        return Reply(
+            id=identity,
+            name=self._keys.name,
+            boot="",
+            progress=Progress.DONE,
+            outcome=outcome_of(error),
+            fault=fault_of(error),
+            text=json.dumps(told),
+            clock=self._client.now,
+        )
+
+
+def _read(message: bytes) -> dict[str, Any]:
+    if not message.startswith(SHOW):
+        raise MessageError("an order came where shows are asked, and is about none")
+    try:
+        found = read_json(message[len(SHOW) :])
+    except ValueError as error:
+        raise MessageError("an order to a show is not JSON") from error
+    if not isinstance(found, dict):
+        raise MessageError("an order to a show is no object")
+    return found

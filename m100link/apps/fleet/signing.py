@@ -1,0 +1,106 @@
+"""Orders of a fleet as they are signed by pilots and verified on board."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from m100link.apps.agent.actions import Action
+from m100link.apps.agent.message_bytes import decode
+from m100link.apps.agent.messages import Ask, Message
+from m100link.apps.fleet.agent import Verify
+from m100link.apps.fleet.asking import Sign
+from m100link.apps.fleet.identity import Claim, Gate, Signer
+from m100link.apps.fleet.logs.words import LOG
+from m100link.apps.fleet.payloads import SHOW, Order
+from m100link.apps.fleet.revoked import Since, nobody
+from m100link.apps.fleet.rights import Right, Rights
+from m100link.link.keyfile import read_key
+
+__all__ = ["read_signer", "right_for", "signing", "tls_options", "verifying"]
+
+_BESIDE = {SHOW: Right.FLY, LOG: Right.WATCH}
+_STOPS = (Action.STOP, Action.HALT, Action.LAND)
+
+
+def right_for(message: Message) -> Right:
+    """What somebody needs who asks for this: to stop, to watch, and for everything else to fly."""
+    if isinstance(message, Ask):
+        if message.action in _STOPS:
+            return Right.STOP
+        if message.action is Action.VERSION:
+            return Right.WATCH
+    return Right.FLY
+
+
+def _needed(order: Order) -> Right:
+    """What an order needs that is none of the agent's messages, or is one."""
+    for begin, right in _BESIDE.items():
+        if order.message.startswith(begin):
+            return right
+    return right_for(decode(order.message))
+
+
+def _claim(order: Order) -> Claim:
+    return Claim(order.id, order.fence, order.aircraft, order.at, order.signer, order.signed())
+
+
+def signing(signer: Signer) -> Sign:
+    """What signs orders in somebody's name."""
+
+    def sign(order: Order) -> Order:
+        named = replace(order, signer=signer.name)
+        return replace(named, signature=signer.sign(_claim(named)))
+
+    return sign
+
+
+def verifying(
+    rights: Rights,
+    names: Iterable[str],
+    utc: Callable[[], float],
+    revoked: Since = nobody,
+) -> Verify:
+    """What agents look at orders with.
+
+    Args:
+        rights: Who may do what.
+        names: Of their aircraft. An agent looks first whether an order names its own.
+        utc: POSIX time, s.
+        revoked: Who is shut out.
+    """
+    gates = {name: Gate(rights, name, began_at=utc(), revoked=revoked) for name in names}
+
+    def verify(order: Order) -> None:
+        gates[order.aircraft].check(_claim(order), order.signature, _needed(order), utc())
+
+    return verify
+
+
+def read_signer(folder: Path, name: str) -> Signer:
+    """The signing key of a pilot, as ``fleet pki issue pilot`` made it.
+
+    Raises:
+        UsageError: There is none, it is none, or others can read it.
+    """
+    return Signer(name, read_key(folder / f"{name}.signing.key").reveal())
+
+
+def tls_options(folder: Path, name: str, *, listens: bool = False) -> dict[str, str]:
+    """Options of a session that shows a certificate of ``fleet pki``, and wants to see one.
+
+    Args:
+        folder: Where ``ca.pem``, ``NAME.pem`` and ``NAME.key`` are.
+        name: Whose certificate.
+        listens: Of a router, which is connected to; it shows the same to other routers.
+    """
+    tls: dict[str, object] = {
+        "root_ca_certificate": str(folder / "ca.pem"),
+        "enable_mtls": True,
+    }
+    for side in ("connect", *(("listen",) if listens else ())):
+        tls[f"{side}_certificate"] = str(folder / f"{name}.pem")
+        tls[f"{side}_private_key"] = str(folder / f"{name}.key")
+    return {"transport/link/tls": json.dumps(tls)}

@@ -1,0 +1,272 @@
+"""Datagrams in, datagrams out: vehicles of one process, and the peers that they share.
+
+Each datagram is read by itself, whoever sent it. A peer is obeyed and answered after a heartbeat
+of its own, and telemetry goes to those alone, and to addresses that the settings name.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+import time
+from collections.abc import Callable, Iterable, Mapping
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.mavlink.codec import Message, Reading, Signer, write_frame
+from m100link.apps.mavlink.crew import Crew
+from m100link.apps.mavlink.numbers import AUTOPILOT_PX4
+from m100link.apps.mavlink.peers import Address, Peer, Peers
+from m100link.apps.mavlink.vehicle import Vehicle
+from m100link.errors import M100Error, UsageError
+
+__all__ = ["HIGHEST_SYSTEM", "IDLE_STEP_S", "STEP_S", "Bridge", "signature_time"]
+
+STEP_S = 0.02
+"""Seconds between two steps: of setpoints, and of telemetry that is due."""
+
+IDLE_STEP_S = 0.05
+"""The same while nothing waits, no setpoints are flown, and nobody wants more than 20 Hz: most of
+what a step costs is to wake up."""
+
+HIGHEST_SYSTEM = 250
+"""The greatest system id of an aircraft: those above are ground stations."""
+
+_GCS = 6
+_LARGEST = 1400
+"""Bytes of a datagram that no network cuts up."""
+
+_READ_PER_STEP = 32768
+"""Bytes of frames that are read and answered in :data:`STEP_S`, shared out evenly among the
+addresses of peers, and one share for all strangers: a flood is dropped, and holds up neither
+setpoints nor others. What does not look like a frame hardly counts: to read it costs little more
+than to drop it, and of who sends commands between much noise none is dropped."""
+
+_SKIPPED = 32
+"""Bytes of a datagram that take as long to be skipped as one of a frame to be read."""
+
+_MESSAGE_COST = 60
+"""What each message counts on top: the shortest ones take as long to read as others."""
+
+_STOOD_STILL_S = 1.0
+"""Seconds without a step after which what waits to be read is old."""
+
+_SINCE_2015 = 1_420_070_400
+
+
+class _Craft:
+    """An aircraft: what translates, and what asks the agent."""
+
+    def __init__(self, agent: AgentClient, system: int, autopilot: int) -> None:
+        self.vehicle = Vehicle(agent, system, autopilot=autopilot)
+        flights = self.vehicle.flights
+        self.crew = Crew(agent, self.vehicle.world, self.vehicle.deck, flights)
+        # By address: whoever counts what is missing finds nothing missing that went elsewhere.
+        self.sequences: dict[Address, int] = {}
+        agent.on_event.append(self.vehicle.event)
+        agent.on_steer_refused.append(self._steer_refused)
+        agent.on_mission_told.append(flights.told)
+        agent.on_authority_taken.append(lambda _: self.vehicle.deck.taken())
+
+    def _steer_refused(self, fence: int, error: M100Error) -> None:
+        lease = self.vehicle.world.lease
+        if lease is not None and lease.number == fence:
+            self.vehicle.deck.steer_refused(error)
+
+
+class Bridge:
+    """The bridge.
+
+    Args:
+        agents: The agents of the aircraft, by system id, each entered.
+        send: Sends a datagram; never waits.
+        to: Addresses that are spoken to first.
+        drain: Forgets all that waits to be read.
+        signer: Signs what goes out, and refuses what is not signed.
+        autopilot: MAV_AUTOPILOT of the heartbeat.
+
+    Attributes:
+        dropped: Datagrams that were not read because too many came.
+        unsent: Messages with a number that does not fit.
+
+    Raises:
+        UsageError: A system id cannot be one of an aircraft.
+    """
+
+    def __init__(
+        self,
+        agents: Mapping[int, AgentClient],
+        send: Callable[[bytes, Address], None],
+        *,
+        to: tuple[Address, ...] = (),
+        drain: Callable[[], None] = lambda: None,
+        signer: Signer | None = None,
+        autopilot: int = AUTOPILOT_PX4,
+    ) -> None:
+        for system in agents:
+            if not 1 <= system <= HIGHEST_SYSTEM:
+                raise UsageError(
+                    f"{system} is not a system id of an aircraft",
+                    remedy=f"choose 1 to {HIGHEST_SYSTEM}; 255 is a ground station's",
+                )
+        self._send = send
+        self._drain = drain
+        self._signer = signer
+        self._clock = asyncio.get_running_loop().time
+        self.peers = Peers(to)
+        self._crafts = [_Craft(agent, system, autopilot) for system, agent in agents.items()]
+        # What may still be read of whom, and when that was shared out: not by each step, whose rest
+        # is longer while nothing waits.
+        self._shares: dict[Address | None, int] = {None: _READ_PER_STEP}
+        self._shared_at = -STEP_S
+        self.dropped = 0
+        self.unsent = 0
+        self._ran_at = self._clock()
+        # The rest before the next step: what ends it, when it began, and whether it is short.
+        self._rest: asyncio.Future[None] | None = None
+        self._stepped_at = 0.0
+        self._is_short = False
+
+    @property
+    def vehicles(self) -> list[Vehicle]:
+        """The aircraft, as they are translated."""
+        return [craft.vehicle for craft in self._crafts]
+
+    def received(self, data: bytes, address: Address) -> None:
+        """A datagram came."""
+        now = self._clock()
+        if self._stood_still(now):
+            return
+        self._share_out(now)
+        sender = address if address in self._shares else None
+        if len(data) > self._shares[sender]:
+            self.dropped += 1
+            return
+        most = self._shares[sender]
+        reading = Reading(data, signer=self._signer, now=signature_time(), most=most)
+        for message in reading:
+            self._shares[sender] -= _MESSAGE_COST
+            self._take(message, Peer(address, message.system, message.component), now)
+        self._shares[sender] -= reading.checked + len(data) // _SKIPPED
+        self._flush(now)
+        self._hurry()
+
+    def _take(self, message: Message, peer: Peer, now: float) -> None:
+        if message.system == 0 or any(one.system == message.system for one in self.vehicles):
+            return  # our own words, or nobody's
+        if message.name == "HEARTBEAT":
+            is_trusted = self._signer is None or message.is_signed
+            self.peers.heartbeat(peer, now, is_trusted=is_trusted)
+        elif self.peers.knows(peer, now):
+            for vehicle in self.vehicles:
+                vehicle.receive(message, peer, now)
+
+    def _share_out(self, now: float) -> None:
+        if now - self._shared_at >= STEP_S:
+            self._shared_at = now
+            senders = {None, *self.peers.audience(now)}
+            self._shares = dict.fromkeys(senders, _READ_PER_STEP // len(senders))
+
+    def _stood_still(self, now: float) -> bool:
+        """Forget what was sent while this process was stopped: nobody waits for it any more."""
+        still, self._ran_at = now - self._ran_at, now
+        if still < _STOOD_STILL_S:
+            return False
+        self._drain()
+        for vehicle in self.vehicles:
+            vehicle.tell(f"{still:.1f} s of standstill: commands sent in that time are ignored")
+        return True
+
+    def step(self) -> None:
+        """Let time pass."""
+        now = self._clock()
+        self._stood_still(now)
+        audience = self.peers.audience(now)
+        for craft in self._crafts:
+            craft.sequences = {one: craft.sequences.get(one, 0) for one in audience}
+            craft.vehicle.advance(now, audience, lambda peer: self.peers.is_lost(peer, now))
+            craft.crew.advance()
+        self._flush(now)
+
+    def _flush(self, now: float) -> None:
+        """Send what waits, as few datagrams as there can be."""
+        everybody = self.peers.addresses(now)
+        packed: dict[Address, bytearray] = {}
+        for craft in self._crafts:
+            waiting, craft.vehicle.outbox = craft.vehicle.outbox, []
+            for message, to in waiting:
+                addresses: Iterable[Address] = everybody if to is None else ()
+                if isinstance(to, tuple):
+                    addresses = to
+                elif to is not None:
+                    addresses = (to.address,)
+                for address in addresses:
+                    frame = self._frame(craft, message, address)
+                    if frame is None:
+                        break
+                    if isinstance(to, Peer) and address in self._shares:
+                        self._shares[address] -= len(frame)
+                    self._pack(packed.setdefault(address, bytearray()), frame, address)
+        for address, data in packed.items():
+            if data:
+                self._send(bytes(data), address)
+
+    def _frame(self, craft: _Craft, message: Message, address: Address) -> bytes | None:
+        sequence = craft.sequences[address] = craft.sequences.get(address, 0) + 1
+        try:
+            return write_frame(
+                message,
+                system=craft.vehicle.system,
+                sequence=sequence,
+                signer=self._signer,
+                now=signature_time() if self._signer is not None else 0,
+            )
+        except (struct.error, OverflowError):
+            self.unsent += 1  # a number that its field does not hold: nobody could use it
+            return None
+
+    def _pack(self, data: bytearray, frame: bytes, address: Address) -> None:
+        if len(data) + len(frame) > _LARGEST:
+            self._send(bytes(data), address)
+            data.clear()
+        data += frame
+
+    async def run(self) -> None:
+        """Step for ever, until cancelled; then whatever is held is given back."""
+        self._ran_at = self._clock()
+        try:
+            while True:
+                self.step()
+                await self._until_next()
+        finally:
+            for craft in self._crafts:
+                await craft.crew.end()
+
+    async def _until_next(self) -> None:
+        loop = asyncio.get_running_loop()
+        self._rest, self._stepped_at, self._is_short = loop.create_future(), loop.time(), False
+        timer = loop.call_later(IDLE_STEP_S, _end, self._rest)
+        self._hurry()
+        try:
+            await self._rest
+        finally:
+            timer.cancel()
+            self._rest = None
+
+    def _hurry(self) -> None:
+        """Rest for a short time if something waits or flies."""
+        if self._rest is None or self._is_short:
+            return
+        if any(vehicle.is_busy for vehicle in self.vehicles):
+            self._is_short = True
+            loop = asyncio.get_running_loop()
+            loop.call_at(self._stepped_at + STEP_S, _end, self._rest)
+
+
+def _end(rest: asyncio.Future[None]) -> None:
+    if not rest.done():
+        rest.set_result(None)
+
+
+def signature_time() -> int:
+    """Time of signatures: 10 microseconds since 2015."""
+    return int((time.time() - _SINCE_2015) * 1e5)

@@ -1,0 +1,315 @@
+"""Carries out what the deck orders, by asking the agent: one order at a time, the newest wins."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from typing import Any
+
+from m100link.apps.agent.actions import UNTIL_OVER, Action
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.guided import ChangeHeight
+from m100link.apps.agent.lease import Lease
+from m100link.apps.agent.plan_told import told_of
+from m100link.apps.mavlink.deck import Deck
+from m100link.apps.mavlink.flights import MissionFlights
+from m100link.apps.mavlink.orders import (
+    Arm,
+    CallOff,
+    Disarm,
+    Do,
+    Drop,
+    Errand,
+    Flight,
+    GoHome,
+    Halt,
+    Land,
+    Order,
+    Pause,
+    Resume,
+    Steer,
+    TakeOff,
+)
+from m100link.apps.mavlink.world import World
+from m100link.errors import (
+    AckTimeout,
+    LinkError,
+    M100Error,
+    MissionRefused,
+    NoAuthority,
+    TaskRefused,
+)
+from m100link.missions.plan import WaypointPlan
+from m100link.protocol.commands.control import Task
+
+__all__ = ["Crew"]
+
+_RENEWAL_S = 0.5
+_TAKES_OFF_WITHIN_S = 2.5
+"""Seconds after its order in which a take-off shows, if it is flown (DJI's samples wait for 2)."""
+_LANDS_WITHIN_S, _LANDS_AGAIN_S = 30.0, 0.5
+_CLOSE_M = 0.3
+"""A climb of less than this after the take-off is not asked for."""
+
+
+class Crew:
+    """Asks the agent of one aircraft.
+
+    Args:
+        agent: The agent.
+        world: What is known of the aircraft; it gets the lease.
+        deck: What decides.
+        flights: Told how far a flight is.
+    """
+
+    def __init__(
+        self,
+        agent: AgentClient,
+        world: World,
+        deck: Deck,
+        flights: MissionFlights,
+    ) -> None:
+        self._agent = agent
+        self._world = world
+        self._deck = deck
+        self._flights = flights
+        # The order under way; a new one ends it.
+        self._work: asyncio.Task[None] | None = None
+        # Giving back ends before authority is asked for anew: they would cross.
+        self._is_disarming = False
+        # A request for authority is never ended: its answer decides who has it.
+        self._arming: asyncio.Task[None] | None = None
+        # From before a mission's start leaves until its end is told, or its stop is heard.
+        self._owes_a_stop = False
+        # What is told to a mission goes out in the order in which it was wanted.
+        self._telling = asyncio.Lock()
+        self._renewed_at = agent.now
+        self._doing: dict[type[Any], Callable[[Any], Awaitable[None]]] = {
+            Disarm: self._disarm,
+            CallOff: self._call_off,
+            TakeOff: self._take_off,
+            Land: self._land,
+            GoHome: self._go_home,
+            Halt: self._halt,
+            Flight: self._fly,
+        }
+
+    def advance(self) -> None:
+        """Carry out what was ordered, and keep the lease."""
+        orders, self._deck.orders = self._deck.orders, []
+        for order in orders:
+            if isinstance(order, Steer):
+                self._steer(order)
+            elif isinstance(order, Pause | Resume | Do):
+                self._agent.background.spawn(self._tell(order), type(order).__name__)
+            elif isinstance(order, Drop):
+                self._drop()
+            elif isinstance(order, Arm):
+                self._arming = self._agent.background.spawn(self._arm(order), "arming")
+            else:
+                self._replace(order)
+        if self._agent.is_connected and not self._world.has_authority:
+            self._owes_a_stop = False  # the agent ends the mission of whoever lost control
+        now = self._agent.now
+        if self._world.lease is not None and now - self._renewed_at >= _RENEWAL_S:
+            self._renewed_at = now
+            if self._world.has_lease:
+                self._agent.keep(self._world.lease)
+
+    def _steer(self, order: Steer) -> None:
+        lease = self._world.lease
+        # A mission ignores setpoints: they are refused until its stop is heard.
+        if lease is not None and self._world.has_lease and not self._owes_a_stop:
+            self._agent.steer(lease, order.setpoint, order.lifetime)
+
+    def _drop(self) -> None:
+        if self._owes_a_stop and self._world.has_lease and not self._agent.is_gone:
+            # Where the agent was only not heard for a while, it flies on what nobody wants now.
+            self._agent.halt("control was not seen to be held", self._world.lease)
+        if self._work is not None and not self._is_disarming:
+            self._work.cancel()
+
+    async def _tell(self, errand: Errand) -> None:
+        actions = {Pause: Action.MISSION_PAUSE, Resume: Action.MISSION_RESUME}
+        async with self._telling:
+            if not self._flights.is_due(errand):
+                return
+            try:
+                if isinstance(errand, Do):
+                    await self._agent.ask(errand.action, self._world.lease, number=errand.number)
+                else:
+                    await self._agent.ask(actions[type(errand)], self._world.lease)
+            except M100Error as error:
+                self._flights.failed(errand, error)
+
+    def _replace(self, order: Order) -> None:
+        if self._work is not None:
+            self._work.cancel()
+        self._work = self._agent.background.spawn(self._carry_out(order), type(order).__name__)
+        self._is_disarming = isinstance(order, Disarm | CallOff)
+
+    async def _carry_out(self, order: Order) -> None:
+        error = None
+        try:
+            await self._doing[type(order)](order)
+        except M100Error as met:
+            error = met
+        self._deck.ended(order, error, self._agent.now)
+
+    # -- control authority -----------------------------------------------------------------------
+
+    async def _arm(self, order: Arm) -> None:
+        error = None
+        if self._is_disarming and self._work is not None:
+            await asyncio.wait({self._work})
+        try:
+            if not self._world.has_lease:
+                self._world.lease = await self._agent.acquire(order.name)
+            if not self._agent.state.is_activated:
+                await self._agent.activate(self._world.lease)
+            self._check_wanted()
+            await self._agent.obtain(self._world.lease)
+            self._check_wanted()
+        except M100Error as met:
+            error = met
+            await self._let_go()
+        self._deck.armed(error, self._agent.now)
+
+    def _check_wanted(self) -> None:
+        if self._deck.is_unwanted:
+            raise NoAuthority(
+                "it was disarmed before it was armed",
+                cause="a ground station gave control back meanwhile",
+                remedy="arm again",
+            )
+
+    async def _disarm(self, order: Disarm) -> None:
+        await self._let_go()
+
+    async def _call_off(self, order: CallOff) -> None:
+        self._world.may_take_off = True
+        try:
+            await self._agent.release(self._world.lease)
+            # It may have been taking off until now: what counts is what it does after a while.
+            await asyncio.sleep(_TAKES_OFF_WITHIN_S)
+            if self._world.is_on_ground is not True:
+                await self._agent.obtain(self._world.lease)
+                await self._land_at_last()
+        finally:
+            self._world.may_take_off = False
+        await self._let_go()
+
+    async def _land_at_last(self) -> None:
+        """The aircraft refuses a landing until its take-off is over."""
+        until = self._agent.now + _LANDS_WITHIN_S
+        while True:
+            try:
+                await self._agent.fly(self._world.lease, Task.LAND)
+            except TaskRefused:
+                if self._world.is_on_ground:
+                    return
+                if self._agent.now >= until:
+                    raise
+                await asyncio.sleep(_LANDS_AGAIN_S)
+            else:
+                return
+
+    async def _let_go(self) -> None:
+        lease = self._world.lease
+        try:
+            if lease is not None and self._world.has_lease:
+                await self._agent.release_lease(lease.token)
+        except M100Error:
+            pass  # it has ended meanwhile, which is what was wanted
+        self._world.lease = None
+        self._owes_a_stop = False  # the agent stops the mission of a lease that ends
+
+    # -- flying ----------------------------------------------------------------------------------
+
+    async def _make_way(self, is_interrupting: bool = False) -> None:
+        """End what the aircraft flies by itself: its task, or its mission.
+
+        For a task giving authority back is the only way that there is. A mission is told to stop,
+        whoever started it.
+
+        Raises:
+            AckTimeout, MissionRefused: It may be flying on.
+            LinkError, NoAuthority: See each class.
+        """
+        if is_interrupting:
+            await self._agent.stop()
+            await self._agent.release(self._world.lease)  # a stop keeps it where no task is known
+            await self._agent.obtain(self._world.lease)
+        elif self._owes_a_stop or self._world.flies_mission:
+            await self._agent.ask(Action.MISSION_STOP, self._world.lease)
+        self._owes_a_stop = False
+
+    async def _take_off(self, order: TakeOff) -> None:
+        await self._agent.fly(self._world.lease, Task.TAKE_OFF)
+        self._deck.took_off(order, self._agent.now)
+        height = self._world.height
+        if order.height is None or (height is not None and abs(height - order.height) < _CLOSE_M):
+            return
+        await self._agent.guide(self._world.lease, ChangeHeight(order.height))
+
+    async def _land(self, order: Land) -> None:
+        with suppress(AckTimeout, MissionRefused):
+            # Told by the agent; and a landing breaks off what a stop did not end.
+            await self._make_way(order.is_interrupting)
+        self._agent.halt("landing", self._world.lease)
+        await self._agent.fly(self._world.lease, Task.LAND)
+
+    async def _go_home(self, order: GoHome) -> None:
+        await self._make_way(order.is_interrupting)
+        self._agent.halt("going home", self._world.lease)
+        await self._agent.fly(self._world.lease, Task.GO_HOME)
+
+    async def _halt(self, order: Halt) -> None:
+        await self._make_way(order.is_interrupting)
+        self._agent.halt(order.why or "hold", self._world.lease)
+
+    async def _fly(self, order: Flight) -> None:
+        lease = self._world.lease  # of this flight: it does not go on under a later one
+        await self._make_way()
+        if order.takes_off:
+            await self._agent.fly(lease, Task.TAKE_OFF)
+            self._deck.took_off(order, self._agent.now)
+        for number, leg in enumerate(order.legs[: order.by_agent]):
+            self._flights.leg(order, number, False)
+            await self._agent.guide(lease, leg)
+            if number < len(order.waits):
+                await asyncio.sleep(order.waits[number])
+            self._flights.leg(order, number, True)
+        if order.plan is not None:
+            await self._fly_plan(order, order.plan, lease)
+
+    async def _fly_plan(self, order: Flight, plan: WaypointPlan, lease: Lease | None) -> None:
+        """Let the aircraft fly it by itself; done when that is over."""
+        agent = self._agent
+        told = told_of(plan, "")
+        await agent.ask(Action.MISSION_PLAN, lease, data=told.mission)
+        for point in told.points:
+            await agent.ask(Action.MISSION_POINT, lease, data=point)
+        self._owes_a_stop = True
+        try:
+            await agent.ask(
+                Action.MISSION_START,
+                lease,
+                number=UNTIL_OVER,
+                accepted=lambda: self._flights.begun(order),
+            )
+        except M100Error:
+            self._owes_a_stop = False  # the agent has stopped it, or told what came of that
+            raise
+        self._owes_a_stop = False
+
+    async def end(self) -> None:
+        """Give back what is held."""
+        for work in (self._work, self._arming):
+            if work is not None:
+                work.cancel()
+        try:
+            await self._let_go()
+        except LinkError:
+            return

@@ -1,0 +1,284 @@
+"""Actions of ROS 2 by their three services and two topics: goal, feedback, result, cancel.
+
+One goal flies at a time, whichever action it is of; the next one is rejected. Cancelled means
+hover. When somebody who may have asked is not in the graph any more, its goal is cancelled.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.messages import Event
+from m100link.apps.agent.messages import Topic as EventTopic
+from m100link.apps.ros2.ends import Ends, Topic
+from m100link.apps.ros2.flights import FLIGHTS, Flight
+from m100link.apps.ros2.graph import Names, Qos, Seen
+from m100link.apps.ros2.heartbeat import Heartbeat
+from m100link.apps.ros2.helm import Helm
+from m100link.apps.ros2.presence import Presence
+from m100link.errors import M100Error
+
+__all__ = ["Actions", "GoalStatus"]
+
+FEEDBACK_S = 0.5
+"""Seconds between two messages of feedback."""
+
+_KEPT = 32
+"""Goals whose outcome is remembered."""
+
+_MOST_WAITING = 32
+"""Who can wait for the results of an action."""
+
+_STATUS = Qos(is_latched=True, depth=1)
+_NOBODY = bytes(16)
+_NO_TIME = {"sec": 0, "nanosec": 0}
+
+# Return codes of action_msgs/srv/CancelGoal.
+_CANCELING, _REJECTED, _UNKNOWN, _TERMINATED = 0, 1, 2, 3
+
+
+class GoalStatus(IntEnum):
+    """States of a goal, as action_msgs/msg/GoalStatus numbers them."""
+
+    UNKNOWN = 0
+    ACCEPTED = 1
+    EXECUTING = 2
+    CANCELING = 3
+    SUCCEEDED = 4
+    CANCELED = 5
+    ABORTED = 6
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing follows."""
+        return self >= GoalStatus.SUCCEEDED
+
+
+@dataclass(slots=True)
+class _Goal:
+    """A goal.
+
+    Attributes:
+        id: Its UUID.
+        action: Of which action.
+        stamp: When it was accepted.
+        flight: What flies.
+        clients: Those who may have asked, by their tokens.
+        status: Where it stands.
+        message: Why it ended as it did.
+        over: Set when it has.
+    """
+
+    id: bytes
+    action: _Action
+    stamp: Mapping[str, int]
+    flight: Flight
+    clients: Mapping[str, Seen]
+    status: GoalStatus = GoalStatus.ACCEPTED
+    message: str = ""
+    over: asyncio.Event = field(default_factory=asyncio.Event)
+
+    @property
+    def info(self) -> dict[str, Any]:
+        """As action_msgs/msg/GoalInfo."""
+        return {"goal_id": {"uuid": list(self.id)}, "stamp": self.stamp}
+
+
+@dataclass(frozen=True, slots=True)
+class _Action:
+    """An action.
+
+    Attributes:
+        name: Private to the node.
+        topic: Its full name.
+        make: Makes what flies of a goal.
+        feedback: Where it is told how far it is.
+        status: Where the states of goals are told.
+    """
+
+    name: str
+    topic: str
+    make: Callable[[AgentClient, Helm, Mapping[str, Any]], Flight]
+    feedback: Topic
+    status: Topic
+
+
+class Actions:
+    """All actions of a node.
+
+    Args:
+        agent: The agent.
+        helm: Where a goal says that it flies.
+        ends: Where services and topics are offered.
+        names: Names of the node.
+        presence: Who is there.
+        heartbeat: Who of them still runs.
+        stamp: Time now, as builtin_interfaces/Time.
+    """
+
+    def __init__(
+        self,
+        agent: AgentClient,
+        helm: Helm,
+        ends: Ends,
+        names: Names,
+        presence: Presence,
+        heartbeat: Heartbeat,
+        stamp: Callable[[], Mapping[str, int]],
+    ) -> None:
+        self._agent, self._helm, self._presence, self._stamp = agent, helm, presence, stamp
+        self._heartbeat = heartbeat
+        self._goals: OrderedDict[bytes, _Goal] = OrderedDict()
+        self._current: _Goal | None = None
+        self._feedback_at = agent.now
+        agent.on_event.append(self._hear)
+        self._actions: list[_Action] = []
+        for name, (kind, make, _) in FLIGHTS.items():
+            inner = f"{names.full(name)}/_action"
+            feedback = ends.publish(f"{inner}/feedback", f"{kind}_FeedbackMessage", Qos())
+            status = ends.publish(f"{inner}/status", "action_msgs/GoalStatusArray", _STATUS)
+            action = _Action(name, names.full(name), make, feedback, status)
+            self._actions.append(action)
+            ends.serve(f"{inner}/send_goal", f"{kind}_SendGoal", self._sending(action))
+            result = f"{kind}_GetResult"
+            ends.serve(f"{inner}/get_result", result, self._result, at_once=_MOST_WAITING)
+            ends.serve(
+                f"{inner}/cancel_goal", "action_msgs/srv/CancelGoal", self._canceling(action)
+            )
+
+    # -- services --------------------------------------------------------------------------------
+
+    def _sending(self, action: _Action) -> Callable[[dict[str, Any]], Any]:
+        async def send(request: dict[str, Any]) -> Mapping[str, Any]:
+            stamp = self._stamp()
+            identity = bytes(request["goal_id"]["uuid"])
+            try:
+                if identity in self._goals:
+                    raise ValueError("there is a goal of that id")
+                self._helm.held()
+                self._helm.require_free(action.name)
+                flight = action.make(self._agent, self._helm, request["goal"])
+            except (M100Error, ValueError) as error:
+                why = error.seen if isinstance(error, M100Error) else str(error)
+                self._agent.note(f"{action.name}: {why}", "warning")
+                return {"accepted": False, "stamp": stamp}
+            clients = self._presence.clients(f"{action.topic}/_action/send_goal")
+            goal = _Goal(identity, action, stamp, flight, clients)
+            self._begin(goal)
+            return {"accepted": True, "stamp": stamp}
+
+        return send
+
+    async def _result(self, request: dict[str, Any]) -> Mapping[str, Any]:
+        goal = self._goals.get(bytes(request["goal_id"]["uuid"]))
+        if goal is None:
+            result = {"success": False, "message": "there is no such goal, or it was long ago"}
+            return {"status": GoalStatus.UNKNOWN, "result": result}
+        await goal.over.wait()
+        done = goal.status is GoalStatus.SUCCEEDED
+        return {"status": goal.status, "result": {"success": done, "message": goal.message}}
+
+    def _canceling(self, action: _Action) -> Callable[[dict[str, Any]], Any]:
+        async def cancel(request: dict[str, Any]) -> Mapping[str, Any]:
+            """Whoever asks: a hover is never refused."""
+            wanted = request["goal_info"]
+            identity, stamp = bytes(wanted["goal_id"]["uuid"]), wanted["stamp"]
+            if identity != _NOBODY and identity not in self._goals:
+                return {"return_code": _UNKNOWN, "goals_canceling": []}
+            goal = self._current
+            is_meant = goal is not None and (
+                identity == goal.id
+                or (identity == _NOBODY and goal.action is action)
+                or (stamp != _NO_TIME and goal.action is action and _before(goal.stamp, stamp))
+            )
+            if goal is None or not is_meant:
+                code = _CANCELING if identity == _NOBODY else _TERMINATED
+                return {"return_code": code, "goals_canceling": []}
+            self._cancel(goal, "the goal was cancelled")
+            return {"return_code": _CANCELING, "goals_canceling": [goal.info]}
+
+        return cancel
+
+    # -- goals -----------------------------------------------------------------------------------
+
+    def _begin(self, goal: _Goal) -> None:
+        self._goals[goal.id] = self._current = goal
+        while len(self._goals) > _KEPT:
+            self._goals.popitem(last=False)
+        self._helm.goal = goal.action.name
+        self._heartbeat.follow(frozenset(one.node[0] for one in goal.clients.values()))
+        if goal.clients:
+            who = ", ".join(sorted({one.node_name for one in goal.clients.values()}))
+            self._agent.note(f"{goal.action.name} for {who}")
+        else:
+            self._agent.note(f"{goal.action.name} for a node that nobody would miss", "warning")
+        self._agent.background.spawn(self._fly(goal), goal.action.name)
+
+    async def _fly(self, goal: _Goal) -> None:
+        outcome, message = GoalStatus.ABORTED, "the node ends"
+        try:
+            if goal.status is GoalStatus.ACCEPTED:  # else it was cancelled before it began
+                goal.status = GoalStatus.EXECUTING
+                self._tell_status(goal.action)
+                await goal.flight.run()
+            outcome, message = GoalStatus.SUCCEEDED, "done"
+        except M100Error as error:
+            message = str(error)
+        finally:
+            if goal.status is GoalStatus.CANCELING:
+                outcome, message = GoalStatus.CANCELED, goal.message
+            goal.status, goal.message = outcome, message
+            self._helm.goal, self._current = "", None
+            goal.over.set()
+            self._tell_status(goal.action)
+
+    def _cancel(self, goal: _Goal, why: str) -> None:
+        if goal.status is not GoalStatus.CANCELING:
+            goal.status, goal.message = GoalStatus.CANCELING, why
+            goal.flight.end(why)
+            self._tell_status(goal.action)
+
+    def _tell_status(self, action: _Action) -> None:
+        told = [
+            {"goal_info": one.info, "status": one.status}
+            for one in self._goals.values()
+            if one.action is action
+        ]
+        action.status.say({"status_list": told})
+
+    def _hear(self, event: Event) -> None:
+        """Somebody, at whatever front, stopped what flies, or had it hover: more legs may come."""
+        if event.topic in (EventTopic.STOPPED, EventTopic.HALTED):
+            self.end(event.text)
+
+    def end(self, why: str) -> None:
+        """Cancel what flies."""
+        if self._current is not None:
+            self._cancel(self._current, why)
+
+    def advance(self) -> None:
+        """Look after the goal: who asked is there, and how far it is."""
+        goal, now = self._current, self._agent.now
+        if goal is None:
+            return
+        if self._presence.missing(goal.clients):
+            self._cancel(goal, "whoever asked has gone")
+        elif self._heartbeat.is_missing(now):
+            self._cancel(goal, "whoever asked does not answer any more")
+        if not goal.flight.is_ours:
+            # Between two of its legs nothing of it flies that the agent could have ended.
+            self._cancel(goal, "control was lost, or given back")
+        if now - self._feedback_at >= FEEDBACK_S:
+            self._feedback_at = now
+            told = {"goal_id": {"uuid": list(goal.id)}, "feedback": goal.flight.feedback()}
+            goal.action.feedback.say(told)
+
+
+def _before(one: Mapping[str, int], other: Mapping[str, int]) -> bool:
+    return (one["sec"], one["nanosec"]) <= (other["sec"], other["nanosec"])

@@ -1,0 +1,283 @@
+"""The node: its topics and services on a bus, what comes in by them, and what is said."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Any
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.messages import Action
+from m100link.apps.bus.network import PolledBus
+from m100link.apps.ros2.actions import Actions
+from m100link.apps.ros2.answers import answering, trigger
+from m100link.apps.ros2.descriptions import serve_descriptions
+from m100link.apps.ros2.dji import DJI_OUTPUTS
+from m100link.apps.ros2.ends import Call, Ends, Input
+from m100link.apps.ros2.graph import ADMIN, Names, NodeName
+from m100link.apps.ros2.heartbeat import Heartbeat
+from m100link.apps.ros2.helm import Helm
+from m100link.apps.ros2.missions import Missions
+from m100link.apps.ros2.parameters import Parameters
+from m100link.apps.ros2.payload import Payload
+from m100link.apps.ros2.presence import Presence
+from m100link.apps.ros2.setpoints import Frames, speed, toward
+from m100link.apps.ros2.telling import ALL_OUTPUTS, Teller
+from m100link.apps.ros2.topics import INPUTS, SERVICES
+from m100link.errors import M100Error, UsageError
+from m100link.protocol.commands.control import Task
+from m100link.protocol.records import Position
+from m100link.protocol.setpoint import Setpoint
+from m100link.telemetry.sample import Sample
+
+__all__ = ["STEP_S", "Node"]
+
+STEP_S = 0.02
+"""Seconds between two looks at what has come, with telemetry: it has the process awake anyway."""
+
+_STEP_WITHOUT_S = 0.025
+"""The same without telemetry, and while that is late."""
+
+_STEP_SOONEST_S = 0.015
+
+_STOOD_STILL_S = 1.0
+"""Seconds without a step after which what waits is old."""
+
+_DEAF_S = 0.3
+"""Seconds after such a standstill in which what comes was sent before."""
+
+_LOOK_S = 0.5
+_POSITION_S = 1.0
+_TELL_S = 2.0
+_MOST_TOLD = 16
+
+_REFUSED = {
+    "other": "another publisher has the stick, or this one was cut off while it went on sending; "
+    "be silent for a moment, and begin anew",
+    "late": "too long on its way, by the stamps in its attachments",
+}
+
+Make = Callable[[dict[str, Any]], Setpoint]
+
+
+class Node:
+    """A node for one aircraft.
+
+    Args:
+        agent: The agent of the aircraft.
+        bus: Where it is.
+        names: Its name, its namespace, and what is called otherwise.
+        domain: ROS_DOMAIN_ID.
+        number: Its number within the session.
+        has_clock: Whether it publishes ``/clock``, as for a virtual aircraft.
+        has_dji_names: Whether it publishes by the names of DJI's node, too.
+        utc: POSIX time, s.
+
+    Attributes:
+        name: In the graph.
+        ends: Its topics and services.
+        helm: What ROS programs want of the aircraft.
+        teller: What is published.
+        actions: What flies by itself.
+    """
+
+    def __init__(
+        self,
+        agent: AgentClient,
+        bus: PolledBus,
+        names: Names,
+        *,
+        domain: int = 0,
+        number: int = 0,
+        has_clock: bool = False,
+        has_dji_names: bool = False,
+        utc: Callable[[], float] = time.time,
+    ) -> None:
+        self._agent, self._names = agent, names
+        self.name = NodeName(domain, bus.session, names.namespace, names.node, number)
+        self.ends = Ends(bus, self.name, agent.background, utc)
+        self.helm = Helm(agent)
+        self._presence = Presence(lambda: bus.changes(f"{ADMIN}/{domain}/**"))
+        self._looked_at = self._ran_at = self._deaf_until = agent.now
+        self._told: dict[str, float] = {}
+        self._waiting: asyncio.Future[None] | None = None
+        # Services are many, and looked at in every second step.
+        self._is_even = False
+        # Plain names are understood in a namespace, too: nothing else can be meant.
+        ground = ("odom", "map", names.frame("odom"), names.frame("map"))
+        self._frames = Frames(ground, ("base_link", names.frame("base_link")))
+        topics = {
+            name: self.ends.publish(names.full(name), out.kind, out.qos)
+            for name, out in ALL_OUTPUTS.items()
+            if (has_clock or name != "/clock") and (has_dji_names or name not in DJI_OUTPUTS)
+        }
+        self.teller = Teller(agent, names, topics, utc, lambda: self.counted)
+        takes: dict[str, Make] = {
+            "~/cmd_vel": self._stamped,
+            "~/cmd_vel_unstamped": lambda message: speed(message, is_body=True),
+            "~/setpoint_position": self._place,
+        }
+        inputs = {
+            name: self.ends.subscribe(names.full(name), row.kind) for name, row in INPUTS.items()
+        }
+        self._inputs = [(name, inputs[name], make) for name, make in takes.items()]
+        self._payload = Payload(agent, self.helm, inputs["~/gimbal_speed"], self._tell)
+        for name, call in (self._calls() | Missions(self.helm).calls()).items():
+            self.ends.serve(names.full(name), SERVICES[name].kind, call)
+        self.actions = Actions(
+            agent,
+            self.helm,
+            self.ends,
+            names,
+            self._presence,
+            Heartbeat(bus),
+            self.teller.time_now,
+        )
+        Parameters(agent, self.teller, self.ends, names)
+        serve_descriptions(self.ends, names)
+
+    @property
+    def counted(self) -> dict[str, int]:
+        """What was not done, by the reason."""
+        refused = {f"setpoints {why}": count for why, count in self.helm.stick.refused.items()}
+        return {"payloads that could not be read": self.ends.junk, **refused}
+
+    # -- setpoints -------------------------------------------------------------------------------
+
+    def _stamped(self, message: dict[str, Any]) -> Setpoint:
+        frame = message["header"]["frame_id"]
+        return speed(message["twist"], is_body=self._frames.is_body(frame, "a speed"))
+
+    def _place(self, message: dict[str, Any]) -> Setpoint:
+        frame = message["header"]["frame_id"]
+        if self._frames.is_body(frame, "a place") and frame:
+            raise UsageError("a place in the frame of the body", remedy="give it in odom or map")
+        telemetry = self._agent.telemetry
+        position = None if telemetry is None else telemetry.fresh(Position, within=_POSITION_S)
+        here = None if position is None else self.teller.places.local(position)
+        if here is None:
+            raise UsageError("a place, and nobody knows where the aircraft is")
+        fastest = self._agent.state.limits.max_speed_m_s
+        return toward(message["pose"], here, fastest=fastest)
+
+    def _hear(self, name: str, source: Input, make: Make) -> None:
+        """Fly the newest setpoint of whoever has the stick."""
+        newest: dict[str, Any] | None = None
+        now = self._agent.now
+        for attachment, message in source.take():
+            sent_at = attachment.at_ns / 1e9
+            why = self.helm.stick.hear(attachment.gid, sent_at, now, attachment.sequence)
+            if why:
+                refused = self.helm.refusal() if why == "closed" else _REFUSED[why]
+                self._tell(f"{name}: {refused}", "warning")
+            elif now >= self._deaf_until:
+                newest = message
+        if newest is None:
+            return
+        why = self.helm.refusal()
+        if why:
+            self._tell(f"{name}: {why}", "info")
+            return
+        try:
+            self.helm.steer(make(newest))
+        except M100Error as error:
+            self._tell(f"{name}: {error.seen}", "warning")
+
+    def _tell(self, text: str, level: str) -> None:
+        """Say why something is not done, now and then."""
+        now = self._agent.now
+        if now >= self._told.get(text, now):
+            if len(self._told) >= _MOST_TOLD:
+                self._told.clear()
+            self._told[text] = now + _TELL_S
+            self._agent.note(text, level)
+
+    # -- services --------------------------------------------------------------------------------
+
+    def _calls(self) -> dict[str, Call]:
+        helm = self.helm
+        return {
+            "~/obtain_control": trigger(self._obtain, "ROS has control"),
+            "~/release_control": trigger(helm.release, "control is given back"),
+            "~/takeoff": trigger(lambda: helm.fly(Task.TAKE_OFF), "it takes off"),
+            "~/land": trigger(lambda: self._end(Task.LAND), "it lands"),
+            "~/go_home": trigger(lambda: self._end(Task.GO_HOME), "it flies home"),
+            "~/arm": trigger(lambda: helm.do(Action.ARM), "the motors run"),
+            "~/disarm": trigger(lambda: helm.do(Action.DISARM), "the motors stand"),
+            "~/stop": trigger(helm.stop, "stopped"),
+            "~/take_photo": trigger(lambda: helm.do(Action.TAKE_PHOTO), "sent"),
+            "~/start_video": trigger(lambda: helm.do(Action.START_VIDEO), "sent"),
+            "~/stop_video": trigger(lambda: helm.do(Action.STOP_VIDEO), "sent"),
+            "~/point_gimbal": answering(self._payload.point, "sent"),
+        }
+
+    async def _obtain(self) -> None:
+        if self._presence.has_namesake(self.name.full, self.name.session):
+            raise UsageError(
+                f"two nodes are called {self.name.full}",
+                cause="another m100link runs in this domain: what is called reaches both",
+                remedy="end one of them, or give it --namespace or --node",
+            )
+        await self.helm.obtain("ROS 2")
+
+    async def _end(self, task: Task) -> None:
+        """A way to the ground ends what flies."""
+        self.helm.held()
+        self.actions.end(f"{task.name.lower()} was asked for")
+        await self.helm.fly(task)
+
+    # -- time passes -----------------------------------------------------------------------------
+
+    def step(self) -> None:
+        """Take what has come, and say what is due."""
+        now = self._agent.now
+        if now - self._ran_at >= _STOOD_STILL_S:
+            self._deaf_until = now + _DEAF_S
+            self.actions.end("this node stood still")
+        self._ran_at = now
+        self._presence.look()
+        for name, source, make in self._inputs:
+            self._hear(name, source, make)
+        self._is_even = not self._is_even
+        if self._is_even:
+            self.ends.take_requests(is_deaf=now < self._deaf_until)
+        self._payload.advance(is_deaf=now < self._deaf_until)
+        self.helm.advance()
+        self.actions.advance()
+        if now - self._looked_at >= _LOOK_S:
+            self._looked_at = now
+            self.ends.look()
+        self.teller.advance()
+
+    async def run(self) -> None:
+        """Step for ever, until cancelled; then control is given back."""
+        self._ran_at = self._agent.now
+        self.teller.begin()
+        self._agent.on_sample.append(self._hear_sample)
+        try:
+            while True:
+                self.step()
+                await self._next_step()
+        finally:
+            self._agent.on_sample.remove(self._hear_sample)
+            await self.helm.release()
+
+    async def _next_step(self) -> None:
+        """Wait for the next package of telemetry, but not for long."""
+        loop = asyncio.get_running_loop()
+        self._waiting = loop.create_future()
+        timer = loop.call_later(_STEP_WITHOUT_S, self._wake)
+        try:
+            await self._waiting
+        finally:
+            timer.cancel()
+
+    def _wake(self) -> None:
+        if self._waiting is not None and not self._waiting.done():
+            self._waiting.set_result(None)
+
+    def _hear_sample(self, sample: Sample) -> None:
+        self.teller.hear(sample)
+        if self._agent.now - self._ran_at >= _STEP_SOONEST_S:
+            self._wake()

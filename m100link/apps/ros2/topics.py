@@ -1,0 +1,169 @@
+"""The table of what the node offers: topics out, topics in, services.
+
+The manual's table is made from it. Names are private to the node (``~/imu``), global, or those of
+REP 105 and 107.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from m100link.apps.ros2.graph import Qos
+
+__all__ = ["INPUTS", "OUTPUTS", "SERVICES", "Input", "Output", "Service"]
+
+SENSOR = Qos(is_reliable=False)
+STATE = Qos(is_latched=True, depth=1)
+EVENTS = Qos(depth=100)
+RELIABLE = Qos()
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """A topic that the node publishes.
+
+    Attributes:
+        kind: Its type.
+        qos: Its quality of service.
+        hz: Messages per second at most; 0 where they come when there is something to say.
+        text: What it is, for the manual.
+    """
+
+    kind: str
+    qos: Qos
+    hz: float
+    text: str
+
+
+OUTPUTS: Mapping[str, Output] = {
+    "~/imu": Output(
+        "sensor_msgs/Imu",
+        SENSOR,
+        50,
+        "attitude, angular velocity, and what an accelerometer in the body feels, with gravity",
+    ),
+    "~/fix": Output(
+        "sensor_msgs/NavSatFix",
+        SENSOR,
+        10,
+        "position by GPS; the altitude is by the barometer, no covariance is known",
+    ),
+    "~/odom": Output(
+        "nav_msgs/Odometry",
+        SENSOR,
+        50,
+        "pose from where GPS was good first, height above take-off; motion in the body",
+    ),
+    "~/pose": Output("geometry_msgs/PoseStamped", SENSOR, 50, "the same pose"),
+    "~/velocity": Output(
+        "geometry_msgs/TwistStamped", SENSOR, 50, "velocity over ground, east, north, up"
+    ),
+    "~/battery": Output(
+        "sensor_msgs/BatteryState", SENSOR, 1, "percentage; the wire has no voltage and no current"
+    ),
+    "~/magnetic_field": Output(
+        "geometry_msgs/Vector3Stamped", SENSOR, 10, "raw numbers without a unit, in the body"
+    ),
+    "~/joy": Output(
+        "sensor_msgs/Joy", SENSOR, 20, "the remote: roll, pitch, yaw, throttle; switch, gear"
+    ),
+    "~/gimbal": Output(
+        "geometry_msgs/QuaternionStamped", SENSOR, 20, "how the camera is turned over ground"
+    ),
+    "~/flight_status": Output(
+        "m100_msgs/FlightStatus", STATE, 1, "phase, who has control, what flies; at each change"
+    ),
+    "~/mission_event": Output(
+        "m100_msgs/MissionEvent", EVENTS, 0, "what the aircraft pushes of a mission of its own"
+    ),
+    "/tf": Output("tf2_msgs/TFMessage", EVENTS, 50, "odom to base_link"),
+    "/tf_static": Output("tf2_msgs/TFMessage", STATE, 0, "map to odom, which are the same"),
+    "/diagnostics": Output(
+        "diagnostic_msgs/DiagnosticArray", RELIABLE, 1, "line, clock, control, battery, this node"
+    ),
+    "/rosout": Output(
+        "rcl_interfaces/Log", Qos(is_latched=True, depth=100), 0, "events of the aircraft"
+    ),
+    "/clock": Output(
+        "rosgraph_msgs/Clock", Qos(is_reliable=False, depth=1), 50, "of a virtual aircraft alone"
+    ),
+}
+"""By name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """A topic that the node listens to.
+
+    Attributes:
+        kind: Its type.
+        text: What it does, for the manual.
+    """
+
+    kind: str
+    text: str
+
+
+INPUTS: Mapping[str, Input] = {
+    "~/cmd_vel": Input(
+        "geometry_msgs/TwistStamped",
+        "fly at this velocity for 0.3 s: forward, left, up in base_link; east, north, up in odom "
+        "or map; turn about the axis that points up",
+    ),
+    "~/cmd_vel_unstamped": Input("geometry_msgs/Twist", "the same in base_link, without a header"),
+    "~/setpoint_position": Input(
+        "geometry_msgs/PoseStamped",
+        "fly towards this place in odom or map for 0.3 s, and turn to its heading",
+    ),
+    "~/gimbal_speed": Input(
+        "geometry_msgs/Vector3Stamped",
+        "turn the camera for half a second, rad/s about forward, left, up (firmware 2.3 on)",
+    ),
+}
+"""By name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Service:
+    """A service of the node.
+
+    Attributes:
+        kind: Its type.
+        text: What it does, for the manual.
+    """
+
+    kind: str
+    text: str
+
+
+_TRIGGER = "std_srvs/srv/Trigger"
+
+SERVICES: Mapping[str, Service] = {
+    "~/obtain_control": Service(_TRIGGER, "take the lease, activate, obtain control authority"),
+    "~/release_control": Service(_TRIGGER, "give both back: the aircraft hovers, the pilot flies"),
+    "~/takeoff": Service(_TRIGGER, "start the motors and climb to about 1.2 m"),
+    "~/land": Service(_TRIGGER, "land in place; control is given back on the ground"),
+    "~/go_home": Service(_TRIGGER, "fly to the home point and land there"),
+    "~/arm": Service(_TRIGGER, "start the motors on the ground"),
+    "~/disarm": Service(_TRIGGER, "stop the motors on the ground"),
+    "~/stop": Service(
+        _TRIGGER, "stop whatever happens; anybody may, setpoints fly after ~/obtain_control"
+    ),
+    "~/take_photo": Service(_TRIGGER, "take a photograph; nobody confirms it"),
+    "~/start_video": Service(_TRIGGER, "start video; nobody confirms it"),
+    "~/stop_video": Service(_TRIGGER, "stop video; nobody confirms it"),
+    "~/point_gimbal": Service(
+        "m100_msgs/srv/PointGimbal", "point the camera (firmware 2.3 on); nobody confirms it"
+    ),
+    "~/mission/upload": Service(
+        "m100_msgs/srv/UploadMission", "check a plan for the aircraft's own missions (3.1)"
+    ),
+    "~/mission/start": Service(
+        "m100_msgs/srv/StartMission", "upload it to the aircraft, which flies it by itself"
+    ),
+    "~/mission/pause": Service(_TRIGGER, "let the mission hover where it is"),
+    "~/mission/resume": Service(_TRIGGER, "let it fly on"),
+    "~/mission/stop": Service(_TRIGGER, "end it: the aircraft hovers"),
+}
+"""By name."""

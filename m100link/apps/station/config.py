@@ -1,0 +1,419 @@
+"""Settings of the station: flags before environment before TOML before a ROS launch file."""
+
+from __future__ import annotations
+
+import math
+import re
+import secrets
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+from m100link.apps.station.launch import read_launch
+from m100link.apps.station.web.access import Access
+from m100link.apps.station.web.gate import is_loopback
+from m100link.errors import UsageError
+from m100link.errors.texts import read_path, read_toml
+from m100link.link.keyfile import read_key, read_token, read_watched
+from m100link.protocol.commands.activation import Credentials
+
+__all__ = ["ENVIRONMENT", "MOST_AIRCRAFT", "ONLY_NAME", "Settings", "namespace_of", "resolve"]
+
+Sources = Sequence[tuple[str, Mapping[str, Any]]]
+"""Settings by name with who says them, strongest first."""
+
+PORT = 9090
+"""Where rosbridge listens, and DJI's page of 2015 connects."""
+
+CONSOLE_PORT = 8090
+"""Where the console is served."""
+
+ONLY_NAME = "m100"
+"""What the only aircraft of a station is called there."""
+
+MOST_AIRCRAFT = 8
+"""Aircraft of one station: each costs a process, and nobody watches more."""
+
+FRONT_NICENESS = 5
+"""A third of the agent's share of a busy processor: it still serves, and holds nobody up."""
+
+RECORD_KEEP, RECORD_KEEP_MB = 200, 2000
+"""Flight logs, and megabytes of them: an hour has ten to forty."""
+
+_MAX_NICENESS = 19
+_MIN_TOKEN = 16
+_APP: dict[str, Any] = {one.name: one.default for one in fields(Credentials)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """What the station needs to know.
+
+    The command line is made from these fields and their sentences; see
+    ``m100link.apps.cli.options``.
+
+    Attributes:
+        url: Where the aircraft is; none with a virtual one.
+        baud_rate: Rate when the URL has none.
+        firmware: Force a firmware profile.
+        timeout: Seconds until an aircraft has to answer.
+        sim: Bring a virtual aircraft.
+        app_id: App id at DJI.
+        key: The key itself; visible to everybody on this machine, so better a file.
+        key_file: File with the key, 64 hex digits, readable by you alone.
+        level: Authorization level of the app id.
+        app_version: Version of the app (firmware 1.0).
+        bundle_id: Bundle id of the app.
+        host: Address to bind; beyond this machine a token is needed.
+        port: Port of rosbridge.
+        also_ports: One more port for it; may be repeated.
+        console_port: Port of the console.
+        metrics_port: Serve the numbers of the station to Prometheus on this port (9464 is usual).
+        foxglove_port: Serve Foxglove and Lichtblick, which only look, on this port (8765 is usual).
+        allow_host: A name that this station goes by; may be repeated.
+        allow_origin: A page from elsewhere that may connect, such as http://127.0.0.1:8000; null
+            is a page opened from a file. May be repeated.
+        token: What clients have to know.
+        token_file: File with the token that clients have to know.
+        tls_cert: Certificate, PEM.
+        tls_key: Its private key, PEM.
+        pages: Folder with web pages to serve on the rosbridge port, such as DJI's keyboard page.
+        tiles: Folder with map tiles {z}/{x}/{y}.png; without it the track is drawn on a grid.
+        max_clients: Clients at once.
+        keep_authority: Seconds that control authority is kept, hovering, when the process that
+            talks to clients is lost and with it whoever flew; 0 gives it back at once.
+        front_niceness: How much lower the priority of that process is, 0 to 19.
+        max_height: Height above the take-off point that nobody who has control may exceed, m.
+        max_radius: Distance from where control was obtained that nobody may exceed, m.
+        mavlink: Serve MAVLink there, udp://127.0.0.1:14550 is usual; may be repeated. Beyond this
+            machine a signing key is needed.
+        mavlink_to: An address that is spoken to first, such as udp://127.0.0.1:14540 of a program
+            that listens itself; may be repeated.
+        sysid: System id of the first aircraft in MAVLink, 1 to 250; further ones count on.
+        autopilot: What the heartbeat says that it is: px4, which ground stations know, or generic.
+        signing_key_file: File with the key that signs MAVLink, 64 hex digits, readable by you
+            alone; what is not signed with it moves nothing.
+        ros2: Be a node of ROS 2, for everybody in its graph.
+        ros2_namespace: Namespace of the node, such as /drones.
+        ros2_node: Name of the node; what is private to it stands below: /m100/imu.
+        ros2_domain: Domain of the graph; 0 by default.
+        ros2_remap: Call something otherwise, from:=to, such as ~/imu:=/imu; may be repeated.
+        ros2_dji_names: Publish by the names and types of DJI's node, too: dji_sdk/imu and so on.
+        record: Folder for a flight log of each connection; nothing in it is ever removed. By
+            default `serve`, `console` and `fleet agent` keep them in m100link/flights of the user's
+            state folder (~/.local/state).
+        no_record: Record nothing.
+        record_keep: Flight logs that are kept there; older ones that this program wrote are
+            removed, 0 for none.
+        record_keep_mb: Megabytes of flight logs that are kept there, 0 for any number.
+        origins: Where each value came from.
+        unused: Parameters of the launch file that have no use here.
+    """
+
+    url: str | None = None
+    baud_rate: int | None = None
+    firmware: str | None = None
+    timeout: float = 3.0
+    sim: bool = False
+    app_id: int | None = None
+    key: str | None = field(default=None, repr=False)
+    key_file: Path | None = None
+    level: int = _APP["level"]
+    app_version: int = _APP["app_version"]
+    bundle_id: str = _APP["bundle_id"]
+    host: str = "127.0.0.1"
+    port: int = PORT
+    also_ports: tuple[int, ...] = ()
+    console_port: int = CONSOLE_PORT
+    metrics_port: int | None = None
+    foxglove_port: int | None = None
+    allow_host: tuple[str, ...] = ()
+    allow_origin: tuple[str, ...] = ()
+    token: str | None = field(default=None, repr=False)
+    token_file: Path | None = None
+    tls_cert: Path | None = None
+    tls_key: Path | None = None
+    pages: Path | None = None
+    tiles: Path | None = None
+    max_clients: int = 32
+    keep_authority: float = 0.0
+    front_niceness: int = FRONT_NICENESS
+    max_height: float = 50.0
+    max_radius: float = 150.0
+    mavlink: tuple[str, ...] = ()
+    mavlink_to: tuple[str, ...] = ()
+    sysid: int = 1
+    autopilot: str = "px4"
+    signing_key_file: Path | None = None
+    ros2: bool = False
+    ros2_namespace: str = "/"
+    ros2_node: str = ONLY_NAME
+    ros2_domain: int = 0
+    ros2_remap: tuple[str, ...] = ()
+    ros2_dji_names: bool = False
+    record: Path | None = None
+    no_record: bool = False
+    record_keep: int = RECORD_KEEP
+    record_keep_mb: int = RECORD_KEEP_MB
+    origins: dict[str, str] = field(default_factory=dict)
+    unused: tuple[str, ...] = ()
+
+    def credentials(self) -> Credentials | None:
+        """What activation needs, or None when there is no app id.
+
+        Raises:
+            UsageError, BadKey: The key is missing or cannot be one.
+        """
+        if self.app_id is None:
+            return None
+        key = read_key(self.key_file) if self.key_file is not None else self.key
+        if key is None:
+            raise UsageError(
+                f"there is an app id ({self.app_id}) and no key",
+                remedy="give --key-file, or set M100LINK_KEY_FILE",
+            )
+        return Credentials(
+            self.app_id,
+            key,
+            level=self.level,
+            app_version=self.app_version,
+            bundle_id=self.bundle_id,
+        )
+
+    def access_token(self) -> str | None:
+        """The token that clients have to know; None on the own machine unless one was set.
+
+        Raises:
+            UsageError: The bind needs one and none was given, or it is too short.
+        """
+        token = self.token
+        if self.token_file is not None:
+            token = read_token(self.token_file)
+        if token is None:
+            if not is_loopback(self.host):
+                raise UsageError(
+                    f"binding {self.host} lets other machines in, and there is no token",
+                    remedy="give --token-file with a long random text, for example "
+                    f"{secrets.token_urlsafe(16)}",
+                )
+            return None
+        if len(token) < _MIN_TOKEN or not token.isascii() or not token.isprintable():
+            raise UsageError(f"a token is at least {_MIN_TOKEN} printable ASCII characters")
+        if set(token) & set(' ";,\\%&+#='):
+            raise UsageError('a token has none of the characters space " ; , \\ % & + # =')
+        return token
+
+    def niceness(self) -> int:
+        """How much lower the priority of the fronts is.
+
+        Raises:
+            UsageError: There is no such priority.
+        """
+        if not 0 <= self.front_niceness <= _MAX_NICENESS:
+            raise UsageError(
+                f"the fronts cannot have a niceness of {self.front_niceness}",
+                remedy=f"choose 0 to {_MAX_NICENESS}; the agent must not stand behind them",
+            )
+        return self.front_niceness
+
+    def host_names(self) -> set[str]:
+        """Names and addresses, as URLs have them, under which the station is reached."""
+        everywhere = {"0.0.0.0", "::"}
+        return set(self.allow_host) | {_in_url(one) for one in {self.host} - everywhere}
+
+    def authority(self, port: int) -> str:
+        """Host and port for a URL by which the station is reached."""
+        nearest = {"0.0.0.0": "127.0.0.1", "::": "::1"}
+        named = self.allow_host[0] if self.allow_host and self.host in nearest else self.host
+        return f"{_in_url(nearest.get(named, named))}:{port}"
+
+    def access(self) -> Access | None:
+        """What clients have to show; None where nothing is needed.
+
+        Raises:
+            UsageError: See :meth:`access_token`.
+        """
+        token = self.access_token()
+        return None if token is None else Access(token)
+
+    def is_plain_beyond_loopback(self) -> bool:
+        """Whether the token and everything else would travel readable through a network."""
+        return not is_loopback(self.host) and self.tls_cert is None
+
+
+ENVIRONMENT = {
+    "url": "M100LINK_URL",
+    "baud_rate": "M100LINK_BAUD_RATE",
+    "firmware": "M100LINK_PROFILE",
+    "app_id": "M100LINK_APP_ID",
+    "key": "M100LINK_KEY",
+    "key_file": "M100LINK_KEY_FILE",
+    "level": "M100LINK_LEVEL",
+    "host": "M100LINK_HOST",
+    "port": "M100LINK_PORT",
+    "ros2_domain": "ROS_DOMAIN_ID",
+    "console_port": "M100LINK_CONSOLE_PORT",
+    "token": "M100LINK_TOKEN",
+    "token_file": "M100LINK_TOKEN_FILE",
+}
+"""Environment variable of a setting."""
+
+_IF = {"ros2_domain": "ros2"}
+"""Settings with a variable that is not ours alone, and what has to be on for it to be looked at."""
+
+_KINDS = {one.name: one.type for one in fields(Settings) if one.name not in ("origins", "unused")}
+
+
+def resolve(
+    flags: Mapping[str, Any],
+    environment: Mapping[str, str],
+    *,
+    config: Path | None = None,
+    launch: Path | None = None,
+    of_aircraft: Callable[[str | None], Sources] | None = None,
+) -> Settings:
+    """Put the settings together; the first source that has a value decides.
+
+    Args:
+        flags: Values from the command line; None where nothing was given.
+        environment: Environment variables.
+        config: TOML file.
+        launch: ROS launch file.
+        of_aircraft: The weakest sources, by the URL of the others; a ``url`` there is what that
+            one stands for.
+
+    Raises:
+        UsageError: A file cannot be read, or a value cannot be right; the source is named.
+    """
+    sources: list[tuple[str, Mapping[str, Any]]] = [
+        ("command line", {name: value for name, value in flags.items() if value is not None}),
+        (
+            "environment",
+            {
+                name: environment[variable]
+                for name, variable in ENVIRONMENT.items()
+                if environment.get(variable) and name not in _IF
+            },
+        ),
+    ]
+    if config is not None:
+        sources.append((str(config), _read_toml(config)))
+    unused: list[str] = []
+    if launch is not None:
+        used, unused = read_launch(launch)
+        sources.append((str(launch), used))
+    values: dict[str, Any] = {}
+    origins: dict[str, str] = {}
+
+    def take(source: str, given: Mapping[str, Any]) -> None:
+        for name, value in given.items():
+            if name not in values and not _is_shadowed(name, values):
+                values[name] = _convert(name, value, source)
+                origins[name] = source
+
+    for source, given in sources:
+        take(source, given)
+    if of_aircraft is not None:
+        for source, given in of_aircraft("sim://" if values.get("sim") else values.get("url")):
+            if "url" in given:
+                values.pop("url", None)
+            take(source, given)
+    for name, needed in _IF.items():
+        value = environment.get(ENVIRONMENT[name])
+        if value and values.get(needed) and origins.get(name) != "command line":
+            values.pop(name, None)
+            take("environment", {name: value})
+    settings = Settings(**values, origins=origins, unused=tuple(unused))
+    if settings.url is not None and settings.sim:
+        # A virtual aircraft is asked for louder than an address in a file is.
+        if origins["url"] == origins["sim"]:
+            raise UsageError("a url and --sim were given", remedy="choose one of them")
+        settings = replace(settings, url=None)
+    return settings
+
+
+def namespace_of(name: str) -> str:
+    """An aircraft's name as ROS takes it in the name of a topic: letters, digits, underscores."""
+    return re.sub(r"[^A-Za-z0-9_]", "_", name)
+
+
+def _in_url(host: str) -> str:
+    return f"[{host}]" if ":" in host and not host.startswith("[") else host
+
+
+def _is_shadowed(name: str, values: Mapping[str, Any]) -> bool:
+    """A key of a stronger source hides a key file of a weaker one, and the other way round."""
+    twins = {"key": "key_file", "key_file": "key", "token": "token_file", "token_file": "token"}
+    return twins.get(name) in values
+
+
+def _read_toml(path: Path) -> Mapping[str, Any]:
+    try:
+        with read_path(path).open("rb") as file:
+            table = read_toml(read_watched(file, path))
+    except OSError as error:
+        raise UsageError(
+            f"{path} cannot be read: {error.strerror}", remedy="check the path, and who may read it"
+        ) from error
+    except ValueError as error:
+        raise UsageError(f"{path} cannot be read: {error}") from error
+    table = table.get("station", table)
+    if not isinstance(table, dict):
+        raise UsageError(f"{path}: station is no table", remedy="[station] on a line of its own")
+    for name in table:
+        if name not in _KINDS:
+            known = ", ".join(_KINDS)
+            raise UsageError(f"{path}: there is no setting {name!r}", remedy=f"there are: {known}")
+    return table
+
+
+_NOT_BELOW_0 = ("record_keep", "record_keep_mb")
+_ABOVE_0 = ("baud_rate", "timeout", "max_clients", "max_height", "max_radius", "sysid")
+
+_WANTED = {"int": "a whole number", "float": "a number", "bool": "true or false", "tuple": "a list"}
+
+
+def _convert(name: str, value: Any, source: str) -> Any:
+    kind = str(_KINDS[name])
+    above = " above 0" if name in _ABOVE_0 else ""
+    not_below = ", 0 or more," if name in _NOT_BELOW_0 else ""
+    try:
+        made = _as(kind, value)
+        if (above and not 0 < made < math.inf) or (not_below and made < 0):
+            raise ValueError
+        return made
+    except (TypeError, ValueError):
+        shown = "what is there" if name in ("key", "token") else repr(value)
+        # Nobody finds the setting `app_id` in an environment that has M100LINK_APP_ID.
+        called = ENVIRONMENT[name] if source == "environment" else f"{source}: {name}"
+        wanted = next((words for start, words in _WANTED.items() if kind.startswith(start)), "text")
+        raise UsageError(
+            f"{called} cannot be {shown}", remedy=f"{wanted}{above}{not_below} is needed"
+        ) from None
+
+
+def _as(kind: str, value: Any) -> Any:
+    """A value as a setting of this type.
+
+    Raises:
+        TypeError, ValueError: It cannot be one.
+    """
+    if kind.startswith("tuple"):
+        items = value if isinstance(value, list | tuple) else [value]
+        return tuple(int(one) if "int" in kind else str(one) for one in items)
+    if kind.startswith("int"):
+        if isinstance(value, bool | float):
+            raise ValueError
+        return int(value, 0) if isinstance(value, str) else int(value)
+    if kind.startswith("float"):
+        if isinstance(value, bool):
+            raise ValueError
+        return float(value)
+    if kind.startswith("bool"):
+        if not isinstance(value, bool):
+            raise ValueError
+        return value
+    if not isinstance(value, str | Path):
+        raise ValueError
+    return Path(value) if kind.startswith("Path") else str(value)

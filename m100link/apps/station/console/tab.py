@@ -1,0 +1,494 @@
+"""One browser tab of the console: its lease, its beats, its name.
+
+A tab steers by *beats*: twenty a second while a key is held, with the numbers of the stick. A beat
+lasts :data:`BEAT_LIFETIME`; without the next one the aircraft stops, whatever the reason: key
+released, focus lost, tab closed, socket gone, browser hanging. Between times the tab tells that it
+is alive, which keeps its lease.
+
+What counts is when the key was held, not when that became known: each message has the page's time,
+and the station's time that the page heard last. A beat that waited on its way is refused, and
+nobody steers by a picture that is old.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable
+from typing import Any, TypeGuard
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.lease import Lease, TakeOver
+from m100link.apps.agent.messages import Action, Event, LeaseChanged, Topic
+from m100link.apps.agent.steering import setpoint_of
+from m100link.apps.agent.way_time import (
+    MAX_LATE,
+    MAX_ORDER_LATE,
+    MAX_ROUND_TRIP,
+    MAX_UNHEARD,
+    WayTime,
+)
+from m100link.apps.station.config import ONLY_NAME
+from m100link.apps.station.console.fate import Press
+from m100link.apps.station.console.kept import KeptLeases
+from m100link.errors import AuthorityLost, GuardRefused, LossReason, M100Error, NotObserved
+from m100link.errors.texts import read_json
+from m100link.missions.plan import WaypointPlan
+from m100link.protocol.commands.control import Task
+from m100link.protocol.firmware import FIRMWARE_3_1
+
+__all__ = ["BEAT_LIFETIME", "Tab"]
+
+BEAT_LIFETIME = 0.3
+"""Seconds that a beat lasts."""
+
+SPENT_AFTER = 1.0
+"""Seconds of the page without a beat after which it has let go of everything by itself."""
+
+_STOPPED, _OBTAINED = "STOP was pressed", "control was obtained meanwhile"
+
+MAX_BEAT = 2000
+_COMPLAINT_PAUSE = 1.0
+
+
+class Tab:
+    """What one tab may do, and has.
+
+    Args:
+        agent: The agent that owns the aircraft.
+        name: Who it is, for the banner.
+        aircraft: What the aircraft is called.
+
+    Attributes:
+        agent: As given.
+        aircraft: As given.
+        kept: Control of other aircraft, kept as long as this tab is heard.
+        name: As given; the operator may change it.
+        person: Who looks at it, past a reload: see :mod:`~m100link.apps.station.console.looks`.
+        lease: Its lease, in force or not.
+        refusal: What was refused last; None for nothing.
+        plan: What was uploaded last, None before.
+        beats: Beats that were sent on.
+        refused: Messages that could not be used.
+        dropped: Pictures of telemetry that its page did not get because it is slow.
+        lease_end: How the lease was lost, and to whom; None while the tab has it, gave it back or
+            never had it.
+        loss: Who or what took authority while the tab had the lease; None when it is held again.
+    """
+
+    def __init__(self, agent: AgentClient, name: str, aircraft: str = ONLY_NAME) -> None:
+        self._agent = self.agent = agent
+        self.aircraft = aircraft
+        self.kept = KeptLeases()
+        self.name = name
+        self.person = ""
+        self.lease: Lease | None = None
+        self.refusal: M100Error | None = None
+        self.plan: WaypointPlan | None = None
+        self.beats = 0
+        self.refused = 0
+        self.dropped = 0
+        self.lease_end: LeaseChanged | None = None
+        self.loss: LossReason | None = None
+        self._last_number = -1
+        self._way = WayTime()
+        self._press = Press()
+        self._stopped_at = -math.inf
+        self._complained_at = -math.inf
+        self._is_closed = False
+        self._stopping: asyncio.Task[Any] | None = None  # one at a time, however often it is said
+        agent.on_steer_refused.append(self._steer_refused)
+        # What a hand that still holds something had no part in, whoever it was: until it has let go
+        # it moves nothing. Empty when it may.
+        self._has_to_let_go = ""
+        self._beat_at = -math.inf  # the last one, flown or refused, by the page's clock
+        self._late_since: float | None = None  # the first late one since one was in time
+        self._stop_press: object = None  # which press of STOP the task above answers
+        agent.on_event.append(self._event)
+        agent.on_lease.append(self._lease_changed)
+        agent.on_authority_taken.append(self._authority_taken)
+
+    @property
+    def has_spoken(self) -> bool:
+        """Whether its page ever said anything that could be used."""
+        return self._last_number >= 0
+
+    @property
+    def round_trip(self) -> float | None:
+        """Seconds to the page and back, None before it was measured."""
+        return self._way.round_trip
+
+    @property
+    def problem(self) -> str:
+        """What was refused last, in English; empty for nothing."""
+        return "" if self.refusal is None else str(self.refusal)
+
+    @property
+    def has_lease(self) -> bool:
+        """Whether this tab may steer."""
+        return self._agent.holds(self.lease)
+
+    # -- what the buttons do ---------------------------------------------------------------------
+
+    async def attempt(self, work: Callable[[], Awaitable[Any]]) -> bool:
+        """Do something for the operator; what goes wrong is kept as the problem.
+
+        What this tab ended by its own STOP went as it was wished.
+        """
+        self.refusal, began = None, self._agent.now
+        try:
+            await work()
+        except M100Error as error:
+            if not self.has_ended(error, began):
+                self.refusal = error
+            return False
+        return True
+
+    def has_ended(self, error: M100Error, began: float) -> bool:
+        """Whether an order of ``began``, on the agent's clock, ended by this tab's own STOP."""
+        return isinstance(error, NotObserved) and self._stopped_at > began
+
+    async def activate(self) -> None:
+        """Activate the aircraft."""
+        await self._agent.activate(self.lease if self.has_lease else None)
+
+    async def obtain(self) -> None:
+        """Take the lease and control authority.
+
+        Raises:
+            LeaseHeld: Another client has the lease; see :meth:`ask_take_over`.
+        """
+        if not self.has_lease:
+            self.lease = await self._agent.acquire(self.name)
+        self.lease_end = None
+        self._has_to_let_go = self._has_to_let_go or _OBTAINED
+        try:
+            await self._agent.obtain(self.lease)
+        except M100Error:
+            self.let_go()
+            raise
+        self.loss = None
+
+    async def ask_take_over(self) -> TakeOver:
+        """First step of a take-over."""
+        return await self._agent.ask_take_over(self.name)
+
+    async def confirm_take_over(self, wanted: TakeOver) -> None:
+        """Second step: take the lease, and authority if the station does not hold it."""
+        self.lease = await self._agent.confirm(wanted.token)
+        self.lease_end = None
+        self._has_to_let_go = self._has_to_let_go or _OBTAINED
+        await self._agent.obtain(self.lease)
+        self.loss = None
+
+    async def release(self) -> None:
+        """Give authority and lease back."""
+        await self._agent.release(self.lease)
+        self.let_go()
+
+    def let_go(self) -> None:
+        """Give the lease back, if this tab has it; motion stops."""
+        lease, self.lease, self.loss = self.lease, None, None  # its end is no news to this tab
+        if lease is not None and self._agent.holds(lease):
+            self._agent.let_go(lease)
+
+    async def fly(self, task: Task) -> None:
+        """Take off, land or go home."""
+        await self._agent.fly(self.lease, task)
+
+    async def simple_task(self, number: int) -> None:
+        """Fly a simple task."""
+        await self._agent.start_pattern(self.lease, number)
+
+    async def upload_plan(self, content: bytes) -> None:
+        """Give the agent a plan, JSON or QGroundControl's; the aircraft gets it with the start.
+
+        Raises:
+            BadPlan: It cannot be read, or the aircraft would refuse it.
+            LeaseRefused: This tab has no control.
+        """
+        await self.give_plan(WaypointPlan.parse(content))
+
+    async def give_plan(self, plan: WaypointPlan) -> None:
+        """Give the agent a plan; the aircraft gets it with the start.
+
+        Raises:
+            LeaseRefused: This tab has no control.
+        """
+        lease = self._agent.check(self.lease)
+        mission, points = plan.to_wire()
+        await self._agent.ask(Action.MISSION_PLAN, lease, data=mission.value(FIRMWARE_3_1))
+        for point in points:
+            await self._agent.ask(Action.MISSION_POINT, lease, data=point.value(FIRMWARE_3_1))
+        self.plan = plan
+
+    async def order_mission(self, action: Action) -> None:
+        """Start, pause, resume or stop a mission."""
+        await self._agent.ask(action, self.lease)
+
+    async def stop(self, press: object = None) -> None:
+        """Stop. Any tab may.
+
+        Args:
+            press: Which press of the page it was: it comes by two ways, and is done once.
+        """
+        if self._is_done(press):
+            return
+        self._stop_now(press)
+        if self._stopping is not None:
+            await self._stopping
+
+    def _is_done(self, press: object) -> bool:
+        """Whether this press was carried out, by the other of its ways."""
+        task = self._stopping
+        return (
+            type(press) is int
+            and press == self._stop_press
+            and task is not None
+            and task.done()
+            and not task.cancelled()
+            and task.result() is True
+        )
+
+    def check_order(self, said_at: object) -> None:
+        """Refuse a button that was pressed too long ago, or nobody knows when.
+
+        Args:
+            said_at: The station's time at the press, s, as the page reckoned it.
+
+        Raises:
+            GuardRefused: It waited on its way for more than 2 s.
+        """
+        late = self._agent.now - float(said_at) if _is_number(said_at) else math.inf
+        if late > MAX_ORDER_LATE:
+            waited = f"was {late:.0f} s on its way" if late < math.inf else "has no time"
+            # A page that is loaded anew when the network is back does not show the problem.
+            self._agent.note(f"{self.name}: a pressed button {waited}; nothing was done", "warning")
+            raise GuardRefused(
+                f"a pressed button {waited}; nothing was done",
+                guard="order_late",
+                measured=late,
+                limit=MAX_ORDER_LATE,
+                cause="the network between the browser and the station was slow or blocked",
+                remedy="look at the aircraft, then press again",
+            )
+
+    # -- what its socket says --------------------------------------------------------------------
+
+    def receive(self, text: str | bytes) -> dict[str, Any] | None:
+        """Take a message of the tab; returns what to answer. Never raises."""
+        message = _read(text)
+        if message is None:
+            self.refused += 1
+            return None
+        answer = {"op": "echo", "at": message["at"]}
+        if message["op"] == "stop":
+            press = message.get("press")
+            if type(press) is int:
+                answer["press"] = press
+            if not self._is_done(press):
+                self._stop_now(press)  # be it old, or a second time
+        number = message["n"]
+        if number <= self._last_number:
+            self.refused += 1  # an old message again
+            return None
+        self._last_number = number
+        now = self._agent.now
+        self.kept.renew(now)
+        late = self._way.late(message["at"] / 1000.0, now)
+        held = message.get("held", math.inf) / 1000.0
+        if "told" in message:
+            self._way.echoed(message["told"], held, now)
+        if self.lease is not None and self.has_lease:
+            if message["op"] == "beat":
+                self._steer(self.lease, message, late, held)
+            else:
+                if message["op"] == "rest":
+                    self._press = Press()
+                    self._has_to_let_go, self._late_since = "", None
+                    self._agent.halt(lease=self.lease)
+                self._agent.keep(self.lease)
+        elif message["op"] == "beat":
+            self._beat_at = message["at"] / 1000.0
+        if message["op"] == "beat":
+            answer["fate"] = self._press.fate(self._agent, now, has_lease=self.has_lease)
+        return answer | {"told": now}
+
+    def _stop_now(self, press: object) -> None:
+        """STOP by either way: that of the socket, or of the page's other events."""
+        self._stop_press, self._stopped_at = press, self._agent.now
+        if self._stopping is None or self._stopping.done():
+            self._stopping = self._agent.background.spawn(
+                self.attempt(self._agent.stop), f"stop of {self.name}"
+            )
+
+    def _check_way(self, late: float, held: float) -> None:
+        """Refuse what was decided too long ago, or by a picture that was old.
+
+        Raises:
+            GuardRefused: It was.
+        """
+        trip = self._way.round_trip
+        for guard, measured, limit, seen in (
+            ("way_late", late, MAX_LATE, "a key press was {:.1f} s late on its way"),
+            ("way_unheard", held, MAX_UNHEARD, "the page did not hear the station for {:.1f} s"),
+            (
+                "way_round_trip",
+                math.inf if trip is None else trip,
+                MAX_ROUND_TRIP,
+                "to the page and back it takes {:.1f} s",
+            ),
+        ):
+            if measured > limit:
+                raise GuardRefused(
+                    f"{seen.format(measured)}; it was not flown",
+                    guard=guard,
+                    measured=measured,
+                    limit=limit,
+                    cause="the network between the browser and the station is slow or blocked",
+                    remedy="wait, or let go and let the pilot fly",
+                )
+
+    def _event(self, event: Event) -> None:
+        if event.topic is Topic.STOPPED:
+            self._has_to_let_go = _STOPPED
+
+    def _heard_beat(self, lease: Lease, at: float) -> None:
+        """Note a beat; after a gap of the page's own it is a new press.
+
+        Args:
+            lease: Of this tab.
+            at: When the beat was sent, s of the page's clock: beats that wait on their way leave a
+                gap here as well, with the key held all the time.
+        """
+        if at - self._beat_at > SPENT_AFTER:
+            if self._has_to_let_go == _STOPPED:
+                self._agent.halt(lease=lease)
+            self._has_to_let_go, self._late_since = "", None
+        self._beat_at = at
+
+    def _check_let_go(self) -> None:
+        """Refuse what is held since before a STOP, a loss of control, or a way that was too slow.
+
+        Raises:
+            GuardRefused: It was not let go of since.
+        """
+        if self._has_to_let_go:
+            raise GuardRefused(
+                f"{self._has_to_let_go}, and something is still held; it was not flown",
+                guard="let_go",
+                measured=None,
+                limit=None,
+                remedy="let go of keys, sticks and shoulder buttons, then press again",
+            )
+
+    def _check_in_time(self, at: float, late: float, held: float) -> None:
+        """Refuse what is old; who could not steer for a second has to let go of everything first.
+
+        The aircraft stood meanwhile, and perhaps nobody looks when the way is fast again.
+
+        Raises:
+            GuardRefused: See :meth:`_check_way`.
+        """
+        try:
+            self._check_way(late, held)
+        except GuardRefused:
+            self._late_since = at if self._late_since is None else self._late_since
+            if at - self._late_since > SPENT_AFTER:
+                self._has_to_let_go = self._has_to_let_go or "the way was too slow"
+            raise
+        self._late_since = None
+
+    def _steer(self, lease: Lease, message: dict[str, Any], late: float, held: float) -> None:
+        self.refusal, at = None, message["at"] / 1000.0
+        try:
+            self._heard_beat(lease, at)
+            self._check_in_time(at, late, held)
+            self._check_let_go()
+            setpoint = setpoint_of(
+                message["mode"], message["x"], message["y"], message["z"], message["w"]
+            )
+        except M100Error as error:
+            self._agent.keep(lease)  # the operator is there
+            self._steer_refused(lease.number, error)
+        else:
+            self.beats += 1
+            self._press.passed(self._agent.now)
+            self._agent.steer(lease, setpoint, BEAT_LIFETIME)
+
+    def _steer_refused(self, fence: int, error: M100Error) -> None:
+        if self.lease is None or self.lease.number != fence:
+            return
+        self.refused += 1
+        self.refusal = error
+        now = self._agent.now
+        self._press.refused(error, now)
+        if now - self._complained_at >= _COMPLAINT_PAUSE:
+            self._complained_at = now
+            self._agent.note(f"{self.name}: {error.seen}", "warning")
+
+    # -- what others take ------------------------------------------------------------------------
+
+    def _lease_changed(self, message: LeaseChanged) -> None:
+        is_ours = self.lease is not None and message.number == self.lease.number
+        if self.lease is not None and not is_ours and self.lease_end is None:
+            self.lease_end, self.loss = message, None
+
+    def _authority_taken(self, error: AuthorityLost) -> None:
+        if self.has_lease:
+            self.loss = LossReason(error.reason)  # a text once it has been a message
+            self._has_to_let_go = "control was lost meanwhile"
+
+    # -- the end ---------------------------------------------------------------------------------
+
+    def lost(self) -> None:
+        """The socket is gone: stop, and let others have control."""
+        self._way = WayTime()  # the next one may take another way
+        self.let_go()
+        self.kept.let_go()
+
+    def close(self) -> None:
+        """The tab is gone for good."""
+        self.lost()
+        if self._is_closed:
+            return
+        self._is_closed = True
+        self._agent.on_steer_refused.remove(self._steer_refused)
+        self._agent.on_event.remove(self._event)
+        self._agent.on_lease.remove(self._lease_changed)
+        self._agent.on_authority_taken.remove(self._authority_taken)
+
+
+def _read(text: str | bytes) -> dict[str, Any] | None:
+    """A message with every field of the right type, or None."""
+    if len(text) > MAX_BEAT:
+        return None
+    try:
+        message = read_json(text)
+    except ValueError:
+        return None
+    if not isinstance(message, dict) or message.get("op") not in ("beat", "rest", "alive", "stop"):
+        return None
+    wanted = ("at", "x", "y", "z", "w") if message["op"] == "beat" else ("at",)
+    if not all(_is_number(message.get(name)) for name in wanted):
+        return None
+    if not _is_told(message):
+        return None
+    for name in ("n", "mode") if message["op"] == "beat" else ("n",):
+        if type(message.get(name)) is not int:
+            return None
+    return message
+
+
+def _is_told(message: dict[str, Any]) -> bool:
+    """Whether both times of the station are there, or none."""
+    given = [name in message for name in ("told", "held")]
+    return not any(given) or (
+        all(given) and _is_number(message["told"]) and _is_number(message["held"])
+    )
+
+
+def _is_number(value: Any) -> TypeGuard[float]:
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    return abs(value) < 1e15  # neither NaN nor what overflows when it is reckoned with

@@ -1,0 +1,268 @@
+"""The tabs that are open, and their sockets: beats in, instruments out."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import secrets
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from urllib.parse import urlencode
+
+from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.station.console.kept import RENEWAL, KeptLeases
+from m100link.apps.station.console.looks import Looks
+from m100link.apps.station.console.tab import Tab
+from m100link.apps.station.console.view.instruments import live, seen_from_afar
+from m100link.apps.station.web.places import who_makes_room
+from m100link.apps.station.web.protocol import WebSocketConnection
+
+__all__ = ["LIVE_INTERVAL", "PLACES", "UNHEARD_INTERVAL", "Tabs"]
+
+LIVE_INTERVAL = 0.05
+"""Seconds between two updates of the instruments."""
+
+OTHERS_INTERVAL = 0.5
+"""Seconds between two places of the aircraft that the page does not show."""
+
+MOVE_PATIENCE = 8.0
+"""Seconds for which control goes along to the page of another aircraft; then it is given back."""
+UNHEARD_INTERVAL = 0.25
+"""Seconds between two words that the station is there while the agent is not heard."""
+
+PLACES = 32
+"""Tabs that may have a socket."""
+
+_POLICY_VIOLATION = 1008
+
+
+@dataclass(slots=True, eq=False)
+class _Place:
+    """A tab with its socket, as whoever gives places away sees it.
+
+    Attributes:
+        tab: The tab.
+        peer: Address that it comes from.
+        heard_at: When it last said anything; when it came, if it never did.
+        leaving: Set when another one gets the place.
+        has_spoken: Whether it ever said anything.
+        subscribes: Whether it gets anything: every tab does.
+    """
+
+    tab: Tab
+    peer: str
+    heard_at: float
+    leaving: asyncio.Event
+    has_spoken: bool = False
+    subscribes: bool = True
+
+
+@dataclass(slots=True)
+class _Move:
+    """An operator between the pages of two aircraft.
+
+    Attributes:
+        name: Who it is.
+        kept: Control that goes along.
+        tab: The page of the other aircraft, once it was asked for.
+    """
+
+    name: str
+    kept: KeptLeases
+    tab: Tab | None = None
+
+
+class Tabs:
+    """The tabs that are open, by the secret part of their socket's address.
+
+    Args:
+        agents: The agent that owns an aircraft, by its name; more may come.
+        dropped_by_clients: Messages that the station's other clients did not get, by their names.
+
+    Attributes:
+        agents: As given.
+        dropped_by_clients: As given.
+        tabs: Those that are open.
+        looks: What their operators said before a take-off.
+    """
+
+    def __init__(
+        self,
+        agents: Mapping[str, AgentClient],
+        dropped_by_clients: Callable[[], Mapping[str, int]] = dict,
+    ) -> None:
+        self.agents = agents
+        self.dropped_by_clients = dropped_by_clients
+        self._agent = next(iter(agents.values()))  # the clock of all of them
+        self._count = 0
+        self._moves: dict[str, _Move] = {}  # by their codes
+        self.tabs: dict[str, Tab] = {}
+        self.looks = Looks()
+        self._places: dict[str, _Place] = {}
+
+    def open(self, aircraft: str = "", moved: str = "") -> tuple[str, Tab]:
+        """A new tab.
+
+        Args:
+            aircraft: Name of the aircraft that it shows; the first when there is none of that name.
+            moved: The code that :meth:`move` gave: whoever had control keeps it.
+        """
+        if aircraft not in self.agents:
+            aircraft = next(iter(self.agents))
+        self._count += 1
+        key = secrets.token_urlsafe(16)
+        tab = Tab(self.agents[aircraft], f"console {self._count}", aircraft)
+        move = self._moves.pop(moved, None)
+        if move is not None:
+            tab.name, tab.kept, move.tab = move.name, move.kept, tab
+            tab.lease = tab.kept.take(aircraft)
+        self.tabs[key] = tab
+        return key, tab
+
+    def move(self, tab: Tab, to: str) -> str:
+        """The operator of a tab turns to another aircraft; returns the address of its page.
+
+        What was steered here stops and hovers, now and not when the page has gone. A mission or a
+        task that the aircraft flies by itself goes on. Control of this aircraft is kept, if there
+        was any, and given back when the other page is not there within :data:`MOVE_PATIENCE`.
+        """
+        kept, tab.kept = tab.kept, KeptLeases()
+        lease, agent = tab.lease, tab.agent
+        if lease is not None and agent.holds(lease):
+            flies = agent.state.task or agent.state.mission not in ("", "no mission")
+            if not flies:
+                agent.halt(f"{tab.name} turned to {to}")
+            agent.note(
+                f"{tab.name} turned to {to} and keeps control: "
+                + ("what this aircraft flies by itself goes on" if flies else "it hovers")
+            )
+            kept.add(tab.aircraft, agent, lease)
+            tab.lease = None
+        code = secrets.token_urlsafe(16)
+        move = self._moves[code] = _Move(tab.name, kept)
+        self._agent.background.spawn(self._keep_until_heard(code, move), "move")
+        return f"/?{urlencode({'aircraft': to, 'moved': code})}"
+
+    async def _keep_until_heard(self, code: str, move: _Move) -> None:
+        """Keep control until the page that it goes to says something, and not for longer than that.
+
+        A page that was asked for and says nothing loses it when the leases run out.
+        """
+        until = self._agent.now + MOVE_PATIENCE
+        while self._agent.now < until and not (move.tab is not None and move.tab.has_spoken):
+            move.kept.renew(self._agent.now)
+            if move.tab is not None and move.tab.lease is not None and move.tab.has_lease:
+                move.tab.agent.keep(move.tab.lease)
+            await asyncio.sleep(RENEWAL)
+        if self._moves.pop(code, None) is not None:
+            move.kept.let_go()
+
+    def close(self, key: str) -> None:
+        """A tab is gone for good."""
+        tab = self.tabs.pop(key, None)
+        if tab is not None:
+            tab.close()
+
+    def shown(self) -> frozenset[str]:
+        """The aircraft that somebody looks at."""
+        return frozenset(tab.aircraft for tab in self.tabs.values())
+
+    def dropped(self) -> dict[str, int]:
+        """Pictures that tabs did not get, by name; those of the same name together."""
+        counts: dict[str, int] = {}
+        for place in self._places.values():
+            counts[place.tab.name] = counts.get(place.tab.name, 0) + place.tab.dropped
+        return counts
+
+    async def serve(self, websocket: WebSocket) -> None:
+        """The socket of a tab, until either end leaves."""
+        key = websocket.path_params["key"]
+        peer = websocket.client.host if websocket.client else ""
+        tab = self.tabs.get(key)
+        if tab is None or key in self._places or not self._make_room(peer):
+            await websocket.close(_POLICY_VIOLATION)
+            return
+        place = self._places[key] = _Place(tab, peer, self._agent.now, asyncio.Event())
+        try:
+            await websocket.accept()
+            connection: WebSocketConnection = websocket.scope["state"]["connection"]
+            connection.is_steering = lambda: tab.has_lease
+            await self._talk(websocket, place)
+        except WebSocketDisconnect:
+            pass
+        finally:
+            tab.lost()
+            if self._places.get(key) is place:
+                del self._places[key]
+
+    def _make_room(self, peer: str) -> bool:
+        """Whether one more may come, for which another may have to go.
+
+        Whoever steers needs no place, and loses none.
+        """
+        others = [one for one in self._places.values() if not one.tab.has_lease]
+        if len(others) < PLACES:
+            return True
+        goes = who_makes_room(others, peer, self._agent.now)
+        if goes is None:
+            return False
+        goes.leaving.set()
+        self._places = {key: one for key, one in self._places.items() if one is not goes}
+        return True
+
+    async def _talk(self, websocket: WebSocket, place: _Place) -> None:
+        works = [
+            asyncio.create_task(self._read(websocket, place)),
+            asyncio.create_task(self._write(websocket, place.tab)),
+            asyncio.create_task(place.leaving.wait()),
+        ]
+        try:
+            await asyncio.wait(works, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            place.tab.lost()  # first of all: motion stops
+            for work in works:
+                work.cancel()
+            await asyncio.gather(*works, return_exceptions=True)
+        if place.leaving.is_set() and websocket.client_state is WebSocketState.CONNECTED:
+            await websocket.close(_POLICY_VIOLATION, "another tab needs the place")
+
+    async def _read(self, websocket: WebSocket, place: _Place) -> None:
+        while True:
+            message = await websocket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            place.heard_at, place.has_spoken = self._agent.now, True
+            answer = place.tab.receive(message.get("text") or message.get("bytes") or "")
+            if answer is not None and _is_up_to_date(place.tab.agent):
+                await websocket.send_json(answer)
+            await asyncio.sleep(0)
+
+    async def _write(self, websocket: WebSocket, tab: Tab) -> None:
+        agent = tab.agent
+        others_at = agent.now
+        with contextlib.suppress(WebSocketDisconnect):
+            while True:
+                if _is_up_to_date(agent):
+                    message = live(agent.telemetry, agent.now)
+                    if len(self.agents) > 1 and agent.now >= others_at:
+                        others_at = agent.now + OTHERS_INTERVAL
+                        message["others"] = [
+                            seen_from_afar(name, one.telemetry)
+                            for name, one in self.agents.items()
+                            if name != tab.aircraft
+                        ]
+                    began_at = agent.now
+                    await websocket.send_json(message)  # waits for a page that takes nothing
+                    tab.dropped += int((agent.now - began_at) / LIVE_INTERVAL)
+                    await asyncio.sleep(LIVE_INTERVAL)
+                else:
+                    # Else the page could not tell a silent agent from a silent station.
+                    await websocket.send_json({"op": "unheard"})
+                    await asyncio.sleep(UNHEARD_INTERVAL)
+
+
+def _is_up_to_date(agent: AgentClient) -> bool:
+    """Whether the agent is heard. A page that hears nothing shows everything as old."""
+    return not agent.is_gone and not agent.is_silent

@@ -1,0 +1,457 @@
+"""What the operator has to be told loudly: each alarm a row of a table, its life another table.
+
+An alarm begins and ends by what is known. Between the two lies a gap, so that a value at the edge
+rings once; an unknown value begins nothing and ends nothing. What can only happen (a lease that was
+taken, a mission broken off) begins when it happens and stays until somebody has seen it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+
+from m100link.apps.agent.lease import Flown, LeaseChange
+from m100link.apps.station.console.view.situation import Hearing, Level, Situation
+from m100link.apps.station.console.view.units import Quantity
+from m100link.apps.station.console.view.words import Text, say
+from m100link.errors import LossReason
+from m100link.protocol.records import FlightPhase
+from m100link.telemetry.limits import (
+    BATTERY_CRITICAL,
+    BATTERY_LOW,
+    GOOD_GPS,
+    MAX_TELEMETRY_AGE,
+    is_low,
+)
+
+__all__ = [
+    "ALARMS",
+    "TRANSITIONS",
+    "Alarm",
+    "AlarmChange",
+    "AlarmDesk",
+    "AlarmInput",
+    "AlarmName",
+    "AlarmState",
+    "Definition",
+]
+
+_NEAR, _CLEAR = 0.9, 0.85
+_LINK_CLEAR_AGE = MAX_TELEMETRY_AGE / 2
+
+
+class AlarmState(Enum):
+    """Where an alarm stands."""
+
+    QUIET = "quiet"  # nothing to tell
+    RAISED = "raised"  # it is so, and nobody has said that they know
+    ACKNOWLEDGED = "acknowledged"  # it is so, and the operator knows
+    PASSED = "passed"  # it was so, and nobody has said that they know
+
+
+class AlarmInput(Enum):
+    """What can happen to an alarm."""
+
+    BEGINS = "it is so"
+    ENDS = "it is so no more"
+    SEEN = "the operator acknowledges it"
+
+
+_S, _I = AlarmState, AlarmInput
+
+TRANSITIONS: dict[AlarmState, dict[AlarmInput, AlarmState]] = {
+    _S.QUIET: {_I.BEGINS: _S.RAISED},
+    _S.RAISED: {_I.ENDS: _S.PASSED, _I.SEEN: _S.ACKNOWLEDGED},
+    _S.ACKNOWLEDGED: {_I.ENDS: _S.QUIET},
+    _S.PASSED: {_I.BEGINS: _S.RAISED, _I.SEEN: _S.QUIET},
+}
+"""State, input, next state. A pair that is not here changes nothing."""
+
+
+class AlarmName(Enum):
+    """The alarms, the most urgent first; the value is the key of its words."""
+
+    LINK_LOST = "link_lost"
+    LANDS_ITSELF = "lands_itself"
+    BATTERY_CRITICAL = "battery_critical"
+    LEASE_TAKEN = "lease_taken"
+    LINK_OLD = "link_old"
+    NAVIGATION = "navigation"
+    BATTERY_FLOOR = "battery_floor"
+    GPS = "gps"
+    AUTHORITY_LOST = "authority_lost"
+    MISSION_ABORTED = "mission_aborted"
+    GUARD_NEAR = "guard_near"
+    BATTERY_LOW = "battery_low"
+
+
+@dataclass(frozen=True, slots=True)
+class Definition:
+    """What an alarm is.
+
+    Attributes:
+        name: Which one.
+        level: How urgent it is.
+        judge: Whether it is so: True begins it, False ends it, None leaves it as it is.
+        text: What is said.
+        begins_after: Seconds for which it has to be so.
+        ends_after: Seconds for which it has to be so no more.
+        mark: For what only happens: what tells one time from another; None while it has not
+            happened. Whoever sees the mark first has not been there when it happened.
+        within: A stronger alarm: while that one is so, this one is not shown.
+    """
+
+    name: AlarmName
+    level: Level
+    text: Callable[[Situation], Text]
+    judge: Callable[[Situation], bool | None] | None = None
+    begins_after: float = 0.0
+    ends_after: float = 0.0
+    mark: Callable[[Situation], object] | None = None
+    within: AlarmName | None = None
+
+
+# -- when each is so ------------------------------------------------------------------------------
+
+
+def _link_lost(now: Situation) -> bool | None:
+    if now.hearing is not Hearing.HEARD or now.connection == "lost":
+        return True
+    return False if now.connection == "connected" else None
+
+
+def _link_old(now: Situation) -> bool | None:
+    age = now.telemetry_age
+    if not now.is_connected or age is None:
+        return None
+    return True if age > MAX_TELEMETRY_AGE else False if age < _LINK_CLEAR_AGE else None
+
+
+def _lands_itself(now: Situation) -> bool | None:
+    if now.phase is None:
+        return None
+    is_landing = now.phase in (FlightPhase.LANDING, FlightPhase.FINISHING_LANDING)
+    return is_landing and now.task not in ("land", "go home") and not now.has_mission
+
+
+def _battery_critical(now: Situation) -> bool | None:
+    return False if now.is_on_ground else is_low(now.battery, BATTERY_CRITICAL)
+
+
+def _battery_floor(now: Situation) -> bool | None:
+    floor = now.limits.battery_floor_percent
+    if floor is None or not now.has_authority or now.is_on_ground:
+        return False
+    return is_low(now.battery, floor - 1)
+
+
+def _gps(now: Situation) -> bool | None:
+    if now.is_on_ground:
+        return False  # before take-off the checklist tells it
+    return None if now.gps is None else now.gps < GOOD_GPS
+
+
+def _navigation(now: Situation) -> bool | None:
+    return bool(now.contradiction) if now.is_connected else None
+
+
+def _authority_lost(now: Situation) -> bool | None:
+    if not now.is_connected:
+        return None
+    return now.has_lease and not now.has_authority and now.loss is not None
+
+
+def _nearness(now: Situation) -> list[tuple[float, float, str]]:
+    """Height and distance that are known and limited: value, limit, key of the words."""
+    limits = now.limits
+    pairs = (
+        (now.height, limits.max_height_m, "alarms.guard_near.height"),
+        (now.distance, limits.max_radius_m, "alarms.guard_near.radius"),
+    )
+    return [
+        (value, limit, key)
+        for value, limit, key in pairs
+        if value is not None and limit is not None
+    ]
+
+
+def _guard_near(now: Situation) -> bool | None:
+    if not now.has_authority or now.is_on_ground:
+        return False
+    parts = [value / limit for value, limit, _ in _nearness(now)]
+    if not parts:
+        return None
+    return True if max(parts) >= _NEAR else False if max(parts) < _CLEAR else None
+
+
+# -- what each says -------------------------------------------------------------------------------
+
+_LOSSES = {
+    LossReason.MODE_SWITCH: "alarms.authority_lost.switch",
+    LossReason.APP: "alarms.authority_lost.app",
+    LossReason.LINK: "alarms.authority_lost.link",
+}
+_ENDS = {
+    LeaseChange.TAKEN_OVER: "alarms.lease_taken.taken",
+    LeaseChange.EXPIRED: "alarms.lease_taken.expired",
+}
+
+
+_TASKS = (Flown.TAKE_OFF, Flown.LAND, Flown.GO_HOME)
+_GOES_ON = {one: f"alarms.flown.{one.value}.goes_on" for one in _TASKS}
+_STOPPED = {one: f"alarms.flown.{one.value}" for one in Flown}
+
+
+def _charge(key: str) -> Callable[[Situation], Text]:
+    def text(now: Situation) -> Text:
+        charge = say("unit.unknown") if now.battery is None else now.battery
+        return say(key, percent=charge, floor=now.limits.battery_floor_percent)
+
+    return text
+
+
+def _guard_text(now: Situation) -> Text:
+    value, limit, key = max(_nearness(now), key=lambda one: one[0] / one[1])
+    return say(key, value=Quantity.length(value), limit=Quantity.length(limit))
+
+
+def _lands_text(now: Situation) -> Text:
+    is_empty = now.battery is not None and now.battery <= BATTERY_CRITICAL
+    return say("alarms.lands_itself.battery" if is_empty else "alarms.lands_itself")
+
+
+def _lease_text(now: Situation) -> Text:
+    end = now.lease_end
+    if end is None or end.why is None:
+        return say("alarms.lease_taken")
+    lost = say(_ENDS.get(end.why, "alarms.lease_taken"), name=end.name)
+    is_kept = end.why is LeaseChange.TAKEN_OVER  # control authority, and by it a task
+    if end.flown is Flown.NOTHING and not (is_kept and now.phase is FlightPhase.IN_AIR):
+        return lost
+    key = _GOES_ON if is_kept and end.flown in _TASKS else _STOPPED
+    return say("alarms.lease_taken.flown", lost=lost, flown=Text(key[end.flown]))
+
+
+def _always(key: str) -> Callable[[Situation], Text]:
+    return lambda now: say(key)
+
+
+_N, _L = AlarmName, Level
+
+ALARMS: tuple[Definition, ...] = (
+    Definition(_N.LINK_LOST, _L.DANGER, _always("alarms.link_lost"), _link_lost),
+    # A landing that was asked for is told of as a task a moment after it has begun.
+    Definition(_N.LANDS_ITSELF, _L.DANGER, _lands_text, _lands_itself, begins_after=0.5),
+    Definition(
+        _N.BATTERY_CRITICAL, _L.DANGER, _charge("alarms.battery_critical"), _battery_critical
+    ),
+    Definition(_N.LEASE_TAKEN, _L.DANGER, _lease_text, mark=lambda now: now.lease_end),
+    Definition(
+        _N.LINK_OLD,
+        _L.DANGER,
+        _always("alarms.link_old"),
+        _link_old,
+        ends_after=1.0,
+        within=_N.LINK_LOST,
+    ),
+    Definition(
+        _N.NAVIGATION,
+        _L.DANGER,
+        lambda now: say("alarms.navigation", what=now.contradiction),
+        _navigation,
+        ends_after=1.0,
+        within=_N.LINK_LOST,
+    ),
+    Definition(
+        _N.BATTERY_FLOOR,
+        _L.DANGER,
+        _charge("alarms.battery_floor"),
+        _battery_floor,
+        within=_N.BATTERY_CRITICAL,
+    ),
+    Definition(_N.GPS, _L.WARNING, _always("alarms.gps"), _gps, begins_after=1.0, ends_after=2.0),
+    Definition(
+        _N.AUTHORITY_LOST,
+        _L.WARNING,
+        lambda now: say(_LOSSES.get(now.loss or LossReason.UNKNOWN, "alarms.authority_lost")),
+        _authority_lost,
+    ),
+    Definition(
+        _N.MISSION_ABORTED,
+        _L.WARNING,
+        lambda now: say("alarms.mission_aborted", why=now.aborted_why),
+        mark=lambda now: now.aborted or None,
+    ),
+    Definition(_N.GUARD_NEAR, _L.WARNING, _guard_text, _guard_near, ends_after=1.0),
+    Definition(
+        _N.BATTERY_LOW,
+        _L.WARNING,
+        _charge("alarms.battery_low"),
+        lambda now: is_low(now.battery, BATTERY_LOW),
+        within=_N.BATTERY_FLOOR,
+    ),
+)
+"""The alarms, the most urgent first."""
+
+
+# -- their life -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """An alarm that has something to tell.
+
+    Attributes:
+        name: Which one.
+        level: How urgent it is.
+        state: Where it stands; never quiet.
+        text: What it says; of one that has passed, what it said last.
+        began_at: When it began, on the station's clock, s.
+    """
+
+    name: AlarmName
+    level: Level
+    state: AlarmState
+    text: Text
+    began_at: float
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmChange:
+    """Something that happened to an alarm, for the list of events.
+
+    Attributes:
+        at: When, on the station's clock, s.
+        name: Of which alarm.
+        level: How urgent it is.
+        what: Where it stands now.
+        text: What it says.
+    """
+
+    at: float
+    name: AlarmName
+    level: Level
+    what: AlarmState
+    text: Text
+
+
+@dataclass(slots=True)
+class _Watched:
+    """One alarm of one tab.
+
+    Attributes:
+        state: Where it stands.
+        is_so: What was judged last and was not unknown.
+        turned_at: When the judgement began to differ from the state; None while it does not.
+        mark: The newest that was seen.
+        text: What it said last.
+        began_at: When it began.
+    """
+
+    state: AlarmState = AlarmState.QUIET
+    is_so: bool = False
+    turned_at: float | None = None
+    mark: object = None
+    text: Text = field(default_factory=lambda: Text("alarms.none"))
+    began_at: float = 0.0
+
+
+class AlarmDesk:
+    """The alarms of one tab: whoever looks at it has to acknowledge them.
+
+    Args:
+        definitions: Which there are.
+    """
+
+    def __init__(self, definitions: tuple[Definition, ...] = ALARMS) -> None:
+        self._definitions = {one.name: one for one in definitions}
+        self._watched = {name: _Watched() for name in self._definitions}
+        self._has_looked = False
+
+    @property
+    def shown(self) -> tuple[Alarm, ...]:
+        """What has something to tell, the most urgent first, without what a stronger one covers."""
+        return tuple(
+            Alarm(name, one.level, watched.state, watched.text, watched.began_at)
+            for name, one in self._definitions.items()
+            if (watched := self._watched[name]).state is not AlarmState.QUIET
+            and not self._is_covered(one)
+        )
+
+    @property
+    def sounding(self) -> Level | None:
+        """The most urgent level that nobody has acknowledged; None for silence."""
+        levels = {one.level for one in self.shown if one.state is AlarmState.RAISED}
+        return next((level for level in (Level.DANGER, Level.WARNING) if level in levels), None)
+
+    def _is_covered(self, one: Definition) -> bool:
+        stronger = one.within
+        while stronger is not None:
+            if self._watched[stronger].state in (AlarmState.RAISED, AlarmState.ACKNOWLEDGED):
+                return True
+            stronger = self._definitions[stronger].within
+        return False
+
+    def advance(self, now: Situation) -> list[AlarmChange]:
+        """Judge every alarm; returns what changed."""
+        changes: list[AlarmChange] = []
+        for name, one in self._definitions.items():
+            watched = self._watched[name]
+            if one.mark is not None:
+                changes += self._look_at_mark(one, watched, one.mark(now), now)
+            elif one.judge is not None:
+                changes += self._judge(one, watched, one.judge(now), now)
+        self._has_looked = True
+        return changes
+
+    def acknowledge(self, name: AlarmName, at: float) -> list[AlarmChange]:
+        """The operator knows of an alarm, and so of what it covers; returns what changed."""
+        one, watched = self._definitions[name], self._watched[name]
+        changes = self._feed(one, watched, AlarmInput.SEEN, at)
+        if one.mark is not None:  # what only happened is over when it is known
+            changes += self._feed(one, watched, AlarmInput.ENDS, at)
+        for covered in self._definitions.values():
+            if covered.within is name and self._watched[covered.name].state is AlarmState.RAISED:
+                changes += self.acknowledge(covered.name, at)
+        return changes
+
+    def _look_at_mark(
+        self, one: Definition, watched: _Watched, mark: object, now: Situation
+    ) -> list[AlarmChange]:
+        is_new = mark is not None and mark != watched.mark
+        has_ended = mark is None and watched.mark is not None
+        watched.mark = mark
+        if is_new and self._has_looked:
+            watched.text = one.text(now)
+            return self._feed(one, watched, AlarmInput.BEGINS, now.now)
+        return self._feed(one, watched, AlarmInput.ENDS, now.now) if has_ended else []
+
+    def _judge(
+        self, one: Definition, watched: _Watched, verdict: bool | None, now: Situation
+    ) -> list[AlarmChange]:
+        if verdict is not None and verdict is not watched.is_so:
+            watched.turned_at = now.now if watched.turned_at is None else watched.turned_at
+            needed = one.begins_after if verdict else one.ends_after
+            if now.now - watched.turned_at >= needed:
+                watched.is_so, watched.turned_at = verdict, None
+                if verdict:
+                    watched.text = one.text(now)
+                what = AlarmInput.BEGINS if verdict else AlarmInput.ENDS
+                return self._feed(one, watched, what, now.now)
+        elif verdict is not None:
+            watched.turned_at = None
+            if verdict:
+                watched.text = one.text(now)
+        return []
+
+    def _feed(
+        self, one: Definition, watched: _Watched, what: AlarmInput, at: float
+    ) -> list[AlarmChange]:
+        after = TRANSITIONS[watched.state].get(what)
+        if after is None:
+            return []
+        watched.state = after
+        if after is AlarmState.RAISED:
+            watched.began_at = at
+        return [AlarmChange(at, one.name, one.level, after, watched.text)]

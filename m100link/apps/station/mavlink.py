@@ -1,0 +1,178 @@
+"""MAVLink as a front of the station: its sockets, its key, its aircraft."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.mavlink.bridge import Bridge, signature_time
+from m100link.apps.mavlink.codec import Signer
+from m100link.apps.mavlink.numbers import AUTOPILOT_GENERIC, AUTOPILOT_PX4
+from m100link.apps.mavlink.peers import Address
+from m100link.apps.mavlink.signatures import SignatureMemory, Snapshot
+from m100link.apps.mavlink.udp import bind, is_loopback, read_address, serving
+from m100link.apps.station.config import Settings
+from m100link.errors import UsageError
+from m100link.link.keyfile import read_key
+from m100link.log.folder import state_folder
+
+__all__ = ["AUTOPILOTS", "open_mavlink", "serving_mavlink"]
+
+_logger = logging.getLogger(__name__)
+
+AUTOPILOTS = {"px4": AUTOPILOT_PX4, "generic": AUTOPILOT_GENERIC}
+"""What the heartbeat may say."""
+
+_MOST_WAYS = 64
+_MOST_WAITING = 100_000
+_REMEMBERED_S = 0.1
+
+_ANY: Address = ("127.0.0.1", 0)
+
+
+def open_mavlink(stack: AsyncExitStack, settings: Settings) -> list[socket.socket]:
+    """The sockets that the settings ask for; closed with the stack.
+
+    Raises:
+        UsageError: Something in the settings cannot be, or other machines would be let in and
+            nothing signs what they send.
+        PortBusy, PortFailed: A port is taken, or an address cannot be bound.
+    """
+    if settings.autopilot not in AUTOPILOTS:
+        raise UsageError(
+            f"there is no autopilot {settings.autopilot!r}", remedy=" or ".join(AUTOPILOTS)
+        )
+    addresses = [read_address(one) for one in settings.mavlink]
+    for one in [*addresses, *map(read_address, settings.mavlink_to)]:
+        if not is_loopback(one) and settings.signing_key_file is None:
+            raise UsageError(
+                f"{one[0]} lets other machines fly the aircraft, and nothing signs what they send",
+                remedy="give --signing-key-file, or an address of this machine: 127.0.0.1",
+            )
+    _signer(settings)
+    if settings.mavlink_to and not addresses:
+        addresses = [_ANY]
+    sockets = []
+    for address in addresses:
+        bound = bind(address)
+        stack.callback(bound.close)
+        sockets.append(bound)
+    return sockets
+
+
+def _signer(settings: Settings) -> Signer | None:
+    path = settings.signing_key_file
+    return None if path is None else Signer(read_key(path).reveal())
+
+
+@asynccontextmanager
+async def serving_mavlink(
+    agents: Mapping[str, AgentClient], settings: Settings, sockets: Sequence[socket.socket]
+) -> AsyncIterator[Bridge]:
+    """Serve while the block runs.
+
+    Args:
+        agents: The agents of the aircraft; the first has the system id of the settings.
+        settings: Who is spoken to, and how.
+        sockets: Where; what is sent first goes out by the first.
+
+    Raises:
+        UsageError: There are more aircraft than system ids.
+    """
+    by_system = dict(enumerate(agents.values(), settings.sysid))
+    ways: dict[Address, Callable[[bytes, Address], None]] = {}
+    senders: list[Callable[[bytes, Address], None]] = []
+
+    def send(data: bytes, address: Address) -> None:
+        # Answers go out where the question came in.
+        ways.get(address, senders[0])(data, address)
+
+    def drain() -> None:
+        for one in sockets:
+            _drain(one)
+
+    signer = _signer(settings)
+    bridge = Bridge(
+        by_system,
+        send,
+        drain=drain,
+        to=tuple(map(read_address, settings.mavlink_to)),
+        signer=signer,
+        autopilot=AUTOPILOTS[settings.autopilot],
+    )
+
+    drain()
+
+    def receiver(place: int) -> Callable[[bytes, Address], None]:
+        def received(data: bytes, address: Address) -> None:
+            if place and bridge.peers.is_known(address):
+                if len(ways) > _MOST_WAYS:
+                    ways.clear()
+                ways[address] = senders[place]
+            bridge.received(data, address)
+
+        return received
+
+    async with AsyncExitStack() as stack:
+        if signer is not None:
+            await stack.enter_async_context(_remembering(signer, bridge))
+        for place, one in enumerate(sockets):
+            senders.append(await stack.enter_async_context(serving(one, receiver(place))))
+        # A bridge that fails takes the process with it, which is started again.
+        async with asyncio.TaskGroup() as group:
+            running = group.create_task(bridge.run(), name="m100link station: MAVLink")
+            try:
+                yield bridge
+            finally:
+                running.cancel()
+
+
+@asynccontextmanager
+async def _remembering(signer: Signer, bridge: Bridge) -> AsyncIterator[None]:
+    """Keep on disk what was signed; where that cannot be it is told once, and flying goes on."""
+    memory = SignatureMemory(state_folder() / "mavlink", signer)
+    told = await asyncio.to_thread(memory.recall, signature_time())
+
+    def tell(why: str) -> None:
+        nonlocal told
+        if why and why != told:
+            _logger.warning("signatures are not remembered: %s", why)
+            for vehicle in bridge.vehicles:
+                vehicle.tell(f"signatures are not remembered: {why}")
+        told = why
+
+    told, why = "", told
+    tell(why)
+
+    async def write(snapshot: Snapshot | None) -> None:
+        if snapshot is not None:
+            try:
+                await asyncio.to_thread(memory.write, snapshot)
+            except OSError as error:
+                tell(f"{memory.path}: {error.strerror or error}")
+
+    async def watch() -> None:
+        while True:
+            await write(memory.due())
+            await asyncio.sleep(_REMEMBERED_S)
+
+    watching = asyncio.create_task(watch(), name="m100link station: MAVLink signatures")
+    try:
+        yield
+    finally:
+        watching.cancel()
+        await asyncio.wait([watching])
+        await write(memory.last())
+
+
+def _drain(one: socket.socket) -> None:
+    """Forget what came while nobody read: who sent a command then does not wait for it now."""
+    for _ in range(_MOST_WAITING):
+        try:
+            one.recv(1)
+        except OSError:
+            return  # nothing waits any more

@@ -1,0 +1,466 @@
+"""rosbridge v2 with one client, without a transport and without a clock.
+
+Frames go in by :meth:`Client.receive` with the present time, frames come out of
+:meth:`Client.next_frame`; :meth:`Client.next_wakeup` says when to look again. Everything a client
+can make grow has a limit, and a client that is slow, noisy or malicious costs itself messages, not
+others.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from m100link.apps.station.ros.allowance import Allowance
+from m100link.apps.station.ros.encoding import Reassembly, to_cbor, to_png
+from m100link.apps.station.ros.graph import Call, Graph, Publication, Topic, canonical_name
+from m100link.apps.station.ros.messages import BadMessage, canonical_type
+from m100link.apps.station.ros.outbox import COMPRESSIONS, Outbox, Wish
+from m100link.errors.texts import read_json
+
+__all__ = ["Client", "Limits"]
+
+_Packing = tuple[int | None, str]
+
+_SMALLEST_FRAGMENT = 100
+"""Characters of a fragment; who wants smaller ones gets these."""
+
+_COMPLAINT_PAUSE = 1.0
+"""Seconds between two statuses that tell a client that it does too much."""
+
+_LEVELS = ("none", "error", "warning", "info")
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What one client may use.
+
+    Attributes:
+        message_size: Bytes of a frame it sends, and of a message from fragments.
+        bytes_rate: Bytes per second over time; four messages of full size at once.
+        work_rate: Seconds of processor time per second over time, for what it sends and gets.
+        work_burst: The same at once.
+        rate: Frames per second over time.
+        burst: Frames at once.
+        subscriptions: Subscriptions in force.
+        advertisements: Topics advertised.
+        calls: Service calls without an answer yet.
+        waiting: Messages that wait for a slow client; beyond it the oldest of the busiest topic
+            are dropped.
+        answers: Answers and statuses that wait; beyond it the client is disconnected.
+        queue_length: Longest queue of a throttled subscription.
+        faults: Frames beyond a limit or without meaning until the client is disconnected; each
+            is forgotten after a while.
+    """
+
+    message_size: int = 64 * 1024
+    bytes_rate: float = 128 * 1024
+    work_rate: float = 0.1
+    work_burst: float = 0.2
+    rate: float = 200.0
+    burst: float = 400.0
+    subscriptions: int = 100
+    advertisements: int = 100
+    calls: int = 16
+    waiting: int = 500
+    answers: int = 500
+    queue_length: int = 100
+    faults: int = 1000
+
+
+class _Overdone(Exception):
+    """The client uses more than it may, in words for it."""
+
+
+class _Remark(Exception):
+    """Nothing had to be done, in words for the client."""
+
+
+class _Fault(Exception):
+    """Something the client did wrong, in words for it."""
+
+
+class Client:
+    """One client.
+
+    Args:
+        graph: Topics and services.
+        name: Who it is, for people.
+        limits: What it may use.
+        on_output: Called when there may be something to send.
+        on_disconnect: Called when the client has to be disconnected.
+
+    Attributes:
+        refused: Frames not carried out.
+        close_reason: Set when the client has to be disconnected.
+        recent_work: Seconds of work that it caused; whoever looks sets it back to 0.
+        peer: Address that it comes from.
+        heard_at: When it last said anything; when it came, if it never did.
+        has_spoken: Whether it ever said anything.
+        data: For the node: what it knows about this client.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        name: str = "client",
+        *,
+        limits: Limits | None = None,
+        on_output: Callable[[], None] = lambda: None,
+        on_disconnect: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.graph = graph
+        self.name = name
+        self.limits = limits or Limits()
+        self.on_output = on_output
+        self._on_disconnect = on_disconnect
+        self.refused = 0
+        self.close_reason: str | None = None
+        self.recent_work = 0.0
+        self.peer = ""
+        self.heard_at = float("-inf")
+        self.has_spoken = False
+        self.data: dict[str, Any] = {}
+        self._outbox = Outbox(self.limits.waiting, self._output)
+        self._advertised: dict[str, set[str]] = {}
+        self._reassembly = Reassembly(self.limits.message_size)
+        self._level = _LEVELS.index("error")
+        self._calls = 0
+        self._frames = Allowance(self.limits.rate, self.limits.burst)
+        self._bytes = Allowance(self.limits.bytes_rate, 4 * self.limits.message_size)
+        self._work = Allowance(self.limits.work_rate, self.limits.work_burst)
+        self._faults = Allowance(self.limits.faults / 1000.0, self.limits.faults)
+        # When it was last told that it does too much.
+        self._complained_at = float("-inf")
+        self._operations: dict[str, Callable[[dict[str, Any], float], None]] = {
+            "advertise": self._advertise,
+            "unadvertise": self._unadvertise,
+            "publish": self._publish,
+            "subscribe": self._subscribe,
+            "unsubscribe": self._unsubscribe,
+            "call_service": self._call_service,
+            "fragment": self._fragment,
+            "set_level": self._set_level,
+            "status": self._ignore,
+        }
+        graph.sessions.add(self)
+
+    def close(self, now: float) -> None:
+        """The client has gone."""
+        self._outbox.clear()
+        self.graph.leave(self, now)
+
+    # -- what comes in ---------------------------------------------------------------------------
+
+    def receive(self, frame: str | bytes, now: float) -> None:
+        """Take a frame of the client. Never raises: what is wrong with it is told to the client."""
+        identity = None
+        self.heard_at, self.has_spoken = now, True
+        try:
+            self._admit(frame, now)
+            message = self._parse(frame)
+            given = message.get("id")
+            identity = given if isinstance(given, int) else str(given)[:256] if given else None
+            self._execute(message, now)
+        except _Overdone as fault:
+            self._count_fault(now)
+            if now - self._complained_at >= _COMPLAINT_PAUSE:
+                self._complained_at = now
+                self.status("error", f"{fault}: frame dropped")
+        except _Remark as remark:
+            self._count_fault(now)
+            self.status("warning", str(remark), identity)
+        except (_Fault, BadMessage) as fault:
+            self._count_fault(now)
+            self.status("error", str(fault), identity)
+
+    def _count_fault(self, now: float) -> None:
+        self.refused += 1
+        if not self._faults.take(now):
+            self.disconnect("too many frames that could not be carried out")
+
+    def _admit(self, frame: str | bytes, now: float) -> None:
+        """Refuse a frame before anything in it is looked at.
+
+        Raises:
+            _Overdone: The client uses more than it may.
+        """
+        limits = self.limits
+        if not self._frames.take(now):
+            raise _Overdone(f"more than {limits.rate:g} frames per second")
+        if not self._bytes.take(now, len(frame)):
+            raise _Overdone(f"more than {limits.bytes_rate:g} bytes per second")
+        if self._work.wait(now) > 0.0:
+            raise _Overdone("more work per second than one client may cause")
+
+    def charge(self, seconds: float, now: float) -> None:
+        """The client has made the station work for so long."""
+        self._work.spend(now, seconds)
+        self.recent_work += seconds
+
+    def work_pause(self, now: float) -> float:
+        """Seconds until more may be done for this client."""
+        return self._work.wait(now)
+
+    def _parse(self, frame: str | bytes) -> dict[str, Any]:
+        if len(frame) > self.limits.message_size:
+            raise _Fault(f"a frame has at most {self.limits.message_size} bytes")
+        try:
+            message = read_json(frame, constant=_refuse_constant)
+        except ValueError as error:
+            raise _Fault(f"this is not JSON: {str(error)[:200]}") from None
+        if not isinstance(message, dict):
+            raise _Fault("a frame is a JSON object")
+        return message
+
+    def _execute(self, message: dict[str, Any], now: float) -> None:
+        operation = message.get("op")
+        handler = self._operations.get(operation) if isinstance(operation, str) else None
+        if handler is None:
+            raise _Fault(f"there is no operation {str(operation)[:64]!r} here")
+        handler(message, now)
+
+    def _ignore(self, message: dict[str, Any], now: float) -> None:
+        """What a client tells about itself changes nothing."""
+
+    def _topic(self, message: dict[str, Any]) -> Topic:
+        name = _text(message, "topic")
+        topic = self.graph.topics.get(canonical_name(name))
+        if topic is None:
+            raise _Fault(
+                f"there is no topic {name[:128]!r} here; /rosapi/topics lists those there are"
+            )
+        given = message.get("type")
+        if given is not None and canonical_type(_text(message, "type")) != topic.type.name:
+            raise _Fault(f"{topic.name} is of type {topic.type.name}, not {str(given)[:128]}")
+        return topic
+
+    def _advertise(self, message: dict[str, Any], now: float) -> None:
+        _text(message, "type")
+        topic = self._topic(message)
+        if topic.on_publish is None:
+            raise _Fault(f"{topic.name} is published by the station alone")
+        if topic.name not in self._advertised:
+            if len(self._advertised) >= self.limits.advertisements:
+                raise _Fault(f"at most {self.limits.advertisements} topics can be advertised")
+            self._advertised[topic.name] = set()
+        identities = self._advertised[topic.name]
+        if len(identities) < self.limits.advertisements:
+            identities.add(str(message.get("id")))
+
+    def _unadvertise(self, message: dict[str, Any], now: float) -> None:
+        name = canonical_name(_text(message, "topic"))
+        identities = self._advertised.get(name)
+        if identities is None:
+            raise _Remark(f"{name[:128]} was not advertised")
+        if "id" in message:
+            identities.discard(str(message["id"]))
+        if "id" not in message or not identities:
+            del self._advertised[name]
+
+    def _publish(self, message: dict[str, Any], now: float) -> None:
+        topic = self._topic({"topic": message.get("topic")})
+        if topic.on_publish is None:
+            raise _Fault(f"{topic.name} is published by the station alone")
+        value = topic.type.read(message.get("msg", {}))
+        topic.on_publish(self, value, now)
+        self.graph.publish(topic, value, now)
+
+    def _subscribe(self, message: dict[str, Any], now: float) -> None:
+        topic = self._topic(message)
+        name = message["topic"]
+        wish = self._wish(message)
+        count = sum(len(one.wishes) for one in self._outbox.subscriptions.values())
+        if count >= self.limits.subscriptions:
+            raise _Fault(f"at most {self.limits.subscriptions} subscriptions are possible")
+        subscription = self._outbox.subscription(topic, name)
+        topic.subscribers.add(self)
+        is_new = not subscription.wishes
+        subscription.wishes[str(message.get("id"))] = wish
+        subscription.merge()
+        if is_new and topic.last is not None:
+            self._outbox.offer(subscription, Publication(topic, topic.last), now)
+
+    def _wish(self, message: dict[str, Any]) -> Wish:
+        size, compression = self._packing(message)
+        return Wish(
+            max(0, _number(message, "throttle_rate", -86_400_000, 86_400_000)) / 1000.0,
+            min(_number(message, "queue_length", 0, 1_000_000), self.limits.queue_length),
+            size,
+            compression,
+        )
+
+    def _unsubscribe(self, message: dict[str, Any], now: float) -> None:
+        name = _text(message, "topic")
+        subscription = self._outbox.subscriptions.get(name)
+        if subscription is None:
+            raise _Remark(f"{name[:128]!r} was not subscribed")
+        if "id" in message:
+            subscription.wishes.pop(str(message["id"]), None)
+        else:
+            subscription.wishes.clear()
+        if subscription.wishes:
+            subscription.merge()
+        elif self._outbox.unsubscribe(name):
+            subscription.topic.subscribers.discard(self)
+
+    def _call_service(self, message: dict[str, Any], now: float) -> None:
+        name = _text(message, "service")
+        wanted, _, tail = name.partition("#")  # as clients once wrote the id
+        identity = message.get("id") or tail or None
+        packing: _Packing = (None, "none")
+        service = self.graph.services.get(canonical_name(wanted))
+        try:
+            if service is None:
+                raise _Fault(f"there is no service {name[:128]!r}; /rosapi/services lists them")
+            if self._calls >= self.limits.calls:
+                raise _Fault(f"{self._calls} calls wait for their answers already")
+            packing = self._packing(message)
+            request = service.type.read_request(message.get("args"))
+        except (_Fault, BadMessage) as fault:
+            # The answer says why: a status would say it twice.
+            self._count_fault(now)
+            self._respond(name, identity, packing, json.dumps(str(fault)), False)
+            return
+        self._calls += 1
+        call = Call(self, service, request, (name, identity, packing), now)
+        service.on_call(call)
+
+    def _packing(self, message: dict[str, Any]) -> _Packing:
+        """Size of fragments, None for whole messages, and compression."""
+        compression = message.get("compression") or "none"
+        if not isinstance(compression, str):
+            raise _Fault("compression is not a string")
+        if compression not in COMPRESSIONS:
+            wanted = f"there is no compression {compression[:64]!r} here"
+            self.status("warning", f"{wanted}, but {', '.join(COMPRESSIONS)}: sent without any")
+            compression = "none"
+        if message.get("fragment_size") is None:
+            return None, compression
+        size = _number(message, "fragment_size", 0, 1 << 31)
+        return max(size, _SMALLEST_FRAGMENT), compression
+
+    def _fragment(self, message: dict[str, Any], now: float) -> None:
+        try:
+            text = self._reassembly.add(message, now)
+        except ValueError as error:
+            raise _Fault(str(error)) from None
+        if text is not None:
+            whole = self._parse(text)
+            if whole.get("op") == "fragment":
+                raise _Fault("a fragment of fragments")
+            self._execute(whole, now)
+
+    def _set_level(self, message: dict[str, Any], now: float) -> None:
+        level = message.get("level")
+        if level not in _LEVELS:
+            raise _Fault(f"there is no level {str(level)[:64]!r}, but {', '.join(_LEVELS)}")
+        self._level = _LEVELS.index(level)
+
+    # -- what goes out ---------------------------------------------------------------------------
+
+    def status(self, level: str, text: str, identity: object = None) -> None:
+        """Tell the client something, if it wants to hear of this level."""
+        if _LEVELS.index(level) <= self._level:
+            message: dict[str, object] = {"op": "status", "level": level, "msg": text}
+            if identity is not None:
+                message["id"] = identity
+            self._answer(json.dumps(message))
+
+    def respond(self, call: Call, values: str, result: bool) -> None:
+        """Answer a service call; ``values`` is JSON."""
+        self._calls -= 1
+        name, identity, packing = call.identity
+        self._respond(name, identity, packing, values, result)
+
+    def _respond(
+        self, name: str, identity: object, packing: _Packing, values: str, result: bool
+    ) -> None:
+        size, compression = packing
+        text = _response(name, identity, values, result)
+        if compression in ("cbor", "cbor-raw"):
+            self._answer(to_cbor(read_json(text)))
+            return
+        if compression == "png":
+            text = to_png(text)
+        if size is None:
+            self._answer(text)
+            return
+        for frame in self._outbox.fragmented(text, size):
+            self._answer(frame)
+
+    def deliver(self, publication: Publication, now: float) -> None:
+        """A message was published on a topic that this client subscribed."""
+        self._outbox.deliver(publication, now)
+
+    def deliver_alone(self, publication: Publication, now: float) -> None:
+        """The same for a message that is meant for this client only."""
+        if self in publication.topic.subscribers:
+            self.deliver(publication, now)
+
+    def _answer(self, frame: str | bytes) -> None:
+        self._outbox.answers.append(frame)
+        if len(self._outbox.answers) > self.limits.answers:
+            self.disconnect("the client does not read")
+        self._output()
+
+    def disconnect(self, reason: str) -> None:
+        """Let go of this client; its socket is closed by whoever holds it."""
+        if self.close_reason is None:
+            self.close_reason = reason
+            self._on_disconnect()
+            self._output()
+
+    @property
+    def subscribes(self) -> bool:
+        """Whether it gets anything."""
+        return bool(self._outbox.subscriptions)
+
+    @property
+    def dropped(self) -> int:
+        """Messages dropped because the client was slow."""
+        return self._outbox.dropped
+
+    def advance(self, now: float) -> None:
+        """Let time pass: release what throttled subscriptions held back."""
+        self._outbox.advance(now)
+
+    def next_wakeup(self) -> float | None:
+        """When :meth:`advance` has something to do."""
+        return self._outbox.next_wakeup()
+
+    def next_frame(self) -> str | bytes | None:
+        """The next frame to send."""
+        return self._outbox.next_frame()
+
+    def _output(self) -> None:
+        self.on_output()
+
+
+def _refuse_constant(text: str) -> float:
+    raise ValueError(f"{text} is not JSON; null stands for no number")
+
+
+def _text(message: dict[str, Any], name: str) -> str:
+    value = message.get(name)
+    if not isinstance(value, str) or not value:
+        raise _Fault(f"{name} is missing, or no string")
+    return value
+
+
+def _number(message: dict[str, Any], name: str, low: int, high: int) -> int:
+    value = message.get(name)
+    if value is None:
+        return max(low, 0)
+    if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
+        raise _Fault(f"{name} is a number from {low} to {high}")
+    return int(value)
+
+
+def _response(name: str, identity: object, values: str, result: bool) -> str:
+    begin: dict[str, object] = {"op": "service_response", "service": name, "result": result}
+    if identity is not None:
+        begin["id"] = identity
+    return f'{json.dumps(begin)[:-1]}, "values": {values}}}'

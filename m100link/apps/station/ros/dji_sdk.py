@@ -1,0 +1,407 @@
+"""The names of DJI's later ``dji_sdk`` node, with standard ROS messages.
+
+Frames follow REP 103: the ground is east-north-up, the body forward-left-up, angles are radians,
+yaw counter-clockwise from east. (Two exceptions, as in DJI's node: gimbal angles are the degrees of
+the wire, and the mode and gear channels of ``rc`` are raw.) Set-points are given in the same
+frames and expire like those of any program. Services answer when the aircraft has answered; a task
+answers as soon as it is accepted, as DJI's does, and failure is told in the events.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Callable
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.way_time import MAX_LATE, WayTime
+from m100link.apps.station.ros.graph import Call, Graph, Listener, Topic
+from m100link.apps.station.ros.leases import Clients
+from m100link.apps.station.ros.messages import Message
+from m100link.apps.station.ros.missions import Missions
+from m100link.apps.station.ros.payload import Payload
+from m100link.errors import BadSetpoint, GuardRefused, M100Error, UsageError
+from m100link.geodesy import LocalFrame
+from m100link.log.ros2_messages import in_body
+from m100link.protocol.commands.control import Task
+from m100link.protocol.records import Position
+from m100link.protocol.setpoint import (
+    ControlMode,
+    Horizontal,
+    ReferenceFrame,
+    Setpoint,
+    Vertical,
+    Yaw,
+)
+from m100link.telemetry.limits import has_fix
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.subscription import Newest
+
+__all__ = ["DjiSdk", "joy_setpoint"]
+
+GROUND, BODY = "ground_ENU", "body_FLU"
+_ZERO_COVARIANCE = [0.0] * 9
+_RC_FULL = 10_000.0
+_GRAVITY_M_S2 = 9.80665
+_WAY = "way of setpoints"
+
+
+def joy_setpoint(flag: int, x: float, y: float, z: float, yaw: float) -> Setpoint:
+    """A setpoint from ROS frames (DJI's ``flight_control_setpoint_*`` topics).
+
+    Args:
+        flag: Control flag of the protocol; bits 7–6 horizontal, 5–4 vertical, 3 yaw, 1 frame;
+            bit 0, stable mode, is not sent.
+        x: East or forward (m, m/s), or roll (rad).
+        y: North or left (m, m/s), or pitch (rad, as DJI's node has it: negated).
+        z: Up (m, m/s) or thrust (%).
+        yaw: Counter-clockwise from east (rad), or rate (rad/s).
+
+    Raises:
+        BadSetpoint: The flag names no mode or no frame, or a value is out of range.
+    """
+    try:
+        horizontal, vertical = Horizontal(flag >> 6 & 3), Vertical(flag >> 4 & 3)
+    except ValueError:
+        raise BadSetpoint(f"control flag 0x{flag:02X} names no control mode") from None
+    if flag & 0x04:
+        raise BadSetpoint(f"control flag 0x{flag:02X} names no frame: its bit 2 is reserved")
+    yaw_mode, frame = Yaw(flag >> 3 & 1), ReferenceFrame(flag >> 1 & 1)
+    if horizontal is Horizontal.TILT:
+        first, second, frame = math.degrees(x), math.degrees(-y), ReferenceFrame.BODY
+    elif frame is ReferenceFrame.GROUND:
+        first, second = y, x
+    else:
+        first, second = x, -y
+    if yaw_mode is Yaw.RATE:
+        turn = math.degrees(-yaw)
+    else:
+        turn = math.remainder(90.0 - math.degrees(yaw), 360.0)
+    return Setpoint(ControlMode(horizontal, vertical, yaw_mode), first, second, z, turn, frame)
+
+
+class DjiSdk:
+    """Topics and services under ``/dji_sdk``.
+
+    Args:
+        agent: The agent that owns the aircraft.
+        graph: Where the topics are offered.
+        clients: Who holds the lease.
+    """
+
+    def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
+        self._agent, self._graph, self._clients = agent, graph, clients
+        self._sequence = 0
+        self._origin: tuple[LocalFrame, float] | None = None
+        self._topics: list[tuple[Topic, Callable[[Sample], Message | None]]] = []
+        self._add_telemetry()
+        self._add_setpoints()
+        self._add_services()
+        self._from_mobile = graph.add_topic("/dji_sdk/from_mobile_data", "dji_sdk/MobileData")
+        Payload(agent, graph, clients)
+        Missions(agent, graph, clients)
+        agent.background.spawn(self._watch(), "dji_sdk topics")
+        agent.background.spawn(self._watch_mobile(), "mobile data")
+
+    # -- telemetry -------------------------------------------------------------------------------
+
+    def _add_telemetry(self) -> None:
+        for name, kind, build in (
+            ("attitude", "geometry_msgs/QuaternionStamped", self._attitude),
+            ("imu", "sensor_msgs/Imu", self._imu),
+            ("gps_position", "sensor_msgs/NavSatFix", self._gps_position),
+            ("gps_health", "std_msgs/UInt8", self._gps_health),
+            ("height_above_takeoff", "std_msgs/Float32", self._height),
+            ("local_position", "geometry_msgs/PointStamped", self._local_position),
+            ("velocity", "geometry_msgs/Vector3Stamped", self._velocity),
+            ("angular_velocity_fused", "geometry_msgs/Vector3Stamped", self._angular_velocity),
+            ("acceleration_ground_fused", "geometry_msgs/Vector3Stamped", self._acceleration),
+            ("rc", "sensor_msgs/Joy", self._rc),
+            ("gimbal_angle", "geometry_msgs/Vector3Stamped", self._gimbal),
+            ("flight_status", "std_msgs/UInt8", self._flight_status),
+            ("battery_state", "sensor_msgs/BatteryState", self._battery),
+        ):
+            self._topics.append((self._graph.add_topic(f"/dji_sdk/{name}", kind), build))
+
+    async def _watch(self) -> None:
+        async with self._agent.samples(Newest(20)) as samples:
+            async for sample in samples:
+                for topic, build in self._topics:
+                    # Nobody pays for a topic that nobody reads.
+                    if topic.subscribers:
+                        message = build(sample)
+                        if message is not None:
+                            self._graph.publish(topic, message, sample.received_at)
+
+    async def _watch_mobile(self) -> None:
+        async with self._agent.from_mobile(Newest(50)) as messages:
+            async for data in messages:
+                self._graph.publish(self._from_mobile, {"data": data}, self._agent.now)
+
+    def _header(self, frame: str) -> Message:
+        self._sequence = (self._sequence + 1) & 0xFFFFFFFF
+        seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
+        return {
+            "seq": self._sequence,
+            "stamp": {"secs": seconds, "nsecs": nanoseconds},
+            "frame_id": frame,
+        }
+
+    def _vector(self, frame: str, x: float, y: float, z: float) -> Message:
+        return {"header": self._header(frame), "vector": _xyz(x, y, z)}
+
+    def _attitude(self, sample: Sample) -> Message | None:
+        attitude = sample.attitude
+        if attitude is None:
+            return None
+        return {
+            "header": self._header(BODY),
+            "quaternion": _quaternion(attitude.enu_flu_xyzw),
+        }
+
+    def _imu(self, sample: Sample) -> Message | None:
+        attitude, rates, ground = sample.attitude, sample.angular_velocity, sample.acceleration
+        if attitude is None or rates is None or ground is None:
+            return None
+        orientation = attitude.enu_flu_xyzw
+        # An accelerometer feels what keeps the aircraft from falling: gravity is added.
+        east, north, up = ground.enu
+        felt = in_body(orientation, (east, north, up + _GRAVITY_M_S2))
+        return {
+            "header": self._header(BODY),
+            "orientation": _quaternion(orientation),
+            "orientation_covariance": _ZERO_COVARIANCE,
+            "angular_velocity": _xyz(rates.forward_rad_s, -rates.right_rad_s, -rates.down_rad_s),
+            "angular_velocity_covariance": _ZERO_COVARIANCE,
+            "linear_acceleration": _xyz(*felt),
+            "linear_acceleration_covariance": _ZERO_COVARIANCE,
+        }
+
+    def _gps_position(self, sample: Sample) -> Message | None:
+        position = sample.position
+        if position is None:
+            return None
+        return {
+            "header": self._header("gps"),
+            "status": {"status": 0 if has_fix(position) else -1, "service": 1},
+            "latitude": position.latitude_deg,
+            "longitude": position.longitude_deg,
+            "altitude": position.altitude_m,
+            "position_covariance": _ZERO_COVARIANCE,
+            "position_covariance_type": 0,
+        }
+
+    def _gps_health(self, sample: Sample) -> Message | None:
+        health = sample.position and sample.position.gps_health
+        return None if health is None else {"data": health}
+
+    def _height(self, sample: Sample) -> Message | None:
+        return None if sample.position is None else {"data": sample.position.height_m}
+
+    def _local_position(self, sample: Sample) -> Message | None:
+        position = sample.position
+        if position is None or self._origin is None or not position.is_possible:
+            return None
+        frame, altitude = self._origin
+        north, east = frame.to_local(position.latitude_deg, position.longitude_deg)
+        point = _xyz(east, north, position.altitude_m - altitude)
+        return {"header": self._header("/local"), "point": point}
+
+    def _velocity(self, sample: Sample) -> Message | None:
+        return None if sample.velocity is None else self._vector(GROUND, *sample.velocity.enu)
+
+    def _acceleration(self, sample: Sample) -> Message | None:
+        ground = sample.acceleration
+        return None if ground is None else self._vector(GROUND, *ground.enu)
+
+    def _angular_velocity(self, sample: Sample) -> Message | None:
+        rates = sample.angular_velocity
+        if rates is None:
+            return None
+        return self._vector(BODY, rates.forward_rad_s, -rates.right_rad_s, -rates.down_rad_s)
+
+    def _rc(self, sample: Sample) -> Message | None:
+        rc = sample.remote_control
+        if rc is None:
+            return None
+        sticks = [value / _RC_FULL for value in (rc.roll, rc.pitch, rc.yaw, rc.throttle)]
+        axes = [*sticks, float(rc.mode), math.nan if rc.gear is None else float(rc.gear)]
+        return {"header": self._header("rc"), "axes": axes, "buttons": []}
+
+    def _gimbal(self, sample: Sample) -> Message | None:
+        gimbal = sample.gimbal
+        if gimbal is None:
+            return None
+        return self._vector(GROUND, gimbal.roll_deg, gimbal.pitch_deg, gimbal.yaw_deg)
+
+    def _flight_status(self, sample: Sample) -> Message | None:
+        return None if sample.flight_status is None else {"data": sample.flight_status.status}
+
+    def _battery(self, sample: Sample) -> Message | None:
+        battery = sample.battery
+        if battery is None:
+            return None
+        unknown = dict.fromkeys(
+            ("voltage", "current", "charge", "capacity", "design_capacity"), math.nan
+        )
+        return {
+            "header": self._header(""),
+            **unknown,
+            # 0 to 1 is the standard; DJI's node puts 0 to 100 there.
+            "percentage": battery.percent / 100.0 if battery.is_possible else math.nan,
+            "power_supply_status": 0,
+            "power_supply_health": 0,
+            "power_supply_technology": 0,
+            "present": True,
+            "cell_voltage": [],
+            "location": "",
+            "serial_number": "",
+        }
+
+    # -- setpoints -------------------------------------------------------------------------------
+
+    def _add_setpoints(self) -> None:
+        for name, flag in (
+            ("ENUvelocity_yawrate", 0x48),
+            ("ENUposition_yaw", 0x90),
+            ("rollpitch_yawrate_zposition", 0x1A),
+            ("generic", None),
+        ):
+            self._graph.add_topic(
+                f"/dji_sdk/flight_control_setpoint_{name}",
+                "sensor_msgs/Joy",
+                self._setpoint_handler(flag),
+            )
+
+    def _setpoint_handler(
+        self, fixed_flag: int | None
+    ) -> Callable[[Listener, Message, float], None]:
+        def handle(session: Listener, message: Message, now: float) -> None:
+            axes = message["axes"]
+            count = 5 if fixed_flag is None else 4
+            try:
+                _check_way(session, message["header"]["stamp"], now)
+                if len(axes) != count:
+                    raise UsageError(f"this topic takes {count} axes, not {len(axes)}")
+                flag = fixed_flag
+                if flag is None:
+                    if not (math.isfinite(axes[4]) and 0 <= axes[4] <= 255):
+                        raise UsageError("the fifth axis is the control flag, 0 to 255")
+                    flag = int(axes[4])
+                setpoint = joy_setpoint(flag, axes[0], axes[1], axes[2], axes[3])
+                self._agent.steer(self._clients.held(session), setpoint)
+            except M100Error as error:
+                self._clients.complain(session, error)
+
+        return handle
+
+    # -- services --------------------------------------------------------------------------------
+
+    def _add_services(self) -> None:
+        for name, kind, handler in (
+            ("activation", "Activation", self._activate),
+            ("sdk_control_authority", "SDKControlAuthority", self._authority),
+            ("sdk_permission_control", "SDKPermissionControl", self._permission),
+            ("drone_task_control", "DroneTaskControl", self._task),
+            ("query_drone_version", "QueryDroneVersion", self._version),
+            ("set_local_pos_ref", "SetLocalPosRef", self._set_origin),
+            ("send_data_to_mobile", "SendMobileData", self._send_to_mobile),
+        ):
+            self._graph.add_service(
+                f"/dji_sdk/{name}", f"dji_sdk/{kind}", self._clients.answering(name, handler)
+            )
+
+    async def _activate(self, call: Call) -> Message:
+        await self._agent.activate(self._clients.lease(call.session))
+        return {"result": True, "cmd_set": 0, "cmd_id": 1}
+
+    async def _authority(self, call: Call) -> Message:
+        wanted = call.request["control_enable"]
+        if wanted > 1:
+            raise UsageError("control_enable is 1 to obtain and 0 to release")
+        lease = await self._clients.take(call.session)
+        try:
+            if wanted:
+                await self._agent.obtain(lease)
+            else:
+                await self._agent.release(lease)
+        finally:
+            if not self._agent.has_authority:
+                self._clients.let_go(call.session)
+        return {"result": True, "cmd_set": 1, "cmd_id": 0, "ack_data": 2 if wanted else 1}
+
+    async def _permission(self, call: Call) -> Message:
+        await self._authority(call)
+        return {"result": True}
+
+    async def _task(self, call: Call) -> Message:
+        number = call.request["task"]
+        if number not in Task.__members__.values():
+            raise UsageError("tasks are 4 (take-off), 6 (landing) and 1 (go-home)")
+        begun = asyncio.Event()
+        work = self._agent.fly(self._clients.held(call.session), Task(number), begun.set)
+        flying = self._agent.background.spawn(work, f"task {number}")
+        accepted = self._agent.background.spawn(begun.wait(), "acceptance")
+        await asyncio.wait((flying, accepted), return_when=asyncio.FIRST_COMPLETED)
+        accepted.cancel()
+        if flying.done():
+            flying.result()
+        return {"result": True, "cmd_set": 1, "cmd_id": 1, "ack_data": 2}
+
+    async def _version(self, call: Call) -> Message:
+        name, _ = await self._agent.version()
+        numbers = name.rpartition("-")[2].split(".")
+        packed = 0
+        for number in numbers:
+            packed = packed << 8 | (int(number) & 0xFF if number.isdecimal() else 0)
+        return {"version": packed & 0xFFFFFFFF, "hardware": name}
+
+    async def _set_origin(self, call: Call) -> Message:
+        telemetry = self._agent.telemetry
+        position = telemetry.fresh(Position, within=1.0) if telemetry is not None else None
+        if position is None:
+            return {"result": False}
+        holder = self._agent.holder
+        if holder.number and self._clients.lease(call.session) is None:
+            raise UsageError(f"{holder.name} has control: the origin of its flight stays")
+        if not has_fix(position):
+            return {"result": False}
+        frame = LocalFrame(position.latitude_deg, position.longitude_deg)
+        self._origin = (frame, position.altitude_m)
+        return {"result": True}
+
+    async def _send_to_mobile(self, call: Call) -> Message:
+        await self._agent.send_to_mobile(self._clients.held(call.session), call.request["data"])
+        return {"result": True}
+
+
+def _check_way(session: Listener, stamp: Message, now: float) -> None:
+    """Refuse a setpoint that waited on its way; one without a stamp counts as new.
+
+    Raises:
+        GuardRefused: Its stamp is old, against the newest of that client.
+    """
+    sent_at = stamp["secs"] + stamp["nsecs"] * 1e-9
+    if not sent_at:
+        return
+    way: WayTime = session.data.setdefault(_WAY, WayTime())
+    late = way.late(sent_at, now)
+    if late > MAX_LATE:
+        raise GuardRefused(
+            f"a setpoint was {late:.1f} s late on its way; it was not flown",
+            guard="way_late",
+            measured=late,
+            limit=MAX_LATE,
+            cause="the network is slow or blocked, or the stamps are not times of sending",
+            remedy="stamp each setpoint when it is sent, or leave the stamp away",
+        )
+
+
+def _xyz(x: float, y: float, z: float) -> Message:
+    return {"x": x, "y": y, "z": z}
+
+
+def _quaternion(xyzw: tuple[float, float, float, float]) -> Message:
+    x, y, z, w = xyzw
+    return {"x": x, "y": y, "z": z, "w": w}

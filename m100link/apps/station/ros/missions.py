@@ -1,0 +1,327 @@
+"""Waypoint missions and hotpoints under the names of DJI's later ``dji_sdk`` node, and of 3.1's.
+
+``mission_waypoint_upload`` gives the plan to the agent, which checks it as a whole and asks nothing
+of the aircraft yet; ``mission_waypoint_action`` 0 uploads it there and starts it. So a plan that
+cannot be flown is refused at once, and nothing lies in the aircraft that nobody watches. Both need
+control. The mission is stopped when whoever started it loses control. A hotpoint waits here for its
+start in the same way.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Mapping
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.messages import Action, MissionTold
+from m100link.apps.station.ros.graph import Call, Graph
+from m100link.apps.station.ros.leases import Clients
+from m100link.apps.station.ros.messages import Message
+from m100link.errors import UsageError
+from m100link.protocol.commands.hotpoint import HotpointStart
+from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
+from m100link.protocol.firmware import FIRMWARE_3_1
+
+__all__ = ["Missions"]
+
+_STATUS_S = 0.25
+_CIRCLE, _LATEST = "hotpoint", "latest upload"
+_MOST_POINTS = 99
+_MOST_ACTIONS = 15  # of the 16 places that the wire has
+_ROS_DEMO_YAW_MODE = 4  # DJI's demo sends it, and means 0
+
+_ACTIONS = (
+    Action.MISSION_START,
+    Action.MISSION_STOP,
+    Action.MISSION_PAUSE,
+    Action.MISSION_RESUME,
+)
+"""By the number that ``mission_waypoint_action`` has for each."""
+
+_KINDS = {"no mission": 0, "waypoint mission": 1, "hotpoint": 2, "follow mission": 3, "IOC": 4}
+"""Numbers of the status push, by the kind that the agent tells."""
+
+
+class Missions:
+    """The topics and services of missions.
+
+    Args:
+        agent: The agent that owns the aircraft.
+        graph: Where they are offered.
+        clients: Who holds the lease.
+    """
+
+    def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
+        self._agent, self._graph, self._clients = agent, graph, clients
+        self._task: Message | None = None  # what was uploaded last, as it came
+        self._speed = 0.0
+        self._status = graph.add_topic("/dji_sdk/mission_status", "dji_sdk/MissionPushInfo")
+        self._event = graph.add_topic("/dji_sdk/mission_event", "dji_sdk/MissionPushInfo")
+        for name, kind, handler in (
+            ("mission_waypoint_upload", "MissionWpUpload", self._upload),
+            ("mission_waypoint_action", "MissionWpAction", self._act),
+            ("mission_waypoint_getInfo", "MissionWpGetInfo", self._info),
+            ("mission_waypoint_getSpeed", "MissionWpGetSpeed", self._get_speed),
+            ("mission_waypoint_setSpeed", "MissionWpSetSpeed", self._set_speed),
+            ("mission_hotpoint_upload", "MissionHpUpload", self._upload_circle),
+            ("mission_hotpoint_action", "MissionHpAction", self._act_circle),
+            ("mission_hotpoint_getInfo", "MissionHpGetInfo", self._circle_info),
+            ("mission_hotpoint_updateRadius", "MissionHpUpdateRadius", self._set_radius),
+            ("mission_hotpoint_updateYawRate", "MissionHpUpdateYawRate", self._set_rate),
+            ("mission_hotpoint_resetYaw", "MissionHpResetYaw", self._reset_heading),
+            ("mission_start", "MissionStart", self._start),
+            ("mission_pause", "MissionPause", self._pause),
+            ("mission_cancel", "MissionCancel", self._cancel),
+            ("mission_waypoint_download", "MissionWpDownload", self._info),
+            ("mission_waypoint_get_speed", "MissionWpGetSpeed", self._get_speed),
+            ("mission_waypoint_set_speed", "MissionWpSetSpeed", self._set_speed),
+            ("mission_hotpoint_download", "MissionHpDownload", self._circle_download),
+            ("mission_hotpoint_set_speed", "MissionHpSetSpeed", self._set_circle_speed),
+            ("mission_hotpoint_set_radius", "MissionHpSetRadius", self._set_circle_radius),
+            ("mission_hotpoint_reset_yaw", "MissionHpResetYaw", self._reset_heading),
+        ):
+            graph.add_service(
+                f"/dji_sdk/{name}", f"dji_sdk/{kind}", clients.answering(name, handler)
+            )
+        agent.on_mission_told.append(self._told)
+        agent.background.spawn(self._keep_telling(), "mission status")
+
+    # -- what is told ----------------------------------------------------------------------------
+
+    async def _keep_telling(self) -> None:
+        while True:
+            await asyncio.sleep(_STATUS_S)
+            state = self._agent.state
+            kind = _KINDS.get(state.mission)
+            if kind is None or not self._status.subscribers:
+                continue  # nobody knows, or nobody wants to
+            index, status = max(0, state.mission_index), max(0, state.mission_status)
+            values = (index, status) if kind == 1 else (status, 0)
+            self._graph.publish(self._status, _push(kind, bytes((*values, 0, 0, 0))), self._now)
+
+    def _told(self, told: MissionTold) -> None:
+        self._graph.publish(self._event, _push(told.event, told.data), self._now)
+
+    @property
+    def _now(self) -> float:
+        return self._agent.now
+
+    # -- what is asked ---------------------------------------------------------------------------
+
+    async def _upload(self, call: Call) -> Message:
+        lease = self._clients.held(call.session)
+        task = call.request["waypoint_task"]
+        mission, points = _commands(task)
+        await self._agent.ask(Action.MISSION_PLAN, lease, data=mission.value(FIRMWARE_3_1))
+        for point in points:
+            await self._agent.ask(Action.MISSION_POINT, lease, data=point.value(FIRMWARE_3_1))
+        self._task, self._speed = task, mission.idle_speed
+        self._graph.known(call.session)[_LATEST] = Action.MISSION_START
+        return _done(WaypointMission.ADDRESS)
+
+    async def _act(self, call: Call) -> Message:
+        number = call.request["action"]
+        if number >= len(_ACTIONS):
+            raise UsageError("action is 0 (start), 1 (stop), 2 (pause) or 3 (resume)")
+        await self._agent.ask(_ACTIONS[number], self._clients.held(call.session))
+        return _done((0x03, 0x12 if number < 2 else 0x13))
+
+    async def _start(self, call: Call) -> Message:
+        """Start what that client uploaded last: this service does not say which kind."""
+        if self._graph.known(call.session).get(_LATEST) is not Action.HOTPOINT_START:
+            return await self._order(call, Action.MISSION_START)
+        return await self._order(call, Action.HOTPOINT_START, self._circle(call)[1])
+
+    async def _pause(self, call: Call) -> Message:
+        wanted = call.request["pause"]
+        if wanted > 1:
+            raise UsageError("pause is 0 (pause) or 1 (resume)")
+        return await self._order(call, Action.MISSION_RESUME if wanted else Action.MISSION_PAUSE)
+
+    async def _cancel(self, call: Call) -> Message:
+        return await self._order(call, Action.MISSION_STOP)
+
+    async def _order(self, call: Call, action: Action, data: bytes = b"") -> Message:
+        await self._agent.ask(action, self._clients.held(call.session), data=data)
+        return {"result": True}
+
+    async def _info(self, call: Call) -> Message:
+        return {"waypoint_task": self._uploaded()}
+
+    async def _get_speed(self, call: Call) -> Message:
+        self._uploaded()
+        return {"speed": self._speed, "cmd_set": 0x03, "cmd_id": 0x17}
+
+    def _uploaded(self) -> Message:
+        if self._task is None:
+            raise UsageError("no mission was uploaded through this station")
+        return self._task
+
+    async def _set_speed(self, call: Call) -> Message:
+        speed = call.request["speed"]
+        if not math.isfinite(speed):
+            raise UsageError("speed is a number of m/s")
+        lease = self._clients.held(call.session)
+        outcome = await self._agent.ask(
+            Action.MISSION_SPEED, lease, number=round(max(-1e3, min(1e3, speed)) * 1000)
+        )
+        self._speed = outcome.number / 1000
+        return {"result": True}
+
+    # -- hotpoint --------------------------------------------------------------------------------
+
+    async def _upload_circle(self, call: Call) -> Message:
+        self._clients.held(call.session)
+        given = call.request["hotpoint_task"]
+        request = HotpointStart(
+            latitude=math.radians(given["latitude"]),
+            longitude=math.radians(given["longitude"]),
+            altitude=given["altitude"],
+            radius=given["radius"],
+            angular_rate=given["angular_speed"],
+            clockwise=given["is_clockwise"],
+            start_point=given["start_point"],
+            yaw_mode=given["yaw_mode"],
+        )
+        self._graph.known(call.session)[_CIRCLE] = given, request.value(FIRMWARE_3_1)
+        self._graph.known(call.session)[_LATEST] = Action.HOTPOINT_START
+        return _done(HotpointStart.ADDRESS)
+
+    def _circle(self, call: Call) -> tuple[Message, bytes]:
+        found: tuple[Message, bytes] | None = self._graph.known(call.session).get(_CIRCLE)
+        if found is None:
+            raise UsageError("this client has uploaded no hotpoint", remedy="upload it first")
+        return found
+
+    async def _act_circle(self, call: Call) -> Message:
+        number = call.request["action"]
+        if number >= len(_ACTIONS):
+            raise UsageError("action is 0 (start), 1 (stop), 2 (pause) or 3 (resume)")
+        lease = self._clients.held(call.session)
+        if number == 0:
+            await self._agent.ask(Action.HOTPOINT_START, lease, data=self._circle(call)[1])
+        else:
+            await self._agent.ask(_ACTIONS[number], lease)
+        return _done((0x03, (0x20, 0x21, 0x22, 0x22)[number]))
+
+    async def _circle_info(self, call: Call) -> Message:
+        return {"hotpoint_task": self._circle(call)[0]} | _done((0x03, 0x26), with_result=False)
+
+    async def _circle_download(self, call: Call) -> Message:
+        return {"hotpoint_task": self._circle(call)[0]}
+
+    async def _set_circle_radius(self, call: Call) -> Message:
+        await self._set_radius(call)
+        return {"result": True}
+
+    async def _set_circle_speed(self, call: Call) -> Message:
+        await self._turn(call, call.request["speed"])
+        return {"result": True}
+
+    async def _set_radius(self, call: Call) -> Message:
+        await self._change(call, Action.HOTPOINT_RADIUS, call.request["radius"])
+        return _done((0x03, 0x24))
+
+    async def _set_rate(self, call: Call) -> Message:
+        await self._turn(call, call.request["yaw_rate"])
+        return _done((0x03, 0x23))
+
+    async def _turn(self, call: Call, rate: float) -> None:
+        signed = rate if call.request["direction"] else -rate
+        await self._change(call, Action.HOTPOINT_RATE, signed)
+
+    async def _reset_heading(self, call: Call) -> Message:
+        await self._change(call, Action.HOTPOINT_HEADING, 0.0)
+        return _done((0x03, 0x25))
+
+    async def _change(self, call: Call, action: Action, value: float) -> None:
+        """Sent; nobody acknowledges it (facts K15)."""
+        if not math.isfinite(value):
+            raise UsageError("that is not a number")
+        lease = self._clients.held(call.session)
+        await self._agent.ask(action, lease, number=round(max(-1e4, min(1e4, value)) * 1000))
+
+
+def _done(address: tuple[int, int], *, with_result: bool = True) -> Message:
+    told: Message = {"cmd_set": address[0], "cmd_id": address[1]}
+    return {"result": True} | told if with_result else told
+
+
+def _push(kind: int, data: bytes) -> Message:
+    return {"type": kind} | {f"data_{place}": value for place, value in enumerate(data[:5], 1)}
+
+
+def _commands(task: Mapping[str, object]) -> tuple[WaypointMission, list[WaypointPoint]]:
+    """The task as the commands that upload it; degrees become radians.
+
+    Raises:
+        UsageError, BadValue: Too many points; a value that the wire does not carry.
+    """
+    given: Message = dict(task)
+    waypoints = given["mission_waypoint"]
+    if not 2 <= len(waypoints) <= _MOST_POINTS:
+        raise UsageError(f"a mission has 2 to {_MOST_POINTS} waypoints, not {len(waypoints)}")
+    mission = WaypointMission(
+        count=len(waypoints),
+        max_speed=given["velocity_range"],
+        idle_speed=given["idle_velocity"],
+        finish_action=given["action_on_finish"],
+        repeat=given["mission_exec_times"],
+        yaw_mode=0 if given["yaw_mode"] == _ROS_DEMO_YAW_MODE else given["yaw_mode"],
+        trace_mode=given["trace_mode"],
+        rc_lost_action=given["action_on_rc_lost"],
+        gimbal_pitch_mode=given["gimbal_pitch_mode"],
+    )
+    return mission, [_point(index, one) for index, one in enumerate(waypoints)]
+
+
+def _point(index: int, given: Message) -> WaypointPoint:
+    count, times, actions, parameters = _actions(given["waypoint_action"])
+    return WaypointPoint(
+        index=index,
+        latitude=math.radians(given["latitude"]),
+        longitude=math.radians(given["longitude"]),
+        altitude=given["altitude"],
+        damping=given["damping_distance"],
+        yaw=given["target_yaw"],
+        gimbal_pitch=given["target_gimbal_pitch"],
+        turn_mode=given["turn_mode"],
+        has_action=given["has_action"],
+        action_time_limit=given["action_time_limit"],
+        action_count=count,
+        action_repeat=times,
+        actions=actions,
+        parameters=parameters,
+    )
+
+
+def _actions(given: Message) -> tuple[int, int, tuple[int, ...], tuple[int, ...]]:
+    """How many actions, how often, and the two lists at the length of the wire.
+
+    DJI's nodes of 2016 and later say "15 actions" whatever comes, and send ``action_repeat`` as the
+    runs: 15 is taken as far as the list is filled, since the rest are stays of no time. The later
+    definition's comment, and what that node tells of a mission, has the number in the lower and the
+    runs in the upper four bits: a value that has upper bits is read so.
+    """
+    actions = tuple(given["command_list"])
+    parameters = tuple(_signed(value) for value in given["command_parameter"])
+    times, count = divmod(given["action_repeat"], 16)
+    if not times:
+        times = count
+        filled = (
+            place
+            for place, pair in enumerate(zip(actions, parameters, strict=False), 1)
+            if any(pair)
+        )
+        count = min(_MOST_ACTIONS, max(filled, default=0))
+    return count, times, _padded(actions), _padded(parameters)
+
+
+def _padded(values: tuple[int, ...]) -> tuple[int, ...]:
+    return values + (0,) * (_MOST_ACTIONS + 1 - len(values))
+
+
+def _signed(value: int) -> int:
+    """The definition says unsigned, the wire signed: angles are negative (facts K11)."""
+    return value - 0x10000 if value >= 0x8000 else value

@@ -1,0 +1,252 @@
+"""DJI's ROS node of June 2015, reborn: its topics, its numbers, its web page.
+
+Everything a program of 2015 sees is the same: names, types, numbers and rates. What differs is for
+safety, and none of it shows while a program behaves:
+
+* **One client steers.** Opening control takes the lease if it is free. Others hear by a ``status``
+  who has it; closing control or the socket gives it back.
+* **A setpoint expires.** DJI's node sends one movement frame per message and leaves the rest to the
+  aircraft. Here the setpoint of a message is sent at 50 Hz until it is renewed, replaced or its
+  lifetime ends. A held key sends one message when it goes down, nothing for up to half a second,
+  then about thirty a second: so a setpoint *different from the one before* (a key went down or up)
+  lasts :data:`PRESS_LIFETIME`, a *repeated* one :data:`REPEAT_LIFETIME`. Letting go sends zeros,
+  which stop at once; a lost socket stops at once; a page that hangs stops within the lifetime.
+* **Nothing is repeated without end.** DJI's node repeats a command every 20 ms until it is
+  acknowledged; here requests have a number of tries.
+* **Numbers without meaning are refused.** The document allows commands 1, 4 and 6 only; control
+  modes other than 1 and 2 would turn the aircraft to the north.
+* **No value is invented.** While the aircraft is not connected, flight status and battery are 0, as
+  before the first package.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.lease import LeaseHeld
+from m100link.apps.agent.steering import ANGLE_MODE, VELOCITY_MODE, setpoint_of
+from m100link.apps.station.ros.graph import Graph, Listener, Publication
+from m100link.apps.station.ros.leases import Clients
+from m100link.apps.station.ros.messages import Message
+from m100link.errors import (
+    ActivationRefused,
+    AuthorityLost,
+    AuthorityRefused,
+    CommandNotSupported,
+    CommandRefused,
+    KeyRejected,
+    LevelTooLow,
+    M100Error,
+    NotActivated,
+    UsageError,
+)
+from m100link.protocol.codes import ActivationCode, AuthorityCode
+from m100link.protocol.commands.control import Task
+from m100link.protocol.records import Battery, FlightStatus
+from m100link.telemetry.subscription import Newest
+
+__all__ = ["PRESS_LIFETIME", "REPEAT_LIFETIME", "Node"]
+
+PRESS_LIFETIME = 0.7
+"""Seconds of a setpoint that differs from the one before: longer than the wait before a held key
+repeats (250 to 660 ms by system)."""
+
+REPEAT_LIFETIME = 0.2
+"""Seconds of a setpoint that was repeated: held keys repeat every 25 to 40 ms."""
+
+NO_AUTHORITY = 8.0
+"""On ``/activation_status``: an answer said that something is missing (codes 0xFF00 to 0xFF02)."""
+
+_CLOSED_BY_APP = 4.0
+_STALE = 3.0
+_VERSION_PAUSE = 10.0
+_MODE, _LAST = "control mode", "last setpoint"
+_NEEDS_MORE = (NotActivated, LevelTooLow, CommandNotSupported, KeyRejected)
+
+
+class Node:
+    """The topics of 2015.
+
+    Args:
+        agent: The agent that owns the aircraft.
+        graph: Where the topics are offered.
+        clients: Who holds the lease.
+    """
+
+    def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
+        self._agent, self._graph, self._clients = agent, graph, clients
+        number = "std_msgs/Float32"
+        graph.add_topic("/sdk_request_cmd", number, self._on_command)
+        graph.add_topic("/nav_open_close_request", number, self._on_open_close)
+        graph.add_topic("/sdk_request_ctrl", "geometry_msgs/Quaternion", self._on_control)
+        graph.add_topic("/sdk_request_ctrl_mode", number, self._on_mode)
+        graph.add_topic("/sdk_request_simple_task", number, self._on_simple_task)
+        graph.add_topic("/sdk_request_activation", number, self._on_activation)
+        self._battery = graph.add_topic("/battery_status", number)
+        self._open_close = graph.add_topic("/nav_open_close_status", number)
+        self._flight_status = graph.add_topic("/flight_status", number)
+        self._activation = graph.add_topic("/activation_status", number)
+        self._test_fre = graph.add_topic("/test_fre", number)
+        agent.on_activating.append(self._activation_code)
+        agent.on_authority_taken.append(self._authority_taken)
+        self._version_told_at = float("-inf")
+        agent.background.spawn(self._watch(), "/test_fre")
+        agent.background.spawn(self._publish_each_second(), "1 Hz topics")
+
+    # -- what the node publishes -----------------------------------------------------------------
+
+    async def _publish_each_second(self) -> None:
+        while True:
+            await asyncio.sleep(1.0)
+            telemetry, now = self._agent.telemetry, self._agent.now
+            status = telemetry.fresh(FlightStatus, within=_STALE) if telemetry else None
+            battery = telemetry.fresh(Battery, within=_STALE) if telemetry else None
+            self._graph.publish(
+                self._flight_status, {"data": float(status.status) if status else 0.0}, now
+            )
+            self._graph.publish(
+                self._battery, {"data": float(battery.percent) if battery else 0.0}, now
+            )
+
+    async def _watch(self) -> None:
+        async with self._agent.samples(Newest(50)) as samples:
+            async for sample in samples:
+                device = sample.control_device
+                if device is not None:
+                    message: Message = {"data": float(device.control)}
+                    self._graph.publish(self._test_fre, message, sample.received_at)
+
+    def _activation_code(self, code: ActivationCode) -> None:
+        self._tell_activation(float(code))
+
+    def _tell_activation(self, number: float) -> None:
+        self._graph.publish(self._activation, {"data": number}, self._agent.now)
+
+    def _authority_taken(self, error: AuthorityLost) -> None:
+        self._tell_open_close(_CLOSED_BY_APP)
+
+    def _tell_open_close(self, number: float) -> None:
+        self._graph.publish(self._open_close, {"data": number}, self._agent.now)
+
+    # -- what the node is asked ------------------------------------------------------------------
+
+    def _on_activation(self, session: Listener, message: Message, now: float) -> None:
+        self._clients.run(session, lambda: self._activate(session), "activation")
+
+    async def _activate(self, session: Listener) -> None:
+        try:
+            await self._agent.activate(self._clients.lease(session))
+        except ActivationRefused:
+            pass  # its code was published, and the reason is in the events
+        except CommandRefused:
+            self._tell_activation(NO_AUTHORITY)
+            raise
+
+    def _on_open_close(self, session: Listener, message: Message, now: float) -> None:
+        self._clients.run(
+            session, lambda: self._open_or_close(session, message["data"]), "open/close"
+        )
+
+    async def _open_or_close(self, session: Listener, data: float) -> None:
+        wanted = _byte(data)
+        if wanted not in (0, 1):
+            raise UsageError(f"/nav_open_close_request takes 1 (open) or 0 (close), not {wanted}")
+        try:
+            lease = await self._clients.take(session)
+            if wanted:
+                await self._agent.obtain(lease)
+                self._tell_open_close(float(AuthorityCode.OBTAINED))
+            else:
+                await self._agent.release(lease)
+                self._clients.let_go(session)
+                self._tell_open_close(float(AuthorityCode.RELEASED))
+        except AuthorityRefused as error:
+            self._clients.let_go(session)
+            self._tell_open_close(float(error.code))
+            raise
+        except LeaseHeld:
+            # Only this client is refused; the others still see it open.
+            refused = Publication(self._open_close, {"data": float(AuthorityCode.NOT_IN_F)})
+            session.deliver_alone(refused, self._agent.now)
+            raise
+        except _NEEDS_MORE:
+            self._clients.let_go(session)
+            self._tell_activation(NO_AUTHORITY)
+            raise
+        except M100Error:
+            self._clients.let_go(session)
+            raise
+
+    def _on_command(self, session: Listener, message: Message, now: float) -> None:
+        self._clients.run(session, lambda: self._command(session, message["data"]), "command")
+
+    async def _command(self, session: Listener, data: float) -> None:
+        number = _byte(data)
+        if number not in Task.__members__.values():
+            raise UsageError(
+                f"/sdk_request_cmd takes 4 (take-off), 6 (landing) and 1 (go-home), not {number}",
+                cause="the document allows these three; no firmware carries out the others",
+            )
+        try:
+            await self._agent.fly(self._clients.held(session), Task(number))
+        except _NEEDS_MORE:
+            self._tell_activation(NO_AUTHORITY)
+            raise
+
+    def _on_mode(self, session: Listener, message: Message, now: float) -> None:
+        if message["data"] in (ANGLE_MODE, VELOCITY_MODE):
+            self._graph.known(session)[_MODE] = int(message["data"])
+        else:
+            error = UsageError(f"there is no control mode {message['data']}: 1 or 2")
+            self._clients.complain(session, error)
+
+    def _on_control(self, session: Listener, message: Message, now: float) -> None:
+        mode = self._graph.known(session).get(_MODE, ANGLE_MODE)
+        values = (message["x"], message["y"], message["z"], message["w"])
+        try:
+            setpoint = setpoint_of(mode, *values)
+            is_repeated = self._graph.known(session).get(_LAST) == (mode, values)
+            self._graph.known(session)[_LAST] = (mode, values)
+            is_short = is_repeated or not any(values)  # zeros need no lifetime: they stop
+            lifetime = REPEAT_LIFETIME if is_short else PRESS_LIFETIME
+            self._agent.steer(self._clients.held(session), setpoint, lifetime)
+        except M100Error as error:
+            self._clients.complain(session, error)
+
+    def _on_simple_task(self, session: Listener, message: Message, now: float) -> None:
+        self._clients.run(
+            session, lambda: self._simple_task(session, message["data"]), "simple task"
+        )
+
+    async def _simple_task(self, session: Listener, data: float) -> None:
+        if not math.isfinite(data):
+            raise UsageError("/sdk_request_simple_task takes a number")
+        number = int(data)
+        if number < 0:
+            if self._clients.lease(session) is not None:
+                self._agent.halt("its client stopped it")
+        elif number == 5:
+            await self._activate(session)
+        elif number == 6:
+            await self._tell_version(session)
+        else:
+            await self._agent.start_pattern(self._clients.held(session), number)
+
+    async def _tell_version(self, session: Listener) -> None:
+        name, crc = await self._agent.version()
+        text = f"version: {name} (CRC {crc:08X})"
+        session.status("info", text)
+        # People are told at most once in a while: others' events are not to be pushed out.
+        now = self._agent.now
+        if now - self._version_told_at >= _VERSION_PAUSE:
+            self._version_told_at = now
+            self._agent.note(text)
+
+
+def _byte(data: float) -> int:
+    """A float as the C program casts it to a byte."""
+    if not math.isfinite(data):
+        raise UsageError(f"{data} is not a number")
+    return int(data) & 0xFF

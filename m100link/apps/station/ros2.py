@@ -1,0 +1,111 @@
+"""ROS 2 as a front of the station: a session, and a node for each aircraft."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import asynccontextmanager
+from importlib.util import find_spec
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.ros2.flights import FLIGHTS
+from m100link.apps.ros2.graph import Names
+from m100link.apps.ros2.node import Node
+from m100link.apps.ros2.session import open_ros2
+from m100link.apps.ros2.topics import INPUTS, SERVICES
+from m100link.apps.station.config import Settings, namespace_of
+from m100link.errors import UsageError
+
+__all__ = ["MOST_DOMAIN", "check_ros2", "nodes_of", "serving_ros2"]
+
+MOST_DOMAIN = 232
+"""The greatest domain that every middleware of ROS 2 knows."""
+
+
+def nodes_of(settings: Settings, aircraft: list[str]) -> dict[str, Names]:
+    """The node of each aircraft: of several, each is in a namespace of its own.
+
+    Raises:
+        UsageError: A name cannot be, or two things that move an aircraft would have one.
+    """
+    found = {}
+    owners: dict[str, str] = {}
+    for name in aircraft:
+        inner = f"/{namespace_of(name)}" if len(aircraft) > 1 else ""
+        namespace = settings.ros2_namespace.rstrip("/") + inner
+        names = found[name] = Names.of(namespace, settings.ros2_node, settings.ros2_remap)
+        for own in (*INPUTS, *SERVICES, *FLIGHTS):
+            full = names.full(own)
+            owner = f"{own} of {name}" if len(aircraft) > 1 else own
+            if full in owners:
+                raise UsageError(
+                    f"{owners[full]} and {owner} would both be {full}",
+                    cause="whoever calls one would move by the other, too",
+                    remedy="give them names of their own by --remap",
+                )
+            owners[full] = owner
+    return found
+
+
+def check_ros2(settings: Settings, aircraft: Sequence[str] = ("",)) -> None:
+    """Look whether nodes can be served, before anything is opened.
+
+    Args:
+        settings: What they are called.
+        aircraft: The names of the aircraft.
+
+    Raises:
+        UsageError: It cannot.
+    """
+    if not settings.ros2:
+        return
+    if find_spec("zenoh") is None:
+        raise UsageError(
+            "ROS 2 needs zenoh, which is not installed",
+            remedy="pip install '.[ros2]' in a clone of m100link",
+        )
+    if not 0 <= settings.ros2_domain <= MOST_DOMAIN:
+        raise UsageError(
+            f"there is no domain {settings.ros2_domain}", remedy=f"choose 0 to {MOST_DOMAIN}"
+        )
+    nodes_of(settings, list(aircraft))
+
+
+@asynccontextmanager
+async def serving_ros2(
+    agents: Mapping[str, AgentClient], settings: Settings
+) -> AsyncIterator[list[Node]]:
+    """Serve while the block runs.
+
+    Args:
+        agents: The agents of the aircraft, by name.
+        settings: What the nodes are called.
+
+    Raises:
+        UsageError: The session cannot be.
+    """
+    names = nodes_of(settings, list(agents))
+    async with open_ros2() as bus:
+        nodes = [
+            Node(
+                agent,
+                bus,
+                names[name],
+                domain=settings.ros2_domain,
+                number=number,
+                has_clock=settings.sim and not number,
+                has_dji_names=settings.ros2_dji_names,
+            )
+            for number, (name, agent) in enumerate(agents.items())
+        ]
+        # A node that fails takes the process with it, which is started again.
+        async with asyncio.TaskGroup() as group:
+            running = [
+                group.create_task(node.run(), name=f"m100link station: {node.name.full}")
+                for node in nodes
+            ]
+            try:
+                yield nodes
+            finally:
+                for one in running:
+                    one.cancel()

@@ -1,0 +1,314 @@
+"""Parses the input of connections piece by piece and in turn, below HTTP and WebSocket.
+
+A parser goes through all its input without a break: 240 kB of one-byte chunks, or of empty frames,
+take a second in which no setpoint goes on. So the intake reads 2 kB of a connection, parses 256
+bytes, and then turns to the others. It parses connections that steer in each turn of the loop. All
+others share the rest: after each of their turns comes a pause as long as the time that the process
+has worked since the last one. So they get half of the time at most.
+
+Each connection also has a budget of bytes and of events. Beyond the budget it waits; the intake
+cuts off a connection that waits too long.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Protocol, cast
+
+from m100link.apps.station.ros.allowance import Allowance
+from m100link.apps.station.web.logs import SparingLogger
+
+__all__ = [
+    "BYTES_RATE",
+    "EVENTS_AT_ONCE",
+    "EVENTS_RATE",
+    "PIECE",
+    "READ",
+    "Connection",
+    "Intake",
+    "Metered",
+    "Waiting",
+]
+
+READ = 2048
+"""Bytes that are taken from a connection before it has had its turn."""
+
+PIECE = 256
+"""Bytes that are parsed without a break: 42 frames, a millisecond, at most."""
+
+TURN = 0.002
+"""Seconds after which those that do not steer leave the loop to the others."""
+
+LONGEST_PAUSE = 0.1
+"""Seconds that they pause after it at most."""
+
+BYTES_RATE, BYTES_AT_ONCE = 160 * 1024.0, 512 * 1024.0
+"""Bytes of one connection, per second over time and at once."""
+
+EVENTS_RATE, EVENTS_AT_ONCE = 400.0, 800.0
+"""Frames or parts of a request of one connection, per second over time and at once."""
+
+_STRAIN_RATE, _STRAIN = 0.25, 5.0
+"""Seconds for which a connection may be kept waiting for its budget, per second and at once."""
+
+_log = SparingLogger(logging.getLogger(__name__))
+
+
+class Waiting(Protocol):
+    """A connection that waits for its turn."""
+
+    @property
+    def steers(self) -> bool:
+        """Whether it holds control of an aircraft."""
+        ...
+
+    @property
+    def is_dear(self) -> bool:
+        """Whether a step causes more work than it takes itself: only one of these in a turn."""
+        ...
+
+    def step(self) -> None:
+        """Do one step; ask for another turn if there is more to do."""
+
+
+class Connection(Protocol):
+    """The protocol on a connection: HTTP or WebSocket.
+
+    Attributes:
+        events: Frames or parts of requests that it has parsed.
+        steers: Whether it holds control of an aircraft.
+    """
+
+    @property
+    def events(self) -> int:
+        """Frames or parts of requests that it has parsed."""
+        ...
+
+    @property
+    def steers(self) -> bool:
+        """Whether it holds control of an aircraft."""
+        ...
+
+
+class Intake:
+    """Gives connections their turns; a process has one for all that it serves.
+
+    Args:
+        work: Seconds for which this process has worked until now.
+    """
+
+    def __init__(self, work: Callable[[], float] = time.thread_time) -> None:
+        self._work = work
+        self._worked = work()
+        self._first: deque[Waiting] = deque()
+        self._others: deque[Waiting] = deque()
+        self._first_is_due = self._others_are_due = False
+        self._opens_at = 0.0
+
+    def put(self, one: Waiting) -> None:
+        """Let it have one turn."""
+        loop = asyncio.get_running_loop()
+        if one.steers:
+            self._first.append(one)
+            if not self._first_is_due:
+                self._first_is_due = True
+                loop.call_soon(self._serve_first)
+        else:
+            self._others.append(one)
+            self._call_others(loop)
+
+    def _call_others(self, loop: asyncio.AbstractEventLoop) -> None:
+        if self._others_are_due or not self._others:
+            return
+        self._others_are_due = True
+        if self._opens_at > loop.time():
+            loop.call_at(self._opens_at, self._serve_others)
+        else:
+            loop.call_soon(self._serve_others)
+
+    def _serve_first(self) -> None:
+        self._first_is_due = False
+        for _ in range(len(self._first)):
+            self._first.popleft().step()
+
+    def _serve_others(self) -> None:
+        until = time.perf_counter() + TURN
+        is_dear = False
+        while self._others and not is_dear and time.perf_counter() < until:
+            one = self._others.popleft()
+            is_dear = one.is_dear
+            one.step()
+        loop, worked = asyncio.get_running_loop(), self._work()
+        self._opens_at = loop.time() + min(worked - self._worked, LONGEST_PAUSE)
+        self._worked = worked
+        self._others_are_due = False
+        self._call_others(loop)
+
+
+class Metered(asyncio.BufferedProtocol, asyncio.Transport):
+    """One connection: the protocol of its transport, and the transport of what speaks on it.
+
+    Args:
+        intake: Gives the connection its turns.
+        inner: The first protocol on it.
+    """
+
+    is_dear = False
+
+    def __init__(self, intake: Intake, inner: asyncio.Protocol) -> None:
+        super().__init__()
+        self._intake = intake
+        self._inner = inner
+        self._loop = asyncio.get_running_loop()
+        self._transport: asyncio.Transport | None = None
+        self._space = memoryview(bytearray(READ))
+        self._begin = self._end = 0  # what was read and not parsed
+        self._bytes = Allowance(BYTES_RATE, BYTES_AT_ONCE)
+        self._events = Allowance(EVENTS_RATE, EVENTS_AT_ONCE)
+        self._strain = Allowance(_STRAIN_RATE, _STRAIN)
+        self._is_queued = False  # or waits for its budget
+        self._is_held = False  # by what speaks on it
+        self._is_over = False
+
+    @property
+    def _connection(self) -> Connection:
+        return cast(Connection, self._inner)
+
+    @property
+    def _outer(self) -> asyncio.Transport:
+        assert self._transport is not None
+        return self._transport
+
+    @property
+    def steers(self) -> bool:
+        """Whether it holds control of an aircraft."""
+        return self._connection.steers
+
+    # -- the transport's side --------------------------------------------------------------------
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """A client has come."""
+        self._transport = cast(asyncio.Transport, transport)
+        self._inner.connection_made(self)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """It has gone."""
+        self._is_over = True
+        self._inner.connection_lost(exc)
+
+    def get_buffer(self, sizehint: int) -> memoryview:
+        """Where the next bytes go: nothing is read before the last ones were parsed."""
+        return self._space
+
+    def buffer_updated(self, nbytes: int) -> None:
+        """Bytes came in: they wait for their turn."""
+        if self._is_over:
+            return
+        self._outer.pause_reading()
+        self._begin, self._end = 0, nbytes
+        self._bytes.spend(self._loop.time(), nbytes)
+        self._ask_for_turn()
+
+    def eof_received(self) -> bool | None:
+        """The client sends no more."""
+        return self._inner.eof_received()
+
+    def pause_writing(self) -> None:
+        """The client does not read."""
+        self._inner.pause_writing()
+
+    def resume_writing(self) -> None:
+        """The client reads again."""
+        self._inner.resume_writing()
+
+    # -- the intake's side -----------------------------------------------------------------------
+
+    def _ask_for_turn(self) -> None:
+        if self._is_queued or self._is_held or self._is_over or self._begin == self._end:
+            return
+        self._is_queued = True
+        now = self._loop.time()
+        wait = max(self._bytes.wait(now), self._events.wait(now))
+        if wait <= 0.0:
+            self._intake.put(self)
+        elif self._strain.take(now, wait):
+            self._loop.call_later(wait, self._intake.put, self)
+        else:
+            _log.warning("%s is cut off: it sends too much", self.get_extra_info("peername"))
+            self.abort()
+
+    def step(self) -> None:
+        """Parse a piece."""
+        self._is_queued = False
+        if self._is_over or self._is_held:
+            return
+        piece = bytes(self._space[self._begin : min(self._begin + PIECE, self._end)])
+        self._begin += len(piece)
+        spoken = self._connection  # it may be another one afterwards
+        before = spoken.events
+        try:
+            self._inner.data_received(piece)
+        except Exception:  # noqa: BLE001 - a parser's own fault costs this connection alone
+            _log.exception("what a connection sent was not understood")
+            self.abort()
+        self._events.spend(self._loop.time(), spoken.events - before)
+        self._go_on()
+
+    def _go_on(self) -> None:
+        if self._begin < self._end:
+            self._ask_for_turn()
+        elif not self._is_over:
+            self._outer.resume_reading()
+
+    # -- the side of what speaks on it -----------------------------------------------------------
+
+    def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
+        """Replace the protocol on the connection."""
+        self._inner = cast(asyncio.Protocol, protocol)
+
+    def get_protocol(self) -> asyncio.BaseProtocol:
+        """Return the protocol on the connection."""
+        return self._inner
+
+    def put_back(self, count: int) -> None:
+        """Give the last bytes back: they are for the new protocol, not for the one before."""
+        self._begin -= count
+
+    def pause_reading(self) -> None:
+        """Parse nothing more."""
+        self._is_held = True
+
+    def resume_reading(self) -> None:
+        """Parse again."""
+        self._is_held = False
+        self._ask_for_turn()
+
+    def close(self) -> None:
+        """Close it once all output is sent; drop input that waits to be parsed."""
+        self._is_over = True
+        self._outer.close()
+
+    def abort(self) -> None:
+        """Close it at once."""
+        self._is_over = True
+        self._outer.abort()
+
+    def is_closing(self) -> bool:
+        """Whether it is being closed."""
+        return self._outer.is_closing()
+
+    def write(self, data: Any) -> None:
+        """Write bytes."""
+        self._outer.write(data)
+
+    def get_extra_info(self, name: str, default: Any = None) -> Any:
+        """Return what the transport knows about the connection."""
+        return self._outer.get_extra_info(name, default)
+
+    def get_write_buffer_size(self) -> int:
+        """Return how many bytes were not sent yet."""
+        return self._outer.get_write_buffer_size()

@@ -1,0 +1,254 @@
+"""The numbers of a station as OpenMetrics, for Prometheus and whoever else reads that.
+
+What an agent counts comes to its fronts once a second; it is handed on as it is, with the name of
+the aircraft. Counters of a link begin anew with each connection, which is what readers of counters
+expect. Nothing here asks an aircraft or an agent anything: whoever scrapes costs them nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from importlib.resources import files
+from itertools import accumulate
+from typing import TYPE_CHECKING
+
+from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
+from prometheus_client.metrics_core import (
+    CounterMetricFamily,
+    GaugeMetricFamily,
+    HistogramMetricFamily,
+    Metric,
+    StateSetMetricFamily,
+)
+from prometheus_client.openmetrics import exposition as openmetrics
+from prometheus_client.registry import Collector
+from starlette.applications import Starlette
+from starlette.responses import PlainTextResponse, Response
+from starlette.routing import Route
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.messages import LinkCounted
+from m100link.apps.station.ros.client import Client
+from m100link.apps.station.web.gate import Gate
+from m100link.protocol.items import ITEMS
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from m100link.apps.station.config import Settings
+    from m100link.apps.station.web.server import Bridge
+
+__all__ = ["DASHBOARD", "StationMetrics", "metrics_app"]
+
+DASHBOARD = files("m100link.apps.station.web") / "grafana.json"
+"""A dashboard for Grafana that shows all of them."""
+
+# Without types in their package.
+_in_openmetrics: Callable[[CollectorRegistry], bytes] = openmetrics.generate_latest
+
+_STATES = ("connecting", "connected", "lost", "silent", "gone")
+_STALE_AFTER = 2.0  # items at 1 Hz are there
+
+_COUNTED: tuple[tuple[str, str, str, Mapping[str, str]], ...] = (
+    (
+        *("m100_link_bytes", "Bytes on the line to the aircraft", "direction"),
+        {"received": "bytes_received", "sent": "bytes_sent"},
+    ),
+    (
+        *("m100_link_frames", "Frames on the line to the aircraft", "direction"),
+        {"received": "frames_received", "sent": "frames_sent"},
+    ),
+    (
+        *("m100_link_acks", "Acks by what they answered", "kind"),
+        {
+            "answered": "acks",
+            "duplicate": "duplicate_acks",
+            "late": "late_acks",
+            "foreign": "foreign_acks",
+        },
+    ),
+    (
+        *("m100_link_discarded_bytes", "Bytes that were part of no frame", ""),
+        {"": "discarded_bytes"},
+    ),
+    (
+        *("m100_link_dropped_writes", "Frames not written because the line did not drain", ""),
+        {"": "dropped_writes"},
+    ),
+    (
+        *("m100_missed_setpoints", "Setpoints that did not go out in their time", ""),
+        {"": "missed_setpoints"},
+    ),
+    ("m100_link_repeats", "Transmissions beyond the first of a request", "", {"": "repeats"}),
+    ("m100_link_expired", "Requests that ran out of tries", "", {"": "expired"}),
+)
+"""Name, help, label, and the counters of :class:`~m100link.LinkStatistics` by the label's value."""
+
+
+class StationMetrics(Collector):
+    """What is counted in a station, taken when somebody scrapes.
+
+    Args:
+        bridge: The agents, and who is connected.
+        dropped_by_tabs: Pictures that tabs of the console did not get, by their name.
+    """
+
+    def __init__(
+        self, bridge: Bridge, dropped_by_tabs: Callable[[], Mapping[str, int]] = dict
+    ) -> None:
+        self._bridge = bridge
+        self._dropped_by_tabs = dropped_by_tabs
+
+    def collect(self) -> Iterator[Metric]:
+        """All families, each with its samples."""
+        yield from self._states()
+        yield from self._counters()
+        yield from self._agents()
+        yield self._round_trips()
+        yield from self._telemetry()
+        yield from self._clients()
+
+    def _links(self) -> Iterator[tuple[str, LinkCounted]]:
+        """What was counted, of each aircraft of which it is known now."""
+        for name, agent in self._bridge.agents.items():
+            if agent.link is not None and agent.is_connected:
+                yield name, agent.link
+
+    def _states(self) -> Iterator[Metric]:
+        state = StateSetMetricFamily(
+            "m100_connection", "Where the connection to the aircraft is", labels=["aircraft"]
+        )
+        held = GaugeMetricFamily(
+            "m100_authority", "Whether control authority is held", labels=["aircraft"]
+        )
+        for name, agent in self._bridge.agents.items():
+            now = _state_of(agent)
+            state.add_metric([name], {one: one == now for one in _STATES})
+            held.add_metric([name], agent.has_authority)
+        yield state
+        yield held
+
+    def _counters(self) -> Iterator[Metric]:
+        for metric, text, label, counted in _COUNTED:
+            family = CounterMetricFamily(
+                metric, text, labels=["aircraft", *([label] if label else [])]
+            )
+            for name, link in self._links():
+                for value, counter in counted.items():
+                    labels = [name, *([value] if label else [])]
+                    family.add_metric(labels, link.counters.get(counter, 0))
+            yield family
+
+    def _agents(self) -> Iterator[Metric]:
+        discards = CounterMetricFamily(
+            "m100_link_discards",
+            "Starts of frames and frames that were discarded, by cause",
+            labels=["aircraft", "cause"],
+        )
+        lag = GaugeMetricFamily(
+            "m100_agent_loop_lag_seconds",
+            "How late the process that flies was at worst in the last second",
+            labels=["aircraft"],
+        )
+        for name, link in self._links():
+            lag.add_metric([name], link.loop_lag)
+            for cause, count in link.discards.items():
+                discards.add_metric([name, cause], count)
+        yield discards
+        yield lag
+
+    def _round_trips(self) -> Metric:
+        family = HistogramMetricFamily(
+            "m100_link_round_trip_seconds",
+            "How long answered requests took, repeats included",
+            labels=["aircraft"],
+        )
+        for name, link in self._links():
+            bounds = [one if one != "inf" else "+Inf" for one in link.round_trips]
+            counts = accumulate(link.round_trips.values())
+            family.add_metric([name], list(zip(bounds, counts, strict=True)), link.round_trips_s)
+        return family
+
+    def _telemetry(self) -> Iterator[Metric]:
+        rates = GaugeMetricFamily(
+            "m100_telemetry_rate_hertz",
+            "Arrivals of a telemetry item per second, 0 when it stopped",
+            labels=["aircraft", "item"],
+        )
+        mismatches = CounterMetricFamily(
+            "m100_telemetry_mismatches",
+            "Telemetry packages that do not fit the firmware",
+            labels=["aircraft"],
+        )
+        for name, agent in self._bridge.agents.items():
+            telemetry = agent.telemetry
+            if telemetry is None or not agent.is_connected:
+                continue
+            mismatches.add_metric([name], agent.state.mismatches)
+            for item in ITEMS:
+                counted = telemetry.statistics(item.record)
+                if counted.count:
+                    is_fresh = telemetry.fresh(item.record, within=_STALE_AFTER) is not None
+                    rate = (counted.rate_hz or 0.0) if is_fresh else 0.0
+                    rates.add_metric([name, item.name], rate)
+        yield rates
+        yield mismatches
+
+    def _clients(self) -> Iterator[Metric]:
+        clients = [one for one in self._bridge.graph.sessions if isinstance(one, Client)]
+        yield GaugeMetricFamily("m100_clients", "Clients of rosbridge", value=len(clients))
+        dropped = CounterMetricFamily(
+            "m100_client_dropped_messages",
+            "Messages that a client of rosbridge did not get because it is slow",
+            labels=["client"],
+        )
+        for client in clients:
+            dropped.add_metric([client.name], client.dropped)
+        yield dropped
+        pictures = CounterMetricFamily(
+            "m100_console_dropped_pictures",
+            "Pictures of telemetry that a tab of the console did not get because it is slow",
+            labels=["tab"],
+        )
+        for name, count in self._dropped_by_tabs().items():
+            pictures.add_metric([name], count)
+        yield pictures
+
+
+def _state_of(agent: AgentClient) -> str:
+    if agent.is_gone:
+        return "gone"
+    return "silent" if agent.is_silent else agent.state.connection
+
+
+def metrics_app(
+    bridge: Bridge, settings: Settings, dropped_by_tabs: Callable[[], Mapping[str, int]] = dict
+) -> Gate:
+    """``/metrics`` and ``/dashboard.json``, behind the gate of the station."""
+    registry = CollectorRegistry()
+    registry.register(StationMetrics(bridge, dropped_by_tabs))
+
+    async def metrics(request: Request) -> Response:
+        if "application/openmetrics-text" in request.headers.get("accept", ""):
+            text, kind = _in_openmetrics(registry), openmetrics.CONTENT_TYPE_LATEST
+        else:
+            text, kind = generate_latest(registry), CONTENT_TYPE_LATEST
+        return Response(text, headers={"content-type": kind, "cache-control": "no-store"})
+
+    async def dashboard(request: Request) -> Response:
+        return Response(DASHBOARD.read_bytes(), media_type="application/json")
+
+    async def greet(request: Request) -> Response:
+        return PlainTextResponse("m100link station: /metrics, and /dashboard.json for Grafana.\n")
+
+    routes = [
+        Route("/", greet),
+        Route("/metrics", metrics),
+        Route("/dashboard.json", dashboard),
+    ]
+    return Gate(
+        Starlette(routes=routes),
+        hosts=settings.host_names(),
+        origins=settings.allow_origin,
+        access=settings.access(),
+    )

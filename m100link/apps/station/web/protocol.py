@@ -1,0 +1,336 @@
+"""HTTP and WebSocket on one connection: uvicorn's protocols with the station's headers.
+
+The headers are put where bytes leave, so that they stand on every answer: of the application, of
+the gate, and those that the server gives itself. A connection that asks nothing, or asks without
+end, is closed: it would take the place of one that asks.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Iterable
+from functools import lru_cache
+from http import HTTPStatus
+from typing import TYPE_CHECKING, Any, cast
+
+import h11
+import uvicorn
+from starlette.websockets import WebSocketDisconnect
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.exceptions import ProtocolError
+from websockets.frames import Frame, Opcode
+from websockets.server import ServerProtocol
+
+from m100link.apps.station.web.door import Door
+from m100link.apps.station.web.intake import Intake, Metered
+from m100link.apps.station.web.logs import SparingLogger
+
+if TYPE_CHECKING:
+    from uvicorn._types import ASGISendEvent
+    from websockets.http11 import Request, Response
+
+__all__ = ["HEADERS", "Config", "HttpConnection", "WebSocketConnection"]
+
+PATIENCE = 5.0
+"""Seconds in which a connection has to have asked something completely."""
+
+_FLUSH_TIME = 2.0
+
+_LONGEST_HEAD = 16 * 1024
+_REQUEST_COST = 16
+"""Frames that a request stands for: 25 requests a second of one connection."""
+
+_FRAMED = 512
+"""Messages that are kept framed: more than ten clients with every topic are behind each other."""
+
+ANSWER_TIME = 30.0
+"""Seconds after which an answer that its client does not read to the end is given up."""
+
+HEADERS = (
+    # A page of another site that shows ours in an invisible frame would steer by clicks on itself.
+    ("content-security-policy", "frame-ancestors 'none'"),
+    ("x-frame-options", "DENY"),
+    # A page that opens ours in another window would hold on to it, and move its focus about.
+    ("cross-origin-opener-policy", "same-origin"),
+    # Browsers that do not say whence they ask would hand it to a page of another site.
+    ("cross-origin-resource-policy", "same-origin"),
+    ("referrer-policy", "no-referrer"),
+    ("x-content-type-options", "nosniff"),
+)
+"""On every answer of every port."""
+
+
+class Config(uvicorn.Config):
+    """What the connections of one server share.
+
+    Args:
+        app: The application.
+        intake: Gives their connections turns; of its own by default.
+        keywords: As uvicorn takes them.
+
+    Attributes:
+        door: Connections that speak HTTP.
+        intake: As given.
+        log: Where they complain.
+    """
+
+    def __init__(self, app: Any, intake: Intake | None = None, **keywords: Any) -> None:
+        # Proxy headers are not believed: anybody could say who and how he came.
+        own: dict[str, Any] = {"http": HttpConnection, "ws": WebSocketConnection}
+        super().__init__(app, **keywords, **own, headers=list(HEADERS), proxy_headers=False)
+        self.door = Door()
+        self.intake = intake or Intake()
+        # Below warnings, uvicorn and websockets write addresses, headers and messages as they
+        # came: tokens, cookies and the keys of pages stand in them.
+        self.log = SparingLogger(logging.getLogger(__name__), least=logging.WARNING)
+
+
+@lru_cache(maxsize=_FRAMED)
+def _framed(message: str | bytes) -> bytes:
+    """A message as a server sends it: the same bytes for every client, so they are made once."""
+    if isinstance(message, str):
+        return Frame(Opcode.TEXT, message.encode()).serialize(mask=False)
+    return Frame(Opcode.BINARY, message).serialize(mask=False)
+
+
+class _Frames(ServerProtocol):
+    """Frames of a WebSocket, counted.
+
+    Attributes:
+        count: How many came.
+    """
+
+    count = 0
+
+    def recv_frame(self, frame: Frame) -> None:
+        """A frame has come.
+
+        Raises:
+            ProtocolError: It is of no use: a message of these would never be too long.
+        """
+        self.count += 1
+        if frame.opcode is Opcode.CONT and not frame.data and not frame.fin:
+            raise ProtocolError("empty continuation frame")
+        super().recv_frame(frame)
+
+    def send_response(self, response: Response) -> None:
+        """Accepted, refused or failed: each goes out here."""
+        for name, value in HEADERS:
+            if name not in response.headers:
+                response.headers[name] = value
+        super().send_response(response)
+
+
+class WebSocketConnection(WebSocketsSansIOProtocol):
+    """A WebSocket of the station.
+
+    Attributes:
+        is_steering: Whether its client holds control of an aircraft, as its application knows.
+    """
+
+    config: Config
+
+    def __init__(self, *args: Any, **keywords: Any) -> None:
+        super().__init__(*args, **keywords)
+        self.logger = cast(logging.Logger, self.config.log)
+        self._heard_at = 0.0
+        self.conn: _Frames = _Frames(max_size=self.config.ws_max_size, logger=self.logger)
+        self.is_steering: Callable[[], bool] = lambda: False
+
+    @property
+    def events(self) -> int:
+        """Frames that came."""
+        return self.conn.count
+
+    @property
+    def steers(self) -> bool:
+        """Whether it holds control of an aircraft."""
+        return self.is_steering()
+
+    def handle_ping(self) -> None:
+        """Answer it; a client that reads nothing gets no answers that would pile up."""
+        if self.writable.is_set():
+            super().handle_ping()
+        else:
+            self.conn.data_to_send()
+
+    def handle_connect(self, event: Request) -> None:
+        """Let the application find this connection as ``state["connection"]``."""
+        super().handle_connect(event)
+        if self.response.status_code == HTTPStatus.SWITCHING_PROTOCOLS:
+            self.scope.setdefault("state", {})["connection"] = self
+            # A client that does not wait for the answer has said nothing until there is one.
+            self.transport.pause_reading()
+
+    async def send(self, message: ASGISendEvent) -> None:
+        """Take what the application has to say."""
+        await super().send(message)
+        if message["type"] == "websocket.accept":
+            self.transport.resume_reading()
+
+    def data_received(self, data: bytes) -> None:
+        """A client that says anything is alive."""
+        self._heard_at = self.loop.time()
+        super().data_received(data)
+
+    def keepalive_timeout(self) -> None:
+        """No pong came in time: the client is gone, unless it said something else since.
+
+        Its pong may stand behind what the station has not read yet, or came while the station
+        itself did not run.
+        """
+        if self._heard_at > self.ping_sent_at or self.read_paused:
+            self.pong_timer, self.pending_ping_payload = None, None
+            self.schedule_ping()
+            return
+        super().keepalive_timeout()
+        # What it does not read must not keep the connection.
+        self.loop.call_later(_FLUSH_TIME, self.transport.abort)
+
+    async def send_all(self, messages: Iterable[str | bytes]) -> None:
+        """Send messages in one write, after what was written before has gone out.
+
+        Raises:
+            WebSocketDisconnect: The connection is closed.
+        """
+        await self.writable.wait()
+        if self.disconnected or self.close_sent or self.transport.is_closing():
+            raise WebSocketDisconnect(1006)
+        self.transport.write(b"".join((*self.conn.data_to_send(), *map(_framed, messages))))
+
+
+class _Requests(h11.Connection):
+    """Requests, counted. None has a body: nothing that the station serves needs one.
+
+    Attributes:
+        count: What was parsed; a request counts for as many frames as it costs.
+        is_too_much: Whether a request came with a body.
+    """
+
+    count = 0
+    is_too_much = False
+
+    def next_event(self) -> Any:
+        """What comes next.
+
+        Raises:
+            RemoteProtocolError: It is not HTTP, or it has a body.
+        """
+        event = super().next_event()
+        if isinstance(event, h11.Request):
+            self.count += _REQUEST_COST
+            if any(_announces_body(*header) for header in event.headers):
+                self.is_too_much = True
+                raise h11.RemoteProtocolError("a request has no body here", 413)
+        elif event is not h11.NEED_DATA and event is not h11.PAUSED:
+            self.count += 1
+        return event
+
+
+def _announces_body(name: bytes, value: bytes) -> bool:
+    return name == b"transfer-encoding" or (name == b"content-length" and value.strip(b"0") != b"")
+
+
+class HttpConnection(H11Protocol):
+    """A connection that speaks HTTP, until it asks for a WebSocket.
+
+    Attributes:
+        peer: Address that it comes from.
+        steers: It does not.
+    """
+
+    config: Config
+    steers = False
+
+    def __init__(self, *args: Any, **keywords: Any) -> None:
+        super().__init__(*args, **keywords)
+        self.logger = cast(logging.Logger, self.config.log)
+        self.conn: _Requests = _Requests(h11.SERVER, _LONGEST_HEAD)
+        self.peer = ""
+        # Ends the connection unless it asks something, or its answer is on the way.
+        self._patience: asyncio.TimerHandle | None = None
+        self._waited = 0.0
+
+    @property
+    def events(self) -> int:
+        """What was parsed."""
+        return self.conn.count
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether it asked nothing that is being answered now."""
+        cycle = self.cycle
+        return cycle is None or cycle.response_complete or cycle.more_body
+
+    def turn_out(self) -> None:
+        """Close it at once."""
+        self._end_patience()
+        self.transport.abort()
+
+    # uvicorn narrows the argument as well: what it is given is always a transport with both ways.
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """A client has come."""
+        super().connection_made(transport)
+        self.peer = self.client[0] if self.client else ""
+        self._begin_patience()
+        self.config.door.enter(self)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """It has gone."""
+        self._leave()
+        super().connection_lost(exc)
+
+    def on_response_complete(self) -> None:
+        """It may ask again, within the same time."""
+        self._begin_patience()
+        self.config.door.answered(self)
+        super().on_response_complete()
+
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        """From now on it is a WebSocket."""
+        self._leave()
+        super().handle_websocket_upgrade(event)
+        cast(Metered, self.transport).put_back(len(self.conn.trailing_data[0]))
+
+    def _leave(self) -> None:
+        self._end_patience()
+        self.config.door.leave(self)
+
+    def _begin_patience(self) -> None:
+        self._end_patience()
+        self._waited = 0.0
+        self._patience = self.loop.call_later(PATIENCE, self._look_again)
+
+    def _end_patience(self) -> None:
+        if self._patience is not None:
+            self._patience.cancel()
+            self._patience = None
+
+    def _look_again(self) -> None:
+        self._waited += PATIENCE
+        if self.is_answered or self._waited >= ANSWER_TIME:
+            self.turn_out()
+        else:
+            self._patience = self.loop.call_later(PATIENCE, self._look_again)
+
+    def send_400_response(self, msg: str) -> None:
+        """What is not HTTP, or too much of it, has no application that could answer."""
+        status = HTTPStatus.BAD_REQUEST
+        if self.conn.is_too_much:
+            status, msg = HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "A request has no body here."
+        text = msg.encode("ascii")
+        headers = [(name.encode(), value.encode()) for name, value in HEADERS]
+        headers += [
+            (b"content-type", b"text/plain; charset=utf-8"),
+            (b"content-length", str(len(text)).encode()),
+            (b"connection", b"close"),
+        ]
+        for event in (
+            h11.Response(status_code=status, headers=headers, reason=status.phrase.encode()),
+            h11.Data(data=text),
+            h11.EndOfMessage(),
+        ):
+            self.transport.write(self.conn.send(event) or b"")
+        self.transport.close()

@@ -1,0 +1,413 @@
+"""rosbridge on a WebSocket: the sessions of :mod:`m100link.apps.station.ros.client` on uvicorn.
+
+Needs the extra ``station``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import logging
+import socket
+import ssl
+import time
+from collections.abc import Generator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.station.config import namespace_of
+from m100link.apps.station.ros.client import Client, Limits
+from m100link.apps.station.ros.dji_sdk import DjiSdk
+from m100link.apps.station.ros.graph import Graph
+from m100link.apps.station.ros.leases import Clients
+from m100link.apps.station.ros.node_2015 import Node
+from m100link.apps.station.ros.rosapi import add_rosapi
+from m100link.apps.station.ros.rosout import Rosout
+from m100link.apps.station.web.files import PublicFiles
+from m100link.apps.station.web.gate import App, Gate
+from m100link.apps.station.web.intake import Intake
+from m100link.apps.station.web.listener import Listener
+from m100link.apps.station.web.logs import SparingLogger
+from m100link.apps.station.web.places import who_makes_room
+from m100link.apps.station.web.protocol import PATIENCE, Config, HttpConnection, WebSocketConnection
+from m100link.errors import PortBusy, PortFailed, UsageError
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+
+    from m100link.apps.station.config import Settings
+
+__all__ = ["Bridge", "Server", "listen"]
+
+PING_INTERVAL, PING_TIMEOUT = 2.0, 3.0
+_POLICY_VIOLATION = 1008
+_BACKLOG = 128
+_GUARD_INTERVAL = 0.05
+_LAG = 0.1
+_PACKING_TIME = 0.001
+"""Seconds after which what was packed for a client is written, and others have their turn."""
+_WRITE_SIZE = 64 * 1024
+_LAST_PORT = 65535
+
+
+class Bridge:
+    """Everything that rosbridge clients reach: topics, services, sockets.
+
+    Args:
+        agents: The agent that owns an aircraft, by its name. The topics and services of the first
+            are called as DJI's are, those of the others stand in a namespace of their name.
+        limits: What one client may use.
+        max_clients: Clients at once.
+        pages: Folder with web pages to serve on the same port.
+
+    Attributes:
+        agents: As given.
+        graph: Topics and services.
+        clients: Who holds the lease of which aircraft.
+    """
+
+    def __init__(
+        self,
+        agents: Mapping[str, AgentClient],
+        *,
+        limits: Limits | None = None,
+        max_clients: int = 32,
+        pages: Path | None = None,
+    ) -> None:
+        self.agents = agents
+        self._limits = limits or Limits()
+        self._max_clients = max_clients
+        self._log = SparingLogger(logging.getLogger(__name__))
+        self.graph = Graph()
+        self.clients: dict[str, Clients] = {}
+        for name, agent in agents.items():
+            part = self.graph.namespace(namespace_of(name)) if self.clients else self.graph
+            clients = self.clients[name] = Clients(agent, part)
+            Node(agent, part, clients)
+            DjiSdk(agent, part, clients)
+        Rosout(agents, self.graph)
+        add_rosapi(self.graph)
+        self.agent.background.spawn(self._guard(), "lag")
+        routes: list[BaseRoute] = [
+            WebSocketRoute("/{path:path}", self._serve),
+            Route("/health", self._health),
+        ]
+        if pages is not None:
+            if not pages.is_dir():
+                raise UsageError(f"{pages} is not a folder")
+            routes.append(Mount("/", PublicFiles(directory=pages, html=True)))
+        else:
+            routes.append(Route("/", self._greet))
+        self._app = Starlette(routes=routes)
+
+    @property
+    def agent(self) -> AgentClient:
+        """The agent of the first aircraft, or the only one."""
+        return next(iter(self.agents.values()))
+
+    def app(self, settings: Settings) -> Gate:
+        """The application behind its gate."""
+        return Gate(
+            self._app,
+            hosts=settings.host_names(),
+            origins=settings.allow_origin,
+            access=settings.access(),
+        )
+
+    async def _greet(self, request: Request) -> Response:
+        return PlainTextResponse("m100link station: rosbridge v2 on this port, by WebSocket.\n")
+
+    async def _health(self, request: Request) -> Response:
+        every = {name: _health_of(agent) for name, agent in self.agents.items()}
+        report = _health_of(self.agent) | {"clients": len(self.graph.sessions)}
+        if len(every) > 1:
+            report["aircraft"] = every
+        is_well = all(agent.is_connected for agent in self.agents.values())
+        return JSONResponse(report, status_code=200 if is_well else 503)
+
+    # -- all clients -----------------------------------------------------------------------------
+
+    @property
+    def _sessions(self) -> list[Client]:
+        return [one for one in self.graph.sessions if isinstance(one, Client)]
+
+    def dropped(self) -> dict[str, int]:
+        """Messages that clients did not get because they are slow, by their names."""
+        return {one.name: one.dropped for one in self._sessions}
+
+    def _make_room(self, peer: str) -> bool:
+        """Whether one more client may come, for which another may have to go.
+
+        Whoever holds the lease needs no place, and loses none.
+        """
+        now = self.agent.now
+        others = [one for one in self._sessions if not self._steers(one)]
+        if len(others) < self._max_clients:
+            return True
+        goes = who_makes_room(others, peer, now)
+        if goes is None:
+            return False
+        goes.disconnect(
+            f"another client needs the place; here it was {now - goes.heard_at:.1f} s silent"
+        )
+        goes.close(now)
+        return True
+
+    def _steers(self, session: Client) -> bool:
+        return any(clients.lease(session) is not None for clients in self.clients.values())
+
+    async def _guard(self) -> None:
+        """Let go of a client that keeps the loop from running: setpoints wait for it, too."""
+        while True:
+            due = self.agent.now + _GUARD_INTERVAL
+            await asyncio.sleep(_GUARD_INTERVAL)
+            lag = self.agent.now - due
+            sessions = self._sessions
+            heaviest = max(sessions, key=lambda one: one.recent_work, default=None)
+            if heaviest is not None and lag >= _LAG and heaviest.recent_work >= _LAG / 2:
+                heaviest.disconnect(
+                    f"it kept the station from running for {1000 * heaviest.recent_work:.0f} ms"
+                )
+                heaviest.close(self.agent.now)
+            for one in sessions:
+                one.recent_work = 0.0
+
+    # -- one client ------------------------------------------------------------------------------
+
+    async def _serve(self, websocket: WebSocket) -> None:
+        peer = websocket.client.host if websocket.client else ""
+        if not self._make_room(peer):
+            self._log.warning("a client was refused: %d are connected", len(self.graph.sessions))
+            await websocket.close(_POLICY_VIOLATION)
+            return
+        name = f"rosbridge {peer}:{websocket.client.port}" if websocket.client else "rosbridge"
+        wake, closing = asyncio.Event(), asyncio.Event()
+        session = Client(
+            self.graph, name, limits=self._limits, on_output=wake.set, on_disconnect=closing.set
+        )
+        session.heard_at, session.peer = self.agent.now, peer
+        try:
+            await websocket.accept()
+            connection: WebSocketConnection = websocket.scope["state"]["connection"]
+            connection.is_steering = lambda: self._steers(session)
+            self._log.info("%s connected", name)
+            writing = asyncio.create_task(self._write(websocket, session, wake, closing))
+            reading = asyncio.create_task(self._read(websocket, session))
+            try:
+                await asyncio.wait((writing, reading), return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                # The motion stops now, not when the tasks have ended.
+                session.close(self.agent.now)
+                for task in (writing, reading):
+                    task.cancel()
+                await asyncio.gather(writing, reading, return_exceptions=True)
+        except WebSocketDisconnect:
+            pass
+        finally:
+            session.close(self.agent.now)
+            self._log.info("%s has gone (%d messages dropped)", name, session.dropped)
+
+    async def _read(self, websocket: WebSocket, session: Client) -> None:
+        while True:
+            message = await websocket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            data = message.get("text")
+            began, now = time.thread_time(), self.agent.now
+            session.receive(message.get("bytes", b"") if data is None else data, now)
+            session.charge(time.thread_time() - began, now)
+            # Frames may wait in a row: others have their turn between them.
+            await asyncio.sleep(0)
+
+    async def _write(
+        self,
+        websocket: WebSocket,
+        session: Client,
+        wake: asyncio.Event,
+        closing: asyncio.Event,
+    ) -> None:
+        # A client that does not read does not answer pings either: the server cuts it off then,
+        # and a send that waits for it ends.
+        connection: WebSocketConnection = websocket.scope["state"]["connection"]
+        with contextlib.suppress(WebSocketDisconnect):
+            while session.close_reason is None:
+                wake.clear()
+                began, now = time.thread_time(), self.agent.now
+                session.advance(now)
+                frames = _frames(session)
+                if not frames:
+                    await self._wait(session, wake)
+                    continue
+                packed_at = time.thread_time()
+                await connection.send_all(frames)
+                session.charge(packed_at - began, now)
+                # The loop that flies has its turn in between; who wants too much waits longer,
+                # and loses messages.
+                await asyncio.sleep(0)
+                pause = session.work_pause(self.agent.now)
+                if pause:  # who is to go does not stay for the seconds that its work has cost
+                    with contextlib.suppress(TimeoutError):
+                        async with asyncio.timeout(pause):
+                            await closing.wait()
+            self._log.warning("%s is disconnected: %s", session.name, session.close_reason)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(1.0):
+                    await websocket.close(_POLICY_VIOLATION, session.close_reason[:120])
+
+    async def _wait(self, session: Client, wake: asyncio.Event) -> None:
+        due = session.next_wakeup()
+        if due is None:
+            await wake.wait()
+            return
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout_at(due):
+                await wake.wait()
+
+
+def _health_of(agent: AgentClient) -> dict[str, Any]:
+    fault = agent.state.connection_fault
+    return {
+        "connection": "silent" if agent.is_silent else agent.state.connection,
+        "error": str(fault.error()) if fault else "",
+    }
+
+
+def _frames(session: Client) -> list[str | bytes]:
+    """What waits for a client, as far as it can be packed in a short time and fits one write."""
+    frames: list[str | bytes] = []
+    size, until = 0, time.perf_counter() + _PACKING_TIME
+    while size < _WRITE_SIZE and (frame := session.next_frame()) is not None:
+        frames.append(frame)
+        size += len(frame)
+        if time.perf_counter() > until:
+            break
+    return frames
+
+
+class Server(uvicorn.Server):
+    """uvicorn inside a program: signals stay with the program."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Generator[None, None, None]:
+        """Leave the signals alone; whoever runs the server ends it by ``should_exit``."""
+        yield
+
+    @classmethod
+    def make(
+        cls,
+        app: App,
+        settings: Settings,
+        *,
+        message_size: int = Limits().message_size,
+        lifespan: Literal["on", "off"] = "off",
+        intake: Intake | None = None,
+    ) -> Server:
+        """A server with the limits of the station."""
+        config = Config(
+            app,
+            intake,
+            ws_max_size=message_size,
+            ws_ping_interval=PING_INTERVAL,
+            ws_ping_timeout=PING_TIMEOUT,
+            ws_per_message_deflate=False,
+            timeout_graceful_shutdown=2,
+            timeout_keep_alive=5,
+            lifespan=lifespan,
+            log_config=None,
+            log_level="warning",  # its "info" prints addresses with their tokens
+            access_log=False,
+            server_header=False,
+            ssl_certfile=settings.tls_cert,
+            ssl_keyfile=settings.tls_key,
+        )
+        try:
+            config.load()
+        except (OSError, ssl.SSLError) as error:
+            key = settings.tls_key or "in the same file"
+            raise UsageError(
+                f"the TLS files cannot be used: {getattr(error, 'strerror', None) or error}",
+                remedy=f"the certificate is {settings.tls_cert}, its key {key}: check both paths, "
+                "who may read them, and that both are PEM",
+            ) from error
+        return cls(config)
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to listen. A TLS handshake has as little time as a first request."""
+        await self.lifespan.startup()
+        config = cast(Config, self.config)
+        self.server_state.default_headers = list(config.encoded_headers)
+
+        def connection() -> asyncio.Protocol:
+            return HttpConnection(config, self.server_state, self.lifespan.state)
+
+        self.servers = []
+        for one in sockets or []:
+            one.listen(_BACKLOG)
+            listener = Listener(
+                one, config.intake, config.door, connection, context=config.ssl, patience=PATIENCE
+            )
+            # uvicorn only closes it.
+            self.servers.append(cast(asyncio.Server, listener))
+        self.started = True
+
+    async def run_on(self, sockets: Sequence[socket.socket]) -> None:
+        """Serve until cancelled; clients are told and the sockets closed."""
+        serving = asyncio.create_task(self.serve(sockets=list(sockets)))
+        try:
+            await asyncio.shield(serving)
+        except asyncio.CancelledError:
+            self.should_exit = True
+            await serving
+            raise
+        finally:
+            for listening in sockets:
+                listening.close()
+
+    def stop_listening(self) -> None:
+        """Take no new connections; those that are there stay."""
+        for one in self.servers:
+            one.close()
+
+    async def wait_started(self) -> None:
+        """Wait until connections are answered."""
+        while not self.started:  # noqa: ASYNC110 - uvicorn has no event for it
+            await asyncio.sleep(0.01)
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A listening socket.
+
+    Raises:
+        PortBusy, PortFailed: Another program has the port, or the address cannot be bound.
+        UsageError: There is no port of that number.
+    """
+    if not 0 <= port <= _LAST_PORT:
+        raise UsageError(
+            f"there is no port {port}", remedy=f"choose 1 to {_LAST_PORT}, or 0 for any"
+        )
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listening = socket.socket(family, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((host, port))
+    except OSError as error:
+        listening.close()
+        kind = PortBusy if error.errno == errno.EADDRINUSE else PortFailed
+        raise kind(
+            f"{host}:{port} cannot be served: {error.strerror or error}",
+            cause="another station, or a real rosbridge, runs on this machine"
+            if kind is PortBusy
+            else "",
+            remedy="end it, or choose another --port",
+        ) from error
+    listening.listen(_BACKLOG)
+    listening.setblocking(False)
+    return listening

@@ -1,7 +1,0 @@
-"""Why is the line silent? Stages in order, the first that fails named with its likely cause."""
-
-from m100link.doctor.diagnosis import diagnose
-from m100link.doctor.findings import Finding, Report, Stage, Verdict
-from m100link.doctor.machine import Machine
-
-__all__ = ["Finding", "Machine", "Report", "Stage", "Verdict", "diagnose"]

@@ -1,6 +1,0 @@
-"""Flight logs of a fleet: they lie on board, and whoever may watch an aircraft fetches its own.
-
-:mod:`~m100link.fleet.logs.words` is what goes over the network, :mod:`~m100link.fleet.logs.shelf`
-the folder on board, :mod:`~m100link.fleet.logs.service` the agent's end and
-:mod:`~m100link.fleet.logs.fetching` the other one.
-"""

@@ -1,0 +1,194 @@
+"""The carrier between two processes: frames, an end that does not read, an end that goes."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import stat
+import struct
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from m100link.apps.agent.carriers.unix import (
+    AT_ONCE,
+    CLOSE_ABOVE,
+    DROP_ABOVE,
+    UnixChannel,
+    connect_unix,
+    private_directory,
+    serve_unix,
+)
+from m100link.apps.agent.message_bytes import MAX_SIZE, encode
+from m100link.apps.agent.messages import Event, Message, Note, Telemetry
+from m100link.errors import PortFailed, PortNotFound
+from tests.waiting import PATIENCE
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+class End:
+    """What one end got."""
+
+    def __init__(self) -> None:
+        self.inbox: list[Message] = []
+        self.reasons: list[str] = []
+
+    def listen(self, channel: UnixChannel) -> None:
+        self.channel = channel
+        channel.open(self.inbox.append, self.reasons.append)
+
+
+async def until(predicate: Callable[[], bool]) -> None:
+    async with asyncio.timeout(PATIENCE):
+        while not predicate():  # noqa: ASYNC110 - a socket has no event for it
+            await asyncio.sleep(0.001)
+
+
+@asynccontextmanager
+async def served() -> AsyncIterator[tuple[Path, End]]:
+    end = End()
+    with private_directory() as directory:
+        assert stat.S_IMODE(directory.stat().st_mode) == 0o700
+        async with serve_unix(directory / "agent.sock", end.listen):
+            yield directory / "agent.sock", end
+
+
+async def test_messages_go_both_ways_in_order() -> None:
+    async with served() as (path, agent):
+        front = End()
+        front.listen(await connect_unix(path))
+        notes: list[Message] = [Note("info", f"{number} {'x' * number}") for number in range(500)]
+        for note in notes:
+            front.channel.send(note)
+        await until(lambda: len(agent.inbox) == 500)
+        assert agent.inbox == notes
+        agent.channel.send(Event(1, 0.0, "info", "hello"))
+        await until(lambda: front.inbox == [Event(1, 0.0, "info", "hello")])
+        front.channel.close()
+
+
+async def test_bytes_may_come_one_by_one() -> None:
+    async with served() as (path, agent):
+        with socket.socket(socket.AF_UNIX) as raw:
+            raw.connect(str(path))
+            body = encode(Note("info", "slow"))
+            for byte in struct.pack("<I", len(body)) + body:
+                raw.send(bytes([byte]))
+                await asyncio.sleep(0)
+            await until(lambda: agent.inbox == [Note("info", "slow")])
+        await until(lambda: agent.reasons == [""])
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        struct.pack("<I", MAX_SIZE + 1),
+        struct.pack("<I", 0xFFFFFFFF) + b"x" * 1000,
+        struct.pack("<I", 2) + b"[]",
+        struct.pack("<I", 0),
+    ],
+)
+async def test_what_is_not_a_message_ends_the_connection(data: bytes) -> None:
+    async with served() as (path, agent):
+        loop = asyncio.get_running_loop()
+        with socket.socket(socket.AF_UNIX) as raw:
+            raw.connect(str(path))
+            raw.setblocking(False)
+            raw.send(data)
+            async with asyncio.timeout(PATIENCE):
+                while await loop.sock_recv(raw, 1000):
+                    pass
+        assert agent.inbox == []
+        assert len(agent.reasons) == 1, "whoever listens has to know that the other end is gone"
+        assert "message" in agent.reasons[0]
+
+
+async def test_the_reason_of_a_close_is_told() -> None:
+    async with served() as (path, agent):
+        front = End()
+        front.listen(await connect_unix(path))
+        await until(lambda: hasattr(agent, "channel"))
+        agent.channel.close("the agent ends")
+        agent.channel.close("again")
+        await until(lambda: front.reasons == ["the agent ends"])
+        assert agent.reasons == []
+        front.channel.send(Note("info", "into nothing"))
+
+
+async def test_an_end_that_does_not_read_loses_telemetry_and_then_the_connection() -> None:
+    async with served() as (path, agent):
+        front = await connect_unix(path)  # never opened: it does not read
+        await until(lambda: hasattr(agent, "channel"))
+        package = Telemetry(bytes(1000), "1.0", 0.0)
+        for _ in range(2 * DROP_ABOVE // 1000):
+            agent.channel.send(package)
+        assert agent.channel.dropped > 0
+        assert agent.reasons == []
+        for number in range(2 * CLOSE_ABOVE // 4000):
+            agent.channel.send(Event(number, 0.0, "info", "x" * 4000))
+        assert agent.reasons == ["the other end does not read"]
+        front.close()
+
+
+async def test_a_front_without_an_agent_is_told(tmp_path: Path) -> None:
+    with pytest.raises(PortNotFound):
+        await connect_unix(tmp_path / "none.sock")
+    with pytest.raises(PortFailed):
+        async with serve_unix(tmp_path / "none" / "agent.sock", lambda channel: None):
+            pass
+
+
+async def test_a_mistake_with_one_message_does_not_end_the_reader(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with served() as (path, agent):
+        front = End()
+        front.listen(await connect_unix(path))
+        await until(lambda: hasattr(agent, "channel"))
+        taken: list[Message] = []
+
+        def take(message: Message) -> None:
+            taken.append(message)
+            raise RuntimeError("a mistake")
+
+        agent.channel.open(take, agent.reasons.append)
+        for _ in range(2):
+            front.channel.send(Note("info", "x"))
+        await until(lambda: len(taken) == 2)
+        assert "a Note was not taken" in caplog.text
+        front.channel.close()
+
+
+async def test_a_flood_is_taken_by_turns_and_whole() -> None:
+    """An agent flies at 50 Hz beside a front that sends whatever fits its socket."""
+    count = 4000
+    lengths: list[int] = []
+    loop = asyncio.get_running_loop()
+
+    def turns() -> None:
+        lengths.append(len(end.inbox))
+        if len(end.inbox) < count:
+            loop.call_soon(turns)
+
+    async with served() as (path, end):
+        _, writer = await asyncio.open_unix_connection(path)
+        body = [encode(Note("info", str(number))) for number in range(count)]
+        writer.write(b"".join(struct.pack("<I", len(one)) + one for one in body))
+        loop.call_soon(turns)
+        await until(lambda: len(end.inbox) == count)
+        writer.close()
+    taken = [later - earlier for earlier, later in pairwise([*lengths, count])]
+    # A reader that goes on and one that was woken may come in one turn.
+    assert max(taken) <= 2 * AT_ONCE
+    assert [one.text for one in end.inbox if isinstance(one, Note)] == [
+        str(number) for number in range(count)
+    ]

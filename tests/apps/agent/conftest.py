@@ -1,0 +1,63 @@
+"""An agent on a virtual aircraft, on virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+import anyio
+import pytest
+
+from m100link.apps.agent.agent import Agent
+from m100link.apps.agent.connect import by_driver
+from m100link.apps.agent.connection import ConnectionState
+from m100link.apps.agent.holding import HoldingState
+from m100link.sim.clock import virtual_clock_loop
+from m100link.sim.ports.driver import Driver
+from m100link.sim.virtual import VirtualAircraft
+
+
+@pytest.fixture
+def anyio_backend() -> tuple[str, dict[str, Any]]:
+    return "asyncio", {"loop_factory": virtual_clock_loop}
+
+
+class Rig:
+    """An agent with an activated virtual aircraft, and one client's lease."""
+
+    def __init__(self, *, firmware: str = "1.0", **options: Any) -> None:
+        self.aircraft = VirtualAircraft(seed=5, firmware=firmware)
+        self.driver = Driver(self.aircraft)
+        credentials = self.aircraft.credentials
+        self.agent = Agent(by_driver(self.driver), credentials=credentials, **options)
+        self.holding = self.agent.holding
+        self.states: list[HoldingState] = []
+        self.holding.on_change.append(lambda _, after: self.states.append(after))
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[Rig]:
+        async with self.agent:
+            await self.until(lambda: self.agent.connection.state is ConnectionState.CONNECTED)
+            await self.agent.activate()
+            self.token = self.agent.desk.acquire("client", self.agent.now).token
+            self.renewing = self.agent.background.spawn(self._renew(), "renewal")
+            yield self
+            self.renewing.cancel()
+        self.driver.stop()
+
+    async def _renew(self) -> None:
+        while True:
+            await anyio.sleep(0.5)
+            self.agent.desk.renew(self.token, self.agent.now)
+
+    async def until(self, predicate: Callable[[], bool], within: float = 30.0) -> None:
+        with anyio.fail_after(within):
+            while not predicate():  # noqa: ASYNC110 - virtual time: it costs nothing
+                await anyio.sleep(0.01)
+
+
+@pytest.fixture
+async def rig() -> AsyncIterator[Rig]:
+    async with Rig().running() as one:
+        yield one

@@ -1,0 +1,313 @@
+"""The agent as its clients use it: a lease for everything that moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import anyio
+import pytest
+
+from m100link.aircraft import Aircraft, AircraftCamera
+from m100link.apps.agent.connection import ConnectionState
+from m100link.apps.agent.guided import ChangeHeight
+from m100link.apps.agent.holding import HoldingState
+from m100link.apps.agent.lease import LeaseChange, LeaseRefused
+from m100link.errors import GuardRefused, M100Error, NoAuthority, NotObserved, UsageError
+from m100link.flight.control import Control
+from m100link.missions.plan import Waypoint, WaypointPlan
+from m100link.protocol.commands.control import Task
+from m100link.protocol.commands.gimbal import GimbalAngle
+from m100link.protocol.commands.hotpoint import HotpointStart
+from m100link.protocol.setpoint import Setpoint
+from tests.apps.agent.conftest import Rig
+
+pytestmark = pytest.mark.anyio
+
+NORTH = Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+
+
+HOTPOINT = HotpointStart(0.9, 0.07, altitude=20.0, radius=10.0, angular_rate=5.0)
+
+
+PLAN = WaypointPlan(
+    [Waypoint(52.0, 4.3, height=10.0), Waypoint(52.001, 4.3, height=10.0)], speed=5.0
+)
+
+
+async def no_program(control: Control, send: Callable[[Setpoint], None]) -> None:
+    """Flies nothing."""
+
+
+async def airborne(rig: Rig) -> None:
+    await rig.agent.obtain(rig.token)
+    await rig.agent.fly(rig.token, Task.TAKE_OFF)
+
+
+async def test_a_take_off_tells_when_it_is_accepted(rig: Rig) -> None:
+    await rig.agent.obtain(rig.token)
+    begun = anyio.Event()
+    async with anyio.create_task_group() as group:
+        group.start_soon(rig.agent.fly, rig.token, Task.TAKE_OFF, begun.set)
+        await begun.wait()
+        assert rig.holding.task == "take off"
+        assert rig.aircraft.height < 1.0
+    assert rig.holding.task is None
+    assert rig.aircraft.height > 1.0
+
+
+async def test_a_setpoint_expires_and_a_halt_stops_at_once(rig: Rig) -> None:
+    await airborne(rig)
+    moves = rig.aircraft.autopilot.received_movements
+    rig.agent.steer(rig.token, NORTH)
+    await anyio.sleep(0.1)
+    assert list(moves)[-1].roll_or_x == 1.0
+    rig.agent.halt()
+    await anyio.sleep(0.03)
+    assert list(moves)[-1].roll_or_x == 0.0
+    rig.agent.steer(rig.token, NORTH)
+    await anyio.sleep(0.3)
+    assert list(moves)[-1].roll_or_x == 0.0
+
+
+@pytest.mark.parametrize("token", ["", "wrong"])
+async def test_without_the_lease_nothing_moves(rig: Rig, token: str) -> None:
+    await airborne(rig)
+    with pytest.raises(LeaseRefused):
+        rig.agent.steer(token, NORTH)
+    for work in (
+        rig.agent.obtain(token),
+        rig.agent.release(token),
+        rig.agent.fly(token, Task.LAND),
+        rig.agent.send_to_mobile(token, b"x"),
+        rig.agent.activate(token),
+        rig.agent.guide(token, ChangeHeight(5.0)),
+        rig.agent.switch_motors(token, on=False),
+        rig.agent.move_gimbal(token, GimbalAngle(yaw_deg=10.0)),
+        rig.agent.use_camera(token, AircraftCamera.take_photo),
+        rig.agent.fly_mission(token, PLAN),
+        rig.agent.fly_hotpoint(token, HOTPOINT),
+        rig.agent.set_hotpoint(token, radius=20.0),
+        rig.agent.order_mission(token, "stop"),
+        rig.agent.set_mission_speed(token, 3.0),
+    ):
+        with pytest.raises(LeaseRefused):
+            await work
+    with pytest.raises(LeaseRefused):
+        rig.agent.start_pattern(token, "east", no_program)
+    await anyio.sleep(0.1)
+    assert list(rig.aircraft.autopilot.received_movements) == []
+    assert rig.holding.has_authority
+
+
+async def test_without_authority_nothing_moves(rig: Rig) -> None:
+    with pytest.raises(NoAuthority):
+        rig.agent.steer(rig.token, NORTH)
+    with pytest.raises(NoAuthority):
+        await rig.agent.fly(rig.token, Task.TAKE_OFF)
+
+
+async def test_a_stop_during_a_task_gives_authority_back(rig: Rig) -> None:
+    await rig.agent.obtain(rig.token)
+    async with anyio.create_task_group() as group:
+
+        async def take_off() -> None:
+            with pytest.raises(NotObserved, match="control ended"):
+                await rig.agent.fly(rig.token, Task.TAKE_OFF)
+
+        group.start_soon(take_off)
+        await anyio.sleep(2.0)
+        await rig.agent.stop()
+    assert not rig.holding.has_authority
+
+
+async def test_after_stop_a_stream_of_setpoints_is_refused_until_it_begins_anew(rig: Rig) -> None:
+    await airborne(rig)
+    for asks_anew in (True, False):
+        rig.agent.steer(rig.token, NORTH)
+        await rig.agent.stop()
+        for _ in range(60):  # longer than any setpoint lives
+            with pytest.raises(GuardRefused, match="STOP was pressed"):
+                rig.agent.steer(rig.token, NORTH)
+            await anyio.sleep(0.05)
+        rig.agent.halt("somebody presses hover")
+        rig.agent.halt("", "of a lease that is not this one")
+        with pytest.raises(GuardRefused, match="STOP was pressed"):
+            rig.agent.steer(rig.token, NORTH)
+        assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x == 0.0
+        if asks_anew:
+            await rig.agent.obtain(rig.token)
+        else:
+            rig.agent.halt("let go", rig.token)
+        rig.agent.steer(rig.token, NORTH)
+        await anyio.sleep(0.1)
+        assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x > 0.0
+
+
+async def test_whoever_takes_over_after_a_stop_begins_anew(rig: Rig) -> None:
+    await airborne(rig)
+    await rig.agent.stop()
+    desk, now = rig.agent.desk, rig.agent.now
+    rig.renewing.cancel()
+    rig.token = desk.confirm(desk.ask_take_over("other", now).token, now).token
+    rig.agent.steer(rig.token, NORTH)
+
+
+async def test_the_end_of_a_lease_stops_the_motion_and_gives_authority_back(rig: Rig) -> None:
+    await airborne(rig)
+    rig.agent.steer(rig.token, NORTH, 1.0)
+    await anyio.sleep(0.5)
+    rig.agent.desk.release(rig.token, rig.agent.now)
+    await anyio.sleep(0.03)
+    assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x == 0.0
+    await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=2.0)
+    assert not rig.holding.has_authority
+
+
+async def test_a_lost_line_is_opened_again_and_the_key_stays_in_use(rig: Rig) -> None:
+    connection = rig.agent.connection
+    rig.aircraft.unplug()
+    await rig.until(lambda: connection.state is not ConnectionState.CONNECTED)
+    assert connection.error is not None
+    rig.aircraft.replug()
+    await rig.until(lambda: connection.state is ConnectionState.CONNECTED)
+    await rig.agent.obtain(rig.token)
+    assert rig.holding.has_authority
+
+
+async def test_an_aircraft_that_is_not_there_is_told_once(rig: Rig) -> None:
+    rig.aircraft.unplug()
+    await anyio.sleep(10.0)
+    told = [event.text for event in rig.agent.journal.events if "not connected" in event.text]
+    assert len(told) == 1
+    with pytest.raises(M100Error):
+        await rig.agent.version()
+
+
+# -- authority that is kept when whoever flew is lost ----------------------------------------------
+
+LOST = pytest.mark.parametrize("why", [LeaseChange.FRONT_LOST, LeaseChange.EXPIRED])
+
+
+async def lose(rig: Rig, why: LeaseChange) -> None:
+    """A front that flies dies, or hangs; the aircraft hovers at once or when the setpoint ends."""
+    rig.agent.steer(rig.token, NORTH, 1.0)
+    await anyio.sleep(0.5)
+    rig.renewing.cancel()
+    if why is LeaseChange.FRONT_LOST:
+        rig.agent.desk.release(rig.token, rig.agent.now, why)
+    await rig.until(lambda: rig.agent.desk.holder(rig.agent.now) is None, within=3.5)
+    await anyio.sleep(0.03)
+    assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x == 0.0
+
+
+@LOST
+async def test_by_default_authority_goes_back_with_whoever_is_lost(why: LeaseChange) -> None:
+    async with Rig().running() as rig:
+        await airborne(rig)
+        await lose(rig, why)
+        await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=1.0)
+
+
+@LOST
+async def test_kept_authority_is_there_for_whoever_comes_back(why: LeaseChange) -> None:
+    async with Rig(keep_authority=10.0).running() as rig:
+        await airborne(rig)
+        await lose(rig, why)
+        await anyio.sleep(5.0)
+        assert rig.aircraft.vehicle.authority.is_requested
+        with pytest.raises(LeaseRefused):
+            rig.agent.steer(rig.token, NORTH)
+        token = rig.agent.desk.acquire("back again", rig.agent.now).token
+        await rig.agent.obtain(token)
+        rig.agent.steer(token, NORTH)
+        await anyio.sleep(0.1)
+        assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x == 1.0
+        for _ in range(20):
+            await anyio.sleep(1.0)
+            rig.agent.desk.renew(token, rig.agent.now)
+        assert rig.holding.has_authority
+
+
+@LOST
+async def test_kept_authority_goes_back_when_nobody_comes(why: LeaseChange) -> None:
+    async with Rig(keep_authority=10.0).running() as rig:
+        await airborne(rig)
+        await lose(rig, why)
+        await anyio.sleep(9.5)
+        assert rig.holding.has_authority
+        await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=1.5)
+        told = [event.text for event in rig.agent.journal.events]
+        assert "control authority is given back: nobody came back for it" in told
+
+
+async def test_who_gives_the_lease_back_leaves_no_authority_behind() -> None:
+    async with Rig(keep_authority=10.0).running() as rig:
+        await airborne(rig)
+        rig.agent.desk.release(rig.token, rig.agent.now)
+        await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=1.0)
+
+
+async def test_a_pilot_who_takes_what_is_kept_for_nobody_gives_it_back_to_nobody() -> None:
+    async with Rig(keep_authority=30.0).running() as rig:
+        await airborne(rig)
+        await lose(rig, LeaseChange.FRONT_LOST)
+        rig.aircraft.leave_f()
+        await rig.until(lambda: not rig.holding.has_authority, within=2.0)
+        rig.aircraft.return_to_f()
+        await anyio.sleep(3.0)
+        assert rig.holding.state is HoldingState.NONE
+        assert not rig.aircraft.vehicle.authority.is_requested
+
+
+async def test_a_stop_ends_what_is_kept_for_nobody() -> None:
+    async with Rig(keep_authority=30.0).running() as rig:
+        await airborne(rig)
+        await lose(rig, LeaseChange.FRONT_LOST)
+        await rig.agent.stop()
+        assert not rig.aircraft.vehicle.authority.is_requested
+
+
+@pytest.mark.parametrize("seconds", [-1.0, 61.0, float("nan")])
+async def test_authority_is_not_kept_for_ever(seconds: float) -> None:
+    with pytest.raises(UsageError, match="cannot be kept"):
+        Rig(keep_authority=seconds)
+
+
+async def test_a_lease_that_nobody_renews_ends_and_what_flies_by_it(rig: Rig) -> None:
+    await airborne(rig)
+    rig.renewing.cancel()
+    flight = rig.agent.background.spawn(rig.agent.guide(rig.token, ChangeHeight(50.0)), "flight")
+    await rig.until(lambda: rig.holding.guided_order is not None)
+    await rig.until(lambda: rig.agent.desk.holder(rig.agent.now) is None, within=5.0)
+    await rig.until(lambda: rig.holding.guided_order is None, within=0.5)
+    await rig.until(flight.done, within=1.0)
+    await rig.until(lambda: not rig.holding.has_authority, within=5.0)
+
+
+@pytest.mark.parametrize(("rate", "is_clockwise"), [(0.5, True), (-0.5, False), (12.0, True)])
+async def test_a_circle_is_turned_the_way_of_its_sign(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, rate: float, is_clockwise: bool
+) -> None:
+    told: list[tuple[float, bool]] = []
+
+    class Circle:
+        async def set_rate(self, rate: float, *, clockwise: bool, wait: bool) -> None:
+            assert not wait
+            told.append((rate, clockwise))
+
+    await airborne(rig)
+    mission = rig.holding.require().mission
+    monkeypatch.setattr(type(mission), "flight", lambda self, kind: Circle())
+    await rig.agent.set_hotpoint(rig.token, rate=rate)
+    assert told == [(abs(rate), is_clockwise)]
+
+
+async def test_an_activation_that_fails_is_noted(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def refuse(*_: object, **__: object) -> None:
+        raise UsageError("the app has no internet")
+
+    monkeypatch.setattr(Aircraft, "activate", refuse)
+    with pytest.raises(M100Error) as caught:
+        await rig.agent.activate(rig.token)
+    last = list(rig.agent.journal.events)[-1]
+    assert (last.text, last.level) == (f"activation failed: {caught.value.seen}", "error")

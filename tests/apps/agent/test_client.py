@@ -1,0 +1,359 @@
+"""A front's end of the way: what it knows, and what it is told when it asks."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AsyncExitStack
+from functools import partial
+from typing import Any
+
+import anyio
+import pytest
+
+from m100link.apps.agent.agent import Agent
+from m100link.apps.agent.carriers.memory import MemoryChannel, memory_channels
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.connect import by_driver
+from m100link.apps.agent.guided import ChangeHeight
+from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused
+from m100link.apps.agent.messages import VERSION, Action, Hello, PlanTold, State, Telemetry
+from m100link.apps.agent.service import Service
+from m100link.errors import GuardRefused, LinkError, M100Error, NoAuthority, TaskRefused
+from m100link.missions.plan import Waypoint, WaypointPlan
+from m100link.protocol.commands.control import Task
+from m100link.protocol.firmware import FIRMWARE_3_1
+from m100link.protocol.records import Attitude
+from m100link.protocol.setpoint import Setpoint
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.subscription import Newest, Subscription
+from tests.aircraft.test_other_loop import assert_told, elsewhere, entered, plainly
+from tests.apps.agent.conftest import Rig
+
+pytestmark = pytest.mark.anyio
+
+NORTH = Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+
+
+@pytest.fixture
+async def clients(rig: Rig) -> AsyncIterator[list[AgentClient]]:
+    rig.agent.desk.release(rig.token, rig.agent.now)
+    service = Service(rig.agent)
+    async with AsyncExitStack() as stack:
+        made = []
+        for name in ("first", "second"):
+            ours, its = memory_channels(as_bytes=True)
+            service.attach(its)
+            made.append(await stack.enter_async_context(AgentClient(ours, name)))
+        yield made
+
+
+async def test_telemetry_has_ages_and_subscriptions(rig: Rig, clients: list[AgentClient]) -> None:
+    client = clients[0]
+    heard: list[Sample] = []
+    client.on_sample.append(heard.append)
+    async with client.samples(Newest(5)) as samples:
+        sample = await anext(samples)
+    assert heard[0] is sample
+    assert client.telemetry is not None
+    assert sample.received_at <= rig.agent.now
+    await anyio.sleep(0.5)
+    assert client.telemetry.age(Attitude) == pytest.approx(0.0, abs=0.03)
+    rig.aircraft.stall_line()
+    await anyio.sleep(1.5)
+    assert client.telemetry.age(Attitude) == pytest.approx(1.5, abs=0.1)
+
+
+async def test_leases_are_seen_by_all(rig: Rig, clients: list[AgentClient]) -> None:
+    first, second = clients
+    lease = await first.acquire("first")
+    assert first.holds(lease)
+    assert second.holder.name == "first"
+    assert first.check(lease) is lease
+    with pytest.raises(LeaseHeld) as caught:
+        await second.acquire("second")
+    assert caught.value.holder == "first"
+    taken = await second.confirm((await second.ask_take_over("second")).token)
+    assert not first.holds(lease)
+    with pytest.raises(LeaseRefused, match="second has control"):
+        first.check(lease)
+    with pytest.raises(LeaseRefused):
+        await first.renew(lease.token)
+    await second.release_lease(taken.token)
+    assert first.holder.number == 0
+
+
+async def test_errors_are_those_of_the_agent(rig: Rig, clients: list[AgentClient]) -> None:
+    first, second = clients
+    with pytest.raises(LeaseRefused):
+        await first.fly(None, Task.TAKE_OFF)
+    lease = await first.acquire("first")
+    with pytest.raises(NoAuthority):
+        await first.fly(lease, Task.TAKE_OFF)
+    await first.obtain(lease)
+    begun = anyio.Event()
+    async with anyio.create_task_group() as group:
+
+        async def alive() -> None:
+            while True:
+                first.keep(lease)
+                await anyio.sleep(0.5)
+
+        group.start_soon(alive)
+        async with anyio.create_task_group() as flight:
+            flight.start_soon(first.fly, lease, Task.TAKE_OFF, begun.set)
+            await begun.wait()
+            with pytest.raises(TaskRefused, match="during take off"):
+                await first.fly(lease, Task.LAND)
+            assert second.state.task == "take off"
+        group.cancel_scope.cancel()
+    with pytest.raises(M100Error, match="no simple task"):
+        await first.start_pattern(lease, 77)
+
+
+async def test_a_refused_setpoint_is_told(rig: Rig, clients: list[AgentClient]) -> None:
+    client = clients[0]
+    told: list[tuple[int, M100Error]] = []
+    client.on_steer_refused.append(lambda fence, error: told.append((fence, error)))
+    lease = await client.acquire("first")
+    client.steer(lease, NORTH)
+    ((fence, error),) = told
+    assert fence == lease.number
+    assert isinstance(error, NoAuthority)
+
+
+async def test_letting_go_stops_at_once(rig: Rig, clients: list[AgentClient]) -> None:
+    client = clients[0]
+    lease = await client.acquire("first")
+    await client.obtain(lease)
+    client.let_go(lease)
+    assert not client.holds(lease)
+    await rig.until(lambda: client.state.holding == "none", within=1.0)
+
+
+async def test_a_pilot_who_takes_over_is_told(rig: Rig, clients: list[AgentClient]) -> None:
+    client = clients[0]
+    lost: list[str] = []
+    client.on_authority_taken.append(lambda error: lost.append(error.reason))
+    lease = await client.acquire("first")
+    await client.obtain(lease)
+    rig.aircraft.leave_f()
+    await rig.until(lambda: bool(lost), within=1.0)
+    assert lost == ["mode_switch"]
+    assert client.state.holding in ("paused", "taken")
+
+
+async def test_a_lost_line_takes_the_values_with_it(rig: Rig, clients: list[AgentClient]) -> None:
+    client = clients[0]
+    await rig.until(lambda: client.telemetry is not None)
+    rig.aircraft.unplug()
+    await rig.until(lambda: not client.is_connected)
+    assert client.telemetry is None
+    assert client.state.connection_fault is not None
+    with pytest.raises(LinkError):
+        await client.version()
+    rig.aircraft.replug()
+    await rig.until(lambda: client.is_connected)
+    assert client.telemetry is not None
+
+
+async def test_an_agent_that_has_gone_is_told_and_everything_grows_old(
+    rig: Rig, clients: list[AgentClient]
+) -> None:
+    ours, its = memory_channels()
+    async with AgentClient(ours, "front") as client:
+        its.open(lambda message: None, lambda reason: None)
+        its.send(State(at=0.0, connection="connected", has_authority=True, holding="held"))
+        aircraft = rig.agent.connection.aircraft
+        assert aircraft is not None
+        async with aircraft.telemetry(Attitude) as samples:
+            sample = await anext(samples)
+        its.send(Telemetry(sample.value, sample.profile.name, rig.agent.now))
+        async with anyio.create_task_group() as group:
+
+            async def ask() -> None:
+                with pytest.raises(LinkError, match="has gone: killed"):
+                    await client.version()
+
+            group.start_soon(ask)
+            await anyio.sleep(0.1)
+            its.close("killed")
+        assert not client.is_connected
+        assert not client.state.has_authority
+        await anyio.sleep(5.0)
+        assert client.telemetry is not None
+        assert client.telemetry.age(Attitude) == pytest.approx(5.1, abs=0.01)
+        with pytest.raises(LinkError, match="has gone"):
+            await client.acquire("anybody")
+
+
+async def test_an_agent_of_another_version_is_left(rig: Rig) -> None:
+    ours, its = memory_channels()
+    async with AgentClient(ours, "front") as client:
+        its.send(Hello(VERSION + 1, "agent", 0.0))
+        assert client.state.connection_fault is not None
+        assert "version" in client.state.connection_fault.seen
+
+
+async def test_telemetry_that_cannot_be_read_is_counted(rig: Rig) -> None:
+    ours: MemoryChannel
+    ours, its = memory_channels()
+    async with AgentClient(ours, "front") as client:
+        its.send(State(at=0.0, connection="connected"))
+        its.send(Telemetry(b"\0", "1.0", 0.0))
+        its.send(Telemetry(b"\0\0", "9.9", 0.0))
+        assert client.unread == 2
+
+
+async def test_another_agent_takes_the_place_of_one_that_has_gone(
+    rig: Rig, clients: list[AgentClient]
+) -> None:
+    client = clients[0]
+    lease = await client.acquire("first")
+    told: list[str] = []
+    client.on_event.append(lambda event: told.append(event.text))
+    rig.agent.journal.note("before")
+    await anyio.sleep(0.1)
+    numbers = [event.number for event in client.events]
+    client._channel.close("for the test")
+    client._closed("for the test")
+    assert client.is_gone
+    assert not client.is_connected
+    async with Agent(by_driver(rig.driver), leases_before=1_000_000) as other:
+        ours, its = memory_channels(as_bytes=True)
+        Service(other).attach(its)
+        client.reopen(ours)
+        assert not client.holds(lease)
+        other.journal.note("after")
+        await anyio.sleep(0.1)
+        assert told.count("after") == 1
+        assert told.count("before") == 1
+        assert [event.number for event in client.events][: len(numbers)] == numbers
+        assert client.events[-1].number > numbers[-1]
+        anew = await client.acquire("first")
+        assert anew.number == 1_000_001
+        assert client.holds(anew)
+        assert not client.holds(lease)
+
+
+async def test_an_agent_that_is_reached_again_tells_nothing_twice(
+    rig: Rig, clients: list[AgentClient]
+) -> None:
+    client = clients[0]
+    rig.agent.journal.note("once")
+    await anyio.sleep(0.1)
+    client._channel.close("for the test")
+    client._closed("for the test")
+    ours, its = memory_channels(as_bytes=True)
+    Service(rig.agent).attach(its)
+    client.reopen(ours)
+    await anyio.sleep(0.1)
+    assert [event.text for event in client.events].count("once") == 1
+    assert client.is_connected
+
+
+async def test_where_somebody_points_and_the_plan_are_known_to_all(
+    rig: Rig, clients: list[AgentClient]
+) -> None:
+    first, second = clients
+    lease = await first.acquire("first")
+    rig.agent.background.spawn(_keeping(first, lease), "keeping")
+    await first.obtain(lease)
+    await first.fly(lease, Task.TAKE_OFF)
+    began: list[bool] = []
+    await first.guide(lease, ChangeHeight(6.0), lambda: began.append(True))
+    assert began == [True]
+    assert rig.aircraft.height == pytest.approx(6.0, abs=0.5)
+    with pytest.raises(GuardRefused, match="the envelope ends at 50 m"):
+        await first.guide(lease, ChangeHeight(60.0))
+    with pytest.raises(LeaseRefused):
+        await second.guide(None, ChangeHeight(5.0))
+    plan = WaypointPlan([Waypoint(52.1, 4.31, height=20), Waypoint(52.1003, 4.31, height=25)])
+    mission, points = plan.to_wire()
+    await first.ask(Action.MISSION_PLAN, lease, data=mission.value(FIRMWARE_3_1))
+    for point in points:
+        await first.ask(Action.MISSION_POINT, lease, data=point.value(FIRMWARE_3_1))
+    assert second.plan == WaypointPlan.from_wire(mission, points)
+    assert second.plan_by == "first"
+    await first.release_lease(lease.token)
+    assert [second.plan, second.plan_by] == [None, ""]
+
+
+async def _keeping(client: AgentClient, lease: Lease) -> None:
+    while True:
+        await anyio.sleep(0.5)
+        client.keep(lease)
+
+
+async def test_a_plan_that_cannot_be_read_is_counted(rig: Rig) -> None:
+    ours, its = memory_channels()
+    async with AgentClient(ours, "front") as client:
+        its.open(lambda _: None, lambda _: None)
+        its.send(PlanTold("somebody", b"\x02", (b"\xff",)))
+        assert (client.plan, client.unread) == (None, 1)
+
+
+CALLS: dict[str, Callable[[AgentClient, Lease], Awaitable[object]]] = {
+    "acquire": lambda c, lease: c.acquire("other"),
+    "activate": lambda c, lease: c.activate(lease),
+    "confirm": lambda c, lease: c.confirm("code"),
+    "enter": lambda c, lease: entered(c),
+    "fly": lambda c, lease: c.fly(lease, Task.LAND),
+    "from_mobile": lambda c, lease: first_of(c.from_mobile(Newest(1))),
+    "guide": lambda c, lease: c.guide(lease, ChangeHeight(9.0)),
+    "halt": lambda c, lease: plainly(lambda: c.halt("other", lease)),
+    "keep": lambda c, lease: plainly(lambda: c.keep(lease)),
+    "leave": lambda c, lease: c.__aexit__(None, None, None),
+    "let_go": lambda c, lease: plainly(lambda: c.let_go(lease)),
+    "note": lambda c, lease: plainly(lambda: c.note("other")),
+    "obtain": lambda c, lease: c.obtain(lease),
+    "release": lambda c, lease: c.release(lease),
+    "reopen": lambda c, lease: plainly(lambda: c.reopen(memory_channels()[0])),
+    "samples": lambda c, lease: first_of(c.samples(Newest(1))),
+    "start_pattern": lambda c, lease: c.start_pattern(lease, 1),
+    "steer": lambda c, lease: plainly(lambda: c.steer(lease, NORTH.neutral())),
+    "stop": lambda c, lease: c.stop(),
+    "version": lambda c, lease: c.version(),
+}
+
+
+async def first_of(values: Subscription[Any]) -> object:
+    async with values:
+        return await anext(values)
+
+
+async def test_another_event_loop_is_refused_and_the_owner_flies_on(
+    rig: Rig, clients: list[AgentClient]
+) -> None:
+    client = clients[0]
+    lease = await client.acquire("first")
+
+    async def keep() -> None:
+        while True:
+            client.keep(lease)
+            await anyio.sleep(0.5)
+
+    client.background.spawn(keep(), "lease")
+    await client.obtain(lease)
+    await client.fly(lease, Task.TAKE_OFF)
+    for name, call in CALLS.items():
+        client.steer(lease, NORTH)
+        told, before = len(rig.agent.journal.events), asyncio.all_tasks()
+        assert_told(elsewhere(partial(call, client, lease)), name)
+        assert asyncio.all_tasks() == before, name
+        await anyio.sleep(0.2)
+        assert rig.aircraft.autopilot.received_movements[-1].roll_or_x == NORTH.x, name
+        assert client.holds(lease), name
+        assert len(rig.agent.journal.events) == told, name
+    await client.release(lease)
+
+
+async def test_an_agent_that_is_started_again_is_heard_from_then_on(
+    rig: Rig, clients: list[AgentClient]
+) -> None:
+    client = clients[0]
+    client._channel.close("gone")
+    await anyio.sleep(10.0)
+    assert client.is_silent
+    client.reopen(memory_channels()[0])
+    assert not client.is_silent  # it has two seconds for its first word

@@ -1,0 +1,140 @@
+"""A connection that is kept for fronts: what they are told, and when. Virtual time."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import pytest
+
+import m100link
+from m100link.aircraft import Aircraft
+from m100link.apps.agent.connection import Connection, ConnectionState
+from m100link.apps.agent.journal import Journal
+from m100link.errors import LinkError, PortNotFound
+from m100link.telemetry.sample import Sample
+from m100link.testing import ConnectableAircraft
+from tests.waiting import until
+
+pytestmark = pytest.mark.anyio
+
+
+class Plug:
+    """Where an aircraft is plugged in, and what is told of it.
+
+    Attributes:
+        end: The aircraft, None for none.
+        told: What callbacks got: the aircraft, or None.
+        samples: Telemetry that came.
+    """
+
+    def __init__(self, end: ConnectableAircraft | None) -> None:
+        self.end = end
+        self.told: list[Aircraft | None] = []
+        self.samples: list[Sample] = []
+        self.opened: list[Aircraft] = []
+        self.journal = Journal(asyncio.get_running_loop().time)
+        self.connection = Connection(self.open, self.journal)
+        self.connection.on_aircraft.append(self.told.append)
+        self.connection.on_sample.append(self.samples.append)
+
+    async def open(self) -> Aircraft:
+        if self.end is None or not self.end.line.is_plugged:
+            raise PortNotFound("nothing is plugged in")
+        self.opened.append(await m100link.connect(await self.end.open_link()))
+        return self.opened[-1]
+
+    @property
+    def texts(self) -> list[str]:
+        return [event.text for event in self.journal.events]
+
+    def is_in(self, state: ConnectionState) -> bool:
+        return self.connection.state is state
+
+
+@asynccontextmanager
+async def kept(end: ConnectableAircraft | None) -> AsyncIterator[Plug]:
+    plug = Plug(end)
+    keeping = asyncio.create_task(plug.connection.keep())
+    yield plug
+    keeping.cancel()
+    await asyncio.wait([keeping])
+    assert keeping.cancelled()
+    assert plug.connection.aircraft is None
+    assert not any(one.is_connected for one in plug.opened)
+
+
+def virtual(seed: int = 1) -> ConnectableAircraft:
+    return ConnectableAircraft(seed=seed, firmware="3.1")
+
+
+async def test_what_is_not_there_is_tried_every_second_and_told_once() -> None:
+    async with kept(None) as plug:
+        await asyncio.sleep(10.5)
+        assert plug.texts == ["not connected: nothing is plugged in"]
+        assert plug.is_in(ConnectionState.CONNECTING)
+        with pytest.raises(LinkError, match="is not connected: nothing is plugged in"):
+            plug.connection.require_aircraft()
+        plug.end = virtual()
+        await until(lambda: plug.is_in(ConnectionState.CONNECTED), within=1.2)
+        assert plug.told == [plug.connection.require_aircraft()]
+        assert plug.connection.error is None
+        assert plug.connection.version is not None
+
+
+async def test_a_loss_is_told_at_once_and_telemetry_goes_on_behind_it() -> None:
+    end = virtual()
+    async with kept(end) as plug:
+        await until(lambda: len(plug.samples) > 10)
+        first = plug.connection.require_aircraft()
+        end.unplug()
+        await until(lambda: plug.is_in(ConnectionState.LOST), within=0.1)
+        assert plug.told == [first, None]
+        assert plug.connection.aircraft is None
+        assert plug.connection.round_trip is None
+        assert "connection lost: " in plug.texts[-1]
+        before = len(plug.samples)
+        end.replug()
+        await until(lambda: plug.is_in(ConnectionState.CONNECTED), within=1.5)
+        assert plug.told[2] is plug.connection.require_aircraft() is not first
+        await until(lambda: len(plug.samples) > before + 10, within=1.0)
+
+
+async def test_an_aircraft_that_is_switched_off_behind_an_open_line_is_lost() -> None:
+    end = virtual()
+    async with kept(end) as plug:
+        await until(lambda: plug.connection.round_trip is not None)
+        assert plug.connection.round_trip is not None
+        assert 0.0 <= plug.connection.round_trip < 0.1
+        end.stall_line()
+        await until(lambda: plug.is_in(ConnectionState.LOST), within=10.0)
+        assert "silent for" in plug.texts[-1]
+        end.stall_line(False)
+        await until(lambda: plug.is_in(ConnectionState.CONNECTED))
+
+
+async def test_another_aircraft_is_told_and_then_taken() -> None:
+    async with kept(virtual()) as plug:
+        await until(lambda: plug.is_in(ConnectionState.CONNECTED))
+        first = plug.connection.require_aircraft()
+        plug.end = ConnectableAircraft(seed=2, firmware="3.1")
+        await first.link.close()
+        await until(lambda: any("answers where" in text for text in plug.texts))
+        assert plug.connection.aircraft is None
+        await until(lambda: plug.is_in(ConnectionState.CONNECTED), within=5.0)
+        assert plug.told[-1] is plug.connection.require_aircraft() is not first
+
+
+async def test_a_fault_of_a_callback_is_not_swallowed() -> None:
+    def broken(_: Sample) -> None:
+        raise ZeroDivisionError
+
+    plug = Plug(virtual())
+    plug.connection.on_sample.append(broken)
+    with pytest.raises(BaseExceptionGroup) as caught:
+        async with asyncio.timeout(10.0):
+            await plug.connection.keep()
+    assert caught.group_contains(ZeroDivisionError)
+    assert plug.connection.aircraft is None
+    assert not any(one.is_connected for one in plug.opened)

@@ -1,0 +1,394 @@
+"""Flights to where somebody points: they arrive, and end as soon as nobody wants them."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from typing import Any
+
+import anyio
+import pytest
+
+from m100link.apps.agent.guided import (
+    ChangeHeading,
+    ChangeHeight,
+    FlyAround,
+    FlyTo,
+    GuidedFlight,
+    GuidedOrder,
+)
+from m100link.apps.agent.holding import HoldingState
+from m100link.apps.agent.lease import LeaseRefused
+from m100link.errors import (
+    GuardRefused,
+    M100Error,
+    MissionRunning,
+    NoAuthority,
+    NotObserved,
+    TaskRefused,
+    UsageError,
+)
+from m100link.geodesy import LocalFrame
+from m100link.missions.plan import Waypoint, WaypointPlan
+from m100link.protocol.commands.control import Task
+from m100link.protocol.setpoint import Setpoint
+from tests.apps.agent.conftest import Rig
+
+pytestmark = pytest.mark.anyio
+
+NORTH = Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+
+
+class Pointing:
+    """An aircraft that hovers at 10 m, and somebody who points."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        aircraft = rig.agent.connection.require_aircraft()
+        position = aircraft.state.position
+        assert position is not None
+        self.frame = LocalFrame(position.latitude_deg, position.longitude_deg)
+        self.began: list[GuidedOrder] = []
+        self.start = rig.aircraft.position
+
+    def place(self, north: float, east: float, **values: Any) -> FlyTo:
+        wanted: dict[str, Any] = {"height": 10.0} | values
+        return FlyTo(*self.frame.to_geodetic(north, east), **wanted)
+
+    def circle(self, north: float, east: float, **values: Any) -> FlyAround:
+        wanted: dict[str, Any] = {"height": 10.0, "radius": 10.0} | values
+        return FlyAround(*self.frame.to_geodetic(north, east), **wanted)
+
+    async def fly(self, order: GuidedOrder) -> None:
+        await self.rig.agent.guide(self.rig.token, order, lambda: self.began.append(order))
+
+    def begin(self, order: GuidedOrder) -> asyncio.Task[M100Error | None]:
+        async def flight() -> M100Error | None:
+            try:
+                await self.fly(order)
+            except M100Error as error:
+                return error
+            return None
+
+        return asyncio.create_task(flight())
+
+    async def under_way(self, order: GuidedOrder, seconds: float = 3.0) -> Any:
+        flight = self.begin(order)
+        await anyio.sleep(seconds)
+        assert self.rig.holding.guided_order is order
+        assert self.speed > 0.5
+        return flight
+
+    @property
+    def speed(self) -> float:
+        dynamics = self.rig.aircraft.vehicle.flight.dynamics
+        return math.hypot(dynamics.velocity_north, dynamics.velocity_east)
+
+    def off(self, north: float, east: float) -> float:
+        """Metres from a place, on the virtual aircraft itself."""
+        n, e = self.rig.aircraft.position
+        return math.hypot(n - self.start[0] - north, e - self.start[1] - east)
+
+    async def assert_hovers(self, *, within: float = 3.0) -> None:
+        assert self.rig.holding.guided_order is None
+        await anyio.sleep(within)
+        assert self.speed < 0.1
+        place = self.rig.aircraft.position
+        await anyio.sleep(5.0)
+        assert math.dist(place, self.rig.aircraft.position) < 0.2
+
+
+@pytest.fixture
+async def pointing(rig: Rig) -> Pointing:
+    await rig.agent.obtain(rig.token)
+    await rig.agent.fly(rig.token, Task.TAKE_OFF)
+    await rig.agent.guide(rig.token, ChangeHeight(10.0))
+    return Pointing(rig)
+
+
+def told(pointing: Pointing) -> list[str]:
+    return [event.text for event in pointing.rig.agent.journal.events]
+
+
+# -- there ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("north", "east", "speed"), [(40, 0, 5), (-20, 30, 8), (3, -2, 2)])
+async def test_it_lands_within_a_metre_of_the_click(
+    pointing: Pointing, north: float, east: float, speed: float
+) -> None:
+    order = pointing.place(north, east, height=12.0, speed=speed)
+    await pointing.fly(order)
+    assert pointing.began == [order]
+    assert pointing.off(north, east) < 1.0
+    assert pointing.rig.aircraft.height == pytest.approx(12.0, abs=1.0)
+    assert told(pointing)[-2:] == ["flight to a place begins", "flight to a place is done"]
+    await pointing.assert_hovers(within=0.5)
+
+
+async def test_height_heading_and_orbit(pointing: Pointing) -> None:
+    await pointing.fly(ChangeHeight(14.0))
+    assert pointing.rig.aircraft.height == pytest.approx(14.0, abs=0.5)
+    await pointing.fly(ChangeHeading(360.0 + 270.0))
+    yaw = math.degrees(pointing.rig.aircraft.vehicle.flight.dynamics.yaw)
+    assert yaw == pytest.approx(-90.0, abs=2.5)
+    flight = pointing.begin(pointing.circle(20.0, 0.0, radius=10.0, speed=3.0, turns=0.5))
+    await anyio.sleep(12.0)
+    assert pointing.off(20.0, 0.0) == pytest.approx(10.0, abs=1.0)
+    assert await flight is None
+
+
+async def test_what_remains_is_told(pointing: Pointing) -> None:
+    order = pointing.place(60, 0, speed=5.0, yaw_deg=90.0)
+    await pointing.under_way(order, 4.0)
+    flying = pointing.rig.holding.require()
+    found = flying.guiding.told()
+    assert isinstance(found, GuidedFlight)
+    assert (found.what, found.height, found.yaw_deg) == ("flight to a place", 10.0, 90.0)
+    assert (found.latitude_deg, found.longitude_deg) == (order.latitude_deg, order.longitude_deg)
+    assert found.distance_m is not None
+    assert found.seconds is not None
+    assert found.distance_m == pytest.approx(pointing.off(60, 0), abs=0.5)
+    began = pointing.rig.agent.now
+    await pointing.rig.until(lambda: pointing.rig.holding.guided_order is None)
+    assert pointing.rig.agent.now - began == pytest.approx(found.seconds, rel=0.25)
+    assert flying.guiding.told() is None
+
+
+@pytest.mark.parametrize(
+    ("order", "metres", "seconds"),
+    [
+        # On the circle already: one turn and a half of 2 pi 10 m at 3 m/s.
+        (("circle", 10.0, 0.0, {"radius": 10.0, "speed": 3.0, "turns": 1.5}), 94.2, 31.4),
+        # 50 m to it at 3 m/s, then a quarter of 2 pi 10 m at 4 m/s.
+        (("circle", 60.0, 0.0, {"radius": 10.0, "speed": 4.0, "turns": 0.25}), 65.7, 20.6),
+        (("height", 16.0), 6.0, None),
+        (("heading", 120.0), None, None),
+    ],
+)
+async def test_what_remains_is_told_at_the_beginning(
+    pointing: Pointing, order: tuple[Any, ...], metres: float | None, seconds: float | None
+) -> None:
+    wanted: GuidedOrder
+    match order:
+        case ("circle", north, east, how):
+            wanted = pointing.circle(north, east, **how)
+        case ("height", height):
+            wanted = ChangeHeight(height)
+        case (_, heading):
+            wanted = ChangeHeading(heading)
+    flight, guiding = pointing.begin(wanted), pointing.rig.holding.require().guiding
+    await pointing.rig.until(
+        lambda: (one := guiding.told()) is not None and one.seconds is not None
+    )
+    found = guiding.told()
+    assert found is not None
+    assert found.distance_m == (None if metres is None else pytest.approx(metres, rel=0.1, abs=0.7))
+    began, expected = pointing.rig.agent.now, found.seconds
+    assert await flight is None
+    took = pointing.rig.agent.now - began
+    assert expected == pytest.approx(took, rel=0.35, abs=2.0)
+    assert seconds is None or expected == pytest.approx(seconds, rel=0.35)
+
+
+async def test_who_flies_slowly_is_given_the_time_for_it(pointing: Pointing) -> None:
+    """Half a metre a second is a minute for thirty metres."""
+    await pointing.fly(pointing.place(30, 0, speed=0.5))
+    assert pointing.off(30, 0) < 1.0
+
+
+# -- ended by something else ----------------------------------------------------------------------
+
+
+async def lose_lease(pointing: Pointing) -> None:
+    pointing.rig.agent.desk.release(pointing.rig.token, pointing.rig.agent.now)
+
+
+async def take_over(pointing: Pointing) -> None:
+    rig = pointing.rig
+    wanted = rig.agent.desk.ask_take_over("another", rig.agent.now)
+    rig.agent.desk.confirm(wanted.token, rig.agent.now)
+
+
+async def renew_no_more(pointing: Pointing) -> None:
+    pointing.rig.renewing.cancel()
+    await anyio.sleep(3.2)
+
+
+async def halt(pointing: Pointing) -> None:
+    pointing.rig.agent.halt("somebody pressed stop")
+
+
+async def stop(pointing: Pointing) -> None:
+    await pointing.rig.agent.stop()
+
+
+async def release(pointing: Pointing) -> None:
+    await pointing.rig.agent.release(pointing.rig.token)
+
+
+ENDS: list[tuple[Callable[[Pointing], Any], str]] = [
+    (lose_lease, "control changed hands"),
+    (take_over, "control changed hands"),
+    (renew_no_more, "control changed hands"),
+    (halt, "somebody pressed stop"),
+    (stop, "stop"),
+    (release, "halted"),
+]
+
+
+@pytest.mark.parametrize(("end", "why"), ENDS, ids=lambda one: getattr(one, "__name__", None))
+async def test_it_ends_when_nobody_wants_it(
+    pointing: Pointing, end: Callable[[Pointing], Any], why: str
+) -> None:
+    flight = await pointing.under_way(pointing.place(100, 0), 4.0)
+    await end(pointing)
+    error = await flight
+    assert isinstance(error, NotObserved)
+    assert why in error.seen
+    assert any(text.endswith(f"ended: {why}") for text in told(pointing))
+    await pointing.assert_hovers()
+
+
+@pytest.mark.parametrize("what", ["circle", "height"])
+async def test_so_do_circles_and_climbs(pointing: Pointing, what: str) -> None:
+    order = pointing.circle(15, 0, turns=5) if what == "circle" else ChangeHeight(49.0)
+    flight = pointing.begin(order)
+    await anyio.sleep(5.0)
+    dynamics = pointing.rig.aircraft.vehicle.flight.dynamics
+    assert pointing.speed + abs(dynamics.velocity_up) > 0.5
+    await lose_lease(pointing)
+    assert isinstance(await flight, NotObserved)
+    await pointing.assert_hovers()
+
+
+async def test_the_stick_ends_it_and_letting_go_of_it_does_not(pointing: Pointing) -> None:
+    flight = await pointing.under_way(pointing.place(0, 100))
+    rig = pointing.rig
+    rig.agent.steer(rig.token, NORTH.neutral())
+    await anyio.sleep(0.2)
+    assert rig.holding.guided_order is not None
+    for _ in range(20):
+        rig.agent.steer(rig.token, NORTH, 0.3)
+        await anyio.sleep(0.05)
+    dynamics = rig.aircraft.vehicle.flight.dynamics
+    assert dynamics.velocity_north == pytest.approx(1.0, abs=0.4)
+    assert "the stick was moved" in (await flight).seen
+    await pointing.assert_hovers()
+
+
+async def test_the_newest_wins(pointing: Pointing) -> None:
+    first = await pointing.under_way(pointing.place(0, 100))
+    second = pointing.begin(pointing.place(100, 0))
+    third = pointing.begin(pointing.place(5, -20))  # before the second has begun
+    for one in (first, second):
+        error = await one
+        assert isinstance(error, NotObserved)
+        assert "another place was pointed at" in error.seen or "was asked for" in error.seen
+    assert await third is None
+    assert pointing.off(5, -20) < 1.0
+    assert len(pointing.began) == 2  # the second never moved anything
+
+
+async def test_a_program_and_a_guided_flight_end_each_other(pointing: Pointing) -> None:
+    rig = pointing.rig
+
+    async def go_north(control: Any, send: Callable[[Setpoint], None]) -> None:
+        async for _ in control.ticks():
+            send(NORTH)
+
+    rig.agent.start_pattern(rig.token, "north", go_north)
+    await anyio.sleep(0.5)
+    flight = await pointing.under_way(pointing.place(0, 50))
+    flying = [rig.holding.pattern]
+    rig.agent.start_pattern(rig.token, "north", go_north)
+    assert isinstance(await flight, NotObserved)
+    await anyio.sleep(1.0)
+    assert [*flying, rig.holding.pattern] == [None, "north"]
+    assert rig.aircraft.vehicle.flight.dynamics.velocity_north > 0.5
+
+
+async def test_a_landing_that_is_asked_for_meanwhile_lands(pointing: Pointing) -> None:
+    flight = await pointing.under_way(pointing.place(100, 0))
+    await pointing.rig.agent.fly(pointing.rig.token, Task.LAND)
+    assert isinstance(await flight, NotObserved)
+    assert pointing.rig.aircraft.height == pytest.approx(0.0, abs=0.1)
+    assert pointing.rig.holding.guided_order is None
+
+
+async def test_during_a_task_it_is_refused(pointing: Pointing) -> None:
+    landing = asyncio.create_task(pointing.rig.agent.fly(pointing.rig.token, Task.LAND))
+    await anyio.sleep(0.5)
+    with pytest.raises(TaskRefused, match="flight to a place was asked for during land"):
+        await pointing.fly(pointing.place(10, 0))
+    await landing
+
+
+async def test_a_guard_on_the_way_ends_it_with_the_reason(pointing: Pointing) -> None:
+    flight = await pointing.under_way(pointing.place(100, 0))
+    pointing.rig.aircraft.battery_percent = 15
+    error = await flight
+    assert isinstance(error, GuardRefused)
+    assert error.guard == "battery_floor_percent"
+    await pointing.assert_hovers()
+
+
+async def test_a_target_outside_is_refused_and_what_flew_is_not_wanted_any_more(
+    pointing: Pointing,
+) -> None:
+    flight = await pointing.under_way(pointing.place(50, 0))
+    with pytest.raises(GuardRefused, match="the envelope ends at 150 m"):
+        await pointing.fly(pointing.place(500, 0))
+    assert isinstance(await flight, NotObserved)
+    await pointing.assert_hovers()
+
+
+async def test_the_pilot_who_takes_it_ends_it(pointing: Pointing) -> None:
+    flight = await pointing.under_way(pointing.place(100, 0))
+    pointing.rig.aircraft.set_rc_mode("P")
+    error = await flight
+    assert isinstance(error, NotObserved)
+    assert "control was lost" in error.seen
+    assert "hovers" not in error.seen  # the pilot may fly it anywhere
+    await pointing.rig.until(lambda: pointing.rig.holding.state is HoldingState.PAUSED)
+    pointing.rig.aircraft.set_rc_mode("F")
+    await pointing.rig.until(lambda: pointing.rig.holding.has_authority)
+    await pointing.assert_hovers()  # authority comes back, and nothing flies by itself
+
+
+async def test_a_line_that_is_lost_ends_it(pointing: Pointing) -> None:
+    flight = await pointing.under_way(pointing.place(100, 0))
+    pointing.rig.aircraft.unplug()
+    error = await flight
+    assert isinstance(error, M100Error)
+    assert "hovers" not in error.seen  # nobody sees it
+    await anyio.sleep(3.0)
+    assert pointing.speed < 0.1
+
+
+# -- refused --------------------------------------------------------------------------------------
+
+
+async def test_without_the_lease_authority_or_air_nothing_moves(rig: Rig) -> None:
+    with pytest.raises(LeaseRefused):
+        await rig.agent.guide("wrong", ChangeHeight(5.0))
+    with pytest.raises(NoAuthority):
+        await rig.agent.guide(rig.token, ChangeHeight(5.0))
+    await rig.agent.obtain(rig.token)
+    with pytest.raises(UsageError, match="on the ground"):
+        await rig.agent.guide(rig.token, ChangeHeight(5.0))
+    assert not rig.aircraft.autopilot.received_movements
+
+
+async def test_while_a_mission_flies_it_is_refused() -> None:
+    async with Rig(firmware="3.1").running() as rig:
+        await rig.agent.obtain(rig.token)
+        await rig.agent.fly(rig.token, Task.TAKE_OFF)
+        position = rig.agent.connection.require_aircraft().state.position
+        assert position is not None
+        frame = LocalFrame(position.latitude_deg, position.longitude_deg)
+        points = [Waypoint(*frame.to_geodetic(north, 0), height=12) for north in (20, 40)]
+        await rig.agent.fly_mission(rig.token, WaypointPlan(points))
+        with pytest.raises(MissionRunning):
+            await rig.agent.guide(rig.token, ChangeHeight(20.0))

@@ -1,0 +1,227 @@
+"""Holding as a table: every pair of state and input, written by hand; and what it does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import anyio
+import anyio.lowlevel
+import pytest
+
+from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.holding import Holding, HoldingInput, HoldingState
+from m100link.apps.agent.journal import Journal
+from m100link.errors import AuthorityRefused, LinkError, NoAuthority
+from m100link.sim.line import NO_FAULTS, LineFaults
+from tests.apps.agent.conftest import Rig
+
+S, I = HoldingState, HoldingInput  # noqa: E741 - a table is read by its columns
+
+# One line for each state; a dot means that nothing changes. The columns:
+COLUMNS = (
+    *(I.ASKED, I.OBTAINED, I.REFUSED, I.FAILED, I.LET_GO, I.TAKEN_OVER),
+    *(I.PILOT_TOOK, I.SOMEBODY_TOOK, I.APP_TOOK, I.LINK_LOST, I.LEFT_F, I.IN_F, I.ENDED),
+)
+TABLE = """
+           ASKED     OBTAINED REFUSED FAILED LET_GO    TAKEN_OVER PILOT  SOMEBODY APP  LINK LEFT_F IN_F     ENDED
+NONE       OBTAINING .        .       .      .         .          .      .        .    .    .      .        .
+OBTAINING  .         HELD     NONE    NONE   RELEASING RELEASING  NONE   NONE     NONE NONE .      .        NONE
+HELD       .         .        .       NONE   RELEASING .          PAUSED TAKEN    NONE NONE .      .        NONE
+TAKEN      OBTAINING .        .       .      NONE      NONE       .      .        .    NONE PAUSED .        .
+PAUSED     OBTAINING .        .       .      NONE      NONE       .      .        .    NONE .      RESUMING .
+RESUMING   OBTAINING HELD     TAKEN   NONE   RELEASING RELEASING  PAUSED TAKEN    NONE NONE .      .        NONE
+RELEASING  .         .        NONE    NONE   .         .          NONE   NONE     NONE NONE .      .        NONE
+"""  # noqa: E501 - a table
+
+
+def pairs() -> list[tuple[HoldingState, HoldingInput, HoldingState]]:
+    rows = [line.split() for line in TABLE.strip().splitlines()[1:]]
+    assert [S[row[0]] for row in rows] == list(S)
+    assert set(COLUMNS) == set(I)
+    return [
+        (S[name], what, S[name] if cell == "." else S[cell])
+        for name, *cells in rows
+        for what, cell in zip(COLUMNS, cells, strict=True)
+    ]
+
+
+@pytest.mark.parametrize(("state", "what", "expected"), pairs())
+def test_every_pair(state: HoldingState, what: HoldingInput, expected: HoldingState) -> None:
+    holding = Holding(Journal(lambda: 0.0), BackgroundTasks())
+    holding.state = state
+    changes: list[Any] = []
+    holding.on_change.append(lambda before, after: changes.append((before, after)))
+    assert holding.feed(what) is (expected is not state)
+    assert holding.state is expected
+    assert changes == ([] if expected is state else [(state, expected)])
+
+
+# -- what it does ---------------------------------------------------------------------------------
+
+pytestmark = pytest.mark.anyio
+
+
+async def test_obtained_held_and_given_back(rig: Rig) -> None:
+    await rig.agent.obtain(rig.token)
+    assert rig.holding.has_authority
+    await rig.agent.release(rig.token)
+    assert rig.holding.flying is None
+    assert rig.states == [S.OBTAINING, S.HELD, S.RELEASING, S.NONE]
+    with pytest.raises(NoAuthority):
+        rig.holding.require()
+
+
+async def test_a_release_that_nobody_answers_is_not_noted_as_one(rig: Rig) -> None:
+    await rig.agent.obtain(rig.token)
+    rig.aircraft.set_faults(LineFaults(loss=1.0), to_aircraft=NO_FAULTS)
+    await rig.agent.release(rig.token)
+    assert "may not be released" in rig.agent.journal.events[-1].text
+
+
+async def test_two_that_ask_at_once_ask_the_aircraft_once(rig: Rig) -> None:
+    async with anyio.create_task_group() as group:
+        group.start_soon(rig.agent.obtain, rig.token)
+        group.start_soon(rig.agent.obtain, rig.token)
+    assert rig.states == [S.OBTAINING, S.HELD]
+
+
+async def test_a_refusal_is_told_and_leaves_nothing(rig: Rig) -> None:
+    rig.aircraft.leave_f()
+    await anyio.sleep(0.2)
+    with pytest.raises(AuthorityRefused):
+        await rig.agent.obtain(rig.token)
+    assert rig.states == [S.OBTAINING, S.NONE]
+    rig.aircraft.return_to_f()
+    await anyio.sleep(1.0)
+    assert rig.states == [S.OBTAINING, S.NONE]  # the client was told: it asks anew
+
+
+async def test_a_lease_that_ends_while_authority_is_obtained_gives_it_back(rig: Rig) -> None:
+    rig.aircraft.set_faults(LineFaults(delay=0.05))
+    async with anyio.create_task_group() as group:
+
+        async def obtain() -> None:
+            with pytest.raises(NoAuthority, match="given back"):
+                await rig.agent.obtain(rig.token)
+
+        group.start_soon(obtain)
+        await rig.until(lambda: rig.holding.state is S.OBTAINING)
+        rig.agent.desk.release(rig.token, rig.agent.now)
+    await rig.until(lambda: rig.holding.state is S.NONE)
+    assert rig.states == [S.OBTAINING, S.RELEASING, S.NONE]
+
+
+async def test_a_lease_that_ends_while_authority_goes_back_obtains_nothing(rig: Rig) -> None:
+    """Nobody would hold the lease, and nobody would give authority back."""
+    await rig.agent.obtain(rig.token)
+    rig.holding.let_go()
+    async with anyio.create_task_group() as group:
+
+        async def obtain() -> None:
+            with pytest.raises(Exception, match="not in force"):
+                await rig.agent.obtain(rig.token)
+
+        group.start_soon(obtain)
+        await anyio.lowlevel.checkpoint()
+        rig.agent.desk.release(rig.token, rig.agent.now)
+    await anyio.sleep(2.0)
+    assert rig.holding.state is S.NONE
+    assert rig.states.count(S.OBTAINING) == 1
+
+
+async def test_a_pilot_who_comes_back_gives_it_back(rig: Rig) -> None:
+    await rig.agent.obtain(rig.token)
+    rig.aircraft.leave_f()
+    await rig.until(lambda: rig.holding.state is S.PAUSED)
+    rig.aircraft.return_to_f()
+    await rig.until(lambda: rig.holding.has_authority)
+    assert S.RESUMING in rig.states
+
+
+async def test_a_pilot_who_comes_back_does_not_fly_for_another_client(rig: Rig) -> None:
+    await rig.agent.obtain(rig.token)
+    rig.aircraft.leave_f()
+    await rig.until(lambda: rig.holding.state is S.PAUSED)
+    wanted = rig.agent.desk.ask_take_over("other", rig.agent.now)
+    rig.token = rig.agent.desk.confirm(wanted.token, rig.agent.now).token
+    assert rig.holding.state is S.NONE
+    rig.aircraft.return_to_f()
+    await anyio.sleep(2.0)
+    assert rig.holding.state is S.NONE
+
+
+@pytest.mark.parametrize("state", [S.OBTAINING, S.RESUMING])
+async def test_who_takes_over_while_another_one_is_given_authority_has_to_ask(
+    rig: Rig, state: HoldingState
+) -> None:
+    async def take_over() -> None:
+        rig.aircraft.set_faults(LineFaults(delay=0.05))
+        await rig.until(lambda: rig.holding.state is state)
+        wanted = rig.agent.desk.ask_take_over("other", rig.agent.now)
+        rig.token = rig.agent.desk.confirm(wanted.token, rig.agent.now).token
+
+    if state is S.RESUMING:
+        await rig.agent.obtain(rig.token)
+        rig.aircraft.leave_f()
+        await rig.until(lambda: rig.holding.state is S.PAUSED)
+        rig.aircraft.return_to_f()
+        await take_over()
+    else:
+        async with anyio.create_task_group() as group:
+            group.start_soon(take_over)
+            with pytest.raises(NoAuthority, match="given back"):
+                await rig.agent.obtain(rig.token)
+    await rig.until(lambda: rig.holding.state is S.NONE)
+    await anyio.sleep(2.0)
+    assert rig.holding.state is S.NONE
+    assert not rig.aircraft.vehicle.authority.is_requested
+    await rig.agent.obtain(rig.token)
+    assert rig.holding.has_authority
+
+
+async def test_what_the_app_took_stays_with_it(rig: Rig) -> None:
+    await rig.agent.obtain(rig.token)
+    assert rig.aircraft.app_takes_control()
+    await rig.until(lambda: not rig.holding.has_authority)
+    rig.aircraft.app_releases_control()
+    await anyio.sleep(3.0)
+    assert not rig.holding.has_authority
+
+
+async def test_a_lost_link_ends_the_wish(rig: Rig) -> None:
+    await rig.agent.obtain(rig.token)
+    rig.aircraft.leave_f()
+    await rig.until(lambda: rig.holding.state is S.PAUSED)
+    rig.aircraft.unplug()
+    await rig.until(lambda: rig.holding.state is S.NONE)
+    with pytest.raises(LinkError):
+        await rig.agent.obtain(rig.token)
+    assert rig.states.count(S.OBTAINING) == 1
+
+
+async def test_who_waits_for_control_no_more_takes_it_from_nobody(rig: Rig) -> None:
+    """Two clients wait for one request, and one of them is cancelled."""
+    done: list[str] = []
+
+    async def obtain(name: str) -> None:
+        await rig.agent.obtain(rig.token)
+        done.append(name)
+
+    gone = anyio.CancelScope()
+
+    async def cancelled() -> None:
+        with gone:
+            await obtain("the one that is gone")
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(obtain, "the one that stays")
+        group.start_soon(cancelled)
+        while S.OBTAINING not in rig.states:
+            await anyio.lowlevel.checkpoint()
+        await anyio.lowlevel.checkpoint()
+        assert rig.holding.state is S.OBTAINING
+        assert not done
+        gone.cancel()
+    assert done == ["the one that stays"]
+    assert rig.holding.has_authority
+    assert rig.states == [S.OBTAINING, S.HELD]

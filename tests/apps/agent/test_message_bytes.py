@@ -1,0 +1,306 @@
+"""Messages and their bytes: what goes in comes out, and nonsense is refused by one error."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from m100link.apps.agent.codec import MAX_BYTES, MAX_TEXT, BadValue, Fields
+from m100link.apps.agent.fault import Fault, MessageError
+from m100link.apps.agent.guided import (
+    ChangeHeading,
+    ChangeHeight,
+    FlyAround,
+    FlyTo,
+    GuidedFlight,
+)
+from m100link.apps.agent.lease import LeaseChange
+from m100link.apps.agent.message_bytes import MAX_SIZE, decode, encode
+from m100link.apps.agent.messages import (
+    VERSION,
+    Action,
+    Activating,
+    Ask,
+    AuthorityTaken,
+    Event,
+    FromMobile,
+    Goodbye,
+    Hello,
+    LeaseAction,
+    LeaseAsk,
+    LeaseChanged,
+    LeaseGranted,
+    Limits,
+    LinkCounted,
+    Message,
+    MissionTold,
+    Note,
+    Outcome,
+    PlanTold,
+    Stage,
+    State,
+    Steer,
+    SteerRefused,
+    TakeOverOffered,
+    Telemetry,
+)
+from m100link.protocol.setpoint import ReferenceFrame, Setpoint
+
+FAULT = Fault("LinkLost", "the port went away", "a cable", "plug it in", {"code": 3, "who": None})
+NORTH = Setpoint.velocity(north=1.5, east=-0.1, up=0.25, yaw_rate_deg_s=-3.0, stable=True)
+TILT = Setpoint.tilt(roll_deg=1, pitch_deg=2, thrust_percent=40, yaw_deg=-180)
+
+EXAMPLES: list[Message] = [
+    Hello(VERSION, "console", 12.5),
+    Goodbye("the agent ends"),
+    Telemetry(bytes(range(200)), "3.1", 1e6),
+    FromMobile(b"\0\xff"),
+    Event(7, 3.25, "warning", 'umlaut ü and a quote "'),
+    State(at=1.0),
+    State(
+        at=2.0,
+        connection="lost",
+        connection_fault=FAULT,
+        firmware="1.0",
+        is_activated=True,
+        activation_code=3,
+        activation_fault=FAULT,
+        holding="held",
+        has_authority=True,
+        task="land",
+        pattern="simple task 0",
+        guided=GuidedFlight("flight to a place", 52.1, 4.31, 20.0, distance_m=12.5),
+        limits=Limits(50.0, None, 10.0, 20, latitude_deg=52.1, longitude_deg=4.31),
+        lease_remaining=2.5,
+        round_trip=0.01,
+        discards=1,
+        late_acks=2,
+        dropped_writes=3,
+        mismatches=4,
+    ),
+    LinkCounted(1.5, {"acks": 3}, {"crc32": 2}, 0.001, {"0.005": 7, "inf": 1}, 0.125),
+    LeaseChanged(0, ""),
+    LeaseChanged(3, "tab", LeaseChange.TAKEN_OVER),
+    LeaseGranted(1, "tab", "secret", 3),
+    TakeOverOffered(2, "other", "tab", "secret", 3, 12.0),
+    Activating(6),
+    AuthorityTaken(FAULT),
+    MissionTold(2, b"\x07\x04\0\0\0"),
+    PlanTold(),
+    PlanTold("tab", b"\x02", (b"", b"\x01\xff")),
+    SteerRefused(3, FAULT),
+    Outcome(5, Stage.FAILED, FAULT),
+    Outcome(6, Stage.DONE, None, "SDK-v1.0", 0xFFFFFFFF),
+    LeaseAsk(1, LeaseAction.TAKE_OVER, "other", "token"),
+    Steer(3, 12.125, 0.3, NORTH),
+    Steer(3, 12.125, 0.3, Setpoint.tilt(roll_deg=1, pitch_deg=2, thrust_percent=40, yaw_deg=-180)),
+    Steer(
+        1,
+        0.0,
+        0.2,
+        Setpoint.tilt(roll_deg=1, pitch_deg=2, height=9, yaw_deg=1, frame=ReferenceFrame.GROUND),
+    ),
+    Ask(9, Action.SEND_TO_MOBILE, 3, 0, b"data"),
+    Ask(0, Action.HALT, text="its client stopped it"),
+    FlyTo(52.1, 4.31, 20.0, 5.0, None, 7, 3),
+    FlyAround(52.1, 4.31, 20.0, 15.0, clockwise=False, id=8, fence=3),
+    ChangeHeight(12.5, 9, 3),
+    ChangeHeading(-90.0, 10, 3),
+    Note("info", "something"),
+]
+
+
+@pytest.mark.parametrize("message", EXAMPLES, ids=lambda one: type(one).__name__)
+def test_what_goes_in_comes_out(message: Message) -> None:
+    assert decode(encode(message)) == message
+
+
+def test_every_kind_has_an_example() -> None:
+    assert {type(one) for one in EXAMPLES} == set(Message.__args__)
+
+
+@pytest.mark.parametrize("message", EXAMPLES, ids=lambda one: type(one).__name__)
+def test_tokens_are_not_shown(message: Message) -> None:
+    token = getattr(message, "token", "")
+    assert not token or token not in repr(message)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"{",
+        b"[]",
+        b"null",
+        b"\xff\xfe",
+        b"[" * 5000,
+        b'{"kind":"Nothing"}',
+        b'{"kind":5}',
+        b'{"kind":["Hello"]}',
+        b'{"kind":"Hello","version":1,"name":"x"}',
+        b'{"kind":"Hello","version":1,"name":"x","at":1,"more":1}',
+        b'{"kind":"Hello","version":true,"name":"x","at":1}',
+        b'{"kind":"Hello","version":1,"name":"x","at":NaN}',
+        b'{"kind":"Hello","version":1,"name":"x","at":1e999}',
+        b'{"kind":"Hello","version":%s,"name":"x","at":1}' % (b"9" * 40),
+        b'{"kind":"Hello","version":1,"name":%s,"at":1}'
+        % json.dumps("x" * (MAX_TEXT + 1)).encode(),
+        b'{"kind":"FromMobile","data":"?"}',
+        b'{"kind":"Activating","code":1.0}',
+        b'{"kind":"Ask","id":1,"action":"explode","fence":0,"number":0,"data":"","text":""}',
+        b'{"kind":"Steer","fence":1,"sent_at":0,"lifetime":1,"setpoint":[72,0,0,0,0]}',
+        b" " * (MAX_SIZE + 1),
+    ],
+)
+def test_what_is_not_a_message_is_refused(data: bytes) -> None:
+    with pytest.raises(MessageError) as caught:
+        decode(data)
+    assert len(str(caught.value)) < 500
+
+
+@given(
+    st.sampled_from(EXAMPLES),
+    st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 255)), max_size=4),
+)
+def test_damaged_bytes_are_a_message_or_the_one_error(
+    message: Message, damage: list[tuple[int, int]]
+) -> None:
+    data = bytearray(encode(message))
+    for place, value in damage:
+        data[place % len(data)] = value
+    try:
+        found = decode(bytes(data))
+    except MessageError:
+        return
+    assert decode(encode(found)) == found
+
+
+_VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=5), inner),
+    max_leaves=5,
+)
+
+
+IN_JSON = [one for one in EXAMPLES if encode(one).startswith(b"{")]
+PACKED = [one for one in EXAMPLES if one not in IN_JSON]
+
+
+def test_what_goes_often_is_packed() -> None:
+    assert {type(one) for one in PACKED} == {Steer, Telemetry}
+
+
+@pytest.mark.parametrize("message", PACKED, ids=lambda one: type(one).__name__)
+def test_what_is_packed_has_no_byte_too_few(message: Message) -> None:
+    data = encode(message)
+    shortest = data[: 10 + len(message.profile)] if isinstance(message, Telemetry) else data
+    for size in range(1, len(shortest)):
+        with pytest.raises(MessageError):
+            decode(data[:size])
+
+
+def test_a_packed_setpoint_has_no_byte_too_many() -> None:
+    with pytest.raises(MessageError):
+        decode(encode(Steer(3, 12.125, 0.3, NORTH)) + b"\0")
+
+
+def test_a_packed_package_is_not_too_long() -> None:
+    with pytest.raises(MessageError):
+        decode(encode(Telemetry(bytes(MAX_BYTES), "3.1", 1.0)) + b"\0")
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (1 + 8, struct.pack("<d", math.nan)),  # sent_at
+        (1 + 16, struct.pack("<d", math.inf)),  # lifetime
+        (1 + 24, b"\xf8"),  # a flag without a mode
+        (1 + 25, struct.pack("<d", 11.0)),  # faster than the mode goes
+        (1 + 25, struct.pack("<d", math.nan)),
+    ],
+)
+def test_a_packed_setpoint_that_cannot_be_is_refused(place: int, value: bytes) -> None:
+    data = bytearray(encode(Steer(3, 12.125, 0.3, NORTH)))
+    data[place : place + len(value)] = value
+    with pytest.raises(MessageError):
+        decode(bytes(data))
+
+
+@given(st.sampled_from(IN_JSON), st.data())
+def test_fields_of_any_other_value_are_refused_or_fit(message: Message, data: Any) -> None:
+    value = json.loads(encode(message))
+    value[data.draw(st.sampled_from(sorted(value)))] = data.draw(_VALUES)
+    try:
+        found = decode(json.dumps(value).encode())
+    except MessageError:
+        return
+    for field in dataclasses.fields(found):
+        one = getattr(found, field.name)
+        assert not isinstance(one, float) or math.isfinite(one)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Hello(1, "x", math.nan),
+        Hello(1, "x", math.inf),
+        FromMobile(bytes(MAX_BYTES + 1)),
+        Telemetry(bytes(MAX_BYTES + 1), "3.1", 1.0),
+        Telemetry(b"", "3.1", math.inf),
+        Telemetry(b"", "p" * 256, 1.0),
+        Steer(3, math.nan, 0.3, NORTH),
+        Steer(3, 1.0, math.inf, NORTH),
+        Steer(-1, 1.0, 0.3, NORTH),
+    ],
+)
+def test_what_cannot_be_sent_is_refused_by_the_sender(message: Message) -> None:
+    with pytest.raises(MessageError):
+        encode(message)
+
+
+def test_long_texts_are_cut() -> None:
+    found = decode(encode(Event(1, 0.0, "info", "ü" * 10_000)))
+    assert isinstance(found, Event)
+    assert len(found.text) == MAX_TEXT
+    assert found.text.endswith("…")
+
+
+FIELDS: list[tuple[str, Any, Any]] = [
+    ("text", "x" * 4096, "x" * (4096 + 1)),
+    ("payload", "AAAA" * (2048 // 3), "AAAA" * (2048 // 3 + 1)),
+    (
+        "details",
+        {str(n): n for n in range(32)},
+        {str(n): n for n in range(32 + 1)},
+    ),
+    ("pieces", [""] * 99, [""] * (99 + 1)),
+    ("flag", True, 1),
+]
+
+
+@dataclasses.dataclass
+class Limited:
+    text: str = ""
+    payload: bytes = b""
+    details: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    pieces: tuple[bytes, ...] = ()
+    flag: bool = False
+
+
+@pytest.mark.parametrize(("name", "most", "more"), FIELDS, ids=lambda one: str(one)[:9])
+def test_a_field_has_a_greatest_size(name: str, most: Any, more: Any) -> None:
+    """2 kB of bytes, 4096 characters, 32 entries and 99 pieces, whatever the sender says."""
+    fields = Fields(Limited)
+    value = fields.write(Limited())
+    found = fields.read(value | {name: most})
+    assert getattr(found, name)
+    with pytest.raises(BadValue, match=name):
+        fields.read(value | {name: more})

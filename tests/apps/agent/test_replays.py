@@ -1,0 +1,174 @@
+"""A station of a recording: it shows what was, and gives nobody control."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("mcap", reason="the extra `log` is not installed")
+
+from m100link import Position
+from m100link.apps.agent.agent import Agent
+from m100link.apps.agent.carriers.memory import memory_channels
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.messages import Action
+from m100link.apps.agent.replays import Replays
+from m100link.apps.agent.service import STATE_INTERVAL, Service
+from m100link.errors import M100Error, OnlyRecorded, UsageError
+from m100link.log import recorder
+from m100link.sim import VirtualClockEventLoop
+from tests.log.flight import fly
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+def anyio_backend() -> tuple[str, dict[str, Any]]:
+    return "asyncio", {"loop_factory": VirtualClockEventLoop}
+
+
+@pytest.fixture
+async def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)  # of the wall clock: a part for each batch
+    place = tmp_path / "flight.mcap"
+    await fly(place)
+    return place
+
+
+@asynccontextmanager
+async def station(url: str) -> AsyncIterator[tuple[Agent, AgentClient]]:
+    """An agent that owns a recording, and a front of it."""
+    replays = Replays(url, None, lambda text: agent.journal.note(text))
+    async with (agent := Agent(replays.connect, replay=replays)):
+        service = Service(agent)
+        ours, its = memory_channels()
+        service.attach(its)
+        async with AgentClient(ours, "front") as client:
+            await asyncio.sleep(0.3)
+            assert client.is_connected
+            yield agent, client
+        service.close()
+
+
+async def test_nobody_gets_control_and_nothing_is_sent(path: Path) -> None:
+    async with station(f"replay://{path}") as (agent, client):
+        with pytest.raises(OnlyRecorded, match="nothing flies"):
+            await client.acquire("somebody")
+        with pytest.raises(OnlyRecorded):
+            await client.ask_take_over("somebody")
+        for action in (Action.ACTIVATE, Action.TAKE_PHOTO, Action.OBTAIN, Action.TAKE_OFF):
+            with pytest.raises(M100Error):
+                await client.ask(action)
+        await asyncio.sleep(1.0)
+        assert client.holder.number == 0
+        assert client.state.holding == "none"
+        assert not client.has_authority
+        assert agent.connection.aircraft is not None
+        assert agent.connection.aircraft.statistics().frames_sent == 0
+
+
+@pytest.mark.parametrize("speed", ["0.5", "1", "5"])
+async def test_ages_are_those_of_then_at_any_speed_and_stand_still_with_it(
+    path: Path, speed: str
+) -> None:
+    async with station(f"replay://{path}?speed={speed}") as (_, client):
+        telemetry = client.telemetry
+        assert telemetry is not None
+        await asyncio.sleep(1.0)
+        for _ in range(10):
+            await asyncio.sleep(0.07)
+            age = telemetry.age(Position)
+            assert age is not None
+            assert -0.01 <= age < 0.05
+        await client.ask(Action.REPLAY, data=b"pause")
+        await asyncio.sleep(0.1)
+        age = telemetry.age(Position)
+        await asyncio.sleep(30.0)
+        assert telemetry.age(Position) == pytest.approx(age, abs=1e-3)
+        told = client.state.replay
+        assert told is not None
+        assert told.is_paused
+        assert told.rate == 0.0
+
+
+async def test_it_is_moved_stands_at_its_end_and_goes_on(path: Path) -> None:
+    async with station(f"replay://{path}") as (agent, client):
+        for order, place in (("seek 10", 10.0), ("by -4", 6.0), ("by -100", 0.0), ("seek 8", 8.0)):
+            await client.ask(Action.REPLAY, data=order.encode())
+            await asyncio.sleep(0.3)
+            told = client.state.replay
+            assert told is not None
+            assert told.position_s == pytest.approx(place + 0.3, abs=0.4)
+        position = client.telemetry.position if client.telemetry is not None else None
+        assert position is not None
+        assert position.height_m > 0.5
+        await client.ask(Action.REPLAY, data=b"speed max")
+        await asyncio.sleep(5.0)
+        told = client.state.replay
+        assert told is not None
+        assert told.is_at_end
+        assert told.name == "flight.mcap"
+        assert client.is_connected, "it stands still at its end"
+        await client.ask(Action.REPLAY, data=b"speed 1")
+        await client.ask(Action.REPLAY, data=b"resume")
+        await asyncio.sleep(1.0)
+        told = client.state.replay
+        assert told is not None
+        assert told.position_s == pytest.approx(1.0, abs=0.4)
+        for wrong in ("", "rewind", "seek", "seek nan", "seek inf", "speed 0", "speed 1e9", "by x"):
+            with pytest.raises(UsageError):
+                await client.ask(Action.REPLAY, data=wrong.encode())
+        texts = [event.text for event in agent.journal.events]
+        assert "recorded: control authority held" in texts
+
+
+async def test_it_is_played_twice_and_half_as_fast_within_limits(path: Path) -> None:
+    async with station(f"replay://{path}") as (_, client):
+
+        async def speed(*orders: str) -> float:
+            for order in orders:
+                await client.ask(Action.REPLAY, data=order.encode())
+            await asyncio.sleep(0.3)
+            told = client.state.replay
+            assert told is not None
+            return told.speed
+
+        assert await speed("faster") == 2.0
+        assert await speed("slower", "slower") == 0.5
+        assert await speed(*["slower"] * 5) == 0.1
+        assert await speed("speed 80", "faster") == 100.0
+        assert await speed("speed 3") == 3.0
+
+
+async def test_that_its_place_moves_does_not_tell_the_state_more_often(path: Path) -> None:
+    async with station(f"replay://{path}") as (_, client):
+        told = set[float]()
+        for _ in range(400):
+            await asyncio.sleep(0.01)
+            told.add(client.state.at)
+        assert len(told) <= 4.0 / STATE_INTERVAL + 2
+        known = client.state.at
+        await client.ask(Action.REPLAY, data=b"pause")
+        await asyncio.sleep(0.01)
+        assert client.state.at > known, "what people change is told at once"
+
+
+async def test_an_aircraft_is_not_moved_in_time() -> None:
+    async def never() -> Any:
+        await asyncio.Event().wait()
+
+    async with Agent(never) as agent:
+        with pytest.raises(UsageError, match="not a replay"):
+            await agent.order_replay("pause")
+
+
+async def test_what_cannot_be_played_is_refused_before_anything_is_served(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="No such file"):
+        await Replays(f"replay://{tmp_path / 'none.mcap'}", None, print).look()
+    with pytest.raises(UsageError):
+        Replays("replay://x?speed=0", None, print)

@@ -1,0 +1,199 @@
+"""The command line as a whole: what it knows, and what it says when it is asked wrongly."""
+
+from __future__ import annotations
+
+import io
+import logging
+import subprocess
+import sys
+
+import pytest
+
+import m100link
+from m100link.apps.cli.app import VERBS, app, application
+from m100link.apps.cli.outcome import ExitCode
+from tests.apps.cli.conftest import CommandLine
+from tests.waiting import PATIENCE
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("no-such-command",),
+        ("info", "sim://", "--no-such-option"),
+        ("info", "sim://", "--duration", "soon"),
+        ("info", "sim://", "--duration", "0"),
+        ("info", "sim://", "--timeout", "0"),
+        ("info", "sim://", "--timeout", "-1"),
+        ("info", "sim://", "--baud", "0"),
+        ("activate", "sim://", "--wait", "0"),
+        ("monitor", "sim://", "--duration", "-1"),
+        ("echo", "sim://", "--count", "0"),
+        ("echo", "sim://", "--rate", "0"),
+        ("echo", "sim://", "--duration", "nan"),
+        ("hz", "sim://", "--duration", "inf"),
+        ("plot", "sim://", "--duration", "0"),
+        ("fly", "sim://", "1", "0", "0", "--max-height", "0"),
+        ("sim", "--duration", "0"),
+        ("sim", "--count", "0"),
+        ("demo", "--speed", "0"),
+        ("demo", "--speed", "1000"),
+        ("demo", "--side", "0.5"),
+        ("info", "sim://?wind=3"),
+        ("info", "sim://?seed=x"),
+        ("info", "sim://", "--firmware", "9.9"),
+        ("echo", "sim://", "no_such_item"),
+        ("echo", "sim://", "--csv", "--json"),
+        ("plot", "sim://", "position.colour"),
+    ],
+    ids=" ".join,
+)
+def test_what_is_asked_wrongly_is_a_usage_error_without_a_traceback(
+    cli: CommandLine, arguments: tuple[str, ...]
+) -> None:
+    outcome = cli(*arguments)
+    assert outcome.status == ExitCode.USAGE
+    assert "Traceback" not in outcome.err + outcome.out
+    assert outcome.err + outcome.out
+
+
+def test_a_word_too_many_is_named_with_its_verb(cli: CommandLine) -> None:
+    outcome = cli("hz", "sim://", "attitude")
+    assert outcome.status == ExitCode.USAGE
+    assert "m100link hz has no use for attitude" in outcome.err
+    assert "m100link hz --help" in outcome.err
+
+
+def test_a_column_that_is_almost_one_is_named(cli: CommandLine) -> None:
+    assert "did you mean position.height_m?" in cli("plot", "sim://", "heigt").err
+
+
+def test_help_and_version(cli: CommandLine) -> None:
+    version = cli("--version")
+    assert (version.status, version.out) == (0, f"{m100link.__version__}\n")
+    overview = cli("--help")
+    for command in ("demo", "info", "activate", "monitor", "decode", "sim", "takeoff", "fly"):
+        assert command in overview.out
+
+
+def test_each_verb_is_listed_with_the_first_sentence_of_its_own_help(cli: CommandLine) -> None:
+    overview = cli("--help").out
+    for verb, (_, sentence) in VERBS.items():
+        assert (app[verb].help or "").split("\n\n")[0] == sentence
+        assert sentence.replace("`", "") in overview
+    assert application(overview=True)["sim"].name == ("sim",)
+    assert "hex" in cli("decode", "--help").out
+
+
+def test_a_log_level_that_does_not_exist(cli: CommandLine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("M100LINK_LOG", "LOUD")
+    outcome = cli("info", "sim://")
+    assert outcome.status == ExitCode.USAGE
+    assert "DEBUG, INFO, WARNING or ERROR" in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("former", "today"),
+    [
+        (("info", "sim://", "--seconds", "0"), ("info", "sim://", "--duration", "0")),
+        (("info", "sim://", "--seconds=0"), ("info", "sim://", "--duration=0")),
+        (("sim", "--for", "0"), ("sim", "--duration", "0")),
+        (("serve", "--baud-rate", "x"), ("serve", "--baud", "x")),
+        (("console", "--baud-rate=x"), ("console", "--baud=x")),
+    ],
+    ids=lambda words: " ".join(words),
+)
+def test_an_option_is_known_by_its_former_name_and_told_by_todays(
+    cli: CommandLine, former: tuple[str, ...], today: tuple[str, ...]
+) -> None:
+    assert cli(*former) == cli(*today)
+    option = next(word for word in today if word.startswith("--")).partition("=")[0]
+    told = cli(today[0], "--help").out
+    assert option in told
+    assert former[-1 if "=" in former[-1] else -2].partition("=")[0] + " " not in told
+
+
+def test_a_warning_goes_to_what_standard_error_is_then(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A live display takes it over, and writes above itself."""
+    cli("decode", "aa")
+    shown = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", shown)
+    logging.getLogger("m100link.link").warning("noise on the line")
+    assert shown.getvalue() == "WARNING: noise on the line\n"
+
+
+@pytest.mark.parametrize(
+    "module", ["cyclopts", "m100link.apps.cli.app", "m100link.apps.cli.telemetry"]
+)
+@pytest.mark.parametrize("passes_over", [True, False])
+def test_ctrl_c_while_it_is_loaded_ends_it_with_a_line(module: str, passes_over: bool) -> None:
+    """Also where what is loaded would not let an exception through."""
+    program = f"""
+import contextlib, os, signal, sys
+class Person:
+    def find_spec(self, name, *_):
+        if name == {module!r}:
+            with contextlib.suppress(*[KeyboardInterrupt] * {passes_over}):
+                os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Person())
+sys.argv = ["m100link", "echo", "sim://", "--count", "1"]
+from m100link.apps.cli import main
+main()
+"""
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert (done.returncode, done.stdout) == (ExitCode.INTERRUPTED, "")
+    assert done.stderr == "interrupted\n"
+
+
+def test_a_verb_that_flies_nothing_is_interrupted_with_a_line(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("m100link.apps.cli.plan.read_plan", interrupted)
+    outcome = cli("plan", "check", "survey.json")
+    assert (outcome.status, outcome.err) == (ExitCode.INTERRUPTED, "interrupted\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "says"),
+    [
+        (("gimbal", "--pitch", "-200"), ExitCode.USAGE, "stay within -90 to 30"),
+        (("gimbal", "--pitch", "nan"), ExitCode.USAGE, "stay within -90 to 30"),
+        (("gimbal", "--yaw", "10", "--seconds", "30"), ExitCode.USAGE, "0.1 to 25.5 s"),
+        (("gimbal", "--yaw", "200", "--rates"), ExitCode.USAGE, "-180 to 180"),
+        (("gimbal", "--yaw", "20", "--rates", "--seconds", "1e9"), ExitCode.USAGE, "3600 s"),
+        (("camera", "foto"), ExitCode.USAGE, "no action 'foto'"),
+        (("rates", "attitude=7"), ExitCode.USAGE, "cannot be sent at 7 Hz"),
+        (("rates", "altitude=50"), ExitCode.USAGE, "no telemetry item is called 'altitude'"),
+        (("rates", "rc=1", "remote_control=1"), ExitCode.USAGE, "two rates"),
+        (("fly", "500", "0", "1"), ExitCode.REFUSED, "or --max-radius"),
+        (("fly", "5", "0", "1", "--max-radius", "4.9"), ExitCode.REFUSED, "envelope ends at 4.9"),
+        (("plot", "attitude"), ExitCode.USAGE, "one of: quaternion.q0"),
+        (("mission", "download", "-o", "/proc/nowhere/x"), ExitCode.USAGE, "there is no folder"),
+        (("echo", "positon"), ExitCode.USAGE, "did you mean position"),
+        (("serve", "--timeout", "0"), ExitCode.USAGE, "a number above 0"),
+        (("serve", "--baud", "0"), ExitCode.USAGE, "a whole number above 0"),
+    ],
+)
+def test_what_no_aircraft_is_needed_to_refuse_is_refused_before_a_port_is_opened(
+    cli: CommandLine, app: list[str], words: tuple[str, ...], status: int, says: str
+) -> None:
+    verbs = 2 if words[0] == "mission" else 1
+    names_app = words[0] in ("gimbal", "camera", "fly", "mission")
+    place = (*words[:verbs], "/dev/no-such-port", *words[verbs:])
+    outcome = cli(*place, *(app if names_app else ()))
+    assert (outcome.status, outcome.out) == (status, "")
+    assert says in outcome.err
+    assert "/dev/no-such-port" not in outcome.err
+
+
+@pytest.mark.parametrize("verb", ["takeoff", "land", "home", "release", "activate"])
+def test_a_missing_app_is_told_before_a_port_is_opened(cli: CommandLine, verb: str) -> None:
+    outcome = cli(verb, "/dev/no-such-port")
+    assert outcome.status == ExitCode.USAGE
+    assert "no app id was given" in outcome.err

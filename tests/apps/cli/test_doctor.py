@@ -1,0 +1,221 @@
+"""``m100link doctor``, ``ports`` and ``udev``, as an owner has them in front of them. Real time."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from m100link.apps.cli import doctor as doctor_module
+from m100link.apps.cli.doctor import _EXIT_CODES
+from m100link.apps.doctor import Machine, Stage
+from m100link.apps.doctor.machine import Adapter
+from m100link.sim.vehicle.mobile import DEMO_KEY
+from tests.apps.cli.conftest import CommandLine, Simulator, process
+from tests.apps.cli.terminal import Terminal
+
+FTDI = Adapter("ftdi_sio", "0403", "6001", "FTDI FT232R", "A50285BI", 16)
+
+
+def test_every_stage_has_an_exit_status() -> None:
+    assert set(Stage) - _EXIT_CODES.keys() == {Stage.LATENCY}  # which never fails
+
+
+def test_no_such_port_and_several_that_it_could_be(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcome = cli("doctor", "/dev/ttyUSB99")
+    assert outcome.status == 3
+    [found] = outcome.objects
+    assert (found["ok"], found["failed"], found["exit_status"]) == (False, "port", 3)
+    monkeypatch.setattr(doctor_module, "serial_ports", lambda: ["/dev/ttyUSB7", "/dev/ttyUSB8"])
+    outcome = cli("doctor")
+    assert outcome.status == 2
+    assert "several ports could be the aircraft's: /dev/ttyUSB7, /dev/ttyUSB8" in outcome.err
+    monkeypatch.setattr(doctor_module, "serial_ports", lambda: ["/dev/ttyUSB99"])
+    assert cli("doctor").objects[0]["url"] == "/dev/ttyUSB99 at 230400 baud"
+    monkeypatch.setattr(doctor_module, "serial_ports", list)
+    assert "no URL says where the aircraft is" in cli("doctor").err
+
+
+def test_ports_are_listed(cli: CommandLine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor_module, "serial_ports", lambda: ["/dev/null"])
+    monkeypatch.setattr(Machine, "adapter", lambda *_: FTDI)
+    monkeypatch.setattr(Machine, "holders", lambda *_: ())
+    [port] = cli("ports").objects
+    assert port["port"] == "/dev/null"
+    assert (port["adapter"], port["usb"], port["latency_ms"]) == ("FTDI FT232R", "0403:6001", 16)
+    assert port["may_open"] is True
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    shown = cli("ports").out
+    assert "FTDI FT232R" in shown
+    assert "16 ms" in shown
+    monkeypatch.setattr(doctor_module, "serial_ports", lambda: ["/dev/there-is-no-port"])
+    assert "no: gone" in cli("ports").out
+    monkeypatch.setattr(doctor_module, "serial_ports", list)
+    assert "no serial port here" in cli("ports").err
+
+
+def test_a_rule_is_printed_and_installed(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(doctor_module, "serial_ports", lambda: ["/dev/ttyUSB99"])
+    monkeypatch.setattr(Machine, "adapter", lambda *_: FTDI)
+    printed = cli("udev", "--name", "left", "--group", "plugdev")
+    assert printed.status == 0
+    assert 'SYMLINK+="left", GROUP="plugdev"' in printed.out
+    place = tmp_path / "70-m100.rules"
+    monkeypatch.setattr(doctor_module, "RULES_FILE", place)
+    installed = cli("udev", "--install")
+    assert installed.status == 0
+    assert place.read_text(encoding="utf-8") == cli("udev").out
+    assert "sudo udevadm control --reload" in installed.err
+    monkeypatch.setattr(doctor_module, "RULES_FILE", tmp_path / "none" / "70-m100.rules")
+    refused = cli("udev", "--install")
+    assert refused.status == 2
+    assert "sudo tee" in refused.err
+
+
+def test_a_port_that_is_not_there_is_said_to_be_missing(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(doctor_module, "serial_ports", lambda: ["/dev/ttyUSB7"])
+    outcome = cli("udev", "/dev/m100-none")
+    assert outcome.status == 3
+    assert "there is no device /dev/m100-none" in outcome.err
+    assert "ports on this machine: /dev/ttyUSB7" in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("ports", "seen"),
+    [
+        ([], "no adapter on USB is plugged in"),
+        (["/dev/ttyUSB7", "/dev/ttyUSB8"], "several adapters are plugged in"),
+    ],
+)
+def test_which_adapter_is_meant_has_to_be_clear(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch, ports: list[str], seen: str
+) -> None:
+    monkeypatch.setattr(doctor_module, "serial_ports", lambda: ports)
+    monkeypatch.setattr(Machine, "adapter", lambda *_: FTDI)
+    outcome = cli("udev")
+    assert outcome.status == 2
+    assert seen in outcome.err
+
+
+@pytest.mark.pty
+def test_all_is_well_and_the_report_has_no_secret(tmp_path: Path, app: list[str]) -> None:
+    running = Simulator(tmp_path, "--activated")
+    report = tmp_path / "report.json"
+    try:
+        outcome = process(
+            *("doctor", running.port, "--json", "--authority", "--report", str(report)), *app
+        )
+    finally:
+        running.close()
+    [found] = outcome.objects
+    assert (outcome.status, found["ok"]) == (0, True)
+    assert found["stages"][-1]["seen"] == "obtained, and given back at once"
+    written = report.read_text(encoding="utf-8")
+    assert json.loads(written)["stages"] == found["stages"]
+    assert DEMO_KEY.reveal().hex() not in written.lower()
+    assert "10086" not in written
+
+
+@pytest.mark.pty
+@pytest.mark.parametrize(
+    ("options", "status", "stage", "seen"),
+    [
+        (("--baud", "115200"), 4, "frames", "at 230400 baud; at 115200 baud they are frames"),
+        (("--mute",), 4, "bytes", "not one byte"),
+        (("--inverted",), 4, "frames", "whose levels are inverted"),
+        (("--deaf",), 4, "version", "no answer to a version query"),
+        ((), 5, "activation", "it is not activated"),
+        (("--cold", "--activated"), 6, "mode_switch", "it is in P"),
+    ],
+)
+def test_what_is_wrong_is_found_over_a_port(
+    tmp_path: Path, options: tuple[str, ...], status: int, stage: str, seen: str
+) -> None:
+    running = Simulator(tmp_path, *options)
+    try:
+        outcome = process("doctor", running.port, "--json")
+    finally:
+        running.close()
+    [found] = outcome.objects
+    assert (outcome.status, found["failed"], outcome.err) == (status, stage, "")
+    assert seen in found["stages"][-1]["seen"]
+
+
+@pytest.mark.pty
+def test_another_program_has_the_port(simulator: Simulator) -> None:
+    program = (
+        f"f = open({simulator.port!r}); print('open', flush=True); import time; time.sleep(600)"
+    )
+    pipe = subprocess.PIPE
+    other = subprocess.Popen([sys.executable, "-c", program], stdin=pipe, stdout=pipe)
+    try:
+        assert other.stdout is not None
+        other.stdout.readline()
+        outcome = process("doctor", simulator.port, "--json")
+    finally:
+        other.kill()
+        other.communicate()
+    assert outcome.status == 3
+    last = outcome.objects[0]["stages"][-1]
+    assert (last["stage"], last["commands"][0]) == ("owner", f"end it: kill {other.pid}")
+
+
+@pytest.mark.pty
+@pytest.mark.parametrize(
+    ("key", "said"), [("y", "obtained, and given back"), ("n", "nothing is wrong")]
+)
+def test_a_person_is_asked_before_authority(
+    tmp_path: Path, app: list[str], key: str, said: str
+) -> None:
+    running = Simulator(tmp_path, "--activated")
+    terminal = Terminal("doctor", running.port, *app, columns=160)
+    try:
+        terminal.read_until("[y/N]")
+        terminal.type(key + "\r")
+        terminal.read_until(said)
+        assert terminal.end() == 0
+        assert ("obtained" in terminal.shown) is (key == "y")
+    finally:
+        terminal.close()
+        running.close()
+
+
+@pytest.mark.pty
+@pytest.mark.parametrize("when", ["bytes arrive", "[y/N]"])
+def test_ctrl_c_ends_it_at_once_at_the_question_too(
+    tmp_path: Path, app: list[str], when: str
+) -> None:
+    running = Simulator(tmp_path, "--activated")
+    terminal = Terminal("doctor", running.port, *app, columns=160)
+    try:
+        terminal.read_until(when)
+        terminal.type("\x03")
+        assert terminal.end() == 130
+        assert "interrupted" in terminal.shown
+        assert "Traceback" not in terminal.shown
+    finally:
+        terminal.close()
+        running.close()
+
+
+@pytest.mark.pty
+def test_an_end_of_input_is_a_no(tmp_path: Path, app: list[str]) -> None:
+    running = Simulator(tmp_path, "--activated")
+    terminal = Terminal("doctor", running.port, *app, columns=160)
+    try:
+        terminal.read_until("[y/N]")
+        terminal.type("\x04")
+        assert terminal.end() == 0
+        assert "it was not to be tried" in terminal.shown
+    finally:
+        terminal.close()
+        running.close()

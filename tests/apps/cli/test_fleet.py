@@ -1,0 +1,260 @@
+"""``m100link fleet`` as people use it: a router, agents, orders, in processes of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from m100link.apps.cli.fleet import tell_results
+from m100link.apps.cli.outcome import ExitCode
+from m100link.apps.fleet.outcome import Result
+from m100link.errors import StaleLease
+from m100link.protocol.items import BY_RECORD
+from m100link.protocol.records import Attitude
+from tests.waiting import PATIENCE
+
+pytest.importorskip("zenoh", reason="the extra fleet is not installed")
+
+pytestmark = pytest.mark.pty
+
+
+class Site:
+    """A router, and what is started beside it."""
+
+    def __init__(self, stack: ExitStack, place: str, state: Path) -> None:
+        self._stack = stack
+        self.environment = os.environ | {"M100LINK_FLEET": place, "XDG_STATE_HOME": str(state)}
+        self.place = place
+
+    def start(self, *words: str, verb: str = "fleet") -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", "m100link", verb, *words]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=self.environment)
+        self._stack.callback(self._end, process)
+        return process
+
+    def _end(self, process: subprocess.Popen[str]) -> None:
+        process.kill()
+        process.wait(PATIENCE)
+        if process.stdout is not None:
+            process.stdout.close()
+
+    def ask(self, *words: str) -> tuple[int, list[dict[str, Any]]]:
+        command = [sys.executable, "-m", "m100link", "fleet", *words, "--json"]
+        done = subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            env=self.environment,
+            timeout=2 * PATIENCE,
+            check=False,
+        )
+        return done.returncode, [json.loads(line) for line in done.stdout.splitlines()]
+
+    def listed(
+        self, count: int, is_so: Callable[[dict[str, Any]], object] = bool
+    ) -> list[dict[str, Any]]:
+        """The cards, when so many are connected and are so.
+
+        A card is told by the second, and at first without what its aircraft has not said yet.
+        """
+        ends = time.monotonic() + 2 * PATIENCE
+        found: list[dict[str, Any]] = []
+        while time.monotonic() < ends:
+            _, found = self.ask("list")
+            there = [one for one in found if one.get("connection") == "connected"]
+            if sum(bool(is_so(one)) for one in there) == count:
+                break
+        return found
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Iterator[Site]:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        place = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    with ExitStack() as stack:
+        one = Site(stack, place, tmp_path)
+        router = one.start("router", "--listen", place, "--json")
+        assert router.stdout is not None
+        assert json.loads(router.stdout.readline()) == {"listen": [place]}
+        yield one
+
+
+@pytest.mark.smoke
+def test_all_take_off_and_land_and_one_that_is_not_there_is_named(site: Site) -> None:
+    agent = site.start("agent", "sim://", "--name", "a", "--count", "2", "--json")
+    assert agent.stdout is not None
+    assert json.loads(agent.stdout.readline()) == {"fleet": "site", "agents": ["a1", "a2"]}
+    assert [card["name"] for card in site.listed(2)] == ["a1", "a2"]
+    status, told = site.ask("takeoff", "--all")
+    assert (status, [one["outcome"] for one in told]) == (0, ["ok", "ok"])
+    in_air = site.listed(2, lambda card: card.get("phase") == "in air")
+    assert [card["phase"] for card in in_air] == ["in air", "in air"]
+    status, told = site.ask("stop", "a1", "nobody")
+    assert status == 1
+    outcomes = {one["name"]: one["outcome"] for one in told}
+    assert outcomes == {"a1": "ok", "nobody": "unreachable"}
+    status, told = site.ask("land", "--all")
+    assert (status, [one["outcome"] for one in told]) == (0, ["ok", "ok"])
+    agent.send_signal(signal.SIGTERM)
+    assert agent.wait(PATIENCE) == 0
+    assert site.ask("list") == (0, [])
+
+
+def test_a_wall_one_in_full_and_a_lease_that_is_held(site: Site) -> None:
+    site.start("agent", "sim://", "--name", "a", "--count", "2")
+    site.listed(2)
+    status, told = site.ask("monitor", "--duration", "4")
+    assert status == 0
+    assert {one["name"] for one in told} == {"a1", "a2"}
+    last = told[-1]
+    assert last["age"] < 1.0
+    assert last["battery"] == {"percent": 100}
+    assert 5 <= last["received"] <= 60
+    status, packages = site.ask("watch", "a2", "--duration", "3")
+    assert status == 0
+    assert len(packages) > 100
+    assert sum(BY_RECORD[Attitude].name in one for one in packages) > 100
+    watched = site.start("watch", "a2")  # as by `| head -1`
+    assert watched.stdout is not None
+    assert json.loads(watched.stdout.readline())["received_at"] > 0
+    watched.stdout.close()
+    assert watched.wait(PATIENCE) == 0
+    holder = site.start("lease", "a1", "--json")
+    assert holder.stdout is not None
+    fence = json.loads(holder.stdout.readline())["fence"]
+    status, [refused] = site.ask("takeoff", "a1")
+    assert (status, refused["outcome"], refused["code"]) == (1, "refused", "M100-LEASE-HELD")
+    second = site.start("lease", "a1", "--take-over", "--json")
+    assert second.stdout is not None
+    assert json.loads(second.stdout.readline())["fence"] > fence
+    assert holder.wait(PATIENCE) == 1
+    second.send_signal(signal.SIGINT)
+    assert second.wait(PATIENCE) == 0
+
+
+def test_a_name_that_is_taken_ends_the_second_agent(site: Site) -> None:
+    site.start("agent", "sim://", "--name", "a1")
+    site.listed(1)
+    second = site.start("agent", "sim://", "--name", "a1")
+    assert second.wait(PATIENCE) == 2
+
+
+def test_without_a_router_it_is_said_what_to_do(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "m100link", "fleet", "list", "--connect", "tcp/127.0.0.1:9"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.returncode == 2
+    assert "no router answered" in done.stderr
+    assert "m100link fleet router" in done.stderr
+
+
+def test_rules_and_a_way_to_another_router_exclude_each_other(tmp_path: Path) -> None:
+    (tmp_path / "rights.toml").write_text("")
+    words = ("--rights", str(tmp_path / "rights.toml"), "--connect", "tcp/127.0.0.1:1")
+    done = subprocess.run(
+        [sys.executable, "-m", "m100link", "fleet", "router", *words],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        check=False,
+    )
+    assert done.returncode == ExitCode.USAGE
+    assert "know no other router" in " ".join(done.stderr.split())
+
+
+def test_whoever_names_nobody_is_asked_whom(site: Site) -> None:
+    assert site.ask("takeoff")[0] == 2
+    assert site.ask("land", "a1", "--all")[0] == 2
+
+
+def test_results_are_told_with_reason_and_remedy(capsys: pytest.CaptureFixture[str]) -> None:
+    results = {
+        "a1": Result.of("a1", None),
+        "a2": Result.of("a2", StaleLease("lease 3 is not in force", remedy="take it")),
+    }
+    assert tell_results(results, as_json=False) == 1
+    told = capsys.readouterr()
+    assert "ok" in told.out
+    assert "lease 3 is not in force" in told.out
+    assert "take it" in told.err
+    assert tell_results({"a1": results["a1"]}, as_json=True) == 0
+
+
+def test_the_console_of_a_fleet_shows_who_is_there(site: Site) -> None:
+    agents = site.start("agent", "sim://", "--name", "a", "--count", "2", "--json")
+    assert agents.stdout is not None
+    json.loads(agents.stdout.readline())
+    site.listed(2)
+    words = ("--no-open-browser", "--console-port", "0", "--json")
+    console = site.start("console", *words)
+    assert console.stdout is not None
+    told = json.loads(console.stdout.readline())
+    assert told["aircraft"] == ["a1", "a2"]
+    with urllib.request.urlopen(told["console"], timeout=PATIENCE) as page:
+        assert "m100link" in page.read().decode()
+    console.send_signal(signal.SIGINT)
+    assert console.wait(PATIENCE) == 0
+    code, _ = site.ask("console", "a1", "b7", "--no-open-browser")
+    assert code == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("is_mute", [False, True], ids=["no router", "a router that says nothing"])
+def test_whoever_waits_for_a_router_ends_when_told_to(
+    tmp_path: Path, number: int, is_mute: bool
+) -> None:
+    """Only the one that had come to the router looked whether it was told to."""
+    with ExitStack() as stack, socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        if is_mute:
+            listener.listen()
+        one = Site(stack, f"tcp/127.0.0.1:{listener.getsockname()[1]}", tmp_path)
+        command = [sys.executable, "-m", "m100link", "fleet", "agent", "sim://"]
+        process = subprocess.Popen(
+            command,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=one.environment | {"M100LINK_LOG": "info"},
+        )
+        stack.callback(one._end, process)
+        assert process.stderr is not None
+        stack.callback(process.stderr.close)
+        if is_mute:
+            listener.settimeout(PATIENCE)
+            stack.enter_context(listener.accept()[0])
+        else:
+            assert "no router answers yet" in process.stderr.readline()
+        process.send_signal(number)
+        assert process.wait(PATIENCE) == 0
+
+
+def test_an_agent_of_an_older_release_is_listed_as_that(site: Site) -> None:
+    """It shows another token, and answers where it stands in words that are not read any more."""
+    zenoh = pytest.importorskip("zenoh")
+    config = zenoh.Config()
+    for name, value in (("mode", "client"), ("connect/endpoints", [site.place])):
+        config.insert_json5(name, json.dumps(value))
+    key = "m100/site/old/state"
+    with (
+        zenoh.open(config) as session,
+        session.declare_queryable(key, lambda asked: asked.reply(key, b'\x01{"name": "old"}')),
+    ):
+        status, told = site.ask("list")
+        ends = time.monotonic() + PATIENCE
+        while not told and time.monotonic() < ends:
+            status, told = site.ask("list")
+    assert (status, [one["name"] for one in told]) == (0, ["old"])
+    assert told[0]["connection"] == "unreadable"
+    assert "version 1" in told[0]["fault"]["seen"]

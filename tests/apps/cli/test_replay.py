@@ -1,0 +1,67 @@
+"""``m100link replay``: names, keys, and a station that shows a flight and gives no control."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from m100link.apps.cli.replay import KEYS, _names, _order
+from m100link.errors import UsageError
+from tests.apps.cli.conftest import CommandLine
+
+
+def test_each_file_has_a_name_of_its_own() -> None:
+    files = ("a/flight.mcap", "b/flight.mcap", "2026 01.mcap", "a-b.mcap", "a_b.mcap", "ö.mcap")
+    names = _names(tuple(map(Path, files)))
+    assert names == ["flight", "flight_2", "flight_2026_01", "a_b", "a_b_2", "flight_3"]
+
+
+def test_what_cannot_be_played_is_told_before_anything_is_served(
+    cli: CommandLine, tmp_path: Path
+) -> None:
+    for arguments, why in (
+        ((), "no flight log was named"),
+        ((str(tmp_path / "none.mcap"),), "No such file"),
+        ((str(tmp_path),), "Is a directory"),
+        ((str(tmp_path / "none.mcap"), "--speed", "0"), "speed"),
+        ((str(tmp_path / "none.mcap"), "--from", "5", "--to", "2"), "before it begins"),
+    ):
+        ports = ("--port", "0", "--console-port", "0", "--no-open-browser")
+        outcome = cli("replay", *arguments, *ports)
+        assert outcome.status == 2, outcome
+        assert why in outcome.err.replace("\n", " ")
+
+
+def test_a_recorded_flight_is_not_shown_beside_an_aircraft_that_flies(
+    cli: CommandLine, tmp_path: Path
+) -> None:
+    url = f"replay://{tmp_path / 'flight.mcap'}"
+    outcome = cli("serve", url, "sim://", "--port", "0")
+    assert outcome.status == 2
+    assert "beside aircraft that fly" in outcome.err.replace("\n", " ")
+
+
+@pytest.mark.anyio
+async def test_keys_are_orders_that_a_replay_knows(capsys: pytest.CaptureFixture[str]) -> None:
+    class Replays:
+        def told(self) -> None:
+            return None
+
+    class Agent:
+        def __init__(self) -> None:
+            self.orders: list[str] = []
+            self.replay = Replays()
+
+        async def order_replay(self, text: str) -> None:
+            self.orders.append(text)
+            if text == "seek 0":
+                raise UsageError("it does not play")
+
+    class Station:
+        agent = Agent()
+
+    for order in KEYS.values():
+        await _order(Station, order)
+    assert Station.agent.orders == list(KEYS.values())
+    assert "it does not play" in capsys.readouterr().err

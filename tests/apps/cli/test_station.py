@@ -1,0 +1,385 @@
+"""`m100link serve` as a user starts it, and TLS."""
+
+from __future__ import annotations
+
+import asyncio
+import datetime
+import json
+import os
+import signal
+import ssl
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.apps.cli.conftest import CommandLine
+from tests.waiting import PATIENCE
+
+pytest.importorskip("cyclopts")
+pytest.importorskip("uvicorn")
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import NameOID
+from websockets.asyncio.client import connect
+
+from m100link.apps.cli.station import StationOptions, aircraft_of
+from m100link.errors import M100Error
+from tests.apps.station.test_apart import Pilot
+
+COMMAND = (sys.executable, "-c", "from m100link.apps.cli import main; main()")
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("M100LINK")}
+    return subprocess.run(
+        [*COMMAND, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        env=clean | environment,
+        check=False,
+    )
+
+
+def secret_file(folder: Path) -> Path:
+    """A file with a token."""
+    token = folder / "token"
+    token.write_text("0123456789abcdef")
+    token.chmod(0o600)
+    return token
+
+
+def children(process: int) -> list[int]:
+    """Process ids of its children."""
+    listed = Path(f"/proc/{process}/task/{process}/children").read_text()
+    return [int(one) for one in listed.split()]
+
+
+def test_settings_are_shown_with_their_origin(tmp_path: Path) -> None:
+    launch = tmp_path / "sdk.launch"
+    launch.write_text(
+        '<launch><param name="baud_rate" value="115200"/><param name="use_x" value="1"/></launch>'
+    )
+    done = run(
+        *("serve", "--launch", str(launch), "--show-config", "--port", "1234"),
+        M100LINK_APP_ID="7",
+        M100LINK_KEY="00" * 32,
+    )
+    rows = {line.split()[0]: line.split()[1:] for line in done.stdout.splitlines()}
+    assert rows["baud_rate"] == ["115200", str(launch)]
+    assert rows["app_id"] == ["7", "environment"]
+    assert rows["port"] == ["1234", "command", "line"]
+    assert rows["key"] == ["(set)", "environment"]
+    assert rows["level"] == ["2", "default"]
+    assert "00" * 32 not in done.stdout + done.stderr
+    assert "parameters that mean nothing here: use_x" in done.stderr.replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("serve",), "no aircraft was named"),
+        (("serve", "simm://"), "there is no transport called 'simm'"),
+        (("serve", "one=sim://", "two=simm://"), "there is no transport called 'simm'"),
+        (("mavlink", "simm://"), "there is no transport called 'simm'"),
+        (("ros2", "simm://"), "there is no transport called 'simm'"),
+        (("ros2", "sim://", "--node", "a b"), "cannot be part of a name in ROS"),
+        (("ros2", "sim://", "--domain", "300"), "there is no domain 300"),
+        (("serve", "--sim", "--host", "0.0.0.0"), "there is no token"),
+        (("serve", "--sim", "--launch", "/none.launch"), "launch file cannot be read"),
+        (("serve", "--sim", "--pages", "/none"), "is not a folder"),
+        (("serve", "--sim", "--port", "99999"), "there is no port 99999"),
+        (("serve", "--sim", "--also-port", "-1"), "there is no port -1"),
+        (("console", "--sim", "--console-port", "65536"), "there is no port 65536"),
+        (("serve", "--sim", "--front-niceness", "20"), "cannot have a niceness"),
+        (("serve", "--sim", "--keep-authority", "61"), "cannot be kept for 61 s"),
+        (("serve", "--sim", "--tls-cert", "/none", "--tls-key", "/none"), "TLS files"),
+    ],
+)
+def test_mistakes_are_told_with_a_remedy(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], says: str
+) -> None:
+    monkeypatch.setenv("M100LINK_PORT", "0")
+    done = cli(*arguments)
+    assert done.status == 2
+    assert says in done.err.replace("\n", " ")
+    assert "Traceback" not in done.err
+
+
+def test_a_mistake_ends_the_process() -> None:
+    done = run("serve", M100LINK_PORT="0")
+    assert done.returncode == 2
+    assert "no aircraft was named" in done.stderr.replace("\n", " ")
+    assert "Traceback" not in done.stderr
+
+
+async def test_the_process_of_the_fronts_serves_the_numbers() -> None:
+    process = await asyncio.create_subprocess_exec(
+        *(*COMMAND, "serve", "--sim", "--port", "0", "--metrics", "0", "--json"),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    try:
+        url = json.loads(await process.stdout.readline())["metrics"]
+        assert url.startswith("http://127.0.0.1:")
+
+        def scrape() -> str:
+            with urllib.request.urlopen(url, timeout=PATIENCE) as answer:
+                return str(answer.read(), "utf-8")
+
+        async with asyncio.timeout(PATIENCE):
+            while "m100_link_frames_total{" not in await asyncio.to_thread(scrape):  # noqa: ASYNC110 - a page has no event
+                await asyncio.sleep(0.1)
+    finally:
+        process.terminate()
+        await process.communicate()
+
+
+def test_without_the_package_it_says_what_to_install() -> None:
+    blocked = "import sys; sys.modules['prometheus_client'] = None; "
+    done = subprocess.run(
+        [
+            *(sys.executable, "-c", blocked + "from m100link.apps.cli import main; main()"),
+            *("serve", "--sim", "--port", "0", "--metrics", "0", "--single-process"),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "the metrics need prometheus_client" in done.stderr
+    assert "pip install '.[station]'" in done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+async def test_a_signal_ends_it_and_control_goes_back(number: signal.Signals) -> None:
+    process = await asyncio.create_subprocess_exec(
+        *(*COMMAND, "serve", "--sim", "--port", "0", "--json"),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    url = json.loads(await process.stdout.readline())["rosbridge"][0]
+    async with connect(url, close_timeout=1) as client:
+        call = {"op": "call_service", "service": "/dji_sdk/activation"}
+        await client.send(json.dumps(call))
+        await client.recv()
+        call = {"op": "call_service", "service": "/dji_sdk/sdk_control_authority", "args": [1]}  # type: ignore[dict-item]
+        await client.send(json.dumps(call))
+        assert json.loads(await client.recv())["values"]["result"] is True
+        process.send_signal(number)
+        async with asyncio.timeout(PATIENCE):
+            _, talk = await process.communicate()
+    assert process.returncode == 0
+    assert b"control authority released" in talk
+    assert b"ending: control authority goes back" in talk
+    assert b"Traceback" not in talk
+
+
+@pytest.mark.parametrize("more", [(), ("/dev/no-port-either",)])
+async def test_the_end_without_an_aircraft_says_nothing_of_one(more: tuple[str, ...]) -> None:
+    process = await asyncio.create_subprocess_exec(
+        *(*COMMAND, "serve", "/dev/no-port", *more, "--port", "0", "--json"),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+    )
+    assert process.stderr is not None
+    async with asyncio.timeout(PATIENCE):
+        while b"not connected: there is no device" not in await process.stderr.readline():
+            pass
+        process.send_signal(signal.SIGINT)
+        _, talk = await process.communicate()
+    assert process.returncode == 0
+    assert talk.splitlines()[-1] == b"ending"
+
+
+async def test_a_front_that_died_is_told_once_and_its_console_can_be_opened_again(
+    tmp_path: Path,
+) -> None:
+    token = secret_file(tmp_path)
+    process = await asyncio.create_subprocess_exec(
+        *(*COMMAND, "console", "--sim", "--port", "0", "--console-port", "0", "--json"),
+        *("--no-open-browser", "--token-file", str(token)),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    first = json.loads(await process.stdout.readline())["console"]
+    (child,) = children(process.pid)
+    os.kill(child, signal.SIGKILL)
+    async with asyncio.timeout(PATIENCE):
+        second = json.loads(await process.stdout.readline())["console"]
+    assert second != first
+    browser = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+    with await asyncio.to_thread(browser.open, second) as answer:
+        assert b"m100link" in answer.read()
+    process.send_signal(signal.SIGTERM)
+    async with asyncio.timeout(PATIENCE):
+        _, talk = await process.communicate()
+    assert talk.count(b"the fronts ended (SIGKILL)") == 1
+
+
+async def _takes_off(pilot: Pilot) -> bool:
+    """Whether a flight begins and is given back; a front that got no time has lost its lease."""
+    for service, args in (
+        ("activation", {}),
+        ("sdk_control_authority", {"control_enable": 1}),
+        ("drone_task_control", {"task": 4}),
+        ("sdk_control_authority", {"control_enable": 0}),
+    ):
+        answer = await pilot.call(f"/dji_sdk/{service}", **args)
+        # The values of a call that was refused are the reason, as a text.
+        if not answer["result"] or not answer["values"]["result"]:
+            return False
+    return True
+
+
+async def test_a_terminal_that_is_gone_ends_no_flight() -> None:
+    read, write = os.pipe()
+    process = await asyncio.create_subprocess_exec(
+        *(*COMMAND, "serve", "--sim", "--port", "0", "--json"),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=write,
+    )
+    os.close(write)
+    assert process.stdout is not None
+    url = json.loads(await process.stdout.readline())["rosbridge"][0]
+    os.close(read)  # each event from now on is a broken pipe
+    async with connect(url, close_timeout=1) as client, asyncio.timeout(PATIENCE):
+        pilot = Pilot(client)
+        while not await _takes_off(pilot):  # noqa: ASYNC110 - what is waited for has no event
+            await asyncio.sleep(0.5)
+    process.send_signal(signal.SIGTERM)
+    async with asyncio.timeout(PATIENCE):
+        assert await process.wait() == 0
+
+
+@pytest.mark.parametrize("host", ["::1", "127.0.0.2", "localhost"])
+async def test_somebody_listens_where_it_says(host: str) -> None:
+    process = await asyncio.create_subprocess_exec(
+        *(*COMMAND, "console", "--sim", "--host", host, "--port", "0", "--console-port", "0"),
+        *("--json", "--no-open-browser"),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.DEVNULL,
+    )
+    try:
+        assert process.stdout is not None
+        said = json.loads(await process.stdout.readline())
+        async with connect(said["rosbridge"][0], close_timeout=1) as client:
+            await client.send('{"op":"subscribe","topic":"/flight_status"}')
+            assert json.loads(await client.recv())["op"] == "publish"
+        health = said["console"] + "console/shell.js"
+        with await asyncio.to_thread(urllib.request.urlopen, health) as answer:
+            assert answer.status == 200
+    finally:
+        process.terminate()
+        await process.wait()
+
+
+def certificate(folder: Path) -> tuple[Path, Path]:
+    """A certificate for localhost that signs itself, and its key."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "localhost")])
+    now = datetime.datetime.now(datetime.UTC)
+    signed = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(1)
+        .not_valid_before(now - datetime.timedelta(days=1))
+        .not_valid_after(now + datetime.timedelta(days=1))
+        .add_extension(x509.SubjectAlternativeName([x509.DNSName("localhost")]), critical=False)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
+        .sign(key, hashes.SHA256())
+    )
+    paths = folder / "cert.pem", folder / "key.pem"
+    paths[0].write_bytes(signed.public_bytes(serialization.Encoding.PEM))
+    paths[1].write_bytes(
+        key.private_bytes(
+            serialization.Encoding.PEM,
+            serialization.PrivateFormat.PKCS8,
+            serialization.NoEncryption(),
+        )
+    )
+    return paths
+
+
+async def test_tls(tmp_path: Path) -> None:
+    from m100link.apps.station.config import Settings
+    from m100link.apps.station.run import running
+
+    cert, key = certificate(tmp_path)
+    trust = ssl.create_default_context(cafile=str(cert))
+    async with running(Settings(sim=True, port=0, tls_cert=cert, tls_key=key)) as one:
+        url = f"wss://localhost:{one.ports[0]}"
+        origin = f"https://localhost:{one.ports[0]}"
+        async with connect(url, ssl=trust, additional_headers={"Origin": origin}) as client:
+            await client.send('{"op":"subscribe","topic":"/flight_status"}')
+            assert json.loads(await client.recv())["op"] == "publish"
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ((), {"m100": None}),
+        (("/dev/ttyUSB0",), {"m100": "/dev/ttyUSB0"}),
+        (("kite=/dev/ttyUSB0",), {"kite": "/dev/ttyUSB0"}),
+        (("tcp://a:1", "tcp://b:1"), {"m100_1": "tcp://a:1", "m100_2": "tcp://b:1"}),
+        (("kite=tcp://a:1", "tcp://b:1"), {"kite": "tcp://a:1", "m100_2": "tcp://b:1"}),
+        (("sim://?seed=3", "tcp://b:1"), {"m100_1": "sim://?seed=3", "m100_2": "tcp://b:1"}),
+        (("sim://", "sim://"), {"m100_1": None, "m100_2": None}),
+    ],
+)
+def test_aircraft_have_the_names_that_they_are_given(
+    words: tuple[str, ...], named: dict[str, str | None]
+) -> None:
+    found = aircraft_of(StationOptions(), words)
+    assert {name: one.url for name, one in found.items()} == named
+    assert all(one.sim == (one.url is None and bool(words)) for one in found.values())
+
+
+@pytest.mark.parametrize(
+    ("options", "words", "says"),
+    [
+        ({}, ("a=tcp://a:1", "a=tcp://b:1"), "two aircraft are called a"),
+        ({}, ("a-b=tcp://a:1", "a_b=tcp://b:1"), "two aircraft are called a_b"),
+        ({}, ("tcp://a:1", "tcp://a:1"), "m100_1 and m100_2 are at the same place"),
+        ({"sim": True}, ("tcp://a:1", "tcp://b:1"), "aircraft and --sim were given"),
+        ({}, ("tcp://a:1", "nonsense"), "nonsense"),
+    ],
+)
+def test_aircraft_that_could_be_taken_for_each_other_are_refused(
+    options: dict[str, Any], words: tuple[str, ...], says: str
+) -> None:
+    with pytest.raises(M100Error, match=says):
+        aircraft_of(StationOptions(**options), words, is_sim=bool(options.get("sim")))
+
+
+def test_aircraft_of_the_configuration_file_keep_their_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    (tmp_path / "m100link.toml").write_text(
+        '[aircraft.kite]\nurl = "/dev/ttyUSB0"\nfirmware = "3.1"\n'
+        '[aircraft.crow]\nurl = "/dev/ttyUSB1"\n'
+    )
+    found = aircraft_of(StationOptions(), ("kite", "crow", "tcp://b:1"))
+    assert {name: (one.url, one.firmware) for name, one in found.items()} == {
+        "kite": ("/dev/ttyUSB0", "3.1"),
+        "crow": ("/dev/ttyUSB1", None),
+        "m100_3": ("tcp://b:1", None),
+    }

@@ -1,0 +1,71 @@
+"""``m100link echo``, ``hz`` and ``plot`` over a real pseudo-terminal. Real time."""
+
+from __future__ import annotations
+
+import csv
+import io
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.apps.cli.conftest import NEARLY_100, CommandLine, Simulator, process
+
+pytestmark = pytest.mark.pty
+
+
+def test_echo_as_json_and_as_csv(simulator: Simulator) -> None:
+    outcome = process("echo", simulator.port, "position", "battery", "--count", "5")
+    assert outcome.status == 0
+    assert len(outcome.objects) == 5
+    times = [line["received_at"] for line in outcome.objects]
+    assert times == sorted(times)
+    assert list(outcome.objects[0])[:2] == ["received_at", "utc"]
+    utc = [line["utc"] for line in outcome.objects]
+    assert utc[-1] == pytest.approx(time.time(), abs=60.0)
+    assert [at - utc[0] for at in utc] == pytest.approx([at - times[0] for at in times], abs=1e-5)
+    assert outcome.objects[0]["position.gps_health"] == 5
+    table = process("echo", simulator.port, "position", "--csv", "--rate", "10", "--count", "10")
+    rows = list(csv.DictReader(io.StringIO(table.out)))
+    assert len(rows) == 10
+    seconds = float(rows[-1]["received_at"]) - float(rows[0]["received_at"])
+    assert seconds > 0.75, "faster than asked for"
+    assert float(rows[0]["utc"]) == pytest.approx(time.time(), abs=60.0)
+
+
+def test_hz_measures(simulator: Simulator) -> None:
+    outcome = process("hz", simulator.port, "--duration", "2", "--json")
+    assert outcome.status == 0
+    [measured] = outcome.objects
+    assert measured["items"]["quaternion"]["rate_hz"] == NEARLY_100
+    assert measured["items"]["flight_status"]["rate_hz"] == pytest.approx(10, rel=0.3)
+    assert measured["items"]["magnetometer"]["count"] == 0
+    assert measured["items"]["magnetometer"]["rate_hz"] is None
+    assert measured["device_clock"]["tick_hz"] == 600
+
+
+def test_plot_of_a_recorded_span_and_live(simulator: Simulator, tmp_path: Path) -> None:
+    recorded = process("echo", simulator.port, "position", "--csv", "--count", "50")
+    path = tmp_path / "span.csv"
+    path.write_text(recorded.out)
+    drawn = process("plot", str(path), "position.height_m")
+    assert drawn.status == 0
+    assert "position.height_m" in drawn.out
+    live = process("plot", simulator.port, "position.height_m", "--duration", "1")
+    assert live.status == 0
+    assert any(0x2800 < ord(c) <= 0x28FF for c in live.out)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("echo", "sim://", "magnetometer"),
+        ("echo", "sim://", "position", "magnetometer"),
+        ("plot", "sim://", "magnetometer.x"),
+    ],
+    ids=" ".join,
+)
+def test_an_item_at_0_hz_is_named(cli: CommandLine, arguments: tuple[str, ...]) -> None:
+    told = cli(*arguments, "--duration", "2.5").err
+    assert "magnetometer is at 0 Hz: nothing of it arrives" in told
+    assert told.count("0 Hz") == 1

@@ -1,0 +1,79 @@
+"""Logs on board: what is in them does not matter to who fetches them."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pytest
+
+from m100link.apps.fleet.asking import Asker
+from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.logs import fetching
+from m100link.apps.fleet.logs.fetching import LogFetcher
+from m100link.apps.fleet.logs.service import LogService
+from tests.apps.bus.memory import MemoryBus, MemoryNetwork
+from tests.apps.fleet.conftest import UTC
+
+T = TypeVar("T")
+
+FIRST, SECOND = "m100link-20260101-000000.mcap", "m100link-20260101-000001.mcap"
+KEYS = Keys("field", "a1")
+
+
+def bytes_of(size: int) -> bytes:
+    """Some bytes, the same ones each time."""
+    return random.Random(size).randbytes(size)
+
+
+@pytest.fixture
+def shelf(tmp_path: Path) -> Path:
+    """The folder on board, with one log."""
+    folder = tmp_path / "board"
+    folder.mkdir()
+    (folder / FIRST).write_bytes(bytes_of(300_000))
+    return folder
+
+
+class AtOnce:
+    """A disk that nobody waits for: on virtual time a thread would take hours."""
+
+    async def do(self, work: Callable[[], T]) -> T:
+        await asyncio.sleep(0.001)
+        return work()
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class Road:
+    """An aircraft's logs at one end of a network, and who fetches at the other."""
+
+    def __init__(self, shelf: Path) -> None:
+        self.network = MemoryNetwork(seed=3)
+        self.shelf = shelf
+        self.board = self.network.session()
+        self.here = self.network.session()
+        self.token = self.board.declare(KEYS.live_by(self.board.session))
+
+    def service(self, **options: Any) -> LogService:
+        return LogService(self.board, KEYS, self.shelf, **{"apart": AtOnce()} | options)
+
+    def asker(self, bus: MemoryBus | None = None, **options: Any) -> Asker:
+        return Asker(bus or self.here, KEYS, "anna", **{"utc": lambda: UTC} | options)
+
+    def fetcher(self, **options: object) -> LogFetcher:
+        bus = self.network.session()
+        return LogFetcher(bus, KEYS, self.asker(bus, **options))
+
+
+@pytest.fixture
+async def road(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> Road:
+    async def at_once(work: Callable[..., object], *arguments: object) -> object:
+        return work(*arguments)
+
+    monkeypatch.setattr(fetching, "_in_thread", at_once)
+    return Road(shelf)

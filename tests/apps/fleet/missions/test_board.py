@@ -1,0 +1,324 @@
+"""Missions at the agent: whole plans, the one that was meant, once, and no longer than wanted."""
+
+from __future__ import annotations
+
+import uuid
+from typing import Any
+
+import anyio
+import pytest
+
+from m100link.apps.agent.actions import Action
+from m100link.apps.agent.messages import Ask, PlanTold
+from m100link.apps.agent.plan_told import told_of
+from m100link.apps.fleet.control import FleetControl
+from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.lost import LostAction, LostPlan
+from m100link.apps.fleet.missions.board import digest_of
+from m100link.apps.fleet.missions.stages import MissionStage
+from m100link.apps.fleet.outcome import Outcome
+from m100link.apps.fleet.payloads import MissionCard
+from m100link.errors import GuardRefused, M100Error, MissionRunning, StaleLease, UsageError
+from tests.apps.bus.memory import Weather
+from tests.apps.fleet.conftest import SITE, OnBoard, Rig
+from tests.apps.fleet.missions.conftest import away, kind, on_board
+
+pytestmark = pytest.mark.anyio
+
+
+async def flying(rig: Rig, one: OnBoard, control: FleetControl, *north: float) -> None:
+    digest = await control.missions.upload(away(one, *(north or (20, 140))))
+    await control.missions.start(digest, take_off=True)
+    await rig.until(lambda: one.speed > 2.0)
+
+
+async def test_a_plan_goes_up_whole_and_nothing_flies_before_its_start(rig: Rig) -> None:
+    one = await on_board(rig)
+    plan = away(one, 20, 60)
+    async with (await rig.pilot())["a1"].control() as control:
+        digest = await control.missions.upload(plan)
+        assert digest == digest_of(told_of(plan, "somebody"))
+        card = await (await rig.pilot("b"))["a1"].mission()
+        assert (card.stage, card.digest, card.points) == (MissionStage.UPLOADED, digest, 2)
+        assert card.by == "pilot"
+        await anyio.sleep(5.0)
+        assert one.height < 0.1
+        assert kind(one) != "waypoint mission"
+        await control.missions.start(digest, take_off=True)
+        assert one.fleet_agent.missions.stage is MissionStage.FLYING
+        await rig.until(lambda: one.fleet_agent.missions.stage is MissionStage.OVER)
+        card = await (await rig.pilot("c"))["a1"].mission()
+        assert (card.reached, card.is_finished, card.fault) == (b"\x00\x01", True, None)
+
+
+async def test_another_plan_than_the_one_that_is_named_does_not_start(rig: Rig) -> None:
+    one = await on_board(rig)
+    async with (await rig.pilot())["a1"].control() as control:
+        first = await control.missions.upload(away(one, 20, 60))
+        second = await control.missions.upload(away(one, 20, 80))
+        assert first != second
+        with pytest.raises(UsageError, match="not the one on board"):
+            await control.missions.start(first, take_off=True)
+        with pytest.raises(UsageError, match="not the one on board"):
+            await control.missions.start("0" * 64)
+        assert one.height < 0.1
+
+
+async def test_a_plan_by_pieces_is_not_started_under_the_name_of_another(rig: Rig) -> None:
+    """So a front that is far away brings one: as it would to an agent beside it."""
+    one = await on_board(rig)
+    pieces = told_of(away(one, 20, 60), "")
+    async with (await rig.pilot())["a1"].control() as control:
+        digest = await control.missions.upload(away(one, 20, 80))
+        await control.ask(Ask(0, Action.MISSION_PLAN, data=pieces.mission))
+        for point in pieces.points:
+            await control.ask(Ask(0, Action.MISSION_POINT, data=point))
+        with pytest.raises(UsageError, match="not the one on board"):
+            await control.missions.start(digest, take_off=True)
+        assert one.height < 0.1
+        await control.ask(Ask(0, Action.MISSION_START, number=1))
+        assert one.fleet_agent.missions.stage is MissionStage.FLYING
+
+
+async def test_what_is_no_plan_is_refused_and_flies_nothing(rig: Rig) -> None:
+    one = await on_board(rig)
+    told = told_of(away(one, 20, 60, 100), "")
+    halves = [
+        PlanTold("", told.mission, told.points[:2]),
+        PlanTold("", told.mission[:-1], told.points),
+        PlanTold("", b"", told.points),
+        PlanTold("", told.mission, (told.points[0], told.points[0], told.points[2])),
+        PlanTold("", told.mission, (*told.points[:2], b"")),
+    ]
+    async with (await rig.pilot())["a1"].control() as control:
+        for half in halves:
+            with pytest.raises(UsageError):
+                await control.ask(half)
+            with pytest.raises(UsageError):
+                await control.missions.start(digest_of(half), take_off=True)
+        assert one.height < 0.1
+
+
+async def test_an_upload_that_is_lost_in_the_middle_of_its_staging_flies_nothing(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = await on_board(rig)
+    plan = away(one, 20, 60, 100)
+    async with (await rig.pilot())["a1"].control() as control:
+        good = await control.missions.upload(plan)
+        ask, asked = one.client.ask, 0
+
+        async def breaks(action: Action, *arguments: Any, **more: Any) -> object:
+            nonlocal asked
+            asked += action is Action.MISSION_POINT
+            if asked == 2:
+                raise UsageError("cut off")
+            return await ask(action, *arguments, **more)
+
+        with monkeypatch.context() as patched:
+            patched.setattr(one.client, "ask", breaks)
+            with pytest.raises(UsageError, match="cut off"):
+                await control.missions.upload(away(one, 30, 70, 110))
+        for digest in (good, ""):
+            with pytest.raises(UsageError):
+                await control.missions.start(digest, take_off=True)
+        assert one.height < 0.1
+
+
+async def test_without_the_lease_nothing_goes_up_and_nothing_starts(rig: Rig) -> None:
+    one = await on_board(rig)
+    pilot = await rig.pilot()
+    asker = pilot["a1"].asker
+    with pytest.raises(StaleLease):
+        await asker.ask(told_of(away(one, 20, 60), ""))
+    async with pilot["a1"].control() as control:
+        digest = await control.missions.upload(away(one, 20, 60))
+        start = Ask(0, Action.MISSION_START, number=1, data=digest.encode())
+        with pytest.raises(StaleLease):
+            await asker.ask(start)
+        with pytest.raises(StaleLease):  # a stranger who knows the number of the lease
+            await asker.ask(start, fence=control.fence, token="guessed")
+    async with pilot["a1"].control() as control:
+        with pytest.raises(UsageError, match="not the one on board"):
+            await control.missions.start(digest, take_off=True)
+    assert one.height < 0.1
+
+
+async def test_a_start_that_is_repeated_starts_once_and_one_that_is_late_not_at_all(
+    rig: Rig,
+) -> None:
+    one = await on_board(rig)
+    pilot = await rig.pilot()
+    asker = pilot["a1"].asker
+    rig.network.weather = Weather(repeat=0.8, jitter_s=0.1, loss=0.1)
+    async with pilot["a1"].control() as control:
+        await flying(rig, one, control)
+        lease = control._held()
+        start = Ask(0, Action.MISSION_START, number=1)
+        with pytest.raises(GuardRefused, match="nobody waits for it"):
+            await asker.ask(
+                start, fence=lease.number, token=lease.token, clock=one.client.now - 6.0
+            )
+        with pytest.raises(MissionRunning):
+            await control.missions.start("", take_off=True)
+        with pytest.raises(MissionRunning):
+            await control.missions.upload(away(one, 20, 60))
+        begins = [event.text for event in one.client.events if "begins" in event.text]
+        assert sum("mission" in text for text in begins) == 1
+
+
+async def test_an_agent_that_begins_anew_does_not_start_it_a_second_time(rig: Rig) -> None:
+    one = await on_board(rig)
+    identity = uuid.uuid4().hex
+    one.ledger.begun[identity] = rig.utc()
+    second = await rig.aircraft("a2", virtual=one.aircraft, ledger=one.ledger)
+    result = None
+    pilot = await rig.pilot()
+    async with pilot["a2"].control() as control:
+        lease = control._held()
+        await control.missions.upload(away(one, 20, 60))
+        try:
+            await pilot["a2"].asker.ask(
+                Ask(0, Action.MISSION_START, number=1),
+                fence=lease.number,
+                token=lease.token,
+                clock=second.client.now,
+                identity=identity,
+            )
+        except M100Error as error:
+            result = error
+    assert result is not None
+    assert "started anew" in result.seen
+    assert one.height < 0.1
+
+
+@pytest.mark.parametrize("how", ["stop", "halt", "mission stop", "lease"])
+async def test_whatever_ends_it_the_aircraft_hovers(rig: Rig, how: str) -> None:
+    one = await on_board(rig)
+    pilot = await rig.pilot()
+    async with pilot["a1"].control() as control:
+        await flying(rig, one, control)
+        if how == "stop":
+            await (await rig.pilot("anybody"))["a1"].stop()
+        elif how == "halt":
+            await control.missions.stop()
+        elif how == "mission stop":
+            await control.ask(Ask(0, Action.MISSION_STOP))
+        else:
+            await control._leave()
+        began = anyio.current_time()
+        await rig.until(lambda: one.speed < 0.3, within=5.0)
+        assert anyio.current_time() - began < 3.0
+        missions = one.fleet_agent.missions
+        await rig.until(lambda: missions.stage in (MissionStage.OVER, MissionStage.NONE), within=5)
+        await rig.until(lambda: kind(one) == "no mission", within=5.0)
+        await anyio.sleep(10.0)
+        assert one.speed < 0.3
+        assert one.height > 1.0
+        assert (await pilot["a1"].card()).task == ""
+        card = await pilot["a1"].mission()
+        assert card.fault is not None
+        assert card.points == 2
+
+
+async def test_a_start_that_waited_behind_a_stop_does_not_fly(rig: Rig) -> None:
+    """Two starts and a STOP between them: the second one is refused, not kept for later."""
+    one = await on_board(rig)
+    pilot = await rig.pilot()
+    async with pilot["a1"].control() as control:
+        digest = await control.missions.upload(away(one, 20, 140))
+        refused: list[M100Error] = []
+
+        async def start() -> None:
+            try:
+                await control.missions.start(digest, take_off=True)
+            except M100Error as error:
+                refused.append(error)
+
+        async with anyio.create_task_group() as group:
+            for _ in range(3):
+                group.start_soon(start)
+            await anyio.sleep(1.0)
+            await (await rig.pilot("anybody"))["a1"].stop()
+        assert len(refused) == 3
+        await anyio.sleep(20.0)
+        assert one.speed < 0.3
+        assert kind(one) != "waypoint mission"
+
+
+@pytest.mark.parametrize(("action", "height"), [("hover", 6.0), ("land", 0.0)])
+async def test_when_the_pilot_is_lost_it_does_what_lost_says(
+    rig: Rig, action: LostAction, height: float
+) -> None:
+    one = await on_board(rig, lost=LostPlan(action, 4.0))
+    pilot = await rig.pilot()
+    with pytest.raises(M100Error):
+        async with pilot["a1"].control() as control:
+            await flying(rig, one, control)
+            await anyio.sleep(3.0)
+            assert one.speed > 2.0
+            rig.cut(pilot)
+            cut_at = anyio.current_time()
+            await rig.until(lambda: one.speed < 0.3, within=10.0)
+            assert anyio.current_time() - cut_at < 6.0
+            await anyio.sleep(30.0)
+    await anyio.sleep(30.0)
+    assert kind(one) != "waypoint mission"
+    assert one.speed < 0.3
+    assert one.height == pytest.approx(height, abs=0.7)
+
+
+async def test_a_mission_is_paused_and_goes_on_and_its_card_says_so(rig: Rig) -> None:
+    one = await on_board(rig)
+    pilot = await rig.pilot()
+    async with pilot["a1"].control() as control:
+        await flying(rig, one, control)
+        await rig.until(lambda: one.fleet_agent.missions.words == "mission, 1 of 2")
+        await control.pause_mission()
+        await rig.until(lambda: one.speed < 0.3, within=10.0)
+        card = await pilot["a1"].mission()
+        assert (card.stage, card.is_paused) == (MissionStage.FLYING, True)
+        assert card.distance_m is not None
+        assert (await pilot["a1"].card()).task == "mission, 1 of 2, paused"
+        await control.resume_mission()
+        await rig.until(lambda: one.speed > 2.0, within=10.0)
+        assert not (await pilot["a1"].mission()).is_paused
+        assert (await pilot["a1"].mission()).index == 1
+
+
+async def test_a_refusal_of_the_aircraft_is_told_and_leaves_it_on_the_ground(rig: Rig) -> None:
+    one = await rig.aircraft("a1")  # firmware 1.0 flies none
+    pilot = await rig.pilot()
+    results = {}
+    async with pilot["a1"].control() as control:
+        digest = await control.missions.upload(away(one, 20, 60))
+        results = await pilot.each(lambda _: control.missions.start(digest, take_off=True), ["a1"])
+    assert results["a1"].outcome is Outcome.REFUSED
+    assert one.height < 0.1
+    assert one.fleet_agent.missions.stage is not MissionStage.FLYING
+
+
+async def test_of_a_flood_of_questions_few_cost_anything(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = await on_board(rig)
+    missions, made = one.fleet_agent.missions, 0
+    card = missions.card
+
+    def counted(name: str, boot: str) -> MissionCard:
+        nonlocal made
+        made += 1
+        return card(name, boot)
+
+    monkeypatch.setattr(missions, "card", counted)
+    pilot = await rig.pilot()
+    for _ in range(50):
+        async with anyio.create_task_group() as group:
+            for _ in range(20):
+                group.start_soon(lambda: pilot.bus.ask(Keys(SITE, "a1").mission, timeout=1.0))
+        await anyio.sleep(0.02)
+    assert made < 40
+    await anyio.sleep(0.1)
+    before = made
+    assert (await pilot["a1"].mission()).stage is MissionStage.NONE
+    assert made == before + 1

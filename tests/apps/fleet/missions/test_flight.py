@@ -1,0 +1,185 @@
+"""A mission for who flies it: events in their order, whatever the network loses, and its end."""
+
+from __future__ import annotations
+
+import anyio
+import pytest
+
+from m100link.apps.agent.fault import MessageError
+from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.missions.flight import FleetMission, mission_card
+from m100link.apps.fleet.missions.stages import MissionStage
+from m100link.errors import M100Error, NotObserved, OutcomeUnknown, Unreachable
+from m100link.flight.missions.events import (
+    Finished,
+    MissionEvent,
+    MissionProgress,
+    Paused,
+    Reached,
+    Resumed,
+    Started,
+    Stopped,
+    Uploaded,
+)
+from m100link.missions.plan import AtEnd
+from tests.apps.bus.memory import Weather
+from tests.apps.fleet.conftest import SITE, OnBoard, Rig
+from tests.apps.fleet.missions.conftest import away, kind, on_board
+
+pytestmark = pytest.mark.anyio
+
+
+async def told(mission: FleetMission) -> list[MissionEvent]:
+    return [event async for event in mission if not isinstance(event, MissionProgress)]
+
+
+@pytest.mark.parametrize(
+    "weather",
+    [
+        pytest.param(Weather(), id="good network"),
+        pytest.param(Weather(loss=0.1, repeat=0.2, delay_s=0.02, jitter_s=0.1), id="bad network"),
+        pytest.param(Weather(delay_s=1.0), id="long way"),
+    ],
+)
+async def test_all_of_it_is_told_in_its_order(rig: Rig, weather: Weather) -> None:
+    one = await on_board(rig)
+    rig.network.weather = weather
+    async with (await rig.pilot())["a1"].control() as control:
+        plan = away(one, 20, 60, 100)
+        async with control.waypoint_mission(plan, take_off=True) as mission:
+            events = await told(mission)
+        assert events == [
+            Uploaded(3, None),
+            Started(),
+            Reached(0),
+            Reached(1),
+            Reached(2),
+            Finished(),
+        ]
+        assert mission.is_over
+        rig.network.weather = Weather()
+        await control.land()
+    assert one.height < 0.1
+
+
+async def test_progress_says_how_far_it_is(rig: Rig) -> None:
+    one = await on_board(rig)
+    async with (await rig.pilot())["a1"].control() as control:
+        async with control.waypoint_mission(away(one, 20, 60), take_off=True) as mission:
+            seen = [event async for event in mission if isinstance(event, MissionProgress)]
+    assert {event.index for event in seen} == {0, 1}
+    times = [event.elapsed for event in seen]
+    assert times == sorted(times)
+    near = [event.distance_m for event in seen if event.index == 1 and event.distance_m is not None]
+    assert near[0] > 30.0
+    assert near[-1] < 10.0
+
+
+async def test_with_a_landing_at_the_end_it_is_over_on_the_ground(rig: Rig) -> None:
+    one = await on_board(rig)
+    async with (await rig.pilot())["a1"].control() as control:
+        plan = away(one, 20, 60, at_end=AtEnd.LAND)
+        async with control.waypoint_mission(plan, take_off=True) as mission:
+            events = await told(mission)
+    assert events[-1] == Finished()
+    assert one.height < 0.1
+
+
+async def test_paused_resumed_and_stopped_are_told(rig: Rig) -> None:
+    one = await on_board(rig)
+    async with (await rig.pilot())["a1"].control() as control:
+        async with control.waypoint_mission(away(one, 20, 140), take_off=True) as mission:
+            events = []
+            async for event in mission:
+                events.append(event)
+                if event == Reached(0):
+                    await mission.pause()
+                elif event == Paused():
+                    await rig.until(lambda: one.speed < 0.3)
+                    await mission.resume()
+                elif event == Resumed():
+                    await rig.until(lambda: one.speed > 1.0)
+                    assert await mission.set_speed(3.0) == pytest.approx(3.0)
+                    await mission.stop()
+            plain = [event for event in events if not isinstance(event, MissionProgress)]
+            assert plain[2:] == [Reached(0), Paused(), Resumed(), Stopped()]
+            await rig.until(lambda: one.speed < 0.3, within=3.0)
+        await control.fly_to(**here(rig, one))  # something else may fly
+
+
+def here(rig: Rig, one: OnBoard) -> dict[str, float]:
+    telemetry = one.client.telemetry
+    position = None if telemetry is None else telemetry.position
+    assert position is not None
+    return {
+        "latitude_deg": position.latitude_deg,
+        "longitude_deg": position.longitude_deg,
+        "height": 8.0,
+    }
+
+
+async def test_leaving_the_block_stops_it(rig: Rig) -> None:
+    one = await on_board(rig)
+    async with (await rig.pilot())["a1"].control() as control:
+        with pytest.raises(KeyError):
+            async with control.waypoint_mission(away(one, 20, 140), take_off=True):
+                await rig.until(lambda: one.speed > 2.0)
+                raise KeyError
+        assert kind(one) != "waypoint mission"
+        await rig.until(lambda: one.speed < 0.3, within=5.0)
+        assert one.height > 1.0
+
+
+async def test_a_stop_of_somebody_else_is_raised_with_its_reason(rig: Rig) -> None:
+    one = await on_board(rig)
+    async with (await rig.pilot())["a1"].control() as control:
+        with pytest.raises(NotObserved, match="was stopped: stop"):
+            async with control.waypoint_mission(away(one, 20, 140), take_off=True) as mission:
+                async for event in mission:
+                    if event == Reached(0):
+                        await (await rig.pilot("anybody"))["a1"].stop()
+    assert one.speed < 0.3
+
+
+async def test_an_agent_that_is_killed_meanwhile_is_an_unknown_end(rig: Rig) -> None:
+    one = await on_board(rig)
+    pilot = await rig.pilot()
+    with pytest.raises(OutcomeUnknown):
+        async with pilot["a1"].control() as control:
+            async with control.waypoint_mission(away(one, 20, 140), take_off=True) as mission:
+                async for event in mission:
+                    if event == Reached(0):
+                        rig.network.cut(one.bus)
+    await anyio.sleep(15.0)
+    assert one.speed < 0.3
+
+
+async def test_an_agent_that_was_started_anew_is_said(rig: Rig) -> None:
+    one = await on_board(rig)
+    with pytest.raises(OutcomeUnknown, match="started anew"):
+        async with (await rig.pilot())["a1"].control() as control:
+            async with control.waypoint_mission(away(one, 20, 140), take_off=True) as mission:
+                async for _ in mission:
+                    mission._boot = "of before"
+
+
+async def test_where_nobody_tells_it_is_said_with_what_to_do(rig: Rig) -> None:
+    pilot = await rig.pilot()
+    with pytest.raises(Unreachable):
+        await pilot["a7"].mission()
+    with pytest.raises(OutcomeUnknown, match="does not tell where its mission is"):
+        await mission_card(pilot.bus, Keys(SITE, "a7"), patience=1.0)
+    junk = rig.network.session()
+    junk.serve(Keys(SITE, "a7").mission, lambda q: q.answer(Keys(SITE, "a7").mission, b"\x01{]"))
+    with pytest.raises(MessageError):
+        await mission_card(pilot.bus, Keys(SITE, "a7"), patience=1.0)
+
+
+async def test_a_plan_that_the_guards_refuse_flies_nothing_and_says_why(rig: Rig) -> None:
+    one = await on_board(rig)
+    async with (await rig.pilot())["a1"].control() as control:
+        with pytest.raises(M100Error, match="the envelope ends at 150 m"):
+            async with control.waypoint_mission(away(one, 20, 300), take_off=True):
+                pass
+    assert one.height < 0.1
+    assert one.fleet_agent.missions.stage in (MissionStage.OVER, MissionStage.NONE)

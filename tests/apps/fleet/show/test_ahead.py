@@ -1,0 +1,243 @@
+"""Where the others of a show will be, and who of them comes too near."""
+
+from __future__ import annotations
+
+import json
+import math
+from itertools import pairwise
+
+import pytest
+
+from m100link.apps.fleet.show.ahead import (
+    AHEAD_S,
+    SETTLED_S,
+    SILENT_S,
+    Ahead,
+    Near,
+    Neighbours,
+    by_speed,
+    by_track,
+)
+from m100link.apps.fleet.show.silence import RestOfTrack
+from m100link.apps.fleet.show.track import BadShow
+from tests.apps.fleet.show.shows import track
+
+NORTH = track("a1", (0, 0, 0, 4), (20, 40, 0, 4))
+ACROSS = track("a2", (0, 20, -20, 4), (20, 20, 20, 4))
+
+
+def neighbours(least: float = 3.0) -> Neighbours:
+    return Neighbours("show", "a1", least)
+
+
+def on_track(at: float, *, off: float = 0.0) -> Ahead:
+    north, east, height = NORTH.moment(at).place
+    return by_track("show", NORTH, at, (north, east + off, height))
+
+
+def test_one_flies_on_as_far_beside_its_track_as_it_is() -> None:
+    ahead = on_track(5.0, off=1.0)
+    for later in (0.0, 0.2, 3.3, AHEAD_S):
+        wanted = NORTH.moment(5.0 + later).place
+        assert ahead.place(5.0 + later) == pytest.approx((wanted[0], 1.0, 4.0), abs=0.05)
+    assert ahead.place(99.0) == ahead.places[-1]
+    assert ahead.place(0.0) == ahead.places[0]
+
+
+def test_two_whose_ways_cross_at_one_time_meet_and_not_at_different_times() -> None:
+    ones = neighbours()
+    assert ones.near(on_track(5.0), 0.0) is None
+    ones.hear(by_track("show", ACROSS, 5.0, ACROSS.moment(5.0).place), 0.0)
+    near = ones.near(on_track(5.0), 0.0)
+    assert near is not None
+    assert (near.name, near.distance_m < 3.0) == ("a2", True)
+    assert 5.0 < near.at < 11.0, "both are at the crossing at 10 s"
+    first = track("a2", (0, 20, 16, 4), (4, 20, 20, 4))
+    gone = neighbours()
+    gone.hear(by_track("show", first, 5.0, first.moment(5.0).place), 0.0)
+    assert gone.near(on_track(5.0), 0.0) is None, "it is past, 20 m to the east"
+
+
+def test_one_that_hovers_in_the_way_is_seen_ten_seconds_before() -> None:
+    times = []
+    for tenth in range(200):
+        at = tenth / 10
+        ones = neighbours()
+        ones.hear(by_speed("show", "a2", at, (30.0, 0.5, 4.0), (0.0, 0.0, 0.0)), 0.0)
+        near = ones.near(on_track(at), 0.0)
+        if near is not None:
+            times.append((at, near.at))
+    reached = next(at / 100 for at in range(2000) if NORTH.moment(at / 100).place[0] > 27.0)
+    assert times[0][0] == pytest.approx(reached - AHEAD_S, abs=0.3)
+    assert times[0][1] == pytest.approx(reached, abs=0.3)
+
+
+def test_one_that_may_be_landing_is_everywhere_below() -> None:
+    ones = neighbours()
+    ones.hear(by_speed("show", "a2", 5.0, (20.0, 0.0, 20.0), (0.0, 0.0, 0.0)), 0.0)
+    assert ones.near(on_track(5.0), 0.0) is not None
+    above = neighbours()
+    high = track("a2", (0, 20, 0, 20), (60, 20, 9, 20))
+    above.hear(by_track("show", high, 5.0, (20.0, 0.0, 20.0)), 0.0)
+    assert above.near(on_track(5.0), 0.0) is None, "16 m above, and it flies"
+    landed = neighbours()
+    landed.hear(by_speed("show", "a2", 5.0, (20.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 0.0)
+    assert landed.near(on_track(5.0), 0.0) is None, "4 m below, on the ground"
+
+
+def test_one_that_drifts_off_is_where_it_drifts_to() -> None:
+    ones = neighbours()
+    ones.hear(by_speed("show", "a2", 5.0, (20.0, 10.0, 4.0), (0.0, -1.5, 0.0)), 0.0)
+    near = ones.near(on_track(5.0), 0.0)
+    assert near is not None
+    assert near.distance_m < 3.0
+
+
+def silent(others: list[str], heard_at: dict[str, float]) -> Neighbours:
+    """One flew towards the crossing, and would be past it; another one is far away."""
+    ones = neighbours()
+    early = track("a2", (0, 20, -10, 4), (6, 20, 2, 4), (12, 20, 20, 4))
+    for name in others:
+        place = early.moment(5.0).place if name == "a2" else (500.0, 0.0, 4.0)
+        ahead = by_track("show", early, 5.0, place) if name == "a2" else None
+        ahead = ahead or by_speed("show", name, 5.0, place, (0.0, 0.0, 0.0))
+        ones.hear(ahead, heard_at[name])
+    return ones
+
+
+def test_one_that_alone_is_silent_may_hover_where_it_was() -> None:
+    both = silent(["a2", "a3"], {"a2": 0.0, "a3": 2.0})
+    assert both.near(on_track(7.0), 2.0) is not None
+    heard = silent(["a2", "a3"], {"a2": 2.0 - SILENT_S, "a3": 2.0})
+    assert heard.near(on_track(5.0 + SILENT_S), 2.0) is None, "it flies on, and is past"
+
+
+def test_who_hears_nobody_counts_them_as_there_too() -> None:
+    """Of two the other one was killed, or this one is cut off: nobody here knows."""
+    alone = silent(["a2", "a3"], {"a2": 0.0, "a3": 0.0})
+    near = alone.near(on_track(7.0), 2.0)
+    assert near is not None
+    assert (near.name, near.silent_s) == ("a2", 2.0)
+    ones = neighbours()
+    ones.hear(by_track("show", ACROSS, 5.0, ACROSS.moment(5.0).place), 0.0)
+    assert ones.near(on_track(7.0), 2.0) is not None, "what it told holds for ten seconds"
+
+
+def test_one_that_is_silent_may_have_stopped_anywhere_on_its_way_and_not_beyond() -> None:
+    fast = track("a2", (0, 20, -24, 4), (20, 20, 40, 4))
+    for at, is_near in ((8.0, True), (30.0, False)):
+        there = fast.moment(5.0).place
+        ones = neighbours()
+        ones.hear(by_track("show", fast, 5.0, there), 5.0)
+        own = by_speed("show", "a1", at, (20.0, 0.0, 4.0), (0.0, 0.0, 0.0))
+        crossed = next(t / 10 for t in range(200) if fast.moment(t / 10).place[1] > -3.0)
+        assert crossed < 13.0
+        assert (ones.near(own, at) is not None) or not is_near
+        assert (ones.near(own, at) is None) or at >= crossed - 10.0
+        elsewhere = by_speed("show", "a1", at, (20.0, 45.0, 4.0), (0.0, 0.0, 0.0))
+        assert ones.near(elsewhere, at) is None, "so far it told nothing"
+
+
+def test_a_silent_one_is_decided_about_in_time_and_once() -> None:
+    """Its way is met half a minute later: who leaves for that is still where it told that it is."""
+    later = track("a1", (0, 0, 0, 4), (10, 0, 9, 4), (40, 40, 9, 4), (70, 40, 0, 4))
+    rest = RestOfTrack(later)
+
+    def at(seconds: float) -> Near | None:
+        own = by_track("show", later, seconds, later.moment(seconds).place)
+        return ones.near(own, seconds, rest)
+
+    ones = neighbours()
+    ones.hear(by_speed("show", "a2", 0.0, (40.0, 5.0, 4.0), (0.0, 0.0, 0.0)), 0.0)
+    assert at(SETTLED_S - 0.2) is None
+    near = at(SETTLED_S + 0.1)
+    assert near is not None
+    assert 30.0 < near.at < 60.0
+    assert near.silent_s == pytest.approx(SETTLED_S + 0.1)
+    assert at(SETTLED_S + 0.3) is None, "whoever flies on has left, or was not asked to"
+    ones.hear(by_speed("show", "a2", 9.0, (40.0, 50.0, 4.0), (0.0, 0.0, 0.0)), 9.0)
+    assert at(9.0 + SETTLED_S + 0.1) is None, "it was heard again, 40 m away"
+
+
+def test_a_word_that_was_long_on_its_way_is_as_old_as_it_says() -> None:
+    ones = neighbours()
+    ones.hear(by_track("show", ACROSS, 1.0, (20.0, 0.0, 4.0)), 7.9)
+    near = ones.near(on_track(8.0), 8.0)
+    assert near is not None
+    assert near.silent_s == pytest.approx(7.0)
+
+
+def test_an_older_word_that_comes_later_changes_nothing() -> None:
+    ones = neighbours()
+    ones.hear(by_speed("show", "a2", 7.9, (20.0, 0.0, 4.0), (0.0, 0.0, 0.0)), 8.0)
+    ones.hear(by_speed("show", "a2", 7.0, (500.0, 0.0, 4.0), (0.0, 0.0, 0.0)), 8.0)
+    assert ones.near(on_track(8.0), 8.0) is not None
+
+
+def test_other_shows_and_itself_are_not_compared() -> None:
+    ones = neighbours()
+    for show, name in (("other", "a2"), ("show", "a1")):
+        ones.hear(by_speed(show, name, 5.0, (10.0, 0.0, 4.0), (0.0, 0.0, 0.0)), 0.0)
+    assert ones.near(on_track(5.0), 0.0) is None
+
+
+def test_what_is_told_comes_out_as_it_went_in() -> None:
+    ahead = on_track(5.0, off=0.123)
+    read = Ahead.from_bytes(ahead.to_bytes())
+    assert (read.show, read.name, read.at, read.down_from) == ("show", "a1", 5.0, 20.0)
+    assert all(math.dist(a, b) < 0.01 for a, b in zip(read.places, ahead.places, strict=True))
+    assert len(ahead.to_bytes()) < 800
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"[]",
+        b"{}",
+        b"[1,2,3,4,5]",
+        b'["s","n",0,0,[]]',
+        b'["s","n",0,0,[[1,2]]]',
+        b'["s","n",NaN,0,[[1,2,3]]]',
+        b'["s","n",0,Infinity,[[1,2,3]]]',
+        b'["s","n",0,0,[[1,2,1e300]]]',
+        b'["s","n",0,0,[[1,2,"x"]]]',
+        b'["s","n",0,0,[["1e999",2,3]]]',
+        b"[" * 4000,
+        json.dumps(["s", "n", 0, 0, [[1, 2, 3]] * 2000]).encode(),
+        b"\xff",
+    ],
+)
+def test_nonsense_is_refused(data: bytes) -> None:
+    with pytest.raises(BadShow, match="where an aircraft will be"):
+        Ahead.from_bytes(data)
+
+
+def test_strangers_do_not_fill_the_memory() -> None:
+    ones = neighbours()
+    for number in range(5000):
+        ones.hear(by_speed("show", f"x{number}", 5.0, (900.0, 0, 4), (0, 0, 0)), 0.0)
+    assert len(ones._heard) <= 1000
+
+
+def test_where_one_may_stand_is_each_tenth_of_a_second_of_its_way() -> None:
+    """Two metres a second for ten seconds: a hundred and one places, 0.2 m apart."""
+    ahead = by_speed("show", "a1", 5.0, (0.0, 1.0, 4.0), (2.0, 0.0, 0.0))
+    stands = ahead.stands()
+    assert len(stands) == 101
+    assert (stands[0], stands[-1]) == (ahead.places[0], ahead.places[-1])
+    apart = {round(math.dist(a, b), 3) for a, b in pairwise(stands)}
+    assert apart == {0.2}
+    assert ahead.way == pytest.approx(20.0, abs=0.01)
+
+
+def test_a_silent_one_is_looked_for_only_as_far_as_it_can_have_come() -> None:
+    """It flies from 100 s on; what comes later on its way is not where it stands now."""
+    ones = neighbours()
+    other = Ahead("show", "a2", 100.0, tuple((0.0, 2.0 * n, 4.0) for n in range(21)), 999.0)
+    ones.hear(other, 0.0)
+    here = tuple((0.0, 12.0, 4.0) for _ in range(21))
+    hovers = Ahead("show", "a1", 100.0 + SILENT_S + 0.1, here, 999.0)
+    silent = ones.near(hovers, SILENT_S + 0.1)
+    assert silent is not None
+    assert silent.at == pytest.approx(102.3, abs=0.5), "from 9 m on it is nearer than 3 m"

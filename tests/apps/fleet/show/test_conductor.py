@@ -1,0 +1,412 @@
+"""A show over a network in memory: agents, signatures, a conductor; one is killed, one refuses."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from itertools import combinations
+from math import dist
+from typing import Any
+
+import anyio
+import pytest
+
+from m100link.apps.fleet.identity import Signer
+from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.rights import Rights
+from m100link.apps.fleet.show import performer
+from m100link.apps.fleet.show.checks import check
+from m100link.apps.fleet.show.conductor import Conductor, Part
+from m100link.apps.fleet.show.document import Show
+from m100link.apps.fleet.show.performer import Leave, Stage
+from m100link.apps.fleet.show.service import ShowService
+from m100link.apps.fleet.show.steering import ShowRefused
+from m100link.apps.fleet.show.track import TimedTrack
+from m100link.apps.fleet.signing import signing, verifying
+from m100link.errors import GuardRefused, M100Error, NotAllowed, Unreachable, UsageError
+from m100link.flight.guards import Envelope, Guards
+from m100link.geodesy import LocalFrame
+from m100link.sim.vehicle.settings import AircraftSettings
+from m100link.sim.virtual import VirtualAircraft
+from tests.apps.bus.memory import MemoryBus, Weather
+from tests.apps.fleet.conftest import SITE, OnBoard, Rig, anyio_backend, rig
+from tests.apps.fleet.show.shows import ORIGIN
+from tests.apps.fleet.show.shows import track as points_track
+from tests.apps.fleet.show.stage import row
+
+__all__ = ["anyio_backend", "rig"]
+
+pytestmark = pytest.mark.anyio
+
+ANNA = Signer("anna", b"a" * 32)
+RIGHTS = Rights.parse(
+    f'[identity.anna]\npublic_key = "{ANNA.public_key.hex()}"\nfly = ["*"]\n[identity.bert]\n'
+    f'public_key = "{Signer("bert", b"b" * 32).public_key.hex()}"\nstop = ["*"]\n'
+)
+
+
+class Company:
+    """Aircraft at their places with their agents, and what is told."""
+
+    def __init__(self, rig: Rig, count: int) -> None:
+        self.rig = rig
+        self.show = Show("", tuple(row(count)))
+        self.on_board: list[OnBoard] = []
+        self.performing: list[ShowService] = []
+        self.services: list[asyncio.Task[None]] = []
+        self.told: list[str] = []
+
+    async def come(self) -> None:
+        for index, track in enumerate(self.show.tracks):
+            first = track.points[0]
+            place = LocalFrame(*ORIGIN).to_geodetic(first.north, first.east)
+            settings = AircraftSettings(latitude_deg=place[0], longitude_deg=place[1])
+            virtual = VirtualAircraft(seed=index, settings=settings)
+            one = await self.rig.aircraft(track.name, virtual=virtual)
+            verify = verifying(RIGHTS, [track.name], self.rig.utc)
+            service = ShowService(one.client, one.bus, Keys(SITE, track.name), verify=verify)
+            self.performing.append(service)
+            self.services.append(asyncio.ensure_future(service.run()))
+            self.on_board.append(one)
+
+    def conductor(self, **options: Any) -> Conductor:
+        options.setdefault("sign", signing(ANNA))
+        options.setdefault("utc", self.rig.utc)
+        bus = self.rig.network.session()
+        return Conductor(bus, SITE, "anna", self.show, tell=self.told.append, **options)
+
+    def places(self) -> list[tuple[float, float, float]]:
+        found = []
+        for one, track in zip(self.on_board, self.show.tracks, strict=True):
+            (north, east), first = one.aircraft.position, track.points[0]
+            found.append((first.north + north, first.east + east, one.height))
+        return found
+
+    async def nearest(self) -> float:
+        """The nearest of any two from now on, until this is cancelled."""
+        found = 1e9
+        try:
+            while True:
+                await anyio.sleep(0.05)
+                found = min(found, *(dist(a, b) for a, b in combinations(self.places(), 2)))
+        except asyncio.CancelledError:
+            return found
+
+
+@asynccontextmanager
+async def company(rig: Rig, count: int) -> AsyncIterator[Company]:
+    made = Company(rig, count)
+    await made.come()
+    yield made
+    for service in made.services:
+        service.cancel()
+    await asyncio.gather(*made.services, return_exceptions=True)
+
+
+def stages(parts: dict[str, Part]) -> list[Stage | None]:
+    return [part.stage for part in parts.values()]
+
+
+async def test_five_fly_a_show_and_land(rig: Rig) -> None:
+    async with company(rig, 5) as made:
+        watching = asyncio.ensure_future(made.nearest())
+        parts = await made.conductor().fly()
+        assert stages(parts) == [Stage.FLOWN] * 5
+        assert max(part.farthest_m for part in parts.values()) < 0.3
+        await rig.until(lambda: all(one.height == 0 for one in made.on_board))
+        watching.cancel()
+        assert await watching > 8.0
+        assert sum("has flown its track" in text for text in made.told) == 5
+
+
+async def test_those_that_are_ready_wait_for_one_that_is_long_on_its_way(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(performer, "ATTENDED_S", 5.0)  # for nobody may climb much higher
+    async with company(rig, 2) as made:
+        high = points_track("a2", (0, 0, 10, 45), (4, 4, 10, 45))
+        made.show = Show("", (made.show.tracks[0], high))
+        parts = await made.conductor().fly()
+        assert stages(parts) == [Stage.FLOWN] * 2
+
+
+async def test_through_a_network_that_loses_and_delays_they_fly_all_the_same(rig: Rig) -> None:
+    async with company(rig, 2) as made:
+        rig.network.weather = Weather(loss=0.1, repeat=0.1, delay_s=0.005, jitter_s=0.02)
+        parts = await made.conductor().fly()
+        assert stages(parts) == [Stage.FLOWN] * 2
+
+
+async def test_one_that_is_cut_off_flies_on_and_one_that_is_killed_hovers(rig: Rig) -> None:
+    async with company(rig, 3) as made:
+        conducting = asyncio.ensure_future(made.conductor(leave="hover").fly())
+        await rig.until(lambda: any("begins in" in text for text in made.told))
+        await anyio.sleep(9.0)
+        cut, killed, _ = made.on_board
+        rig.network.cut(cut.bus)
+        made.services[1].cancel()  # whoever performs has gone, and the aircraft is not flown on
+        rig.network.cut(killed.bus)
+        await anyio.sleep(2.0)
+        assert killed.speed < 0.3
+        place = made.places()[1]
+        parts = await conducting
+        assert stages(parts) == [None, None, Stage.FLOWN]
+        assert "a2 is silent; the others fly on" in made.told
+        assert dist(made.places()[1], place) < 0.5
+        assert dist(made.places()[0], made.show.tracks[0].points[-1].place) < 0.5
+
+
+async def test_one_that_has_to_leave_is_named_and_the_others_fly_on(rig: Rig) -> None:
+    async with company(rig, 3) as made:
+        conducting = asyncio.ensure_future(made.conductor().fly())
+        await rig.until(lambda: any("begins in" in text for text in made.told))
+        await anyio.sleep(9.0)
+        made.on_board[1].aircraft.vehicle.flight.dynamics.east += 2.0
+        parts = await conducting
+        assert stages(parts) == [Stage.FLOWN, Stage.LEFT, Stage.FLOWN]
+        assert "left its track" in parts["a2"].why
+        assert any(text.startswith("a2 left: ") for text in made.told)
+
+
+async def test_all_are_ready_or_none_begins(rig: Rig) -> None:
+    """One has a low battery: it refuses to take off, and the others leave and hover."""
+    async with company(rig, 3) as made:
+        made.on_board[1].aircraft.battery_percent = 10.0
+        with pytest.raises((ShowRefused, GuardRefused), match=r"a2|battery"):
+            await made.conductor().fly()
+        await anyio.sleep(3.0)
+        assert made.on_board[1].height == 0
+        for one in (made.on_board[0], made.on_board[2]):
+            assert one.speed < 0.1
+            assert one.client.holder.number == 0
+        assert not any("begins in" in text for text in made.told)
+
+
+async def test_a_track_of_many_points_arrives(rig: Rig) -> None:
+    async with company(rig, 1) as made:
+        points = [(0.1 * index, 0.01 * index, 0.0, 4.0) for index in range(200)]
+        made.show = Show("", (points_track("a1", *points),))
+        parts = await made.conductor().fly()
+        assert parts["a1"].digest == made.show.tracks[0].digest
+        assert parts["a1"].stage is Stage.FLOWN
+
+
+async def test_one_that_is_not_there_is_named_and_nobody_takes_off(rig: Rig) -> None:
+    async with company(rig, 2) as made:
+        made.show = Show("", tuple(row(3)))
+        with pytest.raises(Unreachable, match="a3 does not answer"):
+            await made.conductor().fly()
+        assert all(one.height == 0 for one in made.on_board)
+
+
+@pytest.mark.parametrize(
+    ("sign", "said"),
+    [(None, "signed by nobody"), (signing(Signer("bert", b"b" * 32)), "bert may not fly")],
+)
+async def test_who_may_not_fly_conducts_nothing(rig: Rig, sign: Any, said: str) -> None:
+    async with company(rig, 1) as made:
+        with pytest.raises(NotAllowed, match=said):
+            await made.conductor(sign=sign).fly()
+        assert made.on_board[0].height == 0
+
+
+async def test_a_conductor_that_is_ended_lets_all_of_them_leave(rig: Rig) -> None:
+    async with company(rig, 2) as made:
+        conducting = asyncio.ensure_future(made.conductor().fly())
+        await anyio.sleep(6.0)
+        conducting.cancel()
+        await asyncio.gather(conducting, return_exceptions=True)
+        await anyio.sleep(3.0)
+        assert all(one.speed < 0.1 for one in made.on_board)
+        assert all(one.client.holder.number == 0 for one in made.on_board)
+
+
+async def test_a_network_that_is_too_slow_to_tell_the_time_begins_nothing(rig: Rig) -> None:
+    async with company(rig, 1) as made:
+        rig.network.weather = Weather(delay_s=0.08)
+        with pytest.raises(M100Error, match="may be wrong by"):
+            await made.conductor().fly()
+
+
+LINE = ((0, 0, 0, 4), (2, 0, 0, 4), (22, 40, 0, 4), (40, 40, 0, 4))
+# It crosses the line of the first one ten seconds after that one has passed.
+CROSSING = ((0, 20, -20, 4), (12, 20, -20, 4), (32, 20, 20, 4))
+FAR = [((0, 0, 60 + 10 * n, 4), (30, 12, 60 + 10 * n, 6)) for n in range(3)]
+
+
+@asynccontextmanager
+async def crossing(rig: Rig) -> AsyncIterator[Company]:
+    """Five, of which the second crosses the way of the first."""
+    made = Company(rig, 0)
+    points = (LINE, CROSSING, *FAR)
+    made.show = Show("", tuple(points_track(f"a{n + 1}", *one) for n, one in enumerate(points)))
+    await made.come()
+    yield made
+    for service in made.services:
+        service.cancel()
+    await asyncio.gather(*made.services, return_exceptions=True)
+
+
+async def until_it_flies(made: Company, at: float) -> None:
+    await made.rig.until(lambda: any("begins in" in text for text in made.told), within=120.0)
+    await anyio.sleep(5.0 + at)
+
+
+async def test_five_whose_ways_cross_at_different_times_fly_them_to_the_end(rig: Rig) -> None:
+    async with crossing(rig) as made:
+        assert check(made.show).ok
+        parts = await made.conductor(leave="hover").fly()
+        assert stages(parts) == [Stage.FLOWN] * 5
+
+
+@pytest.mark.parametrize("leave", ["hover", "land"])
+async def test_one_that_is_blown_off_in_anothers_way_is_not_flown_into(
+    rig: Rig, leave: Leave
+) -> None:
+    """As it hovers there; on the ground it is in nobody's way any more."""
+    async with crossing(rig) as made:
+        conducting = asyncio.ensure_future(made.conductor(leave=leave).fly())
+        await until_it_flies(made, 11.5)
+        watching = asyncio.ensure_future(made.nearest())
+        made.on_board[0].aircraft.vehicle.flight.dynamics.east += 2.0
+        parts = await conducting
+        await anyio.sleep(10.0)
+        watching.cancel()
+        second = Stage.LEFT if leave == "hover" else Stage.FLOWN
+        assert stages(parts) == [Stage.LEFT, second, *[Stage.FLOWN] * 3]
+        assert "left its track" in parts["a1"].why
+        if second is Stage.LEFT:
+            assert "a1 would come as near as" in parts["a2"].why
+            assert any("a2 left: " in text for text in made.told)
+        assert await watching > made.show.least_distance_m
+
+
+async def test_one_that_is_killed_in_anothers_way_is_not_flown_into(rig: Rig) -> None:
+    """Nobody hears it any more, and the others are heard."""
+    async with crossing(rig) as made:
+        conducting = asyncio.ensure_future(made.conductor(leave="hover").fly())
+        await until_it_flies(made, 11.0)
+        watching = asyncio.ensure_future(made.nearest())
+        made.services[0].cancel()
+        rig.network.cut(made.on_board[0].bus)
+        parts = await conducting
+        await anyio.sleep(10.0)
+        watching.cancel()
+        assert stages(parts) == [None, Stage.LEFT, *[Stage.FLOWN] * 3]
+        assert "a1 would come as near as" in parts["a2"].why
+        assert await watching > made.show.least_distance_m
+
+
+async def test_a_second_show_with_one_of_them_is_refused_and_the_first_goes_on(rig: Rig) -> None:
+    """It ended the first one for that aircraft, in the air, and let nobody know."""
+    async with company(rig, 2) as made:
+        conducting = asyncio.ensure_future(made.conductor().fly())
+        await until_it_flies(made, 3.0)
+        made.show = Show("", made.show.tracks[1:])
+        with pytest.raises(UsageError, match="a2 is flying in a show that another one conducts"):
+            await made.conductor().fly()
+        assert stages(await conducting) == [Stage.FLOWN] * 2
+
+
+async def test_when_not_all_were_told_to_begin_none_begins(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever conducts is killed in between: one would fly where the other one still hovers."""
+    async with company(rig, 2) as made:
+        conductor = made.conductor(leave="hover")
+        start = conductor._start
+
+        async def start_the_first(track: TimedTrack, *more: Any) -> None:
+            await (start(track, *more) if track.name == "a1" else anyio.sleep_forever())
+
+        monkeypatch.setattr(conductor, "_start", start_the_first)
+        conducting = asyncio.ensure_future(conductor.fly())
+        first, second = (service.performer for service in made.performing)
+        await rig.until(lambda: first.stage is Stage.FLYING, within=120.0)
+        monkeypatch.setattr(conductor, "leave", anyio.sleep_forever)  # of a process nothing is left
+        assert isinstance(conductor._bus, MemoryBus)
+        rig.network.cut(conductor._bus)
+        place = made.places()[0]
+        await anyio.sleep(20.0)
+        conducting.cancel()
+        assert (first.stage, second.stage) == (Stage.LEFT, Stage.LEFT)
+        assert "1 of the others are not heard to" in str(first.fault)
+        assert dist(made.places()[0], place) < 0.3
+
+
+async def test_a_clock_that_is_set_in_flight_ends_no_show_and_what_it_costs_is_told(
+    rig: Rig,
+) -> None:
+    """Orders are signed with the time of day; tracks are flown by a clock that nobody sets."""
+    ahead_s = 0.0
+    async with company(rig, 1) as made:
+        conductor = made.conductor(leave="hover", utc=lambda: rig.utc() + ahead_s)
+        conducting = asyncio.ensure_future(conductor.fly())
+        await until_it_flies(made, 3.0)
+        ahead_s = 3600.0
+        parts = await conducting
+        assert parts["a1"].stage is None
+        assert made.told[-1].startswith("a1 tells nothing more: ")
+        assert "3600.0 s ahead" in made.told[-1]
+        await rig.until(lambda: made.performing[0].performer.stage is Stage.FLOWN)
+
+
+@asynccontextmanager
+async def two_crossing(rig: Rig) -> AsyncIterator[Company]:
+    """Two, of which the second comes to the way of the first when that one has passed."""
+    made = Company(rig, 0)
+    points = LINE, CROSSING
+    made.show = Show("", tuple(points_track(f"a{n + 1}", *one) for n, one in enumerate(points)))
+    await made.come()
+    yield made
+    for service in made.services:
+        service.cancel()
+    await asyncio.gather(*made.services, return_exceptions=True)
+
+
+@pytest.mark.parametrize("at", [9.0, 11.0])
+async def test_of_two_one_that_is_killed_is_not_flown_into(rig: Rig, at: float) -> None:
+    """Who is left hears nobody, and cannot know whether it is itself that is cut off."""
+    async with two_crossing(rig) as made:
+        conducting = asyncio.ensure_future(made.conductor(leave="hover").fly())
+        await until_it_flies(made, at)
+        watching = asyncio.ensure_future(made.nearest())
+        made.services[0].cancel()
+        rig.network.cut(made.on_board[0].bus)
+        parts = await conducting
+        await anyio.sleep(30.0)
+        watching.cancel()
+        assert await watching > made.show.least_distance_m
+        assert all(one.speed < 0.1 for one in made.on_board)
+        assert stages(parts)[0] is None
+
+
+@pytest.mark.parametrize(("at", "leave"), [(3.0, "hover"), (11.0, "land"), (11.0, "hover")])
+async def test_when_nobody_hears_anybody_no_two_meet_whoever_leaves(
+    rig: Rig, at: float, leave: Leave
+) -> None:
+    """The router is gone: each has to count on the other to be killed, to fly on, or to leave."""
+    async with two_crossing(rig) as made:
+        conducting = asyncio.ensure_future(made.conductor(leave=leave).fly())
+        await until_it_flies(made, at)
+        watching = asyncio.ensure_future(made.nearest())
+        for one in made.on_board:
+            rig.network.cut(one.bus)
+        await conducting
+        await anyio.sleep(60.0)
+        watching.cancel()
+        assert await watching > made.show.least_distance_m
+        first, second = (service.performer.stage for service in made.performing)
+        assert first is Stage.FLOWN, "the other one's way lies behind it, or is not reached by then"
+        assert second in (Stage.FLOWN, Stage.LEFT)
+
+
+async def test_a_track_that_the_guards_on_board_do_not_let_fly_is_not_begun(rig: Rig) -> None:
+    async with company(rig, 2) as made:
+        slow = Guards(envelope=Envelope(max_speed_m_s=1.0))
+        made.on_board[1].agent.holding._guards = slow
+        await anyio.sleep(1.0)
+        with pytest.raises(M100Error, match=r"1\.0 m/s are allowed there"):
+            await made.conductor().fly()
+        assert made.on_board[1].height == 0

@@ -1,0 +1,332 @@
+"""An aircraft of a fleet in a show: each order in each stage, and what ends it."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any, cast
+
+import anyio
+import pytest
+
+from m100link.apps.fleet.show.performer import ALLOWED, ATTENDED_S, Leave, Order, Performer, Stage
+from m100link.apps.fleet.show.steering import MOST_EARLY_S, LeftShow, ShowRefused, Why
+from m100link.apps.fleet.show.track import BadShow
+from m100link.errors import AuthorityLost, M100Error, NoAuthority, TelemetryStalled, UsageError
+from m100link.protocol.records import Attitude, Velocity
+from m100link.sim.vehicle.settings import AircraftSettings
+from m100link.sim.virtual import VirtualAircraft
+from m100link.telemetry.state import AircraftState
+from tests import known
+from tests.apps.fleet.conftest import OnBoard, Rig, anyio_backend, rig
+from tests.apps.fleet.show.shows import ORIGIN, track
+
+__all__ = ["anyio_backend", "rig"]
+
+pytestmark = pytest.mark.anyio
+
+FLOWN = track("a1", (0, 0, 0, 4), (8, 12, 0, 5))
+EMPTY, LOADED, PLACING, READY, FLYING, OVER, LEFT = Stage
+
+
+class Stand:
+    """One aircraft at its place, and what performs."""
+
+    def __init__(self, one: OnBoard, rig: Rig) -> None:
+        self.one, self.rig = one, rig
+        self.performer = Performer(one.client, "a1")
+
+    async def to(self, stage: Stage, *, leave: Leave = "hover") -> Performer:
+        """Bring it to a stage as a conductor would."""
+        performer = self.performer
+        if stage is EMPTY:
+            return performer
+        performer.load(FLOWN.to_bytes(), leave)
+        if stage in (LOADED,):
+            return performer
+        performer.place("anna")
+        if stage is PLACING:
+            await anyio.sleep(1.0)
+            return performer
+        await self.rig.until(self.is_ready)
+        if stage is READY:
+            return performer
+        if stage is LEFT:
+            performer.leave()
+            return performer
+        performer.start(FLOWN.digest, self.one.client.now + 2.0, 0.0)
+        if stage is OVER:
+            await self.rig.until(lambda: performer.stage is OVER)
+        return performer
+
+    async def blown_off(self, performer: Performer) -> None:
+        """Out of its tube of 1.5 m; a jump of 3 m is a place that cannot be true."""
+        self.one.aircraft.vehicle.flight.dynamics.east += 2.0
+        await self.rig.until(lambda: performer.stage is LEFT)
+
+    def is_ready(self) -> bool:
+        self.performer.heard()
+        return self.performer.stage is READY
+
+    @property
+    def off(self) -> float:
+        north, east = self.one.aircraft.position
+        return math.dist((north, east), (12, 0))
+
+
+@pytest.fixture
+async def stand(rig: Rig) -> Stand:
+    settings = AircraftSettings(latitude_deg=ORIGIN[0], longitude_deg=ORIGIN[1])
+    one = await rig.aircraft("a1", virtual=VirtualAircraft(seed=5, settings=settings))
+    return Stand(one, rig)
+
+
+def order(performer: Performer, what: Order, now: float) -> None:
+    match what:
+        case Order.LOAD:
+            performer.load(FLOWN.to_bytes(), "hover")
+        case Order.PLACE:
+            performer.place("anna")
+        case Order.START:
+            performer.start(FLOWN.digest, now + 2.0, 0.0)
+        case Order.LEAVE:
+            performer.leave()
+
+
+# By hand: what each order makes of each stage; what is not here is refused and changes nothing.
+TABLE = {
+    (Order.LOAD, EMPTY): LOADED,
+    (Order.LOAD, LOADED): LOADED,
+    (Order.LOAD, OVER): LOADED,
+    (Order.LOAD, LEFT): LOADED,
+    (Order.PLACE, LOADED): PLACING,
+    (Order.START, READY): FLYING,
+    (Order.LEAVE, EMPTY): EMPTY,
+    (Order.LEAVE, LOADED): LEFT,  # an order to take its place may be on its way
+    (Order.LEAVE, PLACING): LEFT,
+    (Order.LEAVE, READY): LEFT,
+    (Order.LEAVE, FLYING): LEFT,
+    (Order.LEAVE, OVER): OVER,
+    (Order.LEAVE, LEFT): LEFT,
+}
+
+
+@pytest.mark.parametrize("stage", Stage)
+@pytest.mark.parametrize("what", Order)
+async def test_every_order_in_every_stage(stand: Stand, stage: Stage, what: Order) -> None:
+    performer = await stand.to(stage)
+    after = TABLE.get((what, stage))
+    assert (stage in ALLOWED[what]) == (after is not None)
+    if after is None:
+        with pytest.raises(UsageError, match=f"cannot {what.value}"):
+            order(performer, what, stand.one.client.now)
+        assert performer.stage is stage
+    else:
+        order(performer, what, stand.one.client.now)
+        assert performer.stage is after
+
+
+async def test_it_flies_its_track_and_lands(stand: Stand) -> None:
+    performer = await stand.to(OVER, leave="land")
+    assert performer.fault is None
+    assert performer.farthest_m < 0.3
+    assert stand.off < 0.5
+    await stand.rig.until(lambda: stand.one.height == 0.0)
+    await stand.rig.until(lambda: stand.one.client.holder.number == 0)
+
+
+async def test_an_activation_that_takes_longer_than_a_lease_lasts_is_waited_for(
+    stand: Stand,
+) -> None:
+    stand.one.aircraft.vehicle.activation._delay = 6.0
+    performer = await stand.to(READY)
+    assert performer.fault is None
+
+
+@pytest.mark.parametrize("stage", [PLACING, READY])
+@pytest.mark.parametrize("leave", ["hover", "land"])
+async def test_who_conducts_is_missed_before_the_beginning(
+    stand: Stand, stage: Stage, leave: Leave
+) -> None:
+    performer = await stand.to(stage, leave=leave)
+    await anyio.sleep(ATTENDED_S - 2.0)
+    assert performer.stage is not LEFT
+    await anyio.sleep(3.0)
+    fault = performer.fault
+    assert isinstance(fault, LeftShow)
+    assert fault.why is Why.CONDUCTOR
+    await anyio.sleep(15.0)
+    assert (stand.one.height == 0.0) is (leave == "land")
+    assert stand.one.client.holder.number == 0
+
+
+async def test_no_network_is_needed_once_it_flies(stand: Stand) -> None:
+    performer = await stand.to(FLYING)
+    stand.rig.network.cut(stand.one.bus)
+    await stand.rig.until(lambda: performer.stage is OVER)
+    assert stand.off < 0.5
+    assert stand.one.height > 4.0
+
+
+@pytest.mark.parametrize("leave", ["hover", "land"])
+async def test_out_of_its_tube_it_leaves_as_it_was_told(stand: Stand, leave: Leave) -> None:
+    performer = await stand.to(FLYING, leave=leave)
+    await anyio.sleep(5.0)
+    await stand.blown_off(performer)
+    assert isinstance(performer.fault, LeftShow)
+    assert performer.fault.why is Why.TUBE
+    await anyio.sleep(15.0)
+    assert (stand.one.height == 0.0) == (leave == "land")
+    assert stand.one.speed < 0.1
+    assert stand.one.client.holder.number == 0, "whoever comes next may have control"
+
+
+async def test_stop_by_anybody_ends_what_has_not_taken_off_yet(stand: Stand) -> None:
+    performer = await stand.to(LOADED)
+    await (await stand.rig.pilot("anybody"))["a1"].stop()
+    assert performer.stage is LEFT
+    with pytest.raises(UsageError, match="left and cannot place") as caught:
+        performer.place("anna")
+    assert "a1 was stopped" in caught.value.cause
+    await anyio.sleep(10.0)
+    assert stand.one.height == 0.0
+
+
+async def test_one_that_lands_because_it_left_lands_on_whatever_else_it_is_told(
+    stand: Stand,
+) -> None:
+    """The conductor lets all leave because one did: that one is not to hover half-way down."""
+    performer = await stand.to(FLYING, leave="land")
+    await anyio.sleep(5.0)
+    await stand.blown_off(performer)
+    await anyio.sleep(1.5)
+    performer.leave()
+    with pytest.raises(UsageError, match="left and landing and cannot load"):
+        performer.load(FLOWN.to_bytes(), "land")
+    await stand.rig.until(lambda: stand.one.height == 0.0, within=15.0)
+    await stand.rig.until(lambda: stand.one.client.holder.number == 0, within=5.0)
+    performer.load(FLOWN.to_bytes(), "land")
+
+
+@pytest.mark.parametrize("stage", [PLACING, READY, FLYING])
+async def test_stop_by_anybody_ends_it_and_it_does_not_even_land(
+    stand: Stand, stage: Stage
+) -> None:
+    performer = await stand.to(stage, leave="land")
+    if stage is not READY:
+        await anyio.sleep(4.0)
+    await (await stand.rig.pilot("bert"))["a1"].stop()
+    await stand.rig.until(lambda: performer.stage is LEFT, within=1.0)
+    assert isinstance(performer.fault, NoAuthority)
+    await anyio.sleep(8.0)
+    assert stand.one.height > 0.5
+    assert stand.one.speed < 0.1
+
+
+async def test_whoever_takes_over_has_the_aircraft(stand: Stand) -> None:
+    performer = await stand.to(FLYING, leave="land")
+    await anyio.sleep(4.0)
+    pilot = await stand.rig.pilot("bert")
+    async with pilot["a1"].control(take_over=True):
+        await stand.rig.until(lambda: performer.stage is LEFT, within=1.0)
+        await anyio.sleep(5.0)
+        assert stand.one.height > 2.0
+
+
+async def test_the_pilot_who_leaves_f_has_it(stand: Stand) -> None:
+    performer = await stand.to(FLYING, leave="land")
+    await anyio.sleep(4.0)
+    stand.one.aircraft.leave_f()
+    await stand.rig.until(lambda: performer.stage is LEFT, within=2.0)
+    await anyio.sleep(5.0)
+    assert stand.one.height > 2.0
+
+
+async def test_who_took_it_is_told_also_when_a_setpoint_was_refused_first(stand: Stand) -> None:
+    performer, client = await stand.to(FLYING), stand.one.client
+    await anyio.sleep(1.0)
+    for callback in client.on_steer_refused:
+        callback(client.holder.number, NoAuthority("nothing was sent"))
+    await stand.rig.until(lambda: performer.stage is LEFT, within=2.0)
+    for told in client.on_authority_taken:
+        told(AuthorityLost("the pilot moved the mode switch out of F"))
+    assert isinstance(performer.fault, AuthorityLost)
+
+
+@pytest.mark.parametrize(
+    ("early", "bound", "why"),
+    [
+        (2.0, 0.051, Why.CLOCK),
+        (2.0, -0.001, Why.CLOCK),
+        (2.0, math.nan, Why.CLOCK),
+        (-0.1, 0.0, Why.LATE),
+        (math.nan, 0.0, Why.LATE),
+        (MOST_EARLY_S + 0.1, 0.0, Why.EARLY),
+        (1e9, 0.0, Why.EARLY),
+        (math.inf, 0.0, Why.EARLY),
+    ],
+)
+async def test_it_does_not_begin_by_a_wrong_time(
+    stand: Stand, early: float, bound: float, why: Why
+) -> None:
+    performer = await stand.to(READY)
+    with pytest.raises(ShowRefused) as caught:
+        performer.start(FLOWN.digest, stand.one.client.now + early, bound)
+    assert caught.value.why is why
+    assert caught.value.remedy
+    assert performer.stage is READY
+
+
+async def test_two_minutes_are_waited_and_the_track_is_flown_then(stand: Stand) -> None:
+    performer = await stand.to(READY)
+    performer.start(FLOWN.digest, stand.one.client.now + MOST_EARLY_S, 0.0)
+    await anyio.sleep(MOST_EARLY_S - 1.0)
+    assert (performer.stage, stand.one.speed < 0.1) == (FLYING, True)
+    await stand.rig.until(lambda: performer.stage is OVER)
+
+
+async def test_a_track_of_another_or_of_none(stand: Stand) -> None:
+    performer = stand.performer
+    for data in (track("a2", (0, 0, 0, 4), (8, 12, 0, 5)).to_bytes(), b"", FLOWN.to_bytes()[:-1]):
+        with pytest.raises(BadShow):
+            performer.load(data, "hover")
+    assert performer.stage is EMPTY
+    with pytest.raises(UsageError, match="another track"):
+        (await stand.to(READY)).start("0" * 64, stand.one.client.now + 2.0, 0.0)
+
+
+async def test_whoever_stands_elsewhere_never_takes_off(stand: Stand) -> None:
+    performer = stand.performer
+    performer.load(track("a1", (0, 5, 0, 4), (8, 12, 0, 5)).to_bytes(), "land")
+    performer.place("anna")
+    await stand.rig.until(lambda: performer.stage is LEFT)
+    assert isinstance(performer.fault, ShowRefused)
+    assert not stand.one.aircraft.vehicle.flight.dynamics.motors_on
+    assert stand.one.client.holder.number == 0
+
+
+async def test_somebody_who_has_control_keeps_it(stand: Stand) -> None:
+    pilot = await stand.rig.pilot("bert")
+    async with pilot["a1"].control():
+        performer = await stand.to(LOADED)
+        performer.place("anna")
+        await stand.rig.until(lambda: performer.stage is LEFT)
+        assert isinstance(performer.fault, M100Error)
+        assert "has control" in performer.fault.seen
+
+
+async def test_what_is_no_number_is_neither_flown_by_nor_told_to_the_others() -> None:
+    """A place of NaN is near to nobody: the others would fly into it."""
+    state = AircraftState(lambda: 0.25)
+    state.update(known.sample(changed=[Attitude(math.nan, 0, 0, 1), Velocity(math.nan, 1, 2, 7)]))
+    client: Any = SimpleNamespace(
+        telemetry=state, now=5.0, on_event=[], on_steer_refused=[], on_authority_taken=[]
+    )
+    performer = Performer(client, "a1")
+    with pytest.raises(TelemetryStalled, match="nose"):
+        performer._heading()
+    performer.track, performer.stage, performer._start_at = FLOWN, LEFT, 0.0
+    performer.neighbours = cast(Any, SimpleNamespace(show="show"))
+    ahead = performer.ahead()
+    assert ahead is not None
+    assert all(math.isfinite(number) for place in ahead.places for number in place)

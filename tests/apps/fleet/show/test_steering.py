@@ -1,0 +1,102 @@
+"""Steering by a timed track: no aircraft, only arithmetic."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import pytest
+
+from m100link.apps.fleet.show.steering import LeftShow, ShowRefused, TrackSteering, Why
+from tests.apps.fleet.show.shows import track
+
+FLOWN = track("a1", (0, 0, 0, 5), (10, 20, 0, 5), (20, 40, 0, 5), (30, 40, 0, 9))
+
+
+def steering(fastest: float = 10.0) -> TrackSteering:
+    return TrackSteering(FLOWN, fastest)
+
+
+def test_before_the_beginning_it_is_kept_at_its_first_point() -> None:
+    assert steering().step(-5.0, 0.0, (0, 0, 5)) == (0.0, 0.0, 0.0)
+    pulled = steering().step(-5.0, 0.0, (0.5, -0.5, 5.5))
+    assert pulled is not None
+    north, east, up = pulled
+    assert north < 0 < east
+    assert up < 0
+
+
+def test_it_asks_for_what_the_track_does_when_the_velocity_has_followed() -> None:
+    asked = steering().step(10.0, 0.0, (20, 0, 5))
+    assert asked == pytest.approx(FLOWN.moment(10.65).velocity, abs=1e-9)
+
+
+def test_it_never_asks_for_more_than_it_may_horizontally() -> None:
+    asked = steering(fastest=1.0).step(10.0, 0.0, (19, 1, 5))
+    assert asked is not None
+    assert math.hypot(*asked[:2]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_at_the_wall_of_the_tube_it_leaves(axis: int) -> None:
+    here = [20.0, 0.0, 5.0]
+    here[axis] += 1.499
+    assert steering().step(10.0, 0.0, (here[0], here[1], here[2])) is not None
+    here[axis] += 0.002
+    with pytest.raises(LeftShow) as caught:
+        steering().step(10.0, 0.0, (here[0], here[1], here[2]))
+    assert (caught.value.why, caught.value.at, caught.value.limit) == (Why.TUBE, 10.0, 1.5)
+
+
+def test_an_unsure_clock_comes_before_the_place() -> None:
+    with pytest.raises(LeftShow) as caught:
+        steering().step(math.nan, math.inf, (99, 0, 5))
+    assert caught.value.why is Why.CLOCK
+    assert steering().step(10.0, 0.05, (20, 0, 5)) is not None
+
+
+@pytest.mark.parametrize("bound", [0.051, math.nan])
+def test_a_bound_that_is_too_wide_or_none_ends_it(bound: float) -> None:
+    with pytest.raises(LeftShow):
+        steering().step(10.0, bound, (20, 0, 5))
+    with pytest.raises(ShowRefused):
+        steering().require_ready(5.0, bound, (0, 0, 5))
+
+
+def test_a_place_that_is_no_number_ends_it() -> None:
+    with pytest.raises(LeftShow):
+        steering().step(10.0, 0.0, (math.nan, 0, 5))
+    with pytest.raises(ShowRefused):
+        steering().require_below((math.nan, 0, 0))
+    with pytest.raises(ShowRefused):
+        steering().require_ready(5.0, 0.0, (0, math.nan, 5))
+
+
+def test_it_is_flown_a_second_after_its_last_point() -> None:
+    one = steering()
+    assert one.step(30.99, 0.0, (40, 0, 9)) is not None
+    assert one.step(31.0, 0.0, (40, 0, 9)) is None
+
+
+def test_what_it_keeps_is_the_worst() -> None:
+    one = steering()
+    for at, bound, off in ((-1.0, 0.01, 0.2), (0.015, 0.03, 0.9), (1.0, 0.02, 0.1)):
+        place = FLOWN.moment(at).place
+        one.step(at, bound, (place[0], place[1] + off, place[2]))
+    assert one.farthest_m == pytest.approx(0.9)
+    assert one.bound_s == 0.03
+    assert one.began_late_s == 0.015
+
+
+def test_a_model_with_the_lag_that_is_assumed_keeps_to_the_track() -> None:
+    """Velocity follows with 0.65 s, upwards with 0.3 s; it stays within 10 cm."""
+    one, place, velocity, step = steering(), [0.0, 0.0, 5.0], [0.0, 0.0, 0.0], 0.02
+    for index in range(round(30 / step)):
+        asked = one.step(index * step, 0.0, (place[0], place[1], place[2]))
+        assert asked is not None
+        for axis, lag in enumerate((0.65, 0.65, 0.3)):
+            velocity[axis] += (asked[axis] - velocity[axis]) * step / lag
+            place[axis] += velocity[axis] * step
+    assert one.farthest_m < 0.1
+    speeds = [FLOWN.moment(index / 10).velocity[0] for index in range(300)]
+    assert max(abs(b - a) for a, b in pairwise(speeds)) < 0.2

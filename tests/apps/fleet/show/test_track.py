@@ -1,0 +1,147 @@
+"""A timed track: where it is when, what it never does between points, its bytes and their hash."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import random
+import struct
+from itertools import pairwise
+
+import pytest
+
+from m100link.apps.fleet.show.track import BadShow, TimedPoint, TimedTrack
+from tests.apps.fleet.show.shows import ORIGIN, random_track, track
+
+BACK_AND_FORTH = track("a1", (0, 0, 0, 5), (10, 10, 0, 5), (20, 0, 0, 5))
+
+
+def test_it_is_at_its_points_at_their_times_and_rests_at_both_ends() -> None:
+    found = track("a1", (2, 0, 0, 5), (10, 10, 4, 5), (20, 30, 4, 9))
+    for point in found.points:
+        assert found.moment(point.at).place == pytest.approx(point.place)
+    for at in (0.0, 2.0, 20.0, 99.0):
+        assert found.moment(at).velocity == (0, 0, 0)
+    assert found.moment(0.0).place == (0, 0, 5)
+    assert found.moment(99.0).place == (30, 4, 9)
+
+
+def test_it_flies_on_through_a_point_and_stops_where_it_turns_back() -> None:
+    on = track("a1", (0, 0, 0, 5), (10, 20, 0, 5), (20, 40, 0, 5), (30, 60, 0, 5))
+    assert on.moment(10).velocity == pytest.approx((2, 0, 0))
+    assert on.moment(15).velocity == pytest.approx((2, 0, 0))
+    assert BACK_AND_FORTH.moment(10).velocity == pytest.approx((0, 0, 0))
+
+
+def test_speed_is_how_the_place_changes() -> None:
+    chance = random.Random(1)
+    for _ in range(20):
+        found = random_track(chance)
+        for _ in range(20):
+            at, step = chance.uniform(found.begin + 1e-3, found.end - 1e-3), 1e-5
+            before, after = found.moment(at - step), found.moment(at + step)
+            slope = [(b - a) / (2 * step) for a, b in zip(before.place, after.place, strict=True)]
+            assert found.moment(at).velocity == pytest.approx(slope, abs=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_between_two_points_it_stays_in_their_box_and_within_what_it_says(seed: int) -> None:
+    found = random_track(random.Random(seed))
+    across, upright = found.fastest
+    hardest = max(leg.hardest_m_s2 for leg in found.legs)
+    for before, after in pairwise(found.points):
+        speeds = []
+        for index in range(101):
+            moment = found.moment(before.at + (after.at - before.at) * index / 100)
+            for place, a, b in zip(moment.place, before.place, after.place, strict=True):
+                assert min(a, b) - 1e-9 <= place <= max(a, b) + 1e-9
+            north, east, up = moment.velocity
+            assert math.hypot(north, east) <= across + 1e-9
+            assert abs(up) <= upright + 1e-9
+            speeds.append(moment.velocity)
+        step = (after.at - before.at) / 100
+        assert all(math.dist(a, b) / step <= hardest + 1e-6 for a, b in pairwise(speeds))
+
+
+def test_the_speed_that_it_says_is_nearly_what_it_flies() -> None:
+    """From rest to rest a cubic is 1.5 times as fast in the middle."""
+    found = track("a1", (0, 0, 0, 5), (10, 20, 0, 5))
+    across, upright = found.fastest
+    assert 3.0 <= across < 3.02
+    assert upright == 0.0
+    assert found.legs[0].hardest_m_s2 == pytest.approx(6 * 20 / 100)
+
+
+# -- bytes ----------------------------------------------------------------------------------------
+
+
+def test_its_bytes_are_as_the_manual_says() -> None:
+    found = track("ä1", (0, -0.0, 2, 5), (10, 10, 0, 6), ground_m=1.5, heading_deg=90)
+    by_hand = b"m100link track 1\n\x00\x03\xc3\xa41" + struct.pack(">4d", *ORIGIN, 1.5, 1.5)
+    by_hand += b"\x01" + struct.pack(">d", 90) + b"\x00\x00\x00\x02"
+    by_hand += struct.pack(">8d", 0, 0.0, 2, 5, 10, 10, 0, 6)
+    assert found.to_bytes() == by_hand
+    assert found.digest == hashlib.sha256(by_hand).hexdigest()
+    without = track("a1", (0, 0, 2, 5), (10, 10, 0, 6)).to_bytes()
+    assert without[17 + 2 + 2 + 32 :][:9] == bytes(9)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_what_is_read_from_its_bytes_is_the_same_track(seed: int) -> None:
+    found = random_track(random.Random(seed))
+    assert TimedTrack.from_bytes(found.to_bytes()) == found
+
+
+def test_no_change_of_the_bytes_is_read_as_the_same_track() -> None:
+    data = track("a1", (0, 0, 2, 5), (10, 10, 0, 6)).to_bytes()
+    digest = TimedTrack.from_bytes(data).digest
+    changed = [data[:end] for end in range(len(data))] + [data + b"\0"]
+    for place in range(len(data)):
+        for bit in range(8):
+            one = bytearray(data)
+            one[place] ^= 1 << bit
+            changed.append(bytes(one))
+    for one_changed in changed:
+        try:
+            found = TimedTrack.from_bytes(one_changed)
+        except BadShow:
+            continue
+        assert found.digest != digest
+
+
+# -- no tracks ------------------------------------------------------------------------------------
+
+GOOD = ((0.0, 0.0, 0.0, 5.0), (10.0, 10.0, 0.0, 5.0))
+
+
+@pytest.mark.parametrize(
+    ("points", "more", "said"),
+    [
+        (GOOD[:1], {}, "2 to 10000 points, not 1"),
+        (GOOD, {"ground_m": math.nan}, "the ground is at nan m"),
+        (GOOD, {"heading_deg": 181}, "the heading is 181°"),
+        (GOOD, {"tube_m": 0}, "the tube is 0 m"),
+        (((-1, 0, 0, 5), GOOD[1]), {}, "point 0 is at -1 s"),
+        (((0, math.inf, 0, 5), GOOD[1]), {}, "point 0 is (inf, 0, 5)"),
+        ((GOOD[1], GOOD[0]), {}, "point 1 is at 0 s, the one before at 10 s"),
+        ((GOOD[0], (0.01, 1, 0, 5)), {}, "20 ms later"),
+    ],
+)
+def test_what_cannot_be_flown_is_no_track(
+    points: tuple[tuple[float, float, float, float], ...], more: dict[str, float], said: str
+) -> None:
+    with pytest.raises(BadShow) as caught:
+        track("a1", *points, **more)
+    assert said in caught.value.seen
+    assert caught.value.aircraft == ("a1",)
+
+
+@pytest.mark.parametrize("name", ["", "a\n1", "a" * 65])
+def test_names_can_be_told(name: str) -> None:
+    with pytest.raises(BadShow, match="1 to 64 characters"):
+        track(name, *GOOD)
+
+
+def test_an_origin_is_on_the_earth() -> None:
+    with pytest.raises(BadShow, match="latitude within"):
+        TimedTrack("a1", (90.0, 0.0), tuple(TimedPoint(*point) for point in GOOD))

@@ -1,0 +1,489 @@
+"""The agent on board: what it tells, what it does once, and whose setpoints fly."""
+
+from __future__ import annotations
+
+import uuid
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+
+import anyio
+import pytest
+
+from m100link.apps.agent.actions import Action, LeaseAction
+from m100link.apps.agent.guided import FlyTo
+from m100link.apps.agent.lease import Lease
+from m100link.apps.agent.message_bytes import encode
+from m100link.apps.agent.messages import Ask, Event, LeaseAsk, Message, Steer, Telemetry
+from m100link.apps.fleet.agent import FleetAgent
+from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.ledger import MemoryLedger
+from m100link.apps.fleet.outcome import Outcome
+from m100link.apps.fleet.payloads import (
+    Card,
+    Order,
+    Progress,
+    Reply,
+    pack,
+    pack_steer,
+    unpack,
+    unpack_message,
+)
+from m100link.apps.fleet.secret import Half, LeaseRequest
+from m100link.apps.fleet.stream import Dropped
+from m100link.errors import NotAllowed, UsageError
+from m100link.geodesy import LocalFrame
+from m100link.protocol.setpoint import Setpoint
+from tests.apps.fleet.conftest import SITE, OnBoard, Rig, with_camera
+
+pytestmark = pytest.mark.anyio
+
+KEYS = Keys(SITE, "a1")
+NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+
+
+def order(message: Message, fence: int = 0, token: str = "", key: bytes = b"") -> Order:
+    """Made now: agents on virtual time go by the clock of the loop."""
+    now = anyio.current_time()
+    made = Order(uuid.uuid4().hex, "a1", "by hand", fence, 1.8e9, encode(message), now, key=key)
+    return made.under(token) if token else made
+
+
+async def send(rig: Rig, what: Order, key: str = KEYS.command) -> Reply:
+    """One question, and until it is over what became of it."""
+    bus = rig.network.session()
+    [answer] = await bus.ask(key, pack(what), timeout=2.0)
+    reply: Reply = unpack(Reply, answer.payload)
+    while reply.progress is Progress.RUNNING:
+        [answer] = await bus.ask(KEYS.status(what.id), timeout=2.0)
+        reply = unpack(Reply, answer.payload)
+    return reply
+
+
+def request(action: LeaseAction = LeaseAction.ACQUIRE, offer: str = "") -> LeaseRequest:
+    half = Half()
+    return LeaseRequest(order(LeaseAsk(0, action, token=offer), key=half.public), half)
+
+
+async def lease(rig: Rig, asked: LeaseRequest | None = None) -> Lease:
+    asked = asked or request()
+    return asked.lease(await send(rig, asked.order, KEYS.lease))
+
+
+async def in_the_air(rig: Rig, one: OnBoard) -> Lease:
+    """The lease, kept as long as it is in force; the aircraft hovers."""
+    got = await lease(rig)
+
+    async def keeping() -> None:
+        while (await keep(rig, got)).outcome is Outcome.OK:  # noqa: ASYNC110 - each is a question
+            await anyio.sleep(0.5)
+
+    one.agent.background.spawn(keeping(), "a pilot")
+    for action in (Action.ACTIVATE, Action.OBTAIN, Action.TAKE_OFF):
+        reply = await send(rig, order(Ask(0, action), got.number, got.token))
+        assert reply.outcome is Outcome.OK
+    return got
+
+
+async def keep(rig: Rig, got: Lease) -> Reply:
+    renewal = order(LeaseAsk(0, LeaseAction.RENEW), got.number, got.token)
+    return await send(rig, renewal, KEYS.lease)
+
+
+async def test_telemetry_is_the_wire_value_thinned_and_whole_for_who_listens(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    seen: dict[str, list[Telemetry]] = {KEYS.thinned: [], KEYS.telemetry: []}
+    sent: list[bytes] = []
+
+    def take(key: str, payload: bytes) -> None:
+        message = unpack_message(payload)
+        assert isinstance(message, Telemetry)
+        seen[key].append(message)
+
+    bus = rig.network.session()
+    bus.subscribe(KEYS.thinned, take)
+    one.agent.connection.on_sample.append(lambda sample: sent.append(sample.value))
+    await anyio.sleep(10.0)
+    assert not seen[KEYS.telemetry], "nobody listens"
+    assert 45 <= len(seen[KEYS.thinned]) <= 110
+    assert {message.value for message in seen[KEYS.thinned]} <= set(sent)
+    held = bus.subscribe(KEYS.telemetry, take)
+    sent.clear()
+    await anyio.sleep(2.0)
+    held.close()
+    assert [message.value for message in seen[KEYS.telemetry]] == sent
+    assert len(sent) > 90
+
+
+async def test_state_is_told_and_answered_and_events_are_told(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    bus, cards, events = rig.network.session(), [], []
+    bus.subscribe(KEYS.state, lambda _, payload: cards.append(unpack(Card, payload)))
+    bus.subscribe(KEYS.event, lambda _, payload: events.append(unpack_message(payload)))
+    await anyio.sleep(5.0)
+    assert 4 <= len(cards) <= 6
+    [answer] = await bus.ask(Keys(SITE).state, timeout=1.0)
+    assert answer.key == KEYS.state
+    card: Card = unpack(Card, answer.payload)
+    assert (card.name, card.connection, card.phase) == ("a1", "connected", "standby")
+    assert card.battery_percent == 100
+    one.agent.journal.note("something happened")
+    await anyio.sleep(0.1)
+    assert isinstance(events[-1], Event)
+    assert events[-1].text == "something happened"
+
+
+async def test_each_tells_where_it_stands_once_a_second_at_one_of_twenty_moments(rig: Rig) -> None:
+    names = [f"a{number}" for number in range(6)]
+    for name in names:
+        await rig.aircraft(name)
+    told: dict[str, list[float]] = {name: [] for name in names}
+
+    def hear(key: str, payload: bytes) -> None:
+        card: Card = unpack(Card, payload)
+        told[card.name].append(anyio.current_time())
+
+    rig.network.session().subscribe(Keys(SITE).state, hear)
+    await anyio.sleep(20.0)
+    for times in told.values():
+        gaps = [later - earlier for earlier, later in pairwise(times[1:])]
+        assert len(gaps) >= 17
+        assert gaps == pytest.approx([1.0] * len(gaps), abs=0.002)
+    moments = {round(times[-1] % 1.0, 2) for times in told.values()}
+    assert len(moments) >= 4
+
+
+async def test_an_order_that_comes_twice_is_carried_out_once(rig: Rig) -> None:
+    one = await rig.aircraft("a1", virtual=with_camera())
+    await one.agent.activate()
+    got = await lease(rig)
+    photo = order(Ask(0, Action.TAKE_PHOTO), got.number, got.token)
+    first = await send(rig, photo)
+    await anyio.sleep(1.0)
+    second = await send(rig, photo)
+    assert first.outcome is Outcome.OK, first
+    assert (first.outcome, second.outcome) == (Outcome.OK, Outcome.OK)
+    assert (first.is_repeated, second.is_repeated) == (False, True)
+    assert one.aircraft.vehicle.camera.photos == 1
+    await send(rig, order(Ask(0, Action.TAKE_PHOTO), got.number, got.token))
+    assert one.aircraft.vehicle.camera.photos == 2
+
+
+async def test_after_a_restart_what_had_begun_is_unknown_and_not_done_again(rig: Rig) -> None:
+    ledger = MemoryLedger()
+    task = order(Ask(0, Action.TAKE_OFF))
+    await ledger.begin(task.id)
+    await rig.aircraft("a1", ledger=MemoryLedger(ledger))
+    reply = await send(rig, task)
+    assert reply.outcome is Outcome.UNKNOWN
+    [answer] = await rig.network.session().ask(KEYS.status(task.id), timeout=1.0)
+    assert unpack(Reply, answer.payload).outcome is Outcome.UNKNOWN
+
+
+async def test_where_words_of_the_ledger_are_lost_orders_of_before_are_unknown_and_not_done(
+    rig: Rig,
+) -> None:
+    """Each of them may be one of those that were begun."""
+    before = order(Ask(0, Action.TAKE_OFF), 7, "of the agent before")
+    await anyio.sleep(1.0)
+    damaged = MemoryLedger()
+    damaged.damaged = 2
+    one = await rig.aircraft("a1", virtual=with_camera(), ledger=damaged)
+    assert [e.text[:34] for e in one.client.events if "ledger" in e.text] == [
+        "2 words of the ledger are damaged "
+    ]
+    [answer] = await rig.network.session().ask(KEYS.status(before.id), timeout=1.0)
+    assert unpack(Reply, answer.payload).progress is Progress.NEVER, "it may be sent again"
+    assert (await send(rig, before)).outcome is Outcome.UNKNOWN
+    await one.agent.activate()
+    got = await lease(rig)
+    photo = order(Ask(0, Action.TAKE_PHOTO), got.number, got.token)
+    assert (await send(rig, photo)).outcome is Outcome.OK, "it was made after"
+    old = replace(photo, id=uuid.uuid4().hex, clock=before.clock).under(got.token)
+    assert (await send(rig, old)).outcome is Outcome.UNKNOWN
+    assert one.aircraft.vehicle.camera.photos == 1
+    assert (await send(rig, order(Ask(0, Action.STOP)))).outcome is Outcome.OK
+
+
+async def test_what_the_owner_of_the_aircraft_takes_with_it_is_unknown(rig: Rig) -> None:
+    """Not refused: the take-off had begun, and the aircraft goes on with it."""
+    one = await rig.aircraft("a1")
+    got = await lease(rig)
+    for action in (Action.ACTIVATE, Action.OBTAIN):
+        assert (await send(rig, order(Ask(0, action), got.number, got.token))).outcome is Outcome.OK
+    take_off = order(Ask(0, Action.TAKE_OFF), got.number, got.token)
+    await rig.network.session().ask(KEYS.command, pack(take_off), timeout=2.0)
+    one.service.close()
+    reply = await send(rig, take_off)
+    assert reply.outcome is Outcome.UNKNOWN
+    assert reply.fault is not None
+    assert "may have done it" in reply.fault.seen
+    after = await send(rig, order(Ask(0, Action.STOP)))
+    assert after.outcome is Outcome.REFUSED, "nothing was asked any more"
+
+
+async def test_what_was_never_heard_is_told_as_that(rig: Rig) -> None:
+    await rig.aircraft("a1")
+    [answer] = await rig.network.session().ask(KEYS.status("ab" * 16), timeout=1.0)
+    assert unpack(Reply, answer.payload).progress is Progress.NEVER
+
+
+async def test_movement_needs_the_lease_and_its_proof(rig: Rig) -> None:
+    await rig.aircraft("a1")
+    assert (await send(rig, order(Ask(0, Action.TAKE_OFF)))).outcome is Outcome.STALE_LEASE
+    got = await lease(rig)
+    for fence, token in ((got.number, "guessed"), (got.number, ""), (got.number + 1, got.token)):
+        reply = await send(rig, order(Ask(0, Action.OBTAIN), fence, token))
+        assert reply.outcome is Outcome.STALE_LEASE
+    changed = replace(
+        order(Ask(0, Action.GO_HOME), got.number, got.token), message=encode(Ask(0, Action.OBTAIN))
+    )
+    assert (await send(rig, changed)).outcome is Outcome.STALE_LEASE
+
+
+async def test_stop_and_landing_need_no_lease_and_a_landing_is_shared(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    got = await in_the_air(rig, one)
+    assert (await send(rig, order(Ask(0, Action.STOP)))).outcome is Outcome.OK
+    replies: list[Outcome] = []
+
+    async def land() -> None:
+        replies.append((await send(rig, order(Ask(0, Action.LAND)))).outcome)
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(land)
+        await anyio.sleep(1.0)
+        group.start_soon(land)
+        assert (await keep(rig, got)).outcome is Outcome.STALE_LEASE
+    assert replies == [Outcome.OK, Outcome.OK]
+    assert one.height < 0.1
+    assert (await send(rig, order(Ask(0, Action.LAND)))).outcome is Outcome.OK, "it is down"
+
+
+async def far_away(rig: Rig) -> FlyTo:
+    [answer] = await rig.network.session().ask(KEYS.state, timeout=1.0)
+    card: Card = unpack(Card, answer.payload)
+    assert card.latitude_deg is not None
+    assert card.longitude_deg is not None
+    latitude, longitude = LocalFrame(card.latitude_deg, card.longitude_deg).to_geodetic(80.0, 0.0)
+    return FlyTo(latitude_deg=latitude, longitude_deg=longitude, height=3.0, speed=5.0)
+
+
+@pytest.mark.parametrize("revoked_by", [Action.STOP, Action.HALT, "its asker", "time"])
+async def test_an_order_that_was_overtaken_is_not_carried_out(
+    rig: Rig, revoked_by: Action | str
+) -> None:
+    """It waited in the network, under a lease that is in force all the time."""
+    one = await rig.aircraft("a1")
+    got = await in_the_air(rig, one)
+    late = order(replace(await far_away(rig), fence=got.number), got.number, got.token)
+    await anyio.sleep(0.5)
+    if isinstance(revoked_by, Action):
+        assert (await send(rig, order(Ask(0, revoked_by)))).outcome is Outcome.OK
+    elif revoked_by == "its asker":
+        assert (await send(rig, order(Ask(0, Action.OBTAIN), got.number, got.token))).number == 0
+    else:
+        await anyio.sleep(5.0)
+    reply = await send(rig, late)
+    assert reply.outcome is Outcome.REFUSED
+    assert reply.fault is not None
+    assert "was not carried out" in reply.fault.seen
+    for _ in range(40):
+        await anyio.sleep(0.1)
+        assert one.speed < 0.3
+    again = order(replace(await far_away(rig), fence=got.number), got.number, got.token)
+    await rig.network.session().ask(KEYS.command, pack(again), timeout=2.0)
+    await anyio.sleep(2.0)
+    assert one.speed > 1.0, "what is asked for now flies"
+
+
+async def test_a_landing_that_nobody_waits_for_is_not_begun_but_any_stop_is_done(rig: Rig) -> None:
+    """Both waited before a frozen agent; meanwhile another pilot flies."""
+    one = await rig.aircraft("a1")
+    late = {action: order(Ask(0, action)) for action in (Action.LAND, Action.STOP, Action.HALT)}
+    unknown = replace(order(Ask(0, Action.LAND)), clock=0.0)
+    await anyio.sleep(120.0)
+    got = await in_the_air(rig, one)
+    for landing in (late[Action.LAND], unknown):
+        reply = await send(rig, landing)
+        assert reply.outcome is Outcome.REFUSED
+        assert reply.fault is not None
+        assert reply.fault.details["guard"] == "order_age"
+    flying = one.agent.background.spawn(fly(one, got, 6.0), "setpoints")
+    await anyio.sleep(5.0)
+    assert one.speed > 2.5, "what is refused revokes nothing"
+    for action in (Action.HALT, Action.STOP):
+        assert (await send(rig, late[action])).outcome is Outcome.OK
+    await flying
+    await anyio.sleep(3.0)
+    assert one.speed < 0.3
+    assert one.height > 1.0
+    assert one.client.holder.number == got.number
+    assert (await send(rig, order(Ask(0, Action.LAND)))).outcome is Outcome.OK
+    assert one.height < 0.1
+
+
+async def test_a_take_off_that_waits_for_the_disk_is_revoked_by_a_landing(rig: Rig) -> None:
+    class Slow(MemoryLedger):
+        async def begin(self, identity: str) -> None:
+            await anyio.sleep(1.0)
+
+    one = await rig.aircraft("a1", ledger=Slow())
+    await one.agent.activate()
+    got = await lease(rig)
+    await send(rig, order(Ask(0, Action.OBTAIN), got.number, got.token))
+    take_off = order(Ask(0, Action.TAKE_OFF), got.number, got.token)
+    await rig.network.session().ask(KEYS.command, pack(take_off), timeout=2.0)
+    assert (await send(rig, order(Ask(0, Action.LAND)))).outcome is Outcome.OK
+    assert (await send(rig, take_off)).outcome is not Outcome.OK
+    await anyio.sleep(10.0)
+    assert one.height < 0.1
+
+
+async def test_strangers_reach_neither_disk_nor_memory(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    for identity in ("", "x" * 4000, "ab" * 15 + "/*", "AB" * 16):
+        bad = replace(order(Ask(0, Action.STOP)), id=identity)
+        [answer] = await rig.network.session().ask(KEYS.command, pack(bad), timeout=2.0)
+        assert unpack(Reply, answer.payload).outcome is Outcome.REFUSED
+    assert (await send(rig, order(Ask(0, Action.TAKE_OFF)))).outcome is Outcome.STALE_LEASE
+    assert one.ledger.begun == {}
+
+
+async def test_fences_rise_over_a_restart(rig: Rig) -> None:
+    ledger = MemoryLedger()
+    one = await rig.aircraft("a1", ledger=ledger)
+    before = await lease(rig)
+    one.work.cancel()
+    await anyio.sleep(0.1)
+    await rig.aircraft("a1", ledger=MemoryLedger(ledger))
+    after = await lease(rig)
+    assert after.number > before.number
+
+
+# -- setpoints ------------------------------------------------------------------------------------
+
+
+async def fly(one: OnBoard, got: Lease, seconds: float, *, age: float = 0.0, by: int = 0) -> None:
+    outlet = one.rig.network.session().publish(KEYS.setpoint)
+    for number in range(round(20 * seconds)):
+        steer = Steer(got.number + by, one.client.now - age, 0.2, NORTH)
+        outlet.put(pack_steer(steer, got.token, begins=number == 0))
+        await anyio.sleep(0.05)
+
+
+async def test_setpoints_of_the_holder_fly(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    got = await in_the_air(rig, one)
+    await fly(one, got, 3.0)
+    assert one.speed > 2.5
+    assert not one.fleet_agent.dropped
+
+
+@pytest.mark.parametrize(
+    ("reason", "age", "by"),
+    [
+        (Dropped.LATE, 0.25, 0),
+        (Dropped.LATE, -0.25, 0),
+        (Dropped.STALE, 0.0, 1),
+        (Dropped.STALE, 0.0, -1),
+    ],
+)
+async def test_setpoints_that_are_old_or_of_another_lease_do_not(
+    rig: Rig, reason: Dropped, age: float, by: int
+) -> None:
+    one = await rig.aircraft("a1")
+    got = await in_the_air(rig, one)
+    await fly(one, got, 3.0, age=age, by=by)
+    assert one.speed < 0.3
+    assert one.fleet_agent.dropped == {reason: 60}
+
+
+async def test_a_setpoint_flies_once_and_not_after_a_newer_one(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    got = await in_the_air(rig, one)
+    outlet = rig.network.session().publish(KEYS.setpoint)
+    old = pack_steer(Steer(got.number, one.client.now, 0.2, NORTH), got.token, begins=True)
+    await anyio.sleep(0.05)
+    new = pack_steer(Steer(got.number, one.client.now, 0.2, NORTH), got.token, begins=True)
+    for payload in (new, old, new, b"\x01junk", new.ljust(2049, b"\0")):
+        outlet.put(payload)
+    await anyio.sleep(0.1)
+    assert one.fleet_agent.dropped == {Dropped.REPEATED: 2, Dropped.DAMAGED: 2}
+
+
+# -- who may, and who is there --------------------------------------------------------------------
+
+
+async def test_an_order_for_another_aircraft_and_one_that_is_not_admitted(rig: Rig) -> None:
+    def verify(one: Order) -> None:
+        if one.by == "stranger":
+            raise NotAllowed("stranger may not")
+
+    await rig.aircraft("a1", verify=verify)
+    for what in (
+        replace(order(Ask(0, Action.STOP)), aircraft="a2"),
+        replace(order(Ask(0, Action.STOP)), by="stranger"),
+    ):
+        reply = await send(rig, what)
+        assert reply.outcome is Outcome.NOT_ALLOWED
+    assert (await send(rig, order(Ask(0, Action.STOP)))).outcome is Outcome.OK
+
+
+async def test_what_cannot_be_read_is_answered(rig: Rig) -> None:
+    await rig.aircraft("a1")
+    for payload in (b"", b"\x02{}", b"\x01" + pack(order(Ask(0, Action.STOP)))[1:]):
+        [answer] = await rig.network.session().ask(KEYS.command, payload, timeout=1.0)
+        reply: Reply = unpack(Reply, answer.payload)
+        assert reply.outcome is Outcome.REFUSED
+        assert reply.fault is not None
+
+
+async def test_two_agents_of_one_name_are_refused(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    await anyio.sleep(0.1)
+    twin = FleetAgent(one.client, rig.network.session(), KEYS, MemoryLedger())
+    with pytest.raises(UsageError, match="there already"):
+        await twin.require_alone()
+
+
+async def test_stop_is_not_kept_waiting_by_long_orders(rig: Rig) -> None:
+    """A stranger's flood costs as much time as there is; it waits for what is short."""
+    read: list[str] = []
+    await rig.aircraft("a1", verify=lambda one: read.append(one.by))
+    bus = rig.network.session()
+    async with anyio.create_task_group() as group:
+        for _ in range(1000):
+            long = pack(replace(order(Ask(0, Action.STOP)), by="x" * 60_000))
+            group.start_soon(partial(bus.ask, KEYS.command, long, timeout=1.0))
+        await anyio.sleep(0.0)
+        assert (await send(rig, order(Ask(0, Action.STOP)))).outcome is Outcome.OK
+        assert read.index("by hand") <= 1
+    await anyio.sleep(2.0)
+    assert len(read) < 30, "most of a flood is not read at all"
+    last = replace(order(Ask(0, Action.STOP)), by="x" * 60_000)
+    assert (await send(rig, last)).outcome is Outcome.OK, "one alone is"
+
+
+async def test_a_take_over_that_nobody_waits_for_takes_the_lease_from_nobody(rig: Rig) -> None:
+    """It was confirmed, and waited in a network: who confirmed it has given up, and renews none."""
+    one = await rig.aircraft("a1")
+    got = await in_the_air(rig, one)
+    offer = await send(rig, order(LeaseAsk(0, LeaseAction.TAKE_OVER)), KEYS.lease)
+    late = request(LeaseAction.CONFIRM, offer.offer).order
+    await anyio.sleep(6.0)
+    reply = await send(rig, late, KEYS.lease)
+    assert reply.outcome is Outcome.REFUSED
+    assert one.client.holder.number == got.number
+    assert (await lease(rig, request(LeaseAction.CONFIRM, offer.offer))).number > got.number
+
+
+async def test_why_a_setpoint_was_not_flown_is_told_to_no_later_pilot(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    got = await in_the_air(rig, one)
+    on = Steer(got.number, anyio.current_time(), 0.2, NORTH)
+    rig.network.session().publish(KEYS.setpoint).put(pack_steer(on, got.token, begins=False))
+    await rig.until(lambda: one.fleet_agent.dropped[Dropped.BROKEN])
+    offer = await send(rig, order(LeaseAsk(0, LeaseAction.TAKE_OVER)), KEYS.lease)
+    other = await lease(rig, request(LeaseAction.CONFIRM, offer.offer))
+    assert (await keep(rig, other)).fault is None

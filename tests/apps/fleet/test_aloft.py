@@ -1,0 +1,219 @@
+"""An agent that is killed in flight takes its pilot with it: the next one does what that means."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import anyio
+import pytest
+
+from m100link.apps.fleet.aloft import KEPT_AGAIN_S
+from m100link.apps.fleet.client import Fleet
+from m100link.apps.fleet.ledger import LeftAloft, MemoryLedger
+from m100link.apps.fleet.lost import INHERITED_S, LostAction, LostPlan
+from m100link.errors import M100Error, UsageError
+from m100link.protocol.setpoint import Setpoint
+from tests.apps.fleet.conftest import OnBoard, Rig
+
+pytestmark = pytest.mark.anyio
+
+NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+LAND = LostPlan("land", 3.0)
+
+
+async def killed_in_flight(rig: Rig, lost: LostPlan = LAND) -> OnBoard:
+    """A pilot flies north as the agent is killed."""
+    one, pilot = await rig.aircraft("a1", lost=lost), await rig.pilot()
+
+    async def fly() -> None:
+        with pytest.raises(M100Error):
+            async with pilot["a1"].control() as control:
+                await control.take_off()
+                async with control.hold(NORTH):
+                    await anyio.sleep(60.0)
+
+    one.agent.background.spawn(fly(), "a pilot")
+    await rig.until(lambda: one.speed > 2.5)
+    one.kill()
+    rig.cut(pilot)
+    assert one.height > 1.0
+    return one
+
+
+def said(one: OnBoard) -> str:
+    return "; ".join(event.text for event in one.client.events)
+
+
+@pytest.mark.parametrize("action", ["land", "home"])
+async def test_the_next_agent_does_what_was_configured(rig: Rig, action: LostAction) -> None:
+    plan = LostPlan(action, 3.0)
+    one = await (await killed_in_flight(rig, plan)).next(lost=plan)
+    began = anyio.current_time()
+    await anyio.sleep(2.5)
+    assert one.height > 1.0, "whoever flew may come back until then"
+    assert one.speed < 0.3
+    await rig.until(lambda: one.height < 0.1, within=120.0)
+    assert anyio.current_time() - began > 3.0
+    assert "the agent before ended while lease 1 flew" in said(one)
+    await rig.until(lambda: one.client.holder.number == 0)
+    await anyio.sleep(0.1)
+    assert one.ledger.aloft is not None
+    assert isinstance(one.ledger, MemoryLedger)
+    assert MemoryLedger(one.ledger).aloft is None
+
+
+async def test_one_that_hovers_by_its_plan_is_left_to_the_pilot_and_that_is_said(rig: Rig) -> None:
+    one = await (await killed_in_flight(rig, LostPlan())).next()
+    await anyio.sleep(60.0)
+    assert one.height > 1.0
+    assert "it is left to the pilot with the remote control" in said(one)
+
+
+async def test_who_comes_back_flies_on(rig: Rig) -> None:
+    one = await (await killed_in_flight(rig)).next(lost=LAND)
+    pilot = await rig.pilot()
+    async with pilot["a1"].control():
+        await anyio.sleep(20.0)
+        assert one.height > 1.0
+    await anyio.sleep(20.0)
+    assert one.height > 1.0, "he let go of it"
+
+
+@pytest.mark.parametrize("sign", ["mode before", "mode", "stick"])
+async def test_the_pilot_with_the_remote_control_is_never_fought(rig: Rig, sign: str) -> None:
+    before = await killed_in_flight(rig)
+    if sign == "mode before":
+        before.aircraft.set_rc_mode("P")
+    one = await before.next(lost=LAND)
+    await anyio.sleep(1.0)
+    if sign == "mode":
+        one.aircraft.set_rc_mode("P")
+    elif sign == "stick":
+        one.aircraft.move_stick(throttle=0.3)
+        await anyio.sleep(0.5)
+        one.aircraft.release_sticks()
+    await anyio.sleep(30.0)
+    assert one.height > 1.0
+    assert "left alone" in said(one)
+    one.kill()
+    again = await one.next(lost=LAND)
+    await anyio.sleep(30.0)
+    assert again.height > 1.0, "nor by a later agent"
+
+
+async def test_one_that_is_killed_again_before_it_lands_is_landed_by_the_third(rig: Rig) -> None:
+    second = await (await killed_in_flight(rig)).next(lost=LAND)
+    await anyio.sleep(2.0)
+    second.kill()
+    third = await second.next(lost=LAND)
+    await rig.until(lambda: third.client.state.task == "land")
+    third.kill()
+    assert third.height > 0.3
+    last = await third.next(lost=LAND)
+    await rig.until(lambda: last.height < 0.1)
+
+
+async def test_one_on_the_ground_stays_there(rig: Rig) -> None:
+    before, pilot = await rig.aircraft("a1", lost=LAND), await rig.pilot()
+    before.agent.background.spawn(hold_on(pilot), "a pilot")
+    await rig.until(lambda: before.client.state.has_authority)
+    await anyio.sleep(1.0)
+    before.kill()
+    rig.cut(pilot)
+    one = await before.next(lost=LAND)
+    await anyio.sleep(20.0)
+    assert one.height < 0.1
+    assert "on the ground now" in said(one)
+    assert "the pilot is lost" not in said(one)
+
+
+async def not_flown(rig: Rig, how: str) -> OnBoard:
+    """In the air, and nobody of the fleet flies it."""
+    one, pilot = await rig.aircraft("a1", lost=LAND), await rig.pilot()
+    await pilot["a1"].take_off()
+    if how == "lease alone":
+        asker = pilot["a1"].asker
+        await asker.take_lease(asker.lease_request())
+    elif how == "taken by the pilot":
+        one.agent.background.spawn(hold_on(pilot), "a pilot")
+        await rig.until(lambda: one.client.state.has_authority)
+        one.aircraft.set_rc_mode("P")
+    await anyio.sleep(1.0)
+    one.kill()
+    one.aircraft.set_rc_mode("F")
+    return one
+
+
+async def hold_on(pilot: Fleet) -> None:
+    with pytest.raises(M100Error):
+        async with pilot["a1"].control():
+            await anyio.sleep(60.0)
+
+
+@pytest.mark.parametrize("how", ["let go", "lease alone", "taken by the pilot"])
+async def test_one_that_nobody_of_the_fleet_flew_is_left_alone(rig: Rig, how: str) -> None:
+    one = await (await not_flown(rig, how)).next(lost=LAND)
+    await anyio.sleep(60.0)
+    assert one.height > 1.0
+    assert "agent before ended" not in said(one)
+
+
+@pytest.mark.parametrize("ago", [None, INHERITED_S + 1.0])
+async def test_one_of_which_nobody_knows_who_flew_it_since_is_left_alone(
+    rig: Rig, ago: float | None
+) -> None:
+    before = await killed_in_flight(rig)
+    assert isinstance(before.ledger, MemoryLedger)
+    ledger = MemoryLedger(before.ledger)
+    assert ledger.aloft is not None
+    ledger.aloft = replace(ledger.aloft, ago_s=ago)
+    one = await rig.aircraft("a1", virtual=before.aircraft, ledger=ledger, lost=LAND)
+    await anyio.sleep(60.0)
+    assert one.height > 1.0
+    assert "left to the pilot" in said(one)
+
+
+async def test_a_line_that_comes_too_late_is_one_of_which_nobody_knows(rig: Rig) -> None:
+    before = await killed_in_flight(rig)
+    assert isinstance(before.ledger, MemoryLedger)
+    ledger = MemoryLedger(before.ledger)
+    ledger.aloft = LeftAloft(1, INHERITED_S - 10.0)
+    before.aircraft.unplug()
+    one = OnBoard(rig, "a1", before.aircraft, ledger)
+
+    async def replug() -> None:
+        await anyio.sleep(20.0)
+        before.aircraft.replug()
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(replug)
+        await rig.stack.enter_async_context(one.running(lost=LAND))
+    await anyio.sleep(60.0)
+    assert one.height > 1.0
+    assert "left to the pilot" in said(one)
+
+
+async def test_it_is_written_again_while_it_flies_and_a_disk_that_fails_is_told(rig: Rig) -> None:
+    class Disk(MemoryLedger):
+        is_full = False
+        kept: list[int]
+
+        async def flies(self, fence: int) -> None:
+            if self.is_full:
+                raise UsageError("the disk is full")
+            self.kept.append(fence)
+
+    disk = Disk()
+    disk.kept = []
+    one, pilot = await rig.aircraft("a1", ledger=disk), await rig.pilot()
+    async with pilot["a1"].control(stop="land") as control:
+        await control.take_off()
+        assert disk.kept == [1]
+        await anyio.sleep(2 * KEPT_AGAIN_S)
+        assert disk.kept == [1, 1, 1]
+        disk.is_full = True
+        await anyio.sleep(KEPT_AGAIN_S)
+        assert "who flies is not kept: the disk is full" in said(one)
+        disk.is_full = False
+    await anyio.sleep(2 * KEPT_AGAIN_S)
+    assert disk.kept == [1, 1, 1, 0]

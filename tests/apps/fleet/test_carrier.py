@@ -1,0 +1,325 @@
+"""A console far away: a front of an agent over the network of a fleet."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import anyio
+import pytest
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.guided import FlyTo
+from m100link.apps.agent.lease import Lease, LeaseHeld
+from m100link.apps.agent.messages import LeaseChanged, State, Topic
+from m100link.apps.fleet.client import Fleet
+from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.payloads import pack
+from m100link.errors import LinkError, M100Error, StaleLease
+from m100link.protocol.commands.control import Task
+from m100link.protocol.records import Position
+from m100link.protocol.setpoint import Setpoint
+from tests.apps.fleet.conftest import SITE, Rig
+
+pytestmark = pytest.mark.anyio
+
+NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+
+
+def place(client: AgentClient) -> Position:
+    """Where it is now."""
+    found = None if client.telemetry is None else client.telemetry.fresh(Position, within=0.5)
+    assert found is not None
+    return found
+
+
+@asynccontextmanager
+async def front(rig: Rig, fleet: Fleet, name: str = "a1") -> AsyncIterator[AgentClient]:
+    async with AgentClient(await fleet.reach(name), "console") as client:
+        await rig.until(lambda: client.is_connected)
+        yield client
+
+
+async def test_it_sees_what_a_front_on_board_sees(rig: Rig) -> None:
+    one = await rig.served("a1")
+    async with front(rig, await rig.pilot()) as far:
+        await rig.until(lambda: far.telemetry is not None and far.link is not None)
+        assert far.state.firmware == one.client.state.firmware
+        await anyio.sleep(1.0)
+        assert place(far).latitude_deg == pytest.approx(place(one.client).latitude_deg, abs=1e-6)
+        assert abs(far.heard_at - far.now) < 0.5
+
+
+async def test_it_takes_off_flies_to_a_place_and_lands(rig: Rig) -> None:
+    one = await rig.served("a1")
+    async with front(rig, await rig.pilot("anna")) as far:
+        lease = await far.acquire("console 1")
+        assert far.holds(lease)
+        assert one.client.holder.name == "anna: console 1"
+        far.background.spawn(kept(far, lease), "page")
+        await far.activate(lease)
+        await far.obtain(lease)
+        await far.fly(lease, Task.TAKE_OFF)
+        assert one.height > 1.0
+        here = place(far)
+        await far.guide(lease, FlyTo(here.latitude_deg, here.longitude_deg, 6.0))
+        assert one.height == pytest.approx(6.0, abs=0.5)
+        await far.fly(lease, Task.LAND)
+        assert one.height < 0.1
+        await far.release_lease(lease.token)
+        await rig.until(lambda: far.holder.number == 0, within=3.0)
+        assert one.client.holder.number == 0
+
+
+async def kept(far: AgentClient, lease: Lease) -> None:
+    while True:  # as a page does, that is heard
+        far.keep(lease)
+        await anyio.sleep(0.05)
+
+
+async def flying(far: AgentClient, *, is_kept: bool = True) -> Lease:
+    lease = await far.acquire("console 1")
+    page = far.background.spawn(kept(far, lease), "page")
+    await far.activate(lease)
+    await far.obtain(lease)
+    await far.fly(lease, Task.TAKE_OFF)
+    if not is_kept:
+        page.cancel()
+    return lease
+
+
+async def test_it_is_activated_by_anybody_while_nobody_has_control(rig: Rig) -> None:
+    one = await rig.served("a1")
+    async with front(rig, await rig.pilot("anna")) as far:
+        await far.activate()
+        assert one.client.state.is_activated
+        lease = await one.client.acquire("who is on board")
+        await rig.until(lambda: far.holder.number == lease.number)
+        with pytest.raises(StaleLease):
+            await far.activate()
+
+
+async def test_setpoints_fly_and_expire_when_they_stop(rig: Rig) -> None:
+    one = await rig.served("a1")
+    async with front(rig, await rig.pilot()) as far:
+        lease = await flying(far)
+        await steered(far, lease, 3.0)
+        assert one.speed > 2.0
+        await anyio.sleep(2.0)
+        assert one.speed < 0.3
+
+
+async def steered(far: AgentClient, lease: Lease, seconds: float) -> None:
+    """As a page does while a key is held: its beats are all that it says."""
+    for _ in range(round(seconds / 0.05)):
+        far.steer(lease, NORTH)
+        await anyio.sleep(0.05)
+
+
+@pytest.mark.parametrize(
+    ("delay", "told"), [(0.3, "the clock of a1 is not known"), (1.0, "has answered nothing for")]
+)
+async def test_who_steers_over_a_way_that_became_slow_is_told_so_and_keeps_control(
+    rig: Rig, delay: float, told: str
+) -> None:
+    one = await rig.served("a1")
+    async with front(rig, await rig.pilot()) as far:
+        lease = await flying(far, is_kept=False)
+        refused: list[M100Error] = []
+        far.on_steer_refused.append(lambda _, error: refused.append(error))
+        await steered(far, lease, 2.0)
+        rig.network.weather.delay_s = delay
+        await steered(far, lease, 8.0)
+        assert one.speed < 0.3
+        assert one.client.holder.number == lease.number
+        assert told in refused[-1].seen
+
+
+async def test_who_holds_a_key_through_a_cut_is_told_that_it_flies_nothing(rig: Rig) -> None:
+    one = await rig.served("a1")
+    pilot = await rig.pilot()
+    async with front(rig, pilot) as far:
+        lease = await flying(far, is_kept=False)
+        refused: list[M100Error] = []
+        far.on_steer_refused.append(lambda _, error: refused.append(error))
+        await steered(far, lease, 2.0)
+        rig.network.weather.presence_s = 60.0
+        rig.network.cut(one.bus)
+        await steered(far, lease, 1.5)
+        rig.network.join(one.bus)
+        await steered(far, lease, 5.0)
+        assert one.speed < 0.3
+        assert one.client.holder.number == lease.number
+        refused.clear()
+        await steered(far, lease, 2.0)
+        assert len(refused) >= 40, "a page forgets with each beat what was told before"
+        assert all("the stream of setpoints had ended" in error.seen for error in refused)
+        await anyio.sleep(1.0)
+        await steered(far, lease, 2.0)  # it was let go of, and pressed anew
+        refused.clear()
+        await steered(far, lease, 1.0)
+        assert one.speed > 2.0
+        assert not refused
+
+
+async def test_a_cut_network_is_a_hover_and_a_front_that_says_so(rig: Rig) -> None:
+    one = await rig.served("a1")
+    pilot = await rig.pilot()
+    async with front(rig, pilot) as far:
+        lease = await flying(far)
+        await steered(far, lease, 2.0)
+        rig.network.weather.presence_s = 60.0  # nobody is told that it is gone
+        rig.network.cut(one.bus)
+        await steered(far, lease, 3.0)
+        assert one.speed < 0.3
+        assert far.is_silent
+        assert not far.is_connected
+        rig.network.join(one.bus)
+        await steered(far, lease, 3.0)
+        assert one.speed < 0.3, "a stream that was cut goes on"
+
+
+async def test_stop_and_landing_need_no_lease(rig: Rig) -> None:
+    one = await rig.served("a1")
+    async with front(rig, await rig.pilot("anna")) as far:
+        lease = await flying(far)
+        async with front(rig, await rig.pilot("bert")) as other:
+            await rig.until(lambda: other.holder.number == lease.number)
+            with pytest.raises(LeaseHeld):
+                await other.acquire("console 1")
+            with pytest.raises(StaleLease):
+                await other.fly(None, Task.TAKE_OFF)
+            await other.stop()
+            offer = await other.ask_take_over("console 1")
+            assert offer.from_name == "anna: console 1"
+            taken = await other.confirm(offer.token)
+            await rig.until(lambda: far.holder.number == taken.number)
+            assert not far.holds(lease)
+            refused: list[M100Error] = []
+            far.on_steer_refused.append(lambda _, error: refused.append(error))
+            far.steer(lease, NORTH)
+            await rig.until(lambda: refused, within=1.0)
+            assert "is not in force" in refused[0].seen
+            assert other.holds(taken)
+        assert one.height > 1.0
+
+
+async def test_old_words_do_not_make_a_silent_agent_one_that_is_heard(rig: Rig) -> None:
+    await rig.served("a1")
+    pilot = await rig.pilot()
+    channel = await pilot.reach("a1")
+    async with AgentClient(channel, "console") as far:
+        await rig.until(lambda: far.is_connected)
+        rig.network.weather.delay_s = 3.0
+        await anyio.sleep(6.0)
+        assert far.is_silent
+        assert channel.old > 0
+
+
+async def test_a_lease_that_ended_before_it_was_granted_again_does_not_take_it(rig: Rig) -> None:
+    await rig.served("a1")
+    async with front(rig, await rig.pilot()) as far:
+        changes: list[LeaseChanged] = []
+        far.on_lease.append(changes.append)
+        for _ in range(5):
+            lease = await far.acquire("console 1")
+            assert far.holds(lease)
+            await anyio.sleep(1.3)
+            assert far.holds(lease)
+            await far.release_lease(lease.token)
+            await rig.until(lambda: not far.holder.number, within=2.0)
+        assert [bool(one.number) for one in changes] == [True, False] * 5
+
+
+async def test_an_agent_that_is_not_there_and_one_that_goes(rig: Rig) -> None:
+    pilot = await rig.pilot()
+    with pytest.raises(LinkError, match="a1 does not answer"):
+        await pilot.reach("a1")
+    one = await rig.served("a1")
+    async with front(rig, pilot) as far:
+        one.work.cancel()
+        await rig.until(lambda: far.is_gone, within=2.0)
+        with pytest.raises(M100Error):
+            await far.stop()
+
+
+async def test_however_much_waits_for_answers_stop_goes_out(rig: Rig) -> None:
+    one = await rig.served("a1")
+    async with front(rig, await rig.pilot()) as far:
+        lease = await flying(far)
+        here = place(far)
+        rig.network.weather.presence_s = 60.0
+        rig.network.cut(one.bus)
+        for _ in range(100):
+            far.background.spawn(wasted(far, lease, here), "clicks")
+        await anyio.sleep(0.1)
+        rig.network.join(one.bus)
+        await far.stop()
+        assert any(event.topic is Topic.STOPPED for event in one.client.events)
+
+
+async def wasted(far: AgentClient, lease: Lease, here: Position) -> None:
+    with pytest.raises(M100Error):
+        await far.guide(lease, FlyTo(here.latitude_deg, here.longitude_deg, 6.0))
+
+
+async def test_what_a_stranger_tells_of_the_lease_does_not_cost_its_holder_the_proof(
+    rig: Rig,
+) -> None:
+    one = await rig.served("a1")
+    async with front(rig, await rig.pilot()) as far:
+        lease = await flying(far)
+        stranger = rig.network.session().publish(Keys(SITE, "a1").told)
+        stranger.put(pack(LeaseChanged(lease.number + 1000, "nobody")))
+        await rig.until(lambda: not far.holds(lease), within=1.0)
+        await rig.until(lambda: far.holds(lease), within=2.0)
+        await steered(far, lease, 3.0)
+        assert one.speed > 2.0
+        await far.fly(lease, Task.LAND)
+        assert one.height < 0.1
+
+
+async def test_a_way_that_is_closed_listens_no_more(rig: Rig) -> None:
+    await rig.served("a1")
+    channel = await (await rig.pilot()).reach("a1")
+    channel.close()
+    channel.watch(full=True)
+    assert not rig.network.takers("subscribe", Keys(SITE, "a1").telemetry)
+
+
+async def test_what_cannot_be_costs_itself_alone_and_is_told_once(
+    rig: Rig, caplog: pytest.LogCaptureFixture
+) -> None:
+    await rig.served("a1")
+    channel = await (await rig.pilot()).reach("a1")
+    async with AgentClient(channel, "console") as far:
+        await rig.until(lambda: far.is_connected)
+        told = rig.network.session().publish(Keys(SITE, "a1").told)
+        for _ in range(20):
+            told.put(pack(State(far.now, "cheerful", activation_code=-1)))
+            told.put(b"\x01{")
+        await rig.until(lambda: channel.unread == 40)
+        assert len([one for one in caplog.records if "cannot be read" in one.message]) == 1
+        at = far.state.at
+        await rig.until(lambda: far.state.at > at)
+        assert far.is_connected
+
+
+async def test_what_this_side_fails_over_is_told_once(
+    rig: Rig, caplog: pytest.LogCaptureFixture
+) -> None:
+    await rig.served("a1")
+    channel = await (await rig.pilot()).reach("a1")
+    async with AgentClient(channel, "console") as far:
+        await rig.until(lambda: far.is_connected)
+
+        def fail(change: LeaseChanged) -> None:
+            raise ValueError("a mistake of this side")
+
+        far.on_lease.append(fail)
+        told = rig.network.session().publish(Keys(SITE, "a1").told)
+        for number in range(10, 20):
+            told.put(pack(LeaseChanged(number, "x")))
+        await rig.until(lambda: channel.untaken >= 10)
+        assert len([one for one in caplog.records if "was not taken" in one.message]) == 1
+        assert far.is_connected

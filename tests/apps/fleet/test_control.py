@@ -1,0 +1,219 @@
+"""Control over the network: one pilot at a time, and whoever loses it is told."""
+
+from __future__ import annotations
+
+import asyncio
+
+import anyio
+import pytest
+
+from m100link.apps.agent.actions import Action
+from m100link.apps.agent.guided import FlyTo
+from m100link.apps.agent.lease import LeaseHeld
+from m100link.apps.agent.messages import Ask, Message
+from m100link.errors import GuardRefused, M100Error, OutcomeUnknown, StaleLease, UsageError
+from m100link.geodesy import LocalFrame
+from m100link.protocol.setpoint import Setpoint
+from tests.apps.bus.memory import Weather
+from tests.apps.fleet.conftest import Rig
+
+pytestmark = pytest.mark.anyio
+
+NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+
+
+async def test_one_flies_to_a_place_and_lands_as_the_block_is_left(rig: Rig) -> None:
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    async with pilot["a1"].control(stop="land") as control:
+        await control.take_off()
+        card = await pilot["a1"].card()
+        assert card.holder == "pilot"
+        assert card.latitude_deg is not None
+        assert card.longitude_deg is not None
+        frame = LocalFrame(card.latitude_deg, card.longitude_deg)
+        latitude, longitude = frame.to_geodetic(10.0, 0.0)
+        await control.fly_to(latitude_deg=latitude, longitude_deg=longitude, height=5.0)
+        card = await pilot["a1"].card()
+        assert card.height_m == pytest.approx(5.0, abs=0.6)
+        assert one.height > 4.0
+    assert one.height < 0.1
+    assert one.client.holder.number == 0
+
+
+async def test_of_two_pilots_one_has_it_and_a_take_over_ends_the_other(rig: Rig) -> None:
+    await rig.aircraft("a1")
+    first, second = await rig.pilot("first"), await rig.pilot("second")
+    with pytest.raises(M100Error):
+        async with first["a1"].control() as control:
+            with pytest.raises(LeaseHeld, match="first"):
+                async with second["a1"].control():
+                    pass
+            async with second["a1"].control(take_over=True) as taken:
+                assert taken.fence > control.fence
+                await anyio.sleep(5.0)
+
+
+async def test_a_pilot_who_is_cut_off_longer_than_the_lease_is_told(rig: Rig) -> None:
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    began = 0.0
+    with pytest.raises(OutcomeUnknown, match="the lease has ended"):
+        async with pilot["a1"].control() as control:
+            await control.take_off()
+            rig.cut(pilot)
+            began = anyio.current_time()
+            await anyio.sleep(60.0)
+    assert 2.0 < anyio.current_time() - began < 5.0
+    assert one.client.holder.number == 0
+
+
+async def test_a_stop_ends_a_hold_until_the_pilot_begins_anew(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    pilot, other = await rig.pilot(), await rig.pilot("other")
+
+    async def hold() -> None:
+        with pytest.raises(GuardRefused):
+            async with pilot["a1"].control() as control:
+                await control.take_off()
+                async with control.hold(NORTH):
+                    await anyio.sleep(30.0)
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(hold)
+        await rig.until(lambda: one.speed > 2.5)
+        assert (await other.stop())["a1"].is_ok
+        await anyio.sleep(3.0)
+        assert one.speed < 0.3
+
+
+async def test_a_lease_that_is_lost_before_the_block_begins_is_told(rig: Rig) -> None:
+    """And the task of who asked is not cancelled instead."""
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    control = pilot["a1"].control()
+
+    async def cut() -> None:
+        await rig.until(lambda: control.fence)
+        rig.cut(pilot)
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(cut)
+        rig.network.weather = Weather(delay_s=0.4)
+        with pytest.raises(StaleLease, match="cannot be held"):
+            async with control:
+                raise AssertionError("nobody can fly")
+    assert one.height < 0.1
+
+
+async def test_a_lease_that_nobody_waits_for_any_more_is_not_granted(rig: Rig) -> None:
+    one, pilot, other = await rig.aircraft("a1"), await rig.pilot(patience=1.0), await rig.pilot()
+    asker = pilot["a1"].asker
+    await asker.ask(Ask(0, Action.VERSION))  # its clock is known now
+    rig.network.weather = Weather(delay_s=5.5)
+    with pytest.raises(OutcomeUnknown):
+        await asker.take_lease(asker.lease_request())
+    rig.network.weather = Weather()
+    for _ in range(100):
+        await anyio.sleep(0.1)
+        assert one.client.holder.number == 0
+    async with other["a1"].control():
+        assert one.client.holder.number
+
+
+@pytest.mark.parametrize("after", [0.1, 0.3, 0.5])
+async def test_a_lease_that_comes_to_who_was_ended_meanwhile_goes_back(
+    rig: Rig, after: float
+) -> None:
+    """By Ctrl-C, while the order is on its way, or its answer."""
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+
+    async def fly() -> None:
+        async with pilot["a1"].control():
+            raise AssertionError("it was ended before")
+
+    rig.network.weather = Weather(delay_s=0.3)
+    entering = asyncio.ensure_future(fly())
+    await anyio.sleep(0.6 + after)  # the agent's clock is known
+    entering.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await entering
+    await anyio.sleep(0.35)  # the word that gives it back is on its way
+    assert one.client.holder.number == 0
+    assert [e.text for e in one.client.events if "has control" in e.text], "it was granted"
+    assert not [e.text for e in one.client.events if "expired" in e.text]
+
+
+async def test_setpoints_need_a_clock_that_is_known(rig: Rig) -> None:
+    await rig.aircraft("a1")
+    pilot = await rig.pilot()
+    rig.network.weather = Weather(delay_s=0.3)
+    async with pilot["a1"].control() as control:
+        with pytest.raises(UsageError, match="clock of a1"):
+            control.send(NORTH)
+
+
+async def test_what_cannot_be_asked(rig: Rig) -> None:
+    pilot = await rig.pilot()
+    with pytest.raises(UsageError, match="stop action"):
+        pilot["a1"].control(stop="dive")  # type: ignore[arg-type] # that is the test
+    with pytest.raises(StaleLease):
+        pilot["a1"].control().send(NORTH)
+
+
+async def test_nonsense_in_the_place_of_a_renewal_ends_nothing_but_silence_does(rig: Rig) -> None:
+    """What answers beside the agent, or is damaged on the way, is no word of the agent."""
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    silent_since = 0.0
+    with pytest.raises(OutcomeUnknown, match="the lease has ended"):
+        async with pilot["a1"].control() as control:
+            await control.take_off()
+            real = next(o for o in rig.network.takers("serve", "m100/field/a1/lease"))
+            answers = b"\x09{}", b"\x01{", b"", b"\x01" + b"[" * 60_000
+            nonsense = iter(answers * 1000)
+            serve = rig.network.session().serve
+            other = serve(
+                real.key, lambda question: question.answer("m100/x/a1/lease", next(nonsense))
+            )
+            await anyio.sleep(5.0)  # both answer
+            take, real.take = real.take, None
+            await anyio.sleep(1.5)  # nonsense alone, for less than the lease lasts
+            real.take = take
+            await anyio.sleep(5.0)
+            assert one.client.holder.name == "pilot"
+            assert control.fence == one.client.holder.number
+            real.take = None
+            silent_since = anyio.current_time()
+            await anyio.sleep(60.0)
+    other.close()
+    assert 2.0 < anyio.current_time() - silent_since < 5.0
+    assert one.height > 1.0
+
+
+async def test_each_verb_asks_for_what_it_says_under_its_lease(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None of them is answered here: what was asked is looked at."""
+    asked: list[Message] = []
+    await rig.aircraft("a1")
+    pilot = await rig.pilot()
+    async with pilot["a1"].control() as control:
+        fence = control.fence
+
+        async def ask(message: Message, *_: object, **__: object) -> None:
+            asked.append(message)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(control._asker, "ask", ask)
+            await control.take_off()
+            await control.land()
+            await control.go_home()
+            await control.fly_to(
+                latitude_deg=52.1, longitude_deg=-4.3, height=7.5, speed=3.25, yaw_deg=-120.0
+            )
+            await control.stop()
+    assert fence > 0
+    assert asked == [
+        Ask(0, Action.TAKE_OFF, fence),
+        Ask(0, Action.LAND, fence),
+        Ask(0, Action.GO_HOME, fence),
+        FlyTo(52.1, -4.3, height=7.5, speed=3.25, yaw_deg=-120.0, fence=fence),
+        Ask(0, Action.STOP),
+    ]

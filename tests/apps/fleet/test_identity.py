@@ -1,0 +1,241 @@
+"""Signed orders: what is let through, and the right reason for everything that is not."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections import defaultdict
+from dataclasses import fields, replace
+from typing import Any
+
+import pytest
+
+from m100link.apps.fleet.identity import (
+    STOP_WINDOW_S,
+    WINDOW_S,
+    Claim,
+    Gate,
+    OrderRefused,
+    Reason,
+    Signer,
+)
+from m100link.apps.fleet.rights import Right, Rights
+from m100link.errors import UsageError
+
+NOW = 1_800_000_000.0
+ANNA, BERT = Signer("anna", b"a" * 32), Signer("bert", b"b" * 32)
+RIGHTS = Rights.parse(
+    f"""
+[identity.anna]
+public_key = "{ANNA.public_key.hex()}"
+fly = ["a1"]
+[identity.bert]
+public_key = "{BERT.public_key.hex()}"
+stop = ["*"]
+[identity.wall]
+watch = ["*"]
+"""
+)
+
+
+def order(number: str = "1", **changes: Any) -> Claim:
+    return replace(Claim(number, 7, "a1", NOW, "anna", b"take off"), **changes)
+
+
+def gate(aircraft: str = "a1") -> Gate:
+    return Gate(RIGHTS, aircraft, began_at=NOW - 60)
+
+
+def reason(
+    claim: Claim,
+    signature: bytes | None = None,
+    *,
+    right: Right = Right.FLY,
+    now: float = NOW,
+    at: Gate | None = None,
+) -> Reason | None:
+    """Why it is refused; None if it is let through."""
+    signer = BERT if claim.signer == "bert" else ANNA
+    signature = signer.sign(claim) if signature is None else signature
+    try:
+        (at or gate()).check(claim, signature, right, now)
+    except OrderRefused as error:
+        return error.reason
+    return None
+
+
+def test_a_refusal_names_who_says_to_have_signed() -> None:
+    with pytest.raises(OrderRefused) as caught:
+        gate().check(order(signer="eve"), bytes(64), Right.FLY, NOW)
+    assert caught.value.signer == "eve"
+
+
+def test_an_order_of_somebody_who_may_is_let_through() -> None:
+    assert reason(order()) is None
+    assert reason(order(signer="bert"), right=Right.STOP) is None
+    assert reason(order(signer="bert"), right=Right.WATCH) is None
+
+
+# -- bytes ----------------------------------------------------------------------------------------
+
+
+def test_what_is_signed_is_as_the_manual_says() -> None:
+    by_hand = b"m100link order 1\n" + bytes.fromhex("0000000000000007 41dad27480000000")
+    by_hand += b"\0\0\0\x011\0\0\0\x02a1\0\0\0\x04anna\0\0\0\x08take off"
+    assert order().to_bytes() == by_hand
+
+
+def test_no_two_orders_have_the_same_bytes() -> None:
+    """Also where one part ends with what the next one begins with."""
+    several = [
+        order(),
+        order("1a", aircraft="1"),
+        order("", aircraft="1a1"),
+        order(aircraft="a1anna", signer=""),
+        order(signer="annat", body=b"ake off"),
+        order(fence=8),
+        order(at=NOW + 1e-6),
+    ]
+    assert len({one.to_bytes() for one in several}) == len(several)
+    with pytest.raises(UsageError):
+        order(fence=-1).to_bytes()
+
+
+@pytest.mark.parametrize("field", [field.name for field in fields(Claim)])
+def test_whatever_is_changed_breaks_the_signature(field: str) -> None:
+    changes = {
+        "id": "2",
+        "fence": 8,
+        "aircraft": "a2",
+        "at": NOW + 1,
+        "signer": "bert",
+        "body": b"land",
+    }
+    changes_one: dict[str, Any] = {field: changes[field]}
+    changed = order(**changes_one)
+    assert reason(changed, ANNA.sign(order())) is Reason.BAD_SIGNATURE
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_damaged_signature_is_taken(seed: int) -> None:
+    chance, signature = random.Random(seed), ANNA.sign(order())
+    for bad in (b"", signature[:-1], signature + b"\0", bytes(64)):
+        assert reason(order(), bad) is Reason.BAD_SIGNATURE
+    for _ in range(50):
+        one = bytearray(signature)
+        one[chance.randrange(64)] ^= 1 << chance.randrange(8)
+        assert reason(order(), bytes(one)) is Reason.BAD_SIGNATURE
+
+
+def test_texts_that_are_no_text_break_nothing() -> None:
+    claim = order(signer="anna", id="\ud800")
+    assert reason(claim, bytes(64)) is Reason.BAD_SIGNATURE
+
+
+# -- who ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("signer", ["", "eve", "wall"])
+def test_keys_that_nobody_knows(signer: str) -> None:
+    """The wall is known, and has no key."""
+    assert reason(order(signer=signer), bytes(64)) is Reason.UNKNOWN_KEY
+
+
+def test_one_signs_for_oneself_alone() -> None:
+    with pytest.raises(UsageError, match="anna cannot sign for bert"):
+        ANNA.sign(order(signer="bert"))
+    assert reason(order(signer="bert"), ANNA.sign(order())) is Reason.BAD_SIGNATURE
+    with pytest.raises(UsageError, match="32 bytes"):
+        Signer("anna", b"short")
+
+
+def test_an_order_to_another_aircraft_is_sent_on_by_somebody() -> None:
+    assert reason(order(), at=gate("a2")) is Reason.WRONG_AIRCRAFT
+
+
+def test_who_may_not_is_refused() -> None:
+    assert reason(order(signer="bert"), right=Right.FLY) is Reason.NOT_ALLOWED
+    assert reason(order(aircraft="b1"), at=gate("b1"), right=Right.WATCH) is Reason.NOT_ALLOWED
+
+
+# -- when -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("right", "window"),
+    [(Right.WATCH, WINDOW_S), (Right.STOP, STOP_WINDOW_S), (Right.FLY, WINDOW_S)],
+)
+@pytest.mark.parametrize("sense", [-1, 1])
+def test_orders_are_fresh(right: Right, window: float, sense: int) -> None:
+    for age, expected in ((0.99, None), (1.01, Reason.EXPIRED)):
+        long_there = Gate(RIGHTS, "a1", began_at=NOW - 10_000)
+        claim = order(at=NOW - sense * age * window)
+        assert reason(claim, right=right, at=long_there) is expected
+
+
+@pytest.mark.parametrize("at", [math.nan, math.inf, -math.inf])
+def test_an_order_has_a_time(at: float) -> None:
+    assert reason(order(at=at), right=Right.STOP) is Reason.EXPIRED
+
+
+def test_what_was_signed_before_the_agent_began_is_refused_but_a_stop_is_not() -> None:
+    anew = Gate(RIGHTS, "a1", began_at=NOW)
+    assert reason(order(at=NOW - 1), at=anew) is Reason.EXPIRED
+    assert reason(order(at=NOW - 1), at=anew, right=Right.STOP) is None
+    assert reason(order("2", at=NOW), at=anew) is None
+
+
+def test_who_is_revoked_is_told_so_but_only_who_proves_to_be_it() -> None:
+    revoked = defaultdict(str, anna="2026-11-22").__getitem__
+    at = Gate(RIGHTS, "a1", began_at=NOW - 60, revoked=revoked)
+    for right in Right:
+        assert reason(order(), at=at, right=right) is Reason.REVOKED
+    assert reason(order(), bytes(64), at=at) is Reason.BAD_SIGNATURE
+    assert reason(order(signer="bert"), at=at, right=Right.STOP) is None
+    with pytest.raises(OrderRefused, match="anna is revoked since 2026-11-22"):
+        at.check(order(), ANNA.sign(order()), Right.STOP, NOW)
+
+
+# -- once -----------------------------------------------------------------------------------------
+
+
+def test_a_recorded_order_is_not_obeyed_again() -> None:
+    one = gate()
+    assert reason(order(), at=one) is None
+    assert reason(order(), at=one) is Reason.REPLAYED
+    assert reason(order(body=b"land"), at=one) is Reason.REPLAYED
+    assert reason(order(signer="bert"), at=one, right=Right.STOP) is None, "an id of his own"
+    assert reason(order("2"), at=one) is None
+
+
+def test_what_was_refused_uses_up_no_id() -> None:
+    one = gate()
+    assert reason(order(), bytes(64), at=one) is Reason.BAD_SIGNATURE
+    assert reason(order(at=NOW - 6), at=one) is Reason.EXPIRED
+    assert reason(order(), at=one) is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_is_obeyed_twice_whatever_is_repeated_when(seed: int) -> None:
+    """A recorder repeats anything at any time; its memory is not the agent's."""
+    chance, one, now = random.Random(seed), gate(), NOW
+    recorded: list[tuple[Claim, bytes, Right]] = []
+    obeyed: set[str] = set()
+    for number in range(1500):
+        now += chance.expovariate(2)
+        if not recorded or chance.random() < 0.3:
+            claim = order(str(number), at=now + chance.uniform(-4, 4))
+            recorded.append((claim, ANNA.sign(claim), chance.choice([Right.FLY, Right.STOP])))
+        claim, signature, right = chance.choice(recorded[-20:])
+        if reason(claim, signature, at=one, right=right, now=now) is None:
+            assert claim.id not in obeyed
+            obeyed.add(claim.id)
+    assert len(obeyed) > 100
+
+
+def test_what_is_remembered_is_forgotten_when_it_has_expired() -> None:
+    one = gate()
+    for number in range(5000):
+        now = NOW + number * 0.1
+        assert reason(order(str(number), at=now), at=one, now=now) is None
+    assert len(one._seen) < 2500

@@ -1,0 +1,443 @@
+"""What outlives an agent that was killed."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+from typing import Any
+from zlib import crc32
+
+import pytest
+
+from m100link.apps.fleet.book import KEPT_S
+from m100link.apps.fleet.ledger import (
+    FENCES_AT_ONCE,
+    FileLedger,
+    LeftAloft,
+    MemoryLedger,
+    since_boot,
+)
+from m100link.errors import UsageError
+from tests.disk import Disk
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+def opened(path: Path, utc: float, boot: str, up: float) -> FileLedger:
+    return FileLedger(path, lambda: utc, lambda: (boot, up))
+
+
+async def test_what_was_begun_is_known_by_the_next_run(tmp_path: Path) -> None:
+    path = tmp_path / "site" / "a1.jsonl"
+    for identity, up in (("one", 50.0), ("two", 51.0)):
+        ledger = opened(path, 1000.0, "boot", up)
+        await ledger.begin(identity)
+        ledger.close()  # as the kernel does when it is killed; each word was on the disk
+    # Whatever the calendar says, set forth or back:
+    for utc in (1002.0, 1002.0 + 3600.0, 1002.0 - 3600.0):
+        ledger = opened(path, utc, "boot", 52.0)
+        assert ledger.begun == {"one": 50.0, "two": 51.0}
+        ledger.close()
+    ledger = opened(path, 1000.0, "boot", 50.5 + KEPT_S)
+    assert ledger.begun == {"two": 51.0}
+    ledger.close()
+
+
+async def test_what_is_from_before_the_computer_was_started_is_kept_as_long_again(
+    tmp_path: Path,
+) -> None:
+    """Nobody knows how old it is: a clock without a battery begins anywhere."""
+    path = tmp_path / "a1.jsonl"
+    first = opened(path, 1000.0, "boot", 5000.0)
+    await first.begin("one")
+    first.close()
+    for utc, up, is_kept in (
+        (0.0, 5.0, True),
+        (1e9, 4.0 + KEPT_S, True),
+        (0.0, 6.0 + KEPT_S, False),
+    ):
+        after = opened(path, utc, "another", up)
+        assert ("one" in after.begun) is is_kept, up
+        after.close()
+
+
+async def test_the_file_does_not_grow_without_end(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr("m100link.apps.fleet.ledger.MOST_KEPT", 100)
+    path, up = tmp_path / "a1.jsonl", [0.0]
+    ledger = FileLedger(path, lambda: 0.0, lambda: ("boot", up[0]))
+    sizes = set()
+    await ledger.flies(17)
+    for number in range(1000):
+        up[0] += 1.0
+        await ledger.begin(f"{number:032x}")
+        sizes.add(len(path.read_text().splitlines()))
+    assert max(sizes) <= 310
+    await ledger.granted(ledger.leases_before + 2 * FENCES_AT_ONCE)
+    ledger.close()
+    after = opened(path, 0.0, "boot", up[0])
+    assert list(after.begun)[-1] == f"{999:032x}"
+    assert len(after.begun) == 100
+    assert after.aloft == LeftAloft(17, up[0])
+    assert after.leases_before >= 2 * FENCES_AT_ONCE
+    after.close()
+
+
+def test_two_agents_have_two_ledgers(tmp_path: Path) -> None:
+    path = tmp_path / "a1.jsonl"
+    first = FileLedger(path, lambda: 0.0)
+    with pytest.raises(UsageError, match="another agent has it"):
+        FileLedger(path, lambda: 0.0)
+    FileLedger(tmp_path / "a2.jsonl", lambda: 0.0).close()
+    first.close()
+    FileLedger(path, lambda: 0.0).close()
+
+
+async def test_a_line_that_was_cut_off_is_no_order_and_harms_none(tmp_path: Path) -> None:
+    path = tmp_path / "a1.jsonl"
+    ledger = FileLedger(path, lambda: 0.0)
+    await ledger.begin("one")
+    ledger.close()
+    for damage in (b'{"id": "tw', b"\xff\xfe\n", b"[]\n", b'{"id": 7}\n', b'{"fence": "9"}\n'):
+        path.write_bytes(path.read_bytes() + damage)
+        again = FileLedger(path, lambda: 1.0)
+        assert "one" in again.begun
+        assert again.damaged == damage.endswith(b"\n"), "what has no end was never kept"
+        again.close()
+    again = FileLedger(path, lambda: 1.0)
+    assert again.damaged == 0, "it was told once"
+    again.close()
+
+
+async def test_a_fence_is_never_granted_again(tmp_path: Path) -> None:
+    path = tmp_path / "a1.jsonl"
+    greatest = 0
+    for _ in range(3):
+        ledger = FileLedger(path, lambda: 0.0)
+        assert ledger.leases_before >= greatest
+        for number in range(1, 2 * FENCES_AT_ONCE + 10):
+            greatest = ledger.leases_before + number
+            await ledger.granted(greatest)
+        ledger.close()
+
+
+async def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match="file") as caught:
+        FileLedger(tmp_path / "file" / "a1.jsonl", lambda: 0.0)
+    assert "--ledger" in caught.value.remedy
+
+
+async def test_one_in_memory_does_the_same_for_a_virtual_aircraft() -> None:
+    first = MemoryLedger()
+    await first.begin("one")
+    await first.granted(17)
+    second = MemoryLedger(first)
+    assert second.begun == {"one": 0.0}
+    assert second.leases_before >= 17
+
+
+async def test_who_flew_is_known_and_since_when_whatever_the_calendar_does(tmp_path: Path) -> None:
+    path = tmp_path / "a1.jsonl"
+
+    first = opened(path, 1000.0, "one", 50.0)
+    assert first.aloft is None
+    await first.flies(17)
+    first.close()
+    for utc, boot, up, ago in (
+        (1009.0, "one", 60.0, 10.0),
+        (9999.0, "one", 60.0, 10.0),  # the clock was set
+        (1.0, "one", 60.0, 10.0),
+        (1030.0, "two", 5.0, 30.0),  # the computer began anew
+        (900.0, "two", 5.0, None),  # and has lost its calendar
+        (1030.0, "", 60.0, 30.0),  # it does not say which run this is
+    ):
+        again = opened(path, utc, boot, up)
+        assert again.aloft == LeftAloft(17, ago), (utc, boot, up)
+        again.close()
+    last = opened(path, 1000.0, "one", 70.0)
+    await last.flies(0)
+    last.close()
+    again = opened(path, 1000.0, "one", 70.0)
+    assert again.aloft is None
+    again.close()
+
+
+@pytest.mark.parametrize("line", ['{"flies": "17"}', '{"flies": -1}', '{"flies": true}', "{}"])
+def test_a_line_of_nonsense_lands_nobody(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "a1.jsonl"
+    path.write_text(f"{line}\n")
+    ledger = FileLedger(path, lambda: 0.0)
+    assert ledger.aloft is None
+    ledger.close()
+    path.with_suffix(".lock").unlink()  # as of an older version
+    path.write_text('{"flies": 17, "at": "x", "up": "y", "boot": 3}\n')
+    ledger = FileLedger(path, lambda: 0.0)
+    assert ledger.aloft == LeftAloft(17, None)
+    ledger.close()
+
+
+def test_a_run_of_this_computer_has_a_name_and_an_age() -> None:
+    (boot, before), (same, after) = since_boot(), since_boot()
+    assert boot == same
+    assert 0.0 < before <= after
+
+
+@pytest.mark.parametrize("damage", ["[" * 100_000, '{"fence": 1' + "0" * 30 + "}", "\x00" * 4096])
+async def test_what_a_bad_disk_made_of_a_line_costs_that_line(tmp_path: Path, damage: str) -> None:
+    """The deepest of brackets raised, and no message carries the number of such a lease."""
+    path = tmp_path / "a1.jsonl"
+    first = opened(path, 1000.0, "boot", 50.0)
+    await first.begin("one")
+    first.close()
+    with path.open("a") as stream:
+        stream.write(f"{damage}\n")
+    after = opened(path, 1000.0, "boot", 51.0)
+    assert after.begun == {"one": 50.0}
+    assert after.leases_before == FENCES_AT_ONCE
+    assert after.damaged == 1
+    after.close()
+
+
+async def test_where_words_are_lost_leases_begin_above_all_that_may_have_been(
+    tmp_path: Path,
+) -> None:
+    path, utc = tmp_path / "a1.jsonl", 1_800_000_000.0
+    path.write_text('{"fence": 3000}\n{"fence": 40\x00\x00}\n')
+    ledger = opened(path, utc, "boot", 50.0)
+    assert ledger.leases_before == 1_800_000_000
+    ledger.close()
+    again = opened(path, utc - 1e9, "boot", 51.0)  # the calendar was set back
+    assert again.leases_before >= 1_800_000_000 + FENCES_AT_ONCE
+    again.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "ago_s"), [(("flies", "\x00"), None), (("\x00", "flies"), 1.0), (("flies",), 1.0)]
+)
+async def test_who_flew_is_not_believed_where_a_later_word_is_lost(
+    tmp_path: Path, words: tuple[str, ...], ago_s: float | None
+) -> None:
+    """It may say that nobody flew any more, and somebody with a remote control does."""
+    flies = '{"flies": 17, "at": 1000.0, "boot": "boot", "up": 50.0}'
+    path = tmp_path / "a1.jsonl"
+    path.write_text("".join(f"{flies if word == 'flies' else word}\n" for word in words))
+    ledger = opened(path, 1001.0, "boot", 51.0)
+    assert ledger.aloft == LeftAloft(17, ago_s)
+    ledger.close()
+
+
+async def full(path: Path) -> FileLedger:
+    """One that knows an order, and who flies."""
+    ledger = opened(path, 1000.0, "boot", 50.0)
+    await ledger.begin("one")
+    await ledger.flies(17)
+    return ledger
+
+
+@pytest.mark.parametrize("how", ["removed", "replaced", "emptied", "folder"])
+async def test_a_ledger_that_goes_while_the_agent_runs_is_made_again_and_told(
+    tmp_path: Path, how: str
+) -> None:
+    path = tmp_path / "site" / "a1.jsonl"
+    ledger, told = await full(path), list[str]()
+    ledger.tell = told.append
+    if how == "replaced":
+        path.rename(path.with_suffix(".old"))
+        path.write_text("")
+    elif how == "emptied":
+        os.truncate(path, 0)
+    else:
+        path.unlink()
+    if how == "folder":
+        path.with_suffix(".lock").unlink()
+        path.parent.rmdir()
+    await ledger.begin("two")
+    await ledger.begin("three")
+    assert len(told) == 1
+    assert "was removed or changed" in told[0]
+    with pytest.raises(UsageError, match="another agent has it"):
+        opened(path, 1000.0, "boot", 51.0)
+    ledger.close()
+    again = opened(path, 1000.0, "boot", 51.0)
+    assert list(again.begun) == ["one", "two", "three"]
+    assert again.aloft == LeftAloft(17, 1.0)
+    assert again.damaged == 0
+    again.close()
+
+
+@pytest.mark.parametrize("how", ["removed", "emptied", "last line", "mark"])
+async def test_a_ledger_that_went_while_no_agent_ran_is_noticed(tmp_path: Path, how: str) -> None:
+    path, utc = tmp_path / "a1.jsonl", 1_800_000_000.0
+    (await full(path)).close()
+    if how == "removed":
+        path.unlink()
+    elif how == "emptied":
+        path.write_text("")
+    elif how == "last line":
+        path.write_text("".join(path.read_text().splitlines(keepends=True)[:-1]))
+    else:
+        path.with_suffix(".lock").write_text("")
+    again = opened(path, utc, "boot", 51.0)
+    assert again.damaged >= 1
+    assert again.leases_before == utc, "above all that may have been granted"
+    assert again.aloft in (None, LeftAloft(17, None)), "nobody is landed for who flew"
+    again.close()
+    after = opened(path, utc, "boot", 52.0)
+    assert after.damaged == 0, "it was told once"
+    after.close()
+
+
+async def test_what_a_full_disk_refused_is_never_told_as_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It stood in a buffer, and was written with the next word when there was room again."""
+    path = tmp_path / "a1.jsonl"
+    ledger = await full(path)
+    write = os.pwrite
+
+    def part(handle: int, data: bytes, at: int) -> int:
+        if len(data) > 20 and not data.endswith(b"00\n"):
+            return write(handle, data[:20], at)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "pwrite", part)
+    for _ in range(3):
+        with pytest.raises(UsageError, match="No space left"):
+            await ledger.begin("refused")
+    for fence in (5000, 5000):
+        with pytest.raises(UsageError, match="No space left"):
+            await ledger.granted(fence)
+    with pytest.raises(UsageError, match="No space left"):
+        await ledger.flies(0)
+    monkeypatch.setattr(os, "pwrite", write)
+    await ledger.granted(5000)
+    await ledger.begin("two")
+    ledger.close()
+    again = opened(path, 1000.0, "boot", 51.0)
+    assert list(again.begun) == ["one", "two"]
+    assert again.leases_before >= 5000
+    assert again.aloft is None, "that nobody flies was written as soon as there was room"
+    assert again.damaged == 0
+    again.close()
+
+
+async def test_no_file_is_left_behind_by_a_disk_without_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ledger = await full(tmp_path / "a1.jsonl")
+    (tmp_path / "a1.jsonl").unlink()
+
+    def fail(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(UsageError, match="No space left"):
+        await ledger.begin("two")
+    monkeypatch.undo()
+    with os.scandir(tmp_path) as entries:
+        assert [one.name for one in entries] == ["a1.lock"]
+    await ledger.begin("three")
+    ledger.close()
+
+
+async def test_one_of_an_older_version_is_read_and_sealed(tmp_path: Path) -> None:
+    path = tmp_path / "a1.jsonl"
+    path.write_text(
+        '{"fence": 3000}\n{"id": "one", "boot": "boot", "up": 50.0}\n'
+        '{"flies": 17, "at": 1000.0, "boot": "boot", "up": 50.0}\n'
+    )
+    path.with_suffix(".lock").touch()
+    for _ in range(2):
+        ledger = opened(path, 1001.0, "boot", 51.0)
+        assert ledger.damaged == 0
+        assert ledger.begun == {"one": 50.0}
+        assert ledger.leases_before >= 3000
+        assert ledger.aloft == LeftAloft(17, 1.0)
+        ledger.close()
+
+
+@pytest.fixture
+def disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Disk:
+    return Disk(monkeypatch, tmp_path)
+
+
+async def test_a_word_is_on_the_disk_before_anything_is_done(tmp_path: Path, disk: Disk) -> None:
+    """Not only with the kernel: the computer on board loses its power in a crash."""
+    path = tmp_path / "a1.jsonl"
+    ledger = opened(path, 1000.0, "boot", 50.0)
+    await ledger.begin("an order")
+    assert b"an order" in disk.files["a1.jsonl"]
+    before = disk.files["a1.jsonl"]
+    await ledger.granted(ledger.leases_before + FENCES_AT_ONCE + 1)
+    assert disk.files["a1.jsonl"] != before, "numbers of leases are reserved on the disk as well"
+    ledger.close()
+    again = opened(path, 1000.0, "boot", 51.0)
+    assert again.begun == {"an order": 50.0}
+    again.close()
+
+
+async def test_no_loss_of_power_leaves_a_ledger_that_cannot_tell_whether_words_are_gone(
+    tmp_path: Path, disk: Disk
+) -> None:
+    """The mark of the newest word stands in the file of the lock, and is there before the words.
+
+    What is left at each moment is read by the next agent: it has no damage, and every order that
+    had been begun by then.
+    """
+    board = tmp_path / "a1.jsonl"
+    ledger = opened(board, 1000.0, "boot", 50.0)
+    assert set(disk.files) == {"a1.jsonl", "a1.lock"}
+    assert all(one == (tmp_path / name).read_bytes() for name, one in disk.files.items())
+    await ledger.begin("one")
+    board.unlink()  # it is made again, with what is still needed
+    await ledger.begin("two")
+    ledger.close()
+    written = [one for one in disk.moments if one.get("a1.jsonl")]
+    assert all(one["a1.lock"] for one in written)
+    for number, left in enumerate(written):
+        after = tmp_path / f"after-{number}"
+        after.mkdir()
+        for name, data in left.items():
+            (after / name).write_bytes(data)
+        again = opened(after / "a1.jsonl", 1000.0, "boot", 51.0)
+        assert again.damaged == 0
+        assert {"one", "two"} & again.begun.keys() == {
+            one for one in ("one", "two") if one.encode() in left["a1.jsonl"]
+        }
+        again.close()
+
+
+def test_a_start_after_damage_is_no_surer_who_flew_than_the_start_before(tmp_path: Path) -> None:
+    path = tmp_path / "a1.jsonl"
+    # Sealed, by hand: {"flies": 7, …} is number 1, and the mark says that a number 2 is lost.
+    word = '1 1 {"flies": 7, "at": 1000.0, "boot": "boot", "up": 6.0}'
+    path.write_text(f"{crc32(word.encode()):08x} {word}\n")
+    mark = f"{2:018d} {1:018d}"
+    path.with_suffix(".lock").write_text(f"{crc32(mark.encode()):08x} {mark}\n")
+    for _ in range(3):
+        ledger = opened(path, 1004.0, "boot", 10.0)
+        assert ledger.aloft == LeftAloft(7, None)
+        ledger.close()
+
+
+def test_a_number_that_no_float_holds_is_damage(tmp_path: Path) -> None:
+    path = tmp_path / "a1.jsonl"
+    path.write_text('{"flies": 7, "at": 1' + "0" * 400 + "}\n")
+    ledger = opened(path, 1004.0, "boot", 10.0)
+    assert ledger.damaged == 1
+
+
+async def test_nobody_else_reads_a_ledger_or_holds_its_lock(tmp_path: Path) -> None:
+    ledger = opened(tmp_path / "site" / "a1.jsonl", 1000.0, "boot", 50.0)
+    await ledger.begin("an order")
+    files = list((tmp_path / "site").iterdir())
+    assert files
+    assert {path.stat().st_mode & 0o777 for path in files} == {0o600}
+    assert (tmp_path / "site").stat().st_mode & 0o777 == 0o700
+    ledger.close()

@@ -1,0 +1,309 @@
+"""Somebody loses a laptop: from the list on, nothing that is signed by it is obeyed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+
+from m100link.apps.fleet.client import Fleet, FleetAircraft
+from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.lost import LostPlan
+from m100link.apps.fleet.outcome import Outcome
+from m100link.apps.fleet.pki import init, revoke
+from m100link.apps.fleet.revocations import LIST, Revocations, RevocationService, bring
+from m100link.apps.fleet.revoked import BadRevoked
+from m100link.apps.fleet.rights import Rights
+from m100link.apps.fleet.show.service import ShowService
+from m100link.apps.fleet.signing import signing, verifying
+from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, UsageError
+from m100link.protocol.setpoint import Setpoint
+from tests.apps.fleet.conftest import SITE, OnBoard, Rig
+from tests.apps.fleet.test_signing import ANNA, BERT
+
+pytestmark = pytest.mark.anyio
+
+NOW = datetime(2026, 11, 22, 14, 0, tzinfo=UTC)
+NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+RIGHTS = Rights.parse(
+    f"""
+[identity.anna]
+common_name = "laptop-7"
+public_key = "{ANNA.public_key.hex()}"
+fly = ["a1"]
+[identity.bert]
+public_key = "{BERT.public_key.hex()}"
+fly = ["a1"]
+"""
+)
+
+
+async def at_once(work: Callable[..., Any], *given: Any) -> Any:
+    """Threads know nothing of virtual time."""
+    return work(*given)
+
+
+class Site:
+    """An authority, one aircraft that believes its lists, and two pilots."""
+
+    def __init__(self, rig: Rig, folder: Path) -> None:
+        self.rig, self.ca = rig, folder / "ca"
+        init(self.ca, now=NOW)
+        self.board = folder / "board"
+        self.board.mkdir()
+        (self.board / "ca.pem").write_bytes((self.ca / "ca.pem").read_bytes())
+        self.revocations = Revocations.of_folder(self.board, RIGHTS, apart=at_once)
+
+    async def begin(self, **options: Any) -> None:
+        since = self.revocations.since
+        verify = verifying(RIGHTS, ["a1"], self.rig.utc, since)
+        self.one: OnBoard = await self.rig.aircraft("a1", verify=verify, revoked=since, **options)
+        one, keys = self.one, Keys(SITE, "a1")
+        show = ShowService(one.client, one.bus, keys, verify=verify)
+        self.show = show
+        self.service = RevocationService(
+            one.bus,
+            keys,
+            one.fleet_agent.boot,
+            self.revocations,
+            shut_out=(one.fleet_agent.shut_out, lambda: show.shut_out(since)),
+            note=one.client.note,
+        )
+        one.agent.background.spawn(self.service.run(), "revoked")
+        one.agent.background.spawn(show.run(), "show")
+        self.anna = await self.rig.pilot("anna", sign=signing(ANNA))
+        self.bert = await self.rig.pilot("bert", sign=signing(BERT))
+
+    def revoked(self, *names: str) -> bytes:
+        return revoke(self.ca, names, now=NOW).data
+
+    async def push(self, data: bytes, by: Fleet | None = None) -> int:
+        return await bring((by or self.bert).bus, Keys(SITE, "a1"), data)
+
+    @property
+    def told(self) -> list[str]:
+        return [event.text for event in self.one.client.events]
+
+
+@pytest.fixture
+async def site(rig: Rig, tmp_path: Path) -> Site:
+    return Site(rig, tmp_path)
+
+
+@pytest.mark.parametrize("name", ["anna", "laptop-7"], ids=["identity", "certificate"])
+@pytest.mark.parametrize("way", ["network", "file"])
+async def test_what_is_flown_hovers_and_nothing_more_is_obeyed(
+    site: Site, name: str, way: str
+) -> None:
+    await site.begin()
+    rig, one, refused = site.rig, site.one, []
+
+    async def fly() -> None:
+        with pytest.raises(NotAllowed, match="anna is revoked since 2026-11-22") as caught:
+            async with site.anna["a1"].control() as control:
+                await control.take_off()
+                async with control.hold(NORTH):
+                    await anyio.sleep(60.0)
+        refused.append(caught.value)
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(fly)
+        await rig.until(lambda: one.speed > 2.5)
+        data = site.revoked(name)
+        if way == "network":
+            assert await site.push(data) == 1
+        else:
+            (site.board / LIST).write_bytes(data)
+        began = anyio.current_time()
+        await rig.until(lambda: one.speed < 0.3, within=2.0 + (way == "file"))
+        await rig.until(lambda: one.client.holder.number == 0, within=5.0)
+        assert anyio.current_time() - began < 5.0
+    assert refused, "the pilot was told why"
+    await anyio.sleep(5.0)
+    assert one.speed < 0.3
+    for do in (FleetAircraft.take_off, FleetAircraft.land, FleetAircraft.stop):
+        result = (await site.anna.each(do, ["a1"]))["a1"]
+        assert result.outcome is Outcome.NOT_ALLOWED
+        assert result.error is not None
+        assert "anna is revoked since 2026-11-22" in result.error.seen
+        assert "another name" in result.error.remedy
+    assert "anna is revoked: this aircraft hovers" in site.told
+    assert any(text.startswith("list 1 of revoked names is in force") for text in site.told)
+    await site.bert["a1"].land()
+    assert one.height < 0.1, "another one lands it"
+
+
+async def test_what_was_lost_with_the_laptop_is_brought_down_as_configured(site: Site) -> None:
+    """The lease ends as if its holder fell silent, so that what follows is what follows that."""
+    await site.begin(lost=LostPlan("land", 3.0))
+    one = site.one
+
+    async def fly() -> None:
+        with pytest.raises(NotAllowed):
+            async with site.anna["a1"].control() as control:
+                await control.take_off()
+                async with control.hold(NORTH):
+                    await anyio.sleep(60.0)
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(fly)
+        await site.rig.until(lambda: one.speed > 2.5)
+        await site.push(site.revoked("anna"))
+        await site.rig.until(lambda: one.height < 0.1, within=30.0)
+
+
+async def test_of_another_one_nothing_ends(site: Site) -> None:
+    await site.begin()
+    one = site.one
+    async with site.bert["a1"].control(stop="land") as control:
+        await control.take_off()
+        async with control.hold(NORTH):
+            await site.rig.until(lambda: one.speed > 2.5)
+            await site.push(site.revoked("anna"))
+            await anyio.sleep(2.0)
+            assert one.speed > 2.5
+
+
+@pytest.mark.parametrize("task", ["take_off", "land"])
+async def test_a_task_of_who_is_revoked_ends(site: Site, task: str) -> None:
+    await site.begin()
+    one, fleet = site.one, site.anna
+    if task == "land":
+        async with site.bert["a1"].control() as control:
+            await control.take_off()
+            here = await site.bert["a1"].card()
+            assert here.latitude_deg is not None
+            assert here.longitude_deg is not None
+            await control.fly_to(
+                latitude_deg=here.latitude_deg, longitude_deg=here.longitude_deg, height=20.0
+            )
+    do: Callable[[FleetAircraft], Any] = getattr(FleetAircraft, task)
+    found = []
+
+    async def order() -> None:
+        found.append((await fleet.each(do, ["a1"]))["a1"])
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(order)
+        await anyio.sleep(2.0)
+        await site.push(site.revoked("anna"))
+    assert found[0].outcome is not Outcome.OK
+    await anyio.sleep(3.0)
+    stays = one.height
+    await anyio.sleep(10.0)
+    assert one.height == pytest.approx(stays, abs=0.3)
+
+
+async def test_a_lease_that_is_being_granted_is_granted_to_nobody(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await site.begin()
+    orders = site.one.fleet_agent._orders
+    acquire = site.one.client.acquire
+
+    async def slow(name: str) -> Any:
+        lease = await acquire(name)
+        site.revocations.take_in(site.revoked("anna"))
+        return lease
+
+    monkeypatch.setattr(site.one.client, "acquire", slow)  # the list comes in between
+    with pytest.raises(NotAllowed, match="anna is revoked"):
+        async with site.anna["a1"].control():
+            pass
+    await anyio.sleep(0.1)
+    assert (orders.leases, site.one.client.holder.number) == ({}, 0)
+
+
+# -- which list is in force -----------------------------------------------------------------------
+
+
+async def test_a_newer_list_counts_and_an_older_one_never_again(site: Site) -> None:
+    await site.begin()
+    first, second = site.revoked("eve"), site.revoked("anna")
+    assert await site.push(b"") == 0, "it is asked which one is in force"
+    assert await site.push(second) == 2
+    with pytest.raises(UsageError, match=r"list 1 .* list 2 is in force"):
+        await site.push(first)
+    assert await site.push(second) == 2, "brought again it is no mistake"
+    assert await site.push(b"") == 2
+    assert (site.board / LIST).read_bytes() == second
+    again = Revocations.of_folder(site.board, RIGHTS)
+    assert (again.number, again.since("anna"), again.since("bert")) == (2, "2026-11-22", "")
+    (site.board / LIST).write_bytes(first)
+    await anyio.sleep(3.0)
+    assert site.revocations.number == 2
+    assert any("list 1 of revoked names came, and list 2" in text for text in site.told)
+
+
+async def test_a_list_that_nobody_of_authority_signed_changes_nothing(
+    site: Site, tmp_path: Path
+) -> None:
+    await site.begin()
+    init(tmp_path / "other", now=NOW)
+    said = f"{LIST}: the signature of a list of revoked names is not that of the authority"
+    others = (revoke(tmp_path / "other", ["bert"], now=NOW).data, b"{}\nAAAA\n", b"\x00" * 999)
+    for number, other in enumerate(others, 1):
+        with pytest.raises(M100Error, match="list of revoked names"):
+            await site.push(other)
+        (site.board / LIST).write_bytes(other)
+        await anyio.sleep(5.0)
+        assert site.told.count(said) == number, "told once, however often it is looked at"
+    assert site.revocations.number == 0
+    await site.bert["a1"].stop()
+    with pytest.raises(BadRevoked):
+        Revocations.of_folder(site.board)  # an agent does not begin without its list
+    (site.board / LIST).unlink()
+    assert Revocations.of_folder(site.board).number == 0
+
+
+async def test_a_flood_of_lists_is_not_read(site: Site) -> None:
+    await site.begin()
+    flood = [bytes([1]) + b"x" * 40_000, bytes([1]) + bytes(33_000)]
+    key = Keys(SITE, "a1").revoked
+    assert [await site.bert.bus.ask(key, one, timeout=0.5) for one in flood] == [[], []]
+    assert await site.push(site.revoked("eve")) == 1
+
+
+async def test_a_disk_that_does_not_take_it_is_told_and_the_list_is_in_force(site: Site) -> None:
+    await site.begin()
+    (site.board / LIST).mkdir()
+    with pytest.raises(UsageError, match=LIST):
+        await site.push(site.revoked("anna"))
+    assert site.revocations.since("anna")
+    (site.board / LIST).rmdir()
+    assert await site.push(site.revoked("anna")) == 1, "brought once more it is kept"
+    assert (site.board / LIST).exists()
+
+
+async def test_an_agent_that_does_not_know_of_lists_is_told_of(rig: Rig) -> None:
+    await rig.aircraft("a1")
+    pilot = await rig.pilot()
+    with pytest.raises(OutcomeUnknown, match="which list"):
+        await bring(pilot.bus, Keys(SITE, "a1"), b"")
+    with pytest.raises(M100Error, match="no agent named b1"):
+        await bring(pilot.bus, Keys(SITE, "b1"), b"")
+
+
+def test_a_folder_without_an_authority_is_none(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"ca\.pem"):
+        Revocations.of_folder(tmp_path)
+    (tmp_path / "ca.pem").write_text("nothing")
+    with pytest.raises(UsageError, match="no certificate"):
+        Revocations.of_folder(tmp_path)
+
+
+async def test_whoever_placed_an_aircraft_for_a_show_places_it_no_more(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await site.begin()
+    left: list[M100Error] = []
+    monkeypatch.setattr(site.show.performer, "shut_out", left.append)
+    site.show._placed_by = "anna"
+    await site.push(site.revoked("eve"))
+    assert left == []
+    await site.push(site.revoked("anna"))
+    assert [error.seen for error in left] == ["anna is revoked since 2026-11-22"]

@@ -1,0 +1,170 @@
+"""Signed orders from a pilot to an agent: who may, and what a recorder can do with them."""
+
+from __future__ import annotations
+
+import json
+import uuid
+from dataclasses import replace
+from pathlib import Path
+
+import anyio
+import pytest
+
+from m100link.apps.agent.actions import Action
+from m100link.apps.agent.guided import FlyTo
+from m100link.apps.agent.message_bytes import encode
+from m100link.apps.agent.messages import Ask, LeaseAction, LeaseAsk
+from m100link.apps.fleet.asking import Sign
+from m100link.apps.fleet.client import Fleet, FleetAircraft
+from m100link.apps.fleet.identity import STOP_WINDOW_S, Signer
+from m100link.apps.fleet.logs.words import LogQuestion, What, pack_question
+from m100link.apps.fleet.outcome import Outcome
+from m100link.apps.fleet.payloads import Order, Progress, Reply, pack, unpack
+from m100link.apps.fleet.rights import Right, Rights
+from m100link.apps.fleet.signing import read_signer, right_for, signing, tls_options, verifying
+from m100link.errors import NotAllowed, UsageError
+from tests.apps.fleet.conftest import SITE, UTC, Rig
+
+pytestmark = pytest.mark.anyio
+
+ANNA, BERT, EVE = (Signer(name, name[0].encode() * 32) for name in ("anna", "bert", "eve"))
+RIGHTS = Rights.parse(
+    f"""
+[identity.anna]
+public_key = "{ANNA.public_key.hex()}"
+fly = ["a1"]
+[identity.bert]
+public_key = "{BERT.public_key.hex()}"
+stop = ["*"]
+"""
+)
+
+
+async def fleet_of(rig: Rig) -> dict[str, Fleet]:
+    """Two aircraft that verify, and pilots that sign, or do not."""
+    for name in ("a1", "a2"):
+        await rig.aircraft(name, verify=verifying(RIGHTS, [name], rig.utc))
+    signs: dict[str, Sign | None] = {one.name: signing(one) for one in (ANNA, BERT, EVE)}
+    return {name: await rig.pilot(name, sign=sign) for name, sign in {**signs, "": None}.items()}
+
+
+async def test_each_does_what_the_file_of_rights_says(rig: Rig) -> None:
+    pilots = await fleet_of(rig)
+    found = {}
+    for who, fleet in pilots.items():
+        for what, do in (("fly", FleetAircraft.take_off), ("stop", FleetAircraft.stop)):
+            for name, result in (await fleet.each(do, ["a1", "a2"])).items():
+                found[who, what, name] = result.outcome
+    allowed = {("anna", "fly", "a1"), ("anna", "stop", "a1")}
+    allowed |= {("bert", "stop", "a1"), ("bert", "stop", "a2")}
+    assert {what for what, outcome in found.items() if outcome is Outcome.OK} == allowed
+    others = {outcome for what, outcome in found.items() if what not in allowed}
+    assert others == {Outcome.NOT_ALLOWED}
+
+
+async def test_the_reason_is_what_the_pilot_reads(rig: Rig) -> None:
+    pilots = await fleet_of(rig)
+    for who, name, said in (
+        ("bert", "a1", "bert may not fly a1"),
+        ("anna", "a2", "anna may not fly a2"),
+        ("eve", "a1", "signed by eve, whose key a1 does not know"),
+        ("", "a1", "signed by nobody, whose key a1 does not know"),
+    ):
+        with pytest.raises(NotAllowed) as caught:
+            await pilots[who][name].take_off()
+        assert said in caught.value.seen
+        assert caught.value.remedy
+
+
+def order(message: Ask, at: float, name: str = "a1", number: int = 1) -> Order:
+    return Order(f"{number:032x}", name, "anna", 0, at, encode(message))
+
+
+async def asked(fleet: Fleet, given: Order, name: str = "a1") -> Reply:
+    [answer] = await fleet.bus.ask(f"m100/{SITE}/{name}/cmd", pack(given), timeout=2.0)
+    reply: Reply = unpack(Reply, answer.payload)
+    return reply
+
+
+async def test_what_a_recorder_sends_on_changes_or_keeps_is_refused(rig: Rig) -> None:
+    pilots = await fleet_of(rig)
+    recorder, sign = pilots[""], signing(ANNA)
+    given = sign(order(Ask(1, Action.VERSION), rig.utc()))
+    assert (await asked(recorder, given)).outcome is Outcome.OK
+    again = await asked(recorder, given)  # the agent tells what became of it, and does nothing
+    assert (again.outcome, again.is_repeated) == (Outcome.OK, True)
+    await anyio.sleep(10.0)
+    late = sign(order(Ask(1, Action.LAND), rig.utc(), number=9))  # by no clock of the agent
+    for is_repeated in (False, True):  # a network brings it twice: it is late, not forbidden
+        refused = await asked(recorder, late)
+        assert (refused.outcome, refused.is_repeated) == (Outcome.REFUSED, is_repeated)
+    fresh = sign(order(Ask(1, Action.VERSION), rig.utc(), number=2))
+    for changed, name in (
+        (replace(fresh, message=encode(Ask(1, Action.TAKE_OFF))), "a1"),
+        (replace(fresh, at=fresh.at + 1), "a1"),
+        (replace(fresh, by="eve"), "a1"),
+        (replace(fresh, fence=9), "a1"),
+        (replace(fresh, id=f"{3:032x}"), "a1"),
+        (replace(fresh, signer="bert"), "a1"),
+        (replace(fresh, aircraft="a2"), "a2"),
+        (fresh, "a2"),
+    ):
+        assert (await asked(recorder, changed, name)).outcome is Outcome.NOT_ALLOWED
+    await anyio.sleep(6.0)
+    assert (await asked(recorder, fresh)).outcome is Outcome.NOT_ALLOWED, "too old by now"
+
+
+async def test_a_wrong_clock_keeps_nobody_from_stopping(rig: Rig) -> None:
+    pilots = await fleet_of(rig)
+    for number, (action, off, outcome) in enumerate(
+        (
+            (Action.VERSION, -60.0, Outcome.NOT_ALLOWED),
+            (Action.STOP, -60.0, Outcome.OK),
+            (Action.STOP, 60.0, Outcome.OK),
+            (Action.STOP, STOP_WINDOW_S + 60, Outcome.NOT_ALLOWED),
+        )
+    ):
+        given = signing(ANNA)(order(Ask(1, action), UTC + rig.utc() - UTC + off, number=number))
+        reply = await asked(pilots[""], given)
+        assert (reply.progress, reply.outcome) == (Progress.DONE, outcome)
+
+
+def test_what_each_message_needs() -> None:
+    """By hand: what ends movement is stopping, and what is not named here is flying."""
+    stops = {Action.STOP, Action.HALT, Action.LAND}
+    for action in Action:
+        expected = Right.STOP if action in stops else Right.FLY
+        expected = Right.WATCH if action is Action.VERSION else expected
+        assert right_for(Ask(1, action)) is expected
+    assert right_for(LeaseAsk(1, LeaseAction.RELEASE)) is Right.FLY
+    assert right_for(FlyTo(52.0, 4.0, 5.0)) is Right.FLY
+
+
+def test_keys_and_certificates_are_those_of_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "anna.signing.key").write_text((b"a" * 32).hex())
+    (tmp_path / "anna.signing.key").chmod(0o600)
+    assert read_signer(tmp_path, "anna").public_key == ANNA.public_key
+    (tmp_path / "anna.signing.key").chmod(0o644)
+    with pytest.raises(UsageError, match="can be read by others"):
+        read_signer(tmp_path, "anna")
+    pilot = json.loads(tls_options(tmp_path, "anna")["transport/link/tls"])
+    assert pilot["connect_private_key"] == str(tmp_path / "anna.key")
+    assert "listen_certificate" not in pilot
+    router = json.loads(tls_options(tmp_path, "base", listens=True)["transport/link/tls"])
+    assert router["listen_certificate"] == str(tmp_path / "base.pem")
+    assert router["enable_mtls"] is True
+
+
+async def test_who_may_watch_may_fetch_logs_and_nobody_else(rig: Rig) -> None:
+    verify = verifying(RIGHTS, ["a1", "a2"], rig.utc)
+
+    def question(signer: Signer | None, aircraft: str) -> Order:
+        text = pack_question(LogQuestion(What.LIST))
+        order = Order(uuid.uuid4().hex, aircraft, "x", 0, rig.utc(), text)
+        return order if signer is None else signing(signer)(order)
+
+    for signer, aircraft in ((ANNA, "a1"), (BERT, "a1"), (BERT, "a2")):
+        verify(question(signer, aircraft))
+    for other, aircraft in ((ANNA, "a2"), (EVE, "a1"), (None, "a1")):
+        with pytest.raises(NotAllowed):
+            verify(question(other, aircraft))

@@ -1,0 +1,350 @@
+"""What a fleet tells of the known aircraft: cards, payloads and tables, value by value.
+
+Keys, bytes and units are those of docs/reference/fleet-wire.md and of the fields' names; the bytes
+are made and read by code of this file.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import hashlib
+import hmac
+import io
+import json
+import math
+import struct
+from types import SimpleNamespace
+from typing import Any, cast
+
+import anyio
+import pytest
+from rich.console import Console
+
+pytest.importorskip("zenoh")
+
+import m100link
+from m100link.apps.agent.fault import Fault
+from m100link.apps.agent.messages import Event, LeaseChanged, State, Steer, Telemetry
+from m100link.apps.cli import fleet as fleet_verbs
+from m100link.apps.cli import fleet_watch
+from m100link.apps.fleet.agent import FleetAgent
+from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.lost import LostPlan
+from m100link.apps.fleet.missions.board import Missions
+from m100link.apps.fleet.missions.stages import MissionStage
+from m100link.apps.fleet.outcome import Outcome
+from m100link.apps.fleet.payloads import (
+    Card,
+    MissionCard,
+    Order,
+    Progress,
+    Reply,
+    pack,
+    pack_steer,
+    unpack,
+    unpack_message,
+    unpack_steer,
+)
+from m100link.apps.fleet.telemetry import FleetTelemetry
+from m100link.missions.plan import WaypointPlan
+from m100link.missions.waypoint import Waypoint
+from m100link.protocol.records import Battery, FlightPhase
+from m100link.protocol.setpoint import (
+    ControlMode,
+    Horizontal,
+    ReferenceFrame,
+    Setpoint,
+    Vertical,
+    Yaw,
+)
+from m100link.telemetry.state import AircraftState
+from tests import known
+from tests.apps.bus.memory import MemoryNetwork
+
+pytestmark = pytest.mark.anyio
+
+AT = 1_795_420_802.25
+
+
+def heard(*changed: Any, age: float = 0.25, clock: float = 40.0) -> AircraftState:
+    state = AircraftState(lambda: clock)
+    state.update(known.sample(at=clock - age, changed=changed))
+    return state
+
+
+def client(telemetry: AircraftState | None, **state: Any) -> Any:
+    return SimpleNamespace(
+        telemetry=telemetry,
+        state=State(0.0, "connected", firmware="3.1", **state),
+        is_silent=False,
+        holder=LeaseChanged(17, "tower"),
+        has_authority=True,
+        now=40.0,
+        on_mission_told=[],
+        on_lease=[],
+    )
+
+
+def card(telemetry: AircraftState | None, **state: Any) -> Card:
+    """What the agent of that aircraft tells of it."""
+    one = FleetAgent.__new__(FleetAgent)
+    one.client = client(telemetry, **state)
+    one.boot, one._keys, one._utc = "5c0f8b1e", Keys("field", "kite"), lambda: AT
+    one._lost_plan = LostPlan("land", 7.5)
+    missions = SimpleNamespace(words="")
+    one._orders = cast(Any, SimpleNamespace(phase=FlightPhase.TAKING_OFF, missions=missions))
+    return one.card()
+
+
+def mission(telemetry: AircraftState | None, **state: Any) -> MissionCard:
+    """What it tells of a mission that began 12.75 s ago and goes to the third of its points."""
+    points = [Waypoint(-33.12, 151.23, 9.0), Waypoint(-33.13, 151.22, 8.0)]
+    # 55.66 m east of where it is: 0.0005966 degrees at that latitude.
+    points.append(Waypoint(known.LATITUDE, known.LONGITUDE + 5.966e-4, 7.0))
+    one = Missions(
+        client(telemetry, **({"mission": "waypoint mission", "mission_index": 2} | state))
+    )
+    one.stage, one._plan, one._begun_at = MissionStage.FLYING, WaypointPlan(points), 27.25
+    one._digest, one._by, one._points, one._is_paused = "ab" * 8, "anna", 3, True
+    one._reached[:] = bytes([0, 1])
+    return one.card("kite", "5c0f8b1e")
+
+
+# -- cards ----------------------------------------------------------------------------------------
+
+CARD: dict[str, Any] = {
+    "name": "kite",
+    "boot": "5c0f8b1e",
+    "at": 1_795_420_802.25,
+    "connection": "connected",
+    "fault": None,
+    "firmware": "3.1",
+    "holder": "tower",
+    "fence": 17,
+    "has_authority": True,
+    "task": "going home",
+    "phase": "taking off",
+    "height_m": pytest.approx(12.34, rel=1e-6),
+    "latitude_deg": pytest.approx(-33.1234567, rel=1e-12),
+    "longitude_deg": pytest.approx(151.2345678, rel=1e-12),
+    "battery_percent": 63,
+    "lost": "land",
+    "lost_after": 7.5,
+    "version": m100link.__version__,
+}
+
+MISSION: dict[str, Any] = {
+    "name": "kite",
+    "boot": "5c0f8b1e",
+    "stage": "flying",
+    "by": "anna",
+    "digest": "ab" * 8,
+    "points": 3,
+    "reached": "AAE=",
+    "is_paused": True,
+    "is_finished": False,
+    "fault": None,
+    "kind": "waypoint mission",
+    "index": 2,
+    "status": 5,
+    "elapsed_s": 12.75,
+    "distance_m": pytest.approx(55.66, rel=5e-3),
+    "height_m": pytest.approx(12.34, rel=1e-6),
+}
+
+
+def test_a_card_has_each_value_under_its_name() -> None:
+    payload = pack(card(heard(), task="going home"))
+    assert payload[:1] == b"\x02"
+    assert json.loads(payload[1:]) == CARD
+    assert unpack(Card, payload) == card(heard(), task="going home")
+
+
+def test_the_card_of_a_mission_has_each_value_under_its_name() -> None:
+    payload = pack(mission(heard(), mission_status=5))
+    assert payload[:1] == b"\x02"
+    assert json.loads(payload[1:]) == MISSION
+
+
+UNKNOWN = {"height_m", "latitude_deg", "longitude_deg"}
+
+
+@pytest.mark.parametrize(
+    ("telemetry", "missing"),
+    [
+        (None, UNKNOWN | {"battery_percent"}),
+        (heard(age=5.1), UNKNOWN | {"battery_percent"}),
+        (heard(age=4.9), set()),
+        (heard(known.position(height=math.nan)), UNKNOWN),
+        (heard(known.position(height=-math.inf)), UNKNOWN),
+        (heard(known.position(latitude=math.nan)), UNKNOWN),
+        (heard(known.position(latitude=90.0)), UNKNOWN),
+    ],
+    ids=["never", "old", "young", "nan", "inf", "no place", "pole"],
+)
+def test_what_is_not_known_is_null_and_the_card_goes_out(
+    telemetry: AircraftState | None, missing: set[str]
+) -> None:
+    told = json.loads(pack(card(telemetry))[1:])
+    assert {name for name in (*UNKNOWN, "battery_percent") if told[name] is None} == missing
+    of_mission = json.loads(pack(mission(telemetry))[1:])
+    assert (of_mission["distance_m"] is None) is bool(missing)
+
+
+@pytest.mark.parametrize(("charge", "told"), [(0, 0), (100, 100), (101, None), (255, None)])
+def test_a_charge_above_a_hundred_is_none(charge: int, told: int | None) -> None:
+    assert card(heard(Battery(charge))).battery_percent == told
+
+
+def test_below_the_ground_is_negative_and_what_nobody_knows_is_null() -> None:
+    told = card(heard(known.position(height=-1.75)))
+    assert told.height_m == -1.75
+    of_mission = mission(heard(known.position(height=-1.75)), mission_index=-1, mission_status=-1)
+    assert (of_mission.height_m, of_mission.index, of_mission.status) == (-1.75, None, None)
+
+
+# -- payloads -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("firmware", ["1.0", "2.3", "3.1"])
+def test_telemetry_is_version_kind_time_profile_and_the_package(firmware: str) -> None:
+    value = known.package(firmware)
+    head = b"\x02\x02" + struct.pack("<dB", 40.25, 3) + firmware.encode()
+    assert pack(Telemetry(value, firmware, 40.25)) == head + value
+    assert unpack_message(head + value) == Telemetry(value, firmware, 40.25)
+
+
+def test_an_event_has_its_fields() -> None:
+    payload = pack(Event(7, 12.5, "info", "taken off"))
+    assert payload[:1] == b"\x02"
+    told = {"kind": "Event", "number": 7, "at": 12.5, "level": "info", "text": "taken off"}
+    assert json.loads(payload[1:]) == told | {"topic": ""}
+
+
+SETPOINT = Setpoint(
+    ControlMode(Horizontal.VELOCITY, Vertical.VELOCITY, Yaw.RATE),
+    *(1.25, -2.5, 0.75, -30.0),
+    ReferenceFrame.GROUND,
+    stable=False,
+)
+
+
+def test_a_setpoint_is_proved_and_packed_as_the_page_says() -> None:
+    """Control flag by DJI's document: 0x40 velocities, 0x08 a yaw rate, and ground frame."""
+    flag = 0x48
+    data = b"\x01" + struct.pack("<BQddB4d", 1, 17, 40.25, 0.4, flag, 1.25, -2.5, 0.75, -30.0)
+    assert len(data) == 59
+    proof = hmac.new(b"5e" * 32, data, hashlib.sha256).digest()[:16]
+    steer = Steer(17, 40.25, 0.4, SETPOINT)
+    token = "5e" * 32
+    assert pack_steer(steer, token, begins=True) == b"\x02" + proof + data
+    assert unpack_steer(b"\x02" + proof + data, {17: token}.get) == (steer, True)
+    assert unpack_steer(b"\x02" + proof + data, {18: token}.get) is None
+    assert unpack_steer(b"\x02" + bytes(16) + data, {17: token}.get) is None
+    assert unpack_steer(b"\x02" + proof + data, {17: "5f" * 32}.get) is None
+
+
+ORDER = Order(
+    *("0b" * 16, "kite", "anna", 17, 1_795_420_802.25, b'{"kind": "Ask"}'),
+    clock=83.25,
+    signer="anna",
+    key=bytes(range(32)),
+)
+
+
+def test_an_order_is_what_the_page_says() -> None:
+    first = '["' + "0b" * 16 + '", "kite", "anna", 17, 1795420802.25, 83.25, "anna", "'
+    signed = (first + bytes(range(32)).hex() + '"]\n{"kind": "Ask"}').encode()
+    assert ORDER.signed() == signed
+    assert ORDER.digest() == hashlib.sha256(signed).digest()[:16]
+    proof = hmac.new(b"secret", signed, hashlib.sha256).digest()[:16]
+    told = json.loads(pack(ORDER.under("secret"))[1:])
+    assert told == {
+        **{"id": "0b" * 16, "aircraft": "kite", "by": "anna", "fence": 17},
+        **{"at": 1_795_420_802.25, "message": base64.b64encode(b'{"kind": "Ask"}').decode()},
+        **{"clock": 83.25, "proof": base64.b64encode(proof).decode(), "signer": "anna"},
+        **{"signature": "", "key": base64.b64encode(bytes(range(32))).decode()},
+    }
+    assert ORDER.under("secret").proves("secret")
+    assert not ORDER.under("secret").proves("another")
+    for name, value in (("fence", 18), ("at", 1.0), ("clock", 1.0), ("aircraft", "crow")):
+        changed: Any = {name: value}
+        assert not dataclasses.replace(ORDER.under("secret"), **changed).proves("secret")
+
+
+def test_a_reply_is_what_the_page_says() -> None:
+    fault = Fault("GuardRefused", "too low", "the floor", "climb")
+    reply = Reply(
+        *("0b" * 16, "kite", "5c0f8b1e", Progress.DONE, Outcome.REFUSED, fault, "words", 4),
+        *("offer", b"key", 83.25, True, ORDER.digest()),
+    )
+    assert json.loads(pack(reply)[1:]) == {
+        **{"id": "0b" * 16, "name": "kite", "boot": "5c0f8b1e", "progress": "done"},
+        "outcome": "refused",
+        "fault": {
+            **{"kind": "GuardRefused", "seen": "too low", "cause": "the floor"},
+            **{"remedy": "climb", "details": {}},
+        },
+        **{"text": "words", "number": 4, "offer": "offer", "key": "a2V5", "clock": 83.25},
+        **{"is_repeated": True, "order": base64.b64encode(ORDER.digest()).decode()},
+    }
+
+
+# -- what a pilot sees ----------------------------------------------------------------------------
+
+
+def printed(table: Any) -> list[list[str]]:
+    console = Console(width=200, record=True, file=io.StringIO())
+    console.print(table)
+    lines = console.export_text().splitlines()
+    return [[cell.strip() for cell in line.split("  ") if cell.strip()] for line in lines]
+
+
+def test_the_list_of_the_fleet() -> None:
+    rows = printed(fleet_verbs._table(["kite"], {"kite": card(heard(), task="going home")}))
+    assert rows == [
+        ["name", "link", "phase", "height", "battery", "flies", "control", "when lost"],
+        [
+            *("kite", "connected", "taking off", "12.3 m", "63 %", "going home", "tower"),
+            "land after 7.5 s",
+        ],
+    ]
+
+
+async def test_a_pilot_hears_the_values_that_were_told() -> None:
+    network = MemoryNetwork(seed=5)
+    ground, board = network.session(), network.session()
+    keys = Keys("field", "kite")
+    fleet: Any = SimpleNamespace(present={"kite"})
+    hears = FleetTelemetry(ground, Keys("field", "*"), full=True)
+    outlet = board.publish(keys.telemetry)
+    await anyio.sleep(0.1)
+    outlet.put(pack(Telemetry(known.package("2.3"), "2.3", 7.0)))
+    await anyio.sleep(1.5)
+    told = fleet_watch._told(fleet, hears, "kite")
+    assert (told["name"], told["is_there"], told["received"]) == ("kite", True, 1)
+    assert told["age"] == pytest.approx(1.5, abs=0.1)
+    assert told["velocity"] == {
+        "north_m_s": pytest.approx(3.21),
+        "east_m_s": pytest.approx(-1.57),
+        "up_m_s": pytest.approx(0.84),
+        "status": 7,
+    }
+    assert told["position"] == {
+        "latitude_rad": pytest.approx(-0.578113379057, rel=1e-11),
+        "longitude_rad": pytest.approx(2.639541150941, rel=1e-11),
+        "altitude_m": pytest.approx(87.65),
+        "height_m": pytest.approx(12.34),
+        "gps_health": 4,
+    }
+    assert (told["battery"], told["flight_status"]) == ({"percent": 63}, {"status": 3})
+    rows = printed(fleet_watch._table(fleet, hears))
+    assert rows == [
+        ["name", "age", "phase", "height", "speed", "battery", "place"],
+        ["kite", "1.5 s", "in air", "12.3 m", "3.6 m/s", "63 %", "-33.123457 151.234568"],
+    ]
+    outlet.put(b"\x01nonsense")
+    await anyio.sleep(0.1)
+    assert (hears.unread, hears.received["kite"]) == (1, 1)
+    hears.close()

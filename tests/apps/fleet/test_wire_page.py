@@ -1,0 +1,142 @@
+"""The page of what is on the network says enough: a program is written here by it alone."""
+
+from __future__ import annotations
+
+import base64
+import hmac
+import json
+import struct
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
+
+from m100link.apps.bus.network import Bus
+from m100link.apps.fleet.signing import verifying
+from tests.apps.fleet.conftest import SITE, Rig
+from tests.apps.fleet.test_signing import RIGHTS
+
+pytestmark = pytest.mark.anyio
+
+PAGE = Path(__file__).parents[3] / "docs" / "reference" / "fleet-wire.md"
+KEY = Ed25519PrivateKey.from_private_bytes(b"a" * 32)
+
+
+class Foreigner:
+    """Knows keys and bytes, and nothing of this package."""
+
+    def __init__(self, bus: Bus, utc: Callable[[], float], signer: str) -> None:
+        self._bus, self._utc, self._signer = bus, utc, signer
+
+    async def ask(self, what: str, payload: bytes = b"") -> dict[str, Any]:
+        [answer] = await self._bus.ask(f"m100/{SITE}/a1/{what}", payload, timeout=2.0)
+        assert answer.payload[0] == 2
+        found: dict[str, Any] = json.loads(answer.payload[1:])
+        return found
+
+    async def clock(self) -> float:
+        told = await self.ask(f"status/{uuid.uuid4().hex}")
+        assert told["progress"] == "never"
+        return float(told["clock"])
+
+    def order(
+        self,
+        message: bytes,
+        lease: tuple[int, str] = (0, ""),
+        clock: float = 0.0,
+        key: bytes = b"",
+    ) -> Any:
+        fence, token = lease
+        told: dict[str, Any] = {"id": uuid.uuid4().hex, "aircraft": "a1", "by": "Jürgen"}
+        told |= {"fence": fence, "at": self._utc(), "clock": clock, "signer": self._signer}
+        names = ("id", "aircraft", "by", "fence", "at", "clock", "signer")
+        head = [*(told[name] for name in names), key.hex()]
+        self.body = body = json.dumps(head).encode() + b"\n" + message
+        claim = b"m100link order 1\n" + struct.pack(">Qd", fence, told["at"])
+        for part in (told["id"].encode(), b"a1", self._signer.encode(), body):
+            claim += struct.pack(">I", len(part)) + part
+        parts = {
+            "message": message,
+            "proof": hmac.digest(token.encode(), body, "sha256")[:16] if token else b"",
+            "signature": KEY.sign(claim) if self._signer else b"",
+            "key": key,
+        }
+        return told | {name: base64.b64encode(one).decode() for name, one in parts.items()}
+
+    async def do(self, what: str, message: dict[str, Any], **around: Any) -> dict[str, Any]:
+        order = self.order(json.dumps(message).encode(), **around)
+        told = await self.ask(what, b"\x02" + json.dumps(order).encode())
+        while told["progress"] == "running":
+            told = await self.ask(f"status/{order['id']}")
+        return told
+
+    async def lease(self, message: dict[str, Any]) -> tuple[int, str]:
+        half = X25519PrivateKey.generate()
+        told = await self.do("lease", message, key=half.public_key().public_bytes_raw())
+        agents = base64.b64decode(told["key"])
+        shared = half.exchange(X25519PublicKey.from_public_bytes(agents))
+        about = b"m100link lease 2\n" + agents + self.body
+        return told["number"], hmac.digest(shared, about, "sha256").hex()
+
+
+def action(name: str, fence: int = 0) -> dict[str, Any]:
+    rest = {"fence": fence, "number": 0, "data": "", "text": ""}
+    return {"kind": "Ask", "id": 0, "action": name} | rest
+
+
+async def test_by_the_page_alone_somebody_flies_and_stops(rig: Rig) -> None:
+    one = await rig.aircraft("a1", verify=verifying(RIGHTS, ["a1"], rig.utc))
+    session = rig.network.session()
+    nobody, anna = (Foreigner(session, rig.utc, name) for name in ("", "anna"))
+    assert (await anna.ask("state"))["connection"] == "connected"
+    refused = await nobody.do("cmd", action("stop"))
+    assert (refused["outcome"], refused["fault"]["kind"]) == ("not_allowed", "NotAllowed")
+    assert (await anna.do("cmd", action("stop")))["outcome"] == "ok"
+    asked = {"kind": "LeaseAsk", "id": 0, "action": "acquire", "name": "Jürgen", "token": ""}
+    lease = await anna.lease(asked)
+    for name in ("activate", "obtain", "take_off"):
+        clock = await anna.clock()
+        await anna.do("lease", asked | {"action": "renew"}, lease=lease, clock=clock)
+        told = await anna.do("cmd", action(name, lease[0]), lease=lease, clock=clock)
+        assert told["outcome"] == "ok", told
+        # A take-off takes longer than a lease that nobody renews.
+        if name == "obtain":
+            one.agent.desk.lifetime = 30.0
+    setpoints = session.publish(f"m100/{SITE}/a1/setpoint")
+    ahead = await anna.clock() - anyio.current_time()
+    for number in range(60):
+        values = (anyio.current_time() + ahead, 0.2, 0x40, 3.0, 0.0, 0.0, 0.0)
+        data = bytes([number == 0]) + struct.pack("<BQddB4d", 1, lease[0], *values)
+        assert len(data) == 59
+        setpoints.put(b"\x02" + hmac.digest(lease[1].encode(), data, "sha256")[:16] + data)
+        await anyio.sleep(0.05)
+    assert one.speed > 2.5
+    assert (await anna.do("cmd", action("stop")))["outcome"] == "ok"
+    late = await anna.do("cmd", action("land"))
+    assert late["outcome"] == "refused", "by no clock"
+    told = await anna.do("cmd", action("land"), clock=await anna.clock())
+    assert told["outcome"] == "ok"
+    assert one.height < 0.1
+
+
+async def test_telemetry_is_what_the_page_says(rig: Rig) -> None:
+    await rig.aircraft("a1")
+    session, heard = rig.network.session(), []
+    session.subscribe(f"m100/{SITE}/a1/tel", lambda key, payload: heard.append(payload))
+    await rig.until(lambda: len(heard) > 20)
+    for payload in heard:
+        version, kind, _, length = struct.unpack_from("<BBdB", payload)
+        assert (version, kind, payload[11 : 11 + length]) == (2, 2, b"1.0")
+
+
+def test_the_page_names_every_key() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    for what in ("tel", "tel/5hz", "state", "event", "told", "place", "mission", "cmd", "lease"):
+        assert f"`{what}`" in text
+    for what in ("show", "status/<id>", "log", "revoked", "setpoint"):
+        assert f"`{what}`" in text

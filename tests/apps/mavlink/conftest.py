@@ -1,0 +1,230 @@
+"""An agent on a virtual aircraft, the bridge, and ground stations: on virtual time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Any
+
+import anyio
+import pytest
+
+from m100link.apps.agent.agent import Agent
+from m100link.apps.agent.carriers.memory import memory_channels
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.connect import by_driver
+from m100link.apps.agent.lease import Lease
+from m100link.apps.agent.service import Service
+from m100link.apps.mavlink.bridge import Bridge
+from m100link.apps.mavlink.codec import Message, Signer, read_datagram, write_frame
+from m100link.apps.mavlink.modes import MODES, Mode
+from m100link.apps.mavlink.numbers import Command, Result
+from m100link.apps.mavlink.peers import Address
+from m100link.apps.mavlink.world import World
+from m100link.protocol.records import FlightPhase, FlightStatus, Position
+from m100link.sim.clock import virtual_clock_loop
+from m100link.sim.ports.driver import Driver
+from m100link.sim.vehicle.settings import AircraftSettings
+from m100link.sim.virtual import VirtualAircraft
+from tests.known import Known, position
+
+GCS = ("127.0.0.1", 14540)
+MODE_OF = {row.number: mode for mode, row in MODES.items()}
+
+
+@pytest.fixture
+def anyio_backend() -> tuple[str, dict[str, Any]]:
+    return "asyncio", {"loop_factory": virtual_clock_loop}
+
+
+class Ground:
+    """A ground station: says its heartbeat while it is there, keeps what it hears."""
+
+    def __init__(self, rig: Rig, address: Address = GCS, system: int = 245) -> None:
+        self.rig, self.address, self.system = rig, address, system
+        self.heard: list[Message] = []
+        self.is_silent = False
+        rig.grounds.append(self)
+
+    def hear(self, data: bytes) -> None:
+        self.heard += read_datagram(data, signer=self.rig.ground_signer, now=self.rig.stamp())
+
+    def send(self, message_name: str, **fields: Any) -> None:
+        self.rig.sequence += 1
+        frame = write_frame(
+            Message(message_name, fields, component=190),
+            system=self.system,
+            sequence=self.rig.sequence,
+            signer=self.rig.ground_signer,
+            now=self.rig.stamp(),
+        )
+        self.rig.bridge.received(frame, self.address)
+
+    def beat(self) -> None:
+        if not self.is_silent:
+            self.send("HEARTBEAT", type=6, autopilot=8)
+
+    def command(self, command: int, *parameters: float, target: int = 1) -> None:
+        given = (*parameters, *(math.nan,) * (7 - len(parameters)))
+        named = {f"param{place}": value for place, value in enumerate(given, 1)}
+        self.send(
+            "COMMAND_LONG", command=command, target_system=target, target_component=1, **named
+        )
+
+    def all(self, name: str) -> list[Message]:
+        return [one for one in self.heard if one.name == name]
+
+    def last(self, name: str) -> Message:
+        return self.all(name)[-1]
+
+    @property
+    def texts(self) -> str:
+        return "\n".join(str(one["text"]) for one in self.all("STATUSTEXT"))
+
+    @property
+    def mode(self) -> Mode:
+        return MODE_OF[self.last("HEARTBEAT")["custom_mode"]]
+
+    def armed(self) -> bool:
+        return bool(self.last("HEARTBEAT")["base_mode"] & 128)
+
+    async def ask(self, command: int, *parameters: float, target: int = 1) -> Result:
+        """Give a command; what it was answered in the end."""
+        known = len(self.heard)
+        self.command(command, *parameters, target=target)
+
+        def answers() -> list[Result]:
+            return [
+                Result(one["result"])
+                for one in self.heard[known:]
+                if one.name == "COMMAND_ACK" and one["command"] == command
+            ]
+
+        await self.rig.until(lambda: any(one is not Result.IN_PROGRESS for one in answers()))
+        return next(one for one in answers() if one is not Result.IN_PROGRESS)
+
+    async def set_mode(self, mode: Mode) -> Result:
+        row = MODES[mode]
+        return await self.ask(Command.DO_SET_MODE, 1, row.main, row.sub)
+
+    async def arm(self) -> None:
+        assert await self.ask(Command.COMPONENT_ARM_DISARM, 1) is Result.ACCEPTED
+
+    async def fly(self, height: float = 5.0) -> None:
+        """Arm, take off, wait for the height."""
+        await self.arm()
+        altitude = self.rig.ground_altitude + height
+        args = (0, 0, 0, math.nan, math.nan, math.nan, altitude)
+        assert await self.ask(Command.NAV_TAKEOFF, *args) is Result.ACCEPTED
+        await self.rig.until(lambda: abs(self.rig.height - height) < 0.4)
+        await self.rig.until(lambda: self.mode is Mode.HOLD)
+
+
+class Rig:
+    """The whole: aircraft, agent, bridge."""
+
+    def __init__(
+        self,
+        *,
+        firmware: str = "1.0",
+        signer: Signer | None = None,
+        settings: AircraftSettings | None = None,
+        **options: Any,
+    ) -> None:
+        self.aircraft = VirtualAircraft(seed=5, firmware=firmware, settings=settings)
+        self.ground_altitude = self.aircraft.vehicle.settings.ground_altitude
+        self.driver = Driver(self.aircraft)
+        self.agent = Agent(by_driver(self.driver), credentials=self.aircraft.credentials, **options)
+        self.grounds: list[Ground] = []
+        self.sent: list[tuple[bytes, Address]] = []
+        self.sequence = 0
+        self.signer = signer
+        self.ground_signer: Signer | None = None
+
+    def stamp(self) -> int:
+        return 0
+
+    def _send(self, data: bytes, address: Address) -> None:
+        self.sent.append((data, address))
+        for ground in self.grounds:
+            if ground.address == address:
+                ground.hear(data)
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[Rig]:
+        async with AsyncExitStack() as stack:
+            await stack.enter_async_context(self.agent)
+            self.service = Service(self.agent)
+            ours, its = memory_channels()
+            self.service.attach(its)
+            self.client = await stack.enter_async_context(AgentClient(ours, "mavlink"))
+            self.bridge = Bridge({1: self.client}, self._send, signer=self.signer)
+            self.vehicle = self.bridge.vehicles[0]
+            self.work = self.agent.background.spawn(self.bridge.run(), "bridge")
+            self.agent.background.spawn(self._beat(), "heartbeats")
+            self.ground = Ground(self)
+            self.ground.beat()
+            await self.until(lambda: bool(self.ground.all("HOME_POSITION")))
+            yield self
+            self.work.cancel()
+        self.driver.stop()
+
+    async def _beat(self) -> None:
+        while True:
+            await anyio.sleep(1.0)
+            for ground in self.grounds:
+                ground.beat()
+
+    async def until(self, predicate: Callable[[], bool], within: float = 60.0) -> None:
+        with anyio.fail_after(within):
+            while not predicate():  # noqa: ASYNC110 - virtual time: it costs nothing
+                await anyio.sleep(0.01)
+
+    @property
+    def height(self) -> float:
+        return float(self.aircraft.height)
+
+    @property
+    def speed(self) -> float:
+        return float(self.aircraft.vehicle.flight.dynamics.speed)
+
+    @property
+    def motors_on(self) -> bool:
+        return bool(self.aircraft.vehicle.flight.dynamics.motors_on)
+
+
+@pytest.fixture
+async def rig() -> AsyncIterator[Rig]:
+    async with Rig().running() as one:
+        yield one
+
+
+@pytest.fixture
+def ground(rig: Rig) -> Ground:
+    return rig.ground
+
+
+def world_of(known: Known, *, home: tuple[float, float, float] | None = None) -> World:
+    """What the bridge makes of it.
+
+    Args:
+        known: What is told.
+        home: How far north, east and up of home it is, m; None where nobody knows.
+    """
+    world = World(known)
+    if home is not None:
+        north, east, up = home
+        here = position()
+        latitude = here.latitude_deg - math.degrees(north / 6_371_000)
+        across = 6_371_000 * math.cos(here.latitude_rad)
+        longitude = here.longitude_deg - math.degrees(east / across)
+        status = known.items[FlightStatus]
+        known.items[Position] = position(latitude=latitude, longitude=longitude, altitude=10.5)
+        known.items[FlightStatus] = FlightStatus(FlightPhase.STANDBY)
+        world.look()
+        known.items[FlightStatus] = status
+        known.items[Position] = position(height=up)
+    if known.has_authority:
+        world.lease = Lease("mavlink", "token", known.holder.number)
+    return world

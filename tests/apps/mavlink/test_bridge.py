@@ -1,0 +1,406 @@
+"""Whole flights by datagrams, on virtual time and without a socket."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import random
+from random import Random
+
+import anyio
+import pytest
+
+from m100link.apps.mavlink.bridge import IDLE_STEP_S, STEP_S
+from m100link.apps.mavlink.codec import Message, Signer, write_frame
+from m100link.apps.mavlink.modes import Mode
+from m100link.apps.mavlink.numbers import Command, Result
+from m100link.apps.mavlink.parameters import PARAMETERS
+from m100link.apps.mavlink.peers import MOST_PEERS
+from tests.apps.mavlink.conftest import Ground, Rig
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.mark.parametrize("firmware", ["1.0", "2.3", "3.1"])
+async def test_armed_up_and_down_again(firmware: str) -> None:
+    async with Rig(firmware=firmware).running() as rig:
+        ground = rig.ground
+        assert not ground.armed()
+        await ground.fly(5.0)
+        assert ground.armed()
+        assert ground.last("EXTENDED_SYS_STATE")["landed_state"] == 2
+        place = ground.last("GLOBAL_POSITION_INT")
+        assert place["relative_alt"] == pytest.approx(5000, abs=700)
+        assert await ground.ask(Command.NAV_LAND) is Result.ACCEPTED
+        await rig.until(lambda: ground.mode is Mode.LAND)
+        await rig.until(lambda: not ground.armed())
+        assert not rig.motors_on
+        await rig.until(lambda: not rig.client.holder.number)
+
+
+async def test_nothing_is_told_before_somebody_is_heard(rig: Rig) -> None:
+    silent = Ground(rig, ("127.0.0.1", 5555), 77)
+    silent.is_silent = True
+    silent.command(Command.COMPONENT_ARM_DISARM, 1)
+    await anyio.sleep(3.0)
+    assert silent.heard == []
+    assert not rig.client.holder.number
+
+
+async def test_a_peer_is_forgotten_when_it_is_silent(rig: Rig, ground: Ground) -> None:
+    ground.is_silent = True
+    await anyio.sleep(11.0)
+    known = len(ground.heard)
+    await anyio.sleep(5.0)
+    assert len(ground.heard) == known
+
+
+async def test_there_are_never_more_than_a_few_peers(rig: Rig) -> None:
+    for place in range(5 * MOST_PEERS):
+        Ground(rig, ("127.0.0.1", 20000 + place), 100).beat()
+    addresses = rig.bridge.peers.addresses(rig.client.now)
+    assert len(addresses) == MOST_PEERS
+    assert rig.bridge.peers.refused > 0
+
+
+async def test_junk_between_commands_swallows_none(rig: Rig, ground: Ground) -> None:
+    random = Random(7)
+    for _ in range(200):
+        for _ in range(20):
+            rig.bridge.received(random.randbytes(random.randrange(100)), ground.address)
+        assert await ground.ask(Command.GET_HOME_POSITION) is Result.ACCEPTED
+        await anyio.sleep(0.02)
+
+
+async def test_an_unknown_command_is_answered(rig: Rig, ground: Ground) -> None:
+    for command in (Command.DO_SET_HOME, 2000, 31999):
+        assert await ground.ask(command) is Result.UNSUPPORTED
+
+
+async def test_a_command_for_another_system_is_not_ours(rig: Rig, ground: Ground) -> None:
+    ground.command(Command.NAV_LAND, target=9)
+    await anyio.sleep(1.0)
+    assert ground.all("COMMAND_ACK") == []
+
+
+async def test_copies_of_arming_are_one_request(rig: Rig, ground: Ground) -> None:
+    for _ in range(3):
+        ground.command(Command.COMPONENT_ARM_DISARM, 1)
+    await anyio.sleep(4.0)
+    answers = [one["result"] for one in ground.all("COMMAND_ACK")]
+    assert answers[0] == Result.IN_PROGRESS, "activation takes two seconds"
+    assert answers[-1] == Result.ACCEPTED
+    assert answers.count(Result.ACCEPTED) == 1
+    assert [one.text for one in rig.agent.journal.events if "obtained" in one.text] == [
+        "control authority obtained"
+    ]
+
+
+async def test_it_disarms_by_itself_when_nobody_takes_off(rig: Rig, ground: Ground) -> None:
+    await ground.arm()
+    await rig.until(lambda: ground.armed())
+    await anyio.sleep(8.0)
+    assert ground.armed()
+    await anyio.sleep(4.0)
+    assert not ground.armed()
+    assert "no take-off" in ground.texts
+
+
+async def test_a_take_off_waits_for_the_arming(rig: Rig, ground: Ground) -> None:
+    """QGroundControl's order: NAV_TAKEOFF disarmed, and arming behind the answer."""
+    altitude = rig.ground_altitude + 10.0
+    args = (-1, 0, 0, math.nan, math.nan, math.nan, altitude)
+    assert await ground.ask(Command.NAV_TAKEOFF, *args) is Result.ACCEPTED
+    await anyio.sleep(2.0)
+    assert rig.height < 0.1
+    assert ground.mode is Mode.TAKEOFF
+    await ground.arm()
+    await rig.until(lambda: rig.height > 9.5)
+
+
+async def test_a_take_off_that_nobody_arms_is_forgotten(rig: Rig, ground: Ground) -> None:
+    assert await ground.ask(Command.NAV_TAKEOFF) is Result.ACCEPTED
+    await anyio.sleep(10.5)
+    await ground.arm()
+    await anyio.sleep(5.0)
+    assert rig.height < 0.1
+
+
+async def test_a_landing_during_the_take_off_waits_and_nothing_pushes_it_out(
+    rig: Rig, ground: Ground
+) -> None:
+    await ground.arm()
+    assert await ground.ask(Command.NAV_TAKEOFF) is Result.ACCEPTED
+    await rig.until(lambda: rig.height > 0.3)
+    assert await ground.ask(Command.NAV_LAND) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.HOLD) is Result.TEMPORARILY_REJECTED
+    await rig.until(lambda: not ground.armed())
+    assert rig.height < 0.1
+
+
+async def test_hold_ends_the_way_home(rig: Rig, ground: Ground) -> None:
+    await ground.fly(6.0)
+    assert await ground.set_mode(Mode.RTL) is Result.ACCEPTED
+    await rig.until(lambda: ground.mode is Mode.RTL)
+    assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
+    await anyio.sleep(8.0)
+    height = rig.height
+    await anyio.sleep(5.0)
+    assert rig.height == pytest.approx(height, abs=0.3)
+    assert height > 2.0
+    assert ground.armed()
+    assert ground.mode is Mode.HOLD
+
+
+async def test_the_pilot_takes_it_and_armed_does_not_lie(rig: Rig, ground: Ground) -> None:
+    await ground.fly(6.0)
+    rig.aircraft.vehicle.remote.set_mode("P")
+    await rig.until(lambda: ground.mode is Mode.POSCTL)
+    assert ground.armed()
+    assert await ground.set_mode(Mode.LAND) is Result.TEMPORARILY_REJECTED
+    await rig.until(lambda: "the mode switch is in P" in ground.texts)
+    assert await ground.ask(Command.COMPONENT_ARM_DISARM, 0, 21196) is Result.DENIED
+    rig.aircraft.vehicle.remote.set_mode("F")
+    await rig.until(lambda: ground.mode is Mode.HOLD)
+    assert await ground.set_mode(Mode.LAND) is Result.ACCEPTED
+    await rig.until(lambda: not ground.armed())
+
+
+async def test_a_ground_station_that_is_lost_holds(rig: Rig, ground: Ground) -> None:
+    await ground.fly(3.0)
+    args = (0, 0, 0, math.nan, math.nan, math.nan, rig.ground_altitude + 40.0)
+    assert await ground.ask(Command.DO_REPOSITION, *args) is Result.ACCEPTED
+    await rig.until(lambda: rig.height > 5.0)
+    ground.is_silent = True
+    other = Ground(rig, ("127.0.0.1", 7000), 246)
+    other.beat()
+    await rig.until(lambda: "is lost" in other.texts, within=5.0)
+    await anyio.sleep(3.0)
+    assert rig.speed < 0.1
+    assert rig.height < 20.0
+    assert await other.set_mode(Mode.LAND) is Result.ACCEPTED
+    await rig.until(lambda: not other.armed())
+
+
+async def test_the_way_to_the_ground_goes_on_when_the_ground_station_is_lost(
+    rig: Rig, ground: Ground
+) -> None:
+    await ground.fly(6.0)
+    assert await ground.set_mode(Mode.LAND) is Result.ACCEPTED
+    await anyio.sleep(1.5)
+    ground.is_silent = True
+    await rig.until(lambda: not rig.motors_on)
+
+
+async def test_two_ground_stations_and_one_of_them_flies(rig: Rig, ground: Ground) -> None:
+    other = Ground(rig, ("127.0.0.1", 7000), 246)
+    other.beat()
+    await ground.fly(4.0)
+    assert await other.ask(Command.DO_REPOSITION, -1, 0, 0, 1.0) is Result.TEMPORARILY_REJECTED
+    await rig.until(lambda: "MAVLink 245 at 127.0.0.1:14540 flies" in other.texts)
+    assert other.last("HEARTBEAT")["base_mode"] & 128
+    assert await other.set_mode(Mode.LAND) is Result.ACCEPTED
+    await rig.until(lambda: not ground.armed())
+
+
+async def test_setpoints_that_stop_are_not_flown_on(rig: Rig, ground: Ground) -> None:
+    await ground.fly(5.0)
+
+    def north() -> None:
+        mask = 0b0000_1101_1100_0111
+        ground.send(
+            "SET_POSITION_TARGET_LOCAL_NED",
+            target_system=1,
+            target_component=1,
+            coordinate_frame=1,
+            type_mask=mask,
+            vx=3.0,
+        )
+
+    north()
+    assert await ground.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
+    for _ in range(60):
+        north()
+        await anyio.sleep(0.05)
+    assert rig.speed > 2.0
+    await anyio.sleep(3.5)
+    assert ground.mode is Mode.HOLD
+    assert rig.speed < 0.1
+    assert "no setpoint any more" in ground.texts
+
+
+async def test_the_bridge_ends_and_gives_control_back(rig: Rig, ground: Ground) -> None:
+    await ground.fly(4.0)
+    rig.work.cancel()
+    await rig.until(lambda: not rig.agent.holding.has_authority, within=5.0)
+    await anyio.sleep(3.0)
+    assert rig.speed < 0.1
+
+
+async def test_what_was_sent_while_the_process_stood_still_is_not_carried_out(
+    rig: Rig, ground: Ground, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A machine that wakes up does not take off by what somebody asked for, and gave up."""
+    drained: list[float] = []
+    bridge, step = rig.bridge, rig.bridge.step
+    monkeypatch.setattr(bridge, "_drain", lambda: drained.append(rig.client.now))
+    monkeypatch.setattr(bridge, "step", lambda: None)
+    ground.is_silent = True  # what is sent waits in the socket
+    await anyio.sleep(3.0)
+    ground.command(Command.COMPONENT_ARM_DISARM, 1)
+    assert drained, "what waits behind it is as old"
+    ground.is_silent = False
+    ground.beat()
+    monkeypatch.setattr(bridge, "step", step)
+    await anyio.sleep(5.0)
+    assert not rig.agent.holding.has_authority
+    assert "s of standstill" in ground.texts
+    await ground.arm()
+    assert rig.agent.holding.has_authority
+
+
+@pytest.mark.parametrize("is_known", [False, True])
+async def test_a_flood_from_one_address_does_not_keep_others_out(
+    rig: Rig, ground: Ground, is_known: bool
+) -> None:
+    await ground.fly(4.0)
+    flood = Ground(rig, ("127.0.0.1", 9999), 99)
+    flood.is_silent = not is_known
+    flood.beat()
+    await anyio.sleep(0.1)
+    looks_like_frames = b"\xfe\xf0\0\0\0\0" * 230  # each of them is checked, and none is right
+    for _ in range(300):
+        rig.bridge.received(looks_like_frames, flood.address)
+    ground.command(Command.NAV_LAND)
+    assert ground.last("COMMAND_ACK")["command"] == Command.NAV_LAND
+    assert ground.last("COMMAND_ACK")["result"] == Result.ACCEPTED
+    assert rig.bridge.dropped > 200
+
+
+async def test_noise_between_the_commands_of_a_peer_costs_it_none(rig: Rig, ground: Ground) -> None:
+    ground.beat()
+    await anyio.sleep(0.1)
+    chance = random.Random(20261122)
+    for _ in range(100):
+        await anyio.sleep(0.001)  # nothing waits, and steps are far apart
+        for _ in range(100):
+            rig.bridge.received(chance.randbytes(chance.randrange(1, 60)), ground.address)
+        ground.heard.clear()
+        ground.command(Command.GET_HOME_POSITION)
+        assert ground.last("COMMAND_ACK")["command"] == Command.GET_HOME_POSITION
+    assert rig.bridge.dropped == 0
+
+
+async def test_what_is_answered_counts_as_what_is_read(rig: Rig, ground: Ground) -> None:
+    """A question of twenty bytes has answers of five hundred."""
+    for _ in range(500):
+        ground.send("PARAM_REQUEST_LIST", target_system=1, target_component=1)
+    assert len(ground.all("PARAM_VALUE")) < 1000
+    await anyio.sleep(0.1)
+    ground.heard.clear()
+    ground.send("PARAM_REQUEST_LIST", target_system=1, target_component=1)
+    assert len(ground.all("PARAM_VALUE")) == len(PARAMETERS)
+
+
+def send_velocity(ground: Ground, **velocity: float) -> None:
+    """A setpoint that ignores all but velocities."""
+    ground.send(
+        "SET_POSITION_TARGET_LOCAL_NED",
+        target_system=1,
+        target_component=1,
+        coordinate_frame=1,
+        type_mask=0b1101_1100_0111,
+        **velocity,
+    )
+
+
+async def test_nobody_is_flown_by_setpoints_of_another(rig: Rig, ground: Ground) -> None:
+    await ground.fly(5.0)
+    ground.is_silent = True
+    other = Ground(rig, ("127.0.0.1", 7000), 246)
+    third = Ground(rig, ("127.0.0.1", 7001), 247)
+    other.beat()
+    third.beat()
+    await rig.until(lambda: "is lost" in other.texts)
+    send_velocity(third, vx=3.0)
+    assert await other.set_mode(Mode.OFFBOARD) is Result.DENIED
+    send_velocity(other)
+    assert await other.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
+    for _ in range(20):
+        send_velocity(third, vx=3.0)
+        await anyio.sleep(0.1)
+        assert rig.speed < 0.1
+
+
+@pytest.mark.parametrize("firmware", ["1.0", "2.3"])
+async def test_nothing_resumes_when_the_pilot_was_there_however_short(
+    firmware: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with Rig(firmware=firmware).running() as rig:
+        ground, remote = rig.ground, rig.aircraft.vehicle.remote
+        await ground.fly(5.0)
+        send_velocity(ground, vx=2.0)
+        assert await ground.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
+        for number in range(160):
+            send_velocity(ground, vx=2.0)
+            await anyio.sleep(0.05)
+            if number == 40:
+                assert rig.speed > 1.0
+                step = rig.bridge.step
+                monkeypatch.setattr(rig.bridge, "step", lambda: None)  # it is late
+                remote.set_mode("P")
+                await rig.until(lambda: not rig.client.has_authority)
+                remote.set_mode("F")
+                await rig.until(lambda: rig.client.has_authority)
+                monkeypatch.setattr(rig.bridge, "step", step)
+        assert ground.mode is not Mode.OFFBOARD
+        assert rig.speed < 0.1
+
+
+async def test_who_signs_is_not_kept_out_by_those_who_do_not() -> None:
+    key = bytes(range(32))
+    async with Rig(signer=Signer(key)).running() as rig:
+        beat = write_frame(Message("HEARTBEAT", {}), system=9, sequence=0)
+        for port in range(5 * MOST_PEERS):
+            rig.bridge.received(beat, ("127.0.0.1", 20000 + port))
+        assert len(rig.bridge.peers.addresses(rig.client.now)) == MOST_PEERS
+        rig.ground_signer = Signer(key, sent=2**47)  # later than any real clock says
+        late = Ground(rig, ("127.0.0.1", 7000), 246)
+        late.beat()
+        await late.arm()
+        assert len(rig.bridge.peers.addresses(rig.client.now)) == MOST_PEERS
+
+
+async def test_short_messages_are_as_few_as_long_ones(rig: Rig, ground: Ground) -> None:
+    await anyio.sleep(0.1)
+    for _ in range(1000):
+        ground.beat()
+    assert rig.bridge.dropped > 700
+
+
+async def test_steps_are_few_while_nothing_waits_and_short_when_something_does(
+    rig: Rig, ground: Ground, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await ground.fly(5.0)
+    steps: list[float] = []
+    step = rig.bridge.step
+
+    def counted() -> None:
+        steps.append(rig.client.now)
+        step()
+
+    monkeypatch.setattr(rig.bridge, "step", counted)
+    await anyio.sleep(2.0)
+    assert len(steps) == pytest.approx(2.0 / IDLE_STEP_S, abs=2)
+    for _ in range(100):  # who gives orders without end gets no more steps than setpoints
+        ground.command(Command.DO_SET_MODE, 1, 4, 3)
+        await anyio.sleep(0.001)
+    between = [after - before for before, after in itertools.pairwise(steps)]
+    assert min(between) > 0.9 * STEP_S
+    steps.clear()
+    send_velocity(ground)
+    assert await ground.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
+    for _ in range(40):
+        send_velocity(ground)
+        await anyio.sleep(0.05)
+    assert len(steps) == pytest.approx(2.0 / STEP_S, abs=6)

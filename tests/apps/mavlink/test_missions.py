@@ -1,0 +1,378 @@
+"""Missions and fences: up, down, flown, broken off; with datagrams that are lost."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from random import Random
+from typing import Any
+
+import anyio
+import pytest
+
+from m100link.apps.mavlink.codec import Message
+from m100link.apps.mavlink.modes import Mode
+from m100link.apps.mavlink.numbers import Command, MissionResult, MissionType, Result
+from m100link.geodesy import LocalFrame
+from tests.apps.mavlink.conftest import Ground, Rig
+
+pytestmark = pytest.mark.anyio
+
+Item = dict[str, Any]
+
+
+def item(command: int, north: float = 0.0, east: float = 0.0, z: float = 0.0, **more: Any) -> Item:
+    frame = LocalFrame(22.5431, 113.9589)
+    latitude, longitude = frame.to_geodetic(north, east)
+    place = {"x": round(latitude * 1e7), "y": round(longitude * 1e7)} if north or east else {}
+    return {"command": command, "frame": 6, "z": z, "param4": math.nan} | place | more
+
+
+def waypoint(north: float, east: float, z: float = 8.0, **more: Any) -> Item:
+    return item(Command.NAV_WAYPOINT, north, east, z, **more)
+
+
+SQUARE = [
+    item(Command.NAV_TAKEOFF, z=6.0),
+    item(Command.DO_CHANGE_SPEED, param1=1.0, param2=4.0),
+    waypoint(15.0, 0.0),
+    item(2000, param1=0.0),
+    waypoint(15.0, 15.0, param1=2.0),
+    waypoint(0.1, 15.0),
+    item(Command.NAV_RETURN_TO_LAUNCH),
+]
+
+
+class Exchange:
+    """A ground station's half of the protocol, over a line that loses datagrams."""
+
+    def __init__(self, ground: Ground, *, loss: float = 0.0, seed: int = 1) -> None:
+        self.ground, self.loss, self.random = ground, loss, Random(seed)
+        self.read = len(ground.heard)
+
+    def send(self, name: str, **fields: Any) -> None:
+        if self.random.random() >= self.loss:
+            self.ground.send(name, target_system=1, target_component=1, **fields)
+
+    def heard(self, *names: str) -> Iterator[Message]:
+        fresh, self.read = self.ground.heard[self.read :], len(self.ground.heard)
+        for one in fresh:
+            if one.name in names and self.random.random() >= self.loss:
+                yield one
+
+    async def upload(self, items: list[Item], kind: int = MissionType.MISSION) -> MissionResult:
+        asked = -1
+        with anyio.fail_after(200.0):
+            self.send("MISSION_COUNT", count=len(items), mission_type=kind)
+            while True:
+                await anyio.sleep(0.05)
+                fresh = list(self.heard("MISSION_ACK", "MISSION_REQUEST_INT"))
+                for one in fresh:
+                    if one.name == "MISSION_ACK":
+                        return MissionResult(one["type"])
+                    if one.name == "MISSION_REQUEST_INT":
+                        asked = one["seq"]
+                        self.send("MISSION_ITEM_INT", seq=asked, mission_type=kind, **items[asked])
+                if not fresh and self.random.random() < 0.1:  # its own patience
+                    if asked < 0:
+                        self.send("MISSION_COUNT", count=len(items), mission_type=kind)
+                    else:
+                        self.send("MISSION_ITEM_INT", seq=asked, mission_type=kind, **items[asked])
+
+    async def download(self, kind: int = MissionType.MISSION) -> list[Message]:
+        found: list[Message] = []
+        count = -1
+        with anyio.fail_after(200.0):
+            while count < 0:
+                self.send("MISSION_REQUEST_LIST", mission_type=kind)
+                await anyio.sleep(0.2)
+                for one in self.heard("MISSION_COUNT"):
+                    count = one["count"]
+            while len(found) < count:
+                self.send("MISSION_REQUEST_INT", seq=len(found), mission_type=kind)
+                await anyio.sleep(0.1)
+                for one in self.heard("MISSION_ITEM_INT"):
+                    if one["seq"] == len(found):
+                        found.append(one)
+        return found
+
+
+def same(found: Message, given: Item) -> bool:
+    return all(
+        found[name] == value or (math.isnan(value) and math.isnan(found[name]))
+        for name, value in given.items()
+    )
+
+
+@pytest.mark.parametrize(("count", "loss"), [(3, 0.0), (200, 0.0), (40, 0.3)])
+async def test_a_mission_comes_down_as_it_went_up(ground: Ground, count: int, loss: float) -> None:
+    items = [waypoint(5.0 + place % 7, 3.0, 5.0 + place / 4) for place in range(count)]
+    exchange = Exchange(ground, loss=loss)
+    assert await exchange.upload(items) is MissionResult.ACCEPTED
+    found = await exchange.download()
+    assert [one["seq"] for one in found] == list(range(count))
+    assert all(same(one, given) for one, given in zip(found, items, strict=True))
+
+
+async def test_an_upload_that_breaks_off_changes_nothing(rig: Rig, ground: Ground) -> None:
+    exchange = Exchange(ground)
+    assert await exchange.upload([waypoint(5.0, 5.0), waypoint(9.0, 5.0)]) == 0
+    exchange.send("MISSION_COUNT", count=50)
+    exchange.send("MISSION_ITEM_INT", seq=0, **waypoint(1.0, 1.0))
+    await rig.until(lambda: "broke off" in ground.texts, within=20.0)
+    assert len(await Exchange(ground).download()) == 2
+
+
+async def test_what_does_not_come_is_asked_for_again_four_times_a_second(
+    rig: Rig, ground: Ground
+) -> None:
+    """As the protocol has it for items; after some seconds nobody is there any more."""
+    exchange = Exchange(ground)
+    exchange.send("MISSION_COUNT", count=2)
+    await anyio.sleep(2.1)
+    asked = list(exchange.heard("MISSION_REQUEST_INT", "MISSION_ACK"))
+    assert {(one.name, one["seq"]) for one in asked} == {("MISSION_REQUEST_INT", 0)}
+    assert 7 <= len(asked) <= 9
+    await rig.until(lambda: bool(ground.all("MISSION_ACK")), within=8.0)
+    assert MissionResult(ground.last("MISSION_ACK")["type"]) is MissionResult.OPERATION_CANCELLED
+    ended = list(exchange.heard("MISSION_REQUEST_INT"))
+    assert len(ended) >= 15
+    await anyio.sleep(2.0)
+    assert list(exchange.heard("MISSION_REQUEST_INT")) == []
+
+
+@pytest.mark.parametrize("kind", [3, 7, 254])
+async def test_a_list_of_a_kind_that_is_not_kept_is_refused(ground: Ground, kind: int) -> None:
+    exchange = Exchange(ground)
+    exchange.send("MISSION_COUNT", count=2, mission_type=kind)
+    told = list(exchange.heard("MISSION_ACK"))
+    assert [MissionResult(one["type"]) for one in told] == [MissionResult.UNSUPPORTED]
+    assert {one["mission_type"] for one in told} == {kind}
+
+
+async def test_a_second_upload_waits_for_the_first(rig: Rig, ground: Ground) -> None:
+    other = Ground(rig, ("127.0.0.1", 7000), 246)
+    other.beat()
+    Exchange(ground).send("MISSION_COUNT", count=5)
+    assert await Exchange(other).upload([waypoint(5.0, 5.0)]) is MissionResult.DENIED
+
+
+@pytest.mark.parametrize(
+    ("given", "result"),
+    [
+        (item(Command.DO_ORBIT, 5.0, 5.0, 5.0), MissionResult.UNSUPPORTED),
+        (item(82, 5.0, 5.0, 5.0), MissionResult.UNSUPPORTED),
+        (item(177, param1=0.0), MissionResult.UNSUPPORTED),
+        (item(112, param1=5.0), MissionResult.UNSUPPORTED),
+        (waypoint(5.0, 5.0, frame=10), MissionResult.UNSUPPORTED_FRAME),
+        (waypoint(5.0, 5.0, -3.0), MissionResult.INVALID),
+        (waypoint(5.0, 5.0, math.nan), MissionResult.INVALID),
+        (waypoint(5.0, 5.0, param1=1e9), MissionResult.INVALID),
+        (waypoint(5.0, 5.0, x=0, y=0), MissionResult.INVALID),
+        (waypoint(5.0, 5.0, x=2_000_000_000), MissionResult.INVALID),
+        (item(Command.NAV_TAKEOFF, z=5.0), MissionResult.INVALID),
+        (item(Command.DO_CHANGE_SPEED, param2=30.0), MissionResult.INVALID),
+    ],
+)
+async def test_what_is_not_flown_is_refused_with_its_item(
+    rig: Rig, ground: Ground, given: Item, result: MissionResult
+) -> None:
+    found = await Exchange(ground).upload([waypoint(5.0, 0.1), given, waypoint(9.0, 0.1)])
+    assert found is result
+    await rig.until(lambda: "mission refused: item 1" in ground.texts)
+    assert await Exchange(ground).download() == []
+
+
+async def test_a_mission_that_does_not_fit_has_no_space(ground: Ground) -> None:
+    ground.send("MISSION_COUNT", count=60000, target_system=1)
+    assert ground.last("MISSION_ACK")["type"] == MissionResult.NO_SPACE
+
+
+async def test_what_is_left_out_is_named(rig: Rig, ground: Ground) -> None:
+    assert await Exchange(ground).upload(SQUARE) is MissionResult.ACCEPTED
+    await rig.until(lambda: "commands left out: 2000" in ground.texts)
+
+
+@pytest.mark.parametrize("firmware", ["1.0", "2.3", "3.1"])
+async def test_a_mission_is_flown_from_the_ground_to_the_ground(firmware: str) -> None:
+    async with Rig(firmware=firmware).running() as rig:
+        ground = rig.ground
+        assert await Exchange(ground).upload(SQUARE) is MissionResult.ACCEPTED
+        assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+        await rig.until(lambda: ground.mode is Mode.MISSION)
+        assert rig.height < 0.1
+        await ground.arm()
+        away: list[float] = []
+        await rig.until(
+            lambda: (
+                away.append(math.hypot(*rig.aircraft.position))  # type: ignore[func-returns-value]
+                or ground.mode is Mode.RTL
+            ),
+            within=120.0,
+        )
+        assert max(away) == pytest.approx(21.2, abs=2.0)
+        reached = [one["seq"] for one in ground.all("MISSION_ITEM_REACHED")]
+        assert reached == [2, 4, 5, 6]
+        assert ground.last("MISSION_CURRENT")["total"] == 7
+        await rig.until(lambda: not ground.armed(), within=120.0)
+        assert math.hypot(*rig.aircraft.position) < 20.0
+
+
+async def test_hold_pauses_a_mission_and_it_goes_on(rig: Rig, ground: Ground) -> None:
+    assert await Exchange(ground).upload(SQUARE) is MissionResult.ACCEPTED
+    await ground.arm()
+    assert await ground.ask(Command.MISSION_START, 0, 0) is Result.ACCEPTED
+    await rig.until(lambda: [one["seq"] for one in ground.all("MISSION_ITEM_REACHED")] == [2])
+    await anyio.sleep(1.0)
+    assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
+    await anyio.sleep(4.0)
+    assert rig.speed < 0.1
+    assert ground.last("MISSION_CURRENT")["seq"] == 4
+    assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+    await rig.until(lambda: ground.mode is Mode.RTL, within=120.0)
+    assert [one["seq"] for one in ground.all("MISSION_ITEM_REACHED")] == [2, 4, 5, 6]
+
+
+async def test_a_mission_goes_on_from_the_item_that_is_named(rig: Rig, ground: Ground) -> None:
+    assert await Exchange(ground).upload(SQUARE) is MissionResult.ACCEPTED
+    await ground.fly(5.0)
+    ground.send("MISSION_SET_CURRENT", seq=5, target_system=1, target_component=1)
+    assert ground.last("MISSION_CURRENT")["seq"] == 5
+    assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+    await rig.until(lambda: ground.mode is Mode.RTL, within=60.0)
+    assert [one["seq"] for one in ground.all("MISSION_ITEM_REACHED")] == [5, 6]
+
+
+async def test_a_mission_whose_ground_station_is_lost_holds(rig: Rig, ground: Ground) -> None:
+    assert await Exchange(ground).upload(SQUARE) is MissionResult.ACCEPTED
+    await ground.arm()
+    assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+    await rig.until(lambda: rig.speed > 2.0)
+    ground.is_silent = True
+    await anyio.sleep(7.0)
+    assert rig.speed < 0.1
+    assert rig.height > 3.0
+
+
+async def test_a_mission_beyond_the_envelope_is_denied_when_it_is_to_begin(
+    rig: Rig, ground: Ground
+) -> None:
+    assert await Exchange(ground).upload([waypoint(15.0, 0.1), waypoint(600.0, 0.1)]) == 0
+    await ground.arm()
+    assert await ground.set_mode(Mode.MISSION) is Result.DENIED
+    await rig.until(lambda: "the envelope ends at 150 m" in ground.texts.replace("\n", ""))
+    assert rig.height < 0.1
+
+
+async def test_a_mission_that_flies_is_not_changed(rig: Rig, ground: Ground) -> None:
+    assert await Exchange(ground).upload(SQUARE) is MissionResult.ACCEPTED
+    await ground.arm()
+    assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+    await rig.until(lambda: rig.height > 3.0)
+    assert await Exchange(ground).upload(SQUARE) is MissionResult.DENIED
+    ground.send("MISSION_CLEAR_ALL", target_system=1)
+    assert ground.last("MISSION_ACK")["type"] == MissionResult.DENIED
+
+
+async def test_without_a_mission_there_is_none_to_fly(rig: Rig, ground: Ground) -> None:
+    assert await ground.set_mode(Mode.MISSION) is Result.DENIED
+    assert await Exchange(ground).upload(SQUARE) is MissionResult.ACCEPTED
+    ground.send("MISSION_CLEAR_ALL", target_system=1, mission_type=255)
+    assert await ground.set_mode(Mode.MISSION) is Result.DENIED
+
+
+async def test_how_far_a_mission_is_has_the_numbers_of_the_definition(
+    rig: Rig, ground: Ground
+) -> None:
+    """MISSION_STATE: none 1, not started 2, active 3, paused 4, complete 5."""
+
+    async def told() -> tuple[int, int, int]:
+        await anyio.sleep(1.1)
+        found = ground.last("MISSION_CURRENT")
+        return found["mission_state"], found["seq"], found["total"]
+
+    assert await told() == (1, 0, 0)
+    assert await Exchange(ground).upload([waypoint(5.0, 5.0), waypoint(9.0, 5.0)]) == 0
+    assert await told() == (2, 0, 2)
+    assert await ground.ask(Command.DO_SET_MISSION_CURRENT, 1.0) is Result.ACCEPTED
+    assert await told() == (4, 1, 2)
+    missions = rig.vehicle._missions
+    assert missions.current_message(is_flying=True)["mission_state"] == 3
+    missions.over()
+    assert (await told())[0] == 5
+
+
+# -- fences ---------------------------------------------------------------------------------------
+
+
+def fence(radius: float = 10.0, kind: int = 5003) -> list[Item]:
+    return [item(kind, 0.01, 0.01, param1=radius)]
+
+
+def square(half: float, kind: int = 5001) -> list[Item]:
+    corners = [(-half, -half), (half, -half), (half, half), (-half, half)]
+    return [item(kind, north, east, param1=4.0) for north, east in corners]
+
+
+@pytest.mark.parametrize("given", [fence(12.0), square(12.0)], ids=["circle", "polygon"])
+async def test_nobody_flies_out_of_a_fence(rig: Rig, ground: Ground, given: list[Item]) -> None:
+    assert await Exchange(ground).upload(given, MissionType.FENCE) is MissionResult.ACCEPTED
+    assert len(await Exchange(ground).download(MissionType.FENCE)) == len(given)
+    await ground.fly(5.0)
+    far, near = (item(0, 30.0, 0.01), item(0, 6.0, 0.01))
+    for place, result in ((far, Result.DENIED), (near, Result.ACCEPTED)):
+        args = (-1, 1, 0, math.nan, place["x"] / 1e7, place["y"] / 1e7)
+        altitude = rig.ground_altitude + 5.0
+        assert await ground.ask(Command.DO_REPOSITION, *args, altitude) is result
+    await rig.until(lambda: "fence" in ground.texts)
+
+    async def north() -> None:
+        for _ in range(400):
+            mask = 0b0000_1101_1100_0111
+            fields = {"coordinate_frame": 1, "type_mask": mask, "vx": 4.0}
+            ground.send("SET_POSITION_TARGET_LOCAL_NED", target_system=1, **fields)
+            await anyio.sleep(0.05)
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(north)
+        await anyio.sleep(0.1)
+        assert await ground.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
+        await anyio.sleep(15.0)
+        assert rig.aircraft.position[0] < 13.0
+        assert rig.speed < 0.1
+        assert ground.mode is Mode.HOLD
+
+
+async def test_an_area_that_is_excluded_is_not_flown_to(rig: Rig, ground: Ground) -> None:
+    given = [item(5004, 20.0, 0.01, param1=5.0)]
+    assert await Exchange(ground).upload(given, MissionType.FENCE) == 0
+    assert await Exchange(ground).upload([waypoint(20.0, 0.01), waypoint(30.0, 0.01)]) == 0
+    await ground.arm()
+    assert await ground.set_mode(Mode.MISSION) is Result.DENIED
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        square(9.0)[:3],
+        [*square(9.0)[:2], *fence()],
+        [item(5001, 1.0, 1.0, param1=2.0)],
+        [item(5003, 1.0, 1.0, param1=math.nan)],
+        [waypoint(1.0, 1.0)],
+        [item(5001, 1.0, 1.0, param1=math.inf)],
+    ],
+)
+async def test_a_fence_that_is_not_whole_is_refused(ground: Ground, given: list[Item]) -> None:
+    found = await Exchange(ground).upload(given, MissionType.FENCE)
+    assert found in (MissionResult.INVALID, MissionResult.UNSUPPORTED)
+    assert await Exchange(ground).download(MissionType.FENCE) == []
+
+
+async def test_rally_points_are_kept_and_said_to_mean_nothing(rig: Rig, ground: Ground) -> None:
+    ground.send("MISSION_REQUEST_LIST", target_system=1, mission_type=MissionType.RALLY)
+    assert ground.last("MISSION_COUNT")["count"] == 0
+    given = [item(5100, 5.0, 5.0, 20.0), item(5100, 9.0, 5.0, 20.0)]
+    assert await Exchange(ground).upload(given, MissionType.RALLY) is MissionResult.ACCEPTED
+    found = await Exchange(ground).download(MissionType.RALLY)
+    assert all(same(one, item) for one, item in zip(found, given, strict=True))
+    await rig.until(lambda: "rally points are not flown to" in ground.texts)

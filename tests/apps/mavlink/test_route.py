@@ -1,0 +1,133 @@
+"""Items of a mission as a table: what each means for the flight, by common.xml."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from m100link.apps.agent.guided import FlyTo
+from m100link.apps.mavlink.codec import Message
+from m100link.apps.mavlink.modes import Mode
+from m100link.apps.mavlink.numbers import MissionResult
+from m100link.apps.mavlink.route import Leg, Refused, Route, read_route
+
+GLOBAL, MISSION, RELATIVE, GLOBAL_INT, RELATIVE_INT, TERRAIN = 0, 2, 3, 5, 6, 10
+GROUND = 432.5
+X, Y = -331_234_567, 1_512_345_678
+
+
+def item(command: int, **given: Any) -> Message:
+    fields: dict[str, Any] = {"command": command, "frame": RELATIVE_INT, "x": X, "y": Y, "z": 21.5}
+    fields |= {"param1": 0.0, "param2": 0.0, "param3": 0.0, "param4": math.nan} | given
+    return Message("MISSION_ITEM_INT", fields)
+
+
+def read(*items: Message, ground: float | None = GROUND) -> Route:
+    return read_route(items, ground=ground, speed=3.5)
+
+
+def leg(height: float = 21.5, speed: float = 3.5, yaw: float | None = None, **more: Any) -> Leg:
+    return Leg(0, FlyTo(-33.1234567, 151.2345678, height, speed, yaw), **more)
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({}, leg()),
+        ({"frame": RELATIVE}, leg()),
+        ({"frame": GLOBAL, "z": 450.0}, leg(17.5)),
+        ({"frame": GLOBAL_INT, "z": 450.0}, leg(17.5)),
+        ({"param1": 2.5}, leg(wait=2.5)),
+        ({"param1": 600.0}, leg(wait=600.0)),
+        ({"param1": math.nan}, leg()),
+        ({"param4": 90.0}, leg(yaw=90.0)),
+        ({"param4": 270.0}, leg(yaw=-90.0)),
+        ({"param4": -45.0}, leg(yaw=-45.0)),
+        ({"z": 0.0}, leg(0.0)),
+    ],
+)
+@pytest.mark.parametrize("command", [16, 19])
+def test_a_place_of_a_mission(command: int, given: dict[str, float], expected: Leg) -> None:
+    route = read(item(command, **given))
+    assert route.legs == [expected]
+    assert (route.height, route.then, route.left_out) == (None, Mode.HOLD, [])
+
+
+@pytest.mark.parametrize(
+    ("items", "result"),
+    [
+        ([item(16, frame=MISSION)], MissionResult.UNSUPPORTED_FRAME),
+        ([item(16, frame=TERRAIN)], MissionResult.UNSUPPORTED_FRAME),
+        ([item(16, z=-0.1)], MissionResult.INVALID),
+        ([item(16, z=1000.0)], MissionResult.INVALID),
+        ([item(16, z=math.nan)], MissionResult.INVALID),
+        ([item(16, frame=GLOBAL, z=432.0)], MissionResult.INVALID),
+        ([item(16, x=0, y=0)], MissionResult.INVALID),
+        ([item(16, x=891_000_000)], MissionResult.INVALID),
+        ([item(16, y=1_801_000_000)], MissionResult.INVALID),
+        ([item(16, param1=-1.0)], MissionResult.INVALID),
+        ([item(16, param1=601.0)], MissionResult.INVALID),
+        ([item(16), item(22)], MissionResult.INVALID),
+        ([item(20), item(16)], MissionResult.INVALID),
+        ([item(16), item(17), item(16)], MissionResult.INVALID),
+        ([item(16), item(21), item(16)], MissionResult.INVALID),
+        ([item(93, param1=5.0)], MissionResult.INVALID),
+        ([item(16), item(93, param1=0.0)], MissionResult.INVALID),
+        ([item(178, param1=1.0, param2=10.5), item(16)], MissionResult.INVALID),
+        ([item(22)], MissionResult.INVALID),
+        ([item(2000)], MissionResult.INVALID),
+        *(([item(16), item(n)], MissionResult.UNSUPPORTED) for n in (18, 31, 82, 95, 112, 114)),
+        *(([item(16), item(n)], MissionResult.UNSUPPORTED) for n in (34, 177, 192, 3000)),
+    ],
+)
+def test_what_is_not_flown_as_it_is_said_refuses_the_mission(
+    items: list[Message], result: MissionResult
+) -> None:
+    with pytest.raises(Refused) as caught:
+        read(*items)
+    assert caught.value.result is result
+
+
+def test_an_altitude_above_the_sea_needs_that_of_the_ground() -> None:
+    assert read(item(16), ground=None).legs == [leg()]
+    with pytest.raises(Refused, match="altitude of the ground"):
+        read(item(16, frame=GLOBAL), ground=None)
+
+
+def test_a_whole_mission() -> None:
+    route = read(
+        item(22, frame=GLOBAL, z=440.0),
+        item(178, param1=1.0, param2=7.0),
+        item(16),
+        item(93, param1=4.0),
+        item(2000),
+        item(178, param1=1.0, param2=-1.0),
+        item(19, param1=6.0, z=30.0),
+        item(93, param1=599.0),
+        item(20),
+    )
+    assert route.height == 7.5
+    first, second = route.legs
+    assert (first.order, first.wait, first.item) == (leg(speed=7.0).order, 4.0, 2)
+    assert (second.order, second.wait, second.item) == (leg(30.0, 7.0).order, 600.0, 6)
+    assert (route.then, route.left_out) == (Mode.RTL, [2000])
+
+
+@pytest.mark.parametrize(
+    ("end", "then", "legs"),
+    [
+        (item(20), Mode.RTL, 1),
+        (item(21, x=0, y=0), Mode.LAND, 1),
+        (item(21), Mode.LAND, 2),
+        (item(21, x=0), Mode.LAND, 2),
+        (item(17), Mode.HOLD, 2),
+    ],
+)
+def test_how_it_ends(end: Message, then: Mode, legs: int) -> None:
+    route = read(item(16, z=12.0), end)
+    assert (route.then, len(route.legs)) == (then, legs)
+    if then is Mode.LAND:
+        assert route.legs[-1].order.height == 12.0, "it lands from the height of the leg before"
+    assert read_route([], ground=None, speed=1.0).legs == []

@@ -1,0 +1,368 @@
+"""What is told of the aircraft, as a table: values in, values out by common.xml of MAVLink.
+
+Each row says sign, unit, frame and scale as the definitions have them, not as the bridge does.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from m100link.apps.mavlink.codec import Message, read_datagram, write_frame
+from m100link.apps.mavlink.modes import Mode
+from m100link.apps.mavlink.telemetry import STREAMS, heartbeat
+from m100link.protocol.records import (
+    Acceleration,
+    AngularVelocity,
+    Attitude,
+    Battery,
+    FlightStatus,
+    Magnetometer,
+    Position,
+    RemoteControl,
+    Velocity,
+)
+from m100link.telemetry.integrity import IntegrityState
+from tests.apps.mavlink.conftest import world_of
+from tests.known import LATITUDE, LONGITUDE, Known, felt, position, quaternion
+
+NOW = 1234.5678
+U16, I16 = 0xFFFF, 0x7FFF
+NAN = math.nan
+BOOT, USEC = {"time_boot_ms": 1_234_567}, {"time_usec": 1_234_567_800}
+RATES = {"rollspeed": 0.11, "pitchspeed": -0.23, "yawspeed": 0.37}  # rad/s, body, FRD
+PLACE = {"lat": -331_234_567, "lon": 1_512_345_678}  # degE7
+HERE = (30.0, -70.0, 12.34)
+"""North, east and up of home, m."""
+
+
+def wire(name: str, fields: dict[str, Any]) -> Message:
+    """As a ground station reads it."""
+    frame = write_frame(Message(name, fields), system=1, sequence=1, signer=None, now=0)
+    [found] = read_datagram(frame, signer=None, now=0)
+    return found
+
+
+def told(name: str, known: Known, home: tuple[float, float, float] | None = HERE) -> Any:
+    world = world_of(known, home=home)
+    fields = STREAMS[name].fields(world, NOW)
+    return None if fields is None else wire(name, fields)
+
+
+XACC, YACC, ZACC = felt()
+NAMED = ("q1", "q2", "q3", "q4")
+
+TABLE: dict[str, dict[str, Any]] = {
+    # rad, -pi to pi; right wing down, nose up and clockwise are positive
+    "ATTITUDE": BOOT
+    | RATES
+    | {"roll": math.radians(10.0), "pitch": math.radians(-20.0), "yaw": math.radians(-130.0)},
+    "ATTITUDE_QUATERNION": BOOT  # w, x, y, z; of no turn 1, 0, 0, 0
+    | RATES
+    | dict(zip(NAMED, quaternion(10.0, -20.0, -130.0), strict=True)),
+    # mm above the sea and above home; cm/s north, east and down; cdeg, 0 to 35999
+    "GLOBAL_POSITION_INT": BOOT
+    | PLACE
+    | {"alt": 87_650, "relative_alt": 12_340, "vx": 321, "vy": -157, "vz": -84, "hdg": 23_000},
+    # m and m/s, north, east and down
+    "LOCAL_POSITION_NED": BOOT
+    | {"x": 30.0, "y": -70.0, "z": -12.34, "vx": 3.21, "vy": -1.57, "vz": -0.84},
+    # degE7, mm above the sea; the quaternion NaN where it is not known
+    "HOME_POSITION": USEC
+    | {"latitude": -331_237_265, "longitude": 1_512_353_100 - 0, "altitude": 10_500}
+    | {"x": 0.0, "y": 0.0, "z": 0.0, "approach_x": NAN, "approach_y": NAN, "approach_z": NAN},
+    # 3 is a 3D fix; cm/s over ground; course and accuracies unknown 65535, satellites 255
+    "GPS_RAW_INT": USEC
+    | PLACE
+    | {"fix_type": 3, "alt": 87_650, "vel": 357, "cog": U16, "eph": U16, "epv": U16}
+    | {"satellites_visible": 255},
+    # percent; a voltage 65535, a current -1 where unknown
+    "BATTERY_STATUS": {"battery_remaining": 63, "current_battery": -1, "current_consumed": -1}
+    | {"energy_consumed": -1, "temperature": I16, "voltages": (U16,) * 10}
+    | {"voltages_ext": (0,) * 4},
+    "SYS_STATUS": {"battery_remaining": 63, "voltage_battery": U16, "current_battery": -1}
+    | {"errors_comm": 77, "drop_rate_comm": 0, "onboard_control_sensors_present": 0x10010027}
+    | {"onboard_control_sensors_health": 0x10010027}
+    | {"onboard_control_sensors_enabled": 0x10010027},
+    "EXTENDED_SYS_STATE": {"vtol_state": 0, "landed_state": 2},
+    # µs, 1500 in the middle; channels that are not there 65535, rssi 255
+    "RC_CHANNELS": BOOT
+    | {"chancount": 6, "rssi": 255, "chan1_raw": 1550, "chan2_raw": 1400, "chan3_raw": 1300}
+    | {"chan4_raw": 1650, "chan5_raw": 1900, "chan6_raw": 1273}
+    | {f"chan{place}_raw": U16 for place in range(7, 19)},
+    # m/s, degrees 0 to 360, m above the sea; climb is up
+    "VFR_HUD": {"airspeed": NAN, "groundspeed": math.hypot(3.21, 1.57), "heading": 230}
+    | {"alt": 87.65, "climb": 0.84},
+    "ALTITUDE": USEC
+    | {"altitude_amsl": 87.65, "altitude_local": 12.34, "altitude_relative": 12.34}
+    | dict.fromkeys(("altitude_monotonic", "altitude_terrain", "bottom_clearance"), NAN),
+    # m/s² and rad/s, body, FRD; bits 0 to 2 acceleration, 3 to 5 turn
+    "HIGHRES_IMU": USEC
+    | {"xacc": XACC, "yacc": YACC, "zacc": ZACC, "xgyro": 0.11, "ygyro": -0.23, "zgyro": 0.37}
+    | {"fields_updated": 0b111_111, "xmag": NAN, "ymag": NAN, "zmag": NAN, "abs_pressure": NAN}
+    | {"diff_pressure": NAN, "pressure_alt": NAN, "temperature": NAN},
+    "SYSTEM_TIME": BOOT | {"time_unix_usec": 0},
+    # ESTIMATOR_STATUS_FLAGS: attitude 1, velocity 2 and 4, absolute position 16 and 32
+    "ESTIMATOR_STATUS": USEC
+    | {"flags": 1 | 2 | 4 | 16 | 32, "pos_horiz_ratio": 0.25, "pos_vert_ratio": 0.375}
+    | dict.fromkeys(("vel_ratio", "mag_ratio", "hagl_ratio", "tas_ratio"), NAN)
+    | {"pos_horiz_accuracy": NAN, "pos_vert_accuracy": NAN},
+}
+
+
+def test_the_table_has_every_stream() -> None:
+    assert set(TABLE) == set(STREAMS)
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_what_is_told_of_an_aircraft_whose_numbers_all_differ(name: str) -> None:
+    found, expected = told(name, Known()), dict(TABLE[name])
+    for place in ("latitude", "longitude"):  # of home: where that is, see the one below
+        if place in expected:
+            assert abs(found[place] - expected.pop(place)) < 20_000
+    for field, value in expected.items():
+        given = found[field]
+        wanted = value if isinstance(value, tuple) else pytest.approx(value, rel=1e-6, abs=1e-6)
+        if field in ("x", "y") and name == "LOCAL_POSITION_NED":
+            wanted = pytest.approx(value, rel=0.01)  # a sphere here, the ellipsoid there
+        if isinstance(value, float) and math.isnan(value):
+            assert math.isnan(given), field
+        else:
+            assert given == wanted, field
+
+
+def test_home_is_where_it_stood() -> None:
+    known = Known(position(altitude=10.5), FlightStatus(1))
+    world = world_of(known)
+    world.look()
+    fields = STREAMS["HOME_POSITION"].fields(world, NOW)
+    assert fields is not None
+    assert (fields["latitude"], fields["longitude"]) == (-331_234_567, 1_512_345_678)
+
+
+@pytest.mark.parametrize(
+    ("yaw", "hdg", "heading"),
+    [
+        (0.0, 0, 0),
+        (90.0, 9000, 90),
+        (-90.0, 27_000, 270),
+        (179.99, 17_999, 180),
+        (-0.004, 0, 0),
+        (-0.01, 35_999, 0),
+        (-0.6, 35_940, 359),
+        (1.234, 123, 1),
+    ],
+)
+def test_a_heading_is_never_that_of_a_whole_turn(yaw: float, hdg: int, heading: int) -> None:
+    known = Known(Attitude(*quaternion(3.0, 4.0, yaw)))
+    assert told("GLOBAL_POSITION_INT", known)["hdg"] == hdg
+    assert told("VFR_HUD", known)["heading"] == heading
+
+
+@pytest.mark.parametrize(
+    ("name", "gone", "field", "unknown"),
+    [
+        ("GLOBAL_POSITION_INT", Attitude, "hdg", U16),
+        ("ATTITUDE", AngularVelocity, "yawspeed", NAN),
+        ("ATTITUDE_QUATERNION", AngularVelocity, "rollspeed", NAN),
+        ("GPS_RAW_INT", Velocity, "vel", U16),
+        ("SYS_STATUS", Battery, "battery_remaining", -1),
+        ("EXTENDED_SYS_STATE", FlightStatus, "landed_state", 0),
+        ("HIGHRES_IMU", Acceleration, "zacc", NAN),
+        ("HIGHRES_IMU", Acceleration, "fields_updated", 0b111_000),
+        ("HIGHRES_IMU", Attitude, "xacc", NAN),
+        ("ESTIMATOR_STATUS", Attitude, "flags", 2 | 4 | 16 | 32),
+        ("ESTIMATOR_STATUS", Velocity, "flags", 1 | 16 | 32),
+        ("ESTIMATOR_STATUS", Position, "flags", 1 | 2 | 4),
+    ],
+)
+def test_a_field_that_nobody_knows_says_so(
+    name: str, gone: type[Any], field: str, unknown: float
+) -> None:
+    found = told(name, Known().without(gone), None)[field]
+    assert math.isnan(found) if math.isnan(unknown) else found == unknown
+
+
+@pytest.mark.parametrize(
+    ("name", "gone"),
+    [
+        ("ATTITUDE", Attitude),
+        ("ATTITUDE_QUATERNION", Attitude),
+        ("GLOBAL_POSITION_INT", Position),
+        ("GLOBAL_POSITION_INT", Velocity),
+        ("LOCAL_POSITION_NED", Position),
+        ("LOCAL_POSITION_NED", Velocity),
+        ("GPS_RAW_INT", Position),
+        ("BATTERY_STATUS", Battery),
+        ("RC_CHANNELS", RemoteControl),
+        ("VFR_HUD", Position),
+        ("VFR_HUD", Velocity),
+        ("VFR_HUD", Attitude),
+        ("ALTITUDE", Position),
+        ("HIGHRES_IMU", AngularVelocity),
+    ],
+)
+def test_a_message_that_would_be_made_up_is_not_sent(name: str, gone: type[Any]) -> None:
+    known = Known()
+    world = world_of(known, home=HERE)
+    assert STREAMS[name].fields(world, NOW) is not None
+    known.without(gone)
+    assert STREAMS[name].fields(world, NOW) is None
+
+
+@pytest.mark.parametrize("name", ["LOCAL_POSITION_NED", "HOME_POSITION"])
+def test_without_home_nothing_is_measured_from_it(name: str) -> None:
+    assert told(name, Known(), None) is None
+
+
+def test_on_the_ground_no_place_is_told_before_home_is_known() -> None:
+    assert told("GLOBAL_POSITION_INT", Known(), None) is not None
+    assert told("GLOBAL_POSITION_INT", Known(FlightStatus(1)), None) is None
+
+
+@pytest.mark.parametrize(
+    ("health", "fix"), [(0, 0), (1, 2), (2, 2), (3, 3), (4, 3), (5, 3), (None, None)]
+)
+def test_a_fix_is_one_from_health_three(health: int | None, fix: int | None) -> None:
+    found = told("GPS_RAW_INT", Known(position(health=health)), None)
+    assert (None if found is None else found["fix_type"]) == fix
+    status = told("SYS_STATUS", Known(position(health=health)), None)
+    is_one = (health or 0) >= 3
+    assert bool(status["onboard_control_sensors_health"] & 0x20) is is_one
+    assert bool(status["onboard_control_sensors_health"] & 0x10000000) is is_one
+    assert (told("GLOBAL_POSITION_INT", Known(position(health=health)), None) is None) is not is_one
+
+
+@pytest.mark.parametrize(
+    ("gone", "bit"),
+    [
+        (AngularVelocity, 1),
+        (Acceleration, 2),
+        (Magnetometer, 4),
+        (Position, 0x20),
+        (RemoteControl, 0x10000),
+    ],
+)
+def test_a_sensor_that_tells_nothing_is_not_there(gone: type[Any], bit: int) -> None:
+    found = told("SYS_STATUS", Known().without(gone), None)
+    assert not found["onboard_control_sensors_present"] & bit
+    assert not found["onboard_control_sensors_health"] & bit
+    assert found["onboard_control_sensors_present"] & ~bit & 0x10027 == 0x10027 & ~bit
+
+
+@pytest.mark.parametrize(
+    ("values", "may_arm"),
+    [
+        ((), True),
+        ((Battery(20),), True),
+        ((Battery(19),), False),
+        ((Battery(101),), False),
+        ((RemoteControl(0, 0, 0, 0, 0, None),), False),
+        ((RemoteControl(0, 0, 0, 0, -8000, None),), False),
+    ],
+)
+def test_ready_to_arm_needs_gps_a_battery_and_the_switch_in_f(
+    values: tuple[Any, ...], may_arm: bool
+) -> None:
+    health = told("SYS_STATUS", Known(*values), None)["onboard_control_sensors_health"]
+    assert bool(health & 0x10000000) is may_arm
+
+
+@pytest.mark.parametrize(("status", "landed"), [(1, 1), (2, 3), (3, 2), (4, 4), (5, 4), (9, 0)])
+def test_the_landed_state_is_that_of_the_definitions(status: int, landed: int) -> None:
+    assert told("EXTENDED_SYS_STATE", Known(FlightStatus(status)), None)["landed_state"] == landed
+
+
+@pytest.mark.parametrize(
+    ("raw", "microseconds"),
+    [(-10000, 1000), (-20000, 1000), (0, 1500), (10000, 2000), (30000, 2000)],
+)
+def test_a_stick_is_a_pulse(raw: int, microseconds: int) -> None:
+    found = told("RC_CHANNELS", Known(RemoteControl(raw, 0, 0, 0, 0, None)))
+    assert (found["chan1_raw"], found["chan2_raw"], found["chancount"]) == (microseconds, 1500, 5)
+    assert found["chan6_raw"] == U16
+
+
+def test_speeds_that_do_not_fit_are_the_greatest_that_do() -> None:
+    found = told("GLOBAL_POSITION_INT", Known(Velocity(400.0, -400.0, 400.0, 3)))
+    assert (found["vx"], found["vy"], found["vz"]) == (32767, -32767, -32767)
+    assert told("GPS_RAW_INT", Known(Velocity(4e5, 0.0, 0.0, 3)))["vel"] == 65534
+
+
+@pytest.mark.parametrize("percent", [101, 200])
+def test_a_battery_of_more_than_all_is_not_known(percent: int) -> None:
+    assert told("BATTERY_STATUS", Known(Battery(percent))) is None
+    assert told("SYS_STATUS", Known(Battery(percent)))["battery_remaining"] == -1
+
+
+@pytest.mark.parametrize(
+    ("known", "status", "base"),
+    [
+        (Known(), 4, 1 + 8 + 128),
+        (Known(FlightStatus(1)), 3, 1 + 8),
+        (Known(Battery(19)), 5, 1 + 8 + 128),
+        (Known(Battery(20)), 4, 1 + 8 + 128),
+        (Known(FlightStatus(1), Battery(5)), 3, 1 + 8),
+        (Known().without(FlightStatus), 4, 1 + 8 + 128),
+        (Known(FlightStatus(1)).flown(), 4, 1 + 8 + 128),
+    ],
+)
+def test_the_heartbeat_is_armed_where_motors_may_turn(known: Known, status: int, base: int) -> None:
+    found = heartbeat(world_of(known), Mode.OFFBOARD, 12)
+    assert (found["type"], found["autopilot"], found["mavlink_version"]) == (2, 12, 3)
+    assert found["custom_mode"] == 6 << 16
+    assert (found["system_status"], found["base_mode"]) == (status, base)
+
+
+# Bit 1024: GPS glitch. GPS is sensor 0x20 of SYS_STATUS.
+@pytest.mark.parametrize(
+    ("state", "flags", "has_gps"),
+    [
+        (IntegrityState.UNKNOWN, 1 | 2 | 4 | 16 | 32, True),
+        (IntegrityState.CLOCK_STOPPED, 1, True),
+        (IntegrityState.LATE, 1, True),
+        (IntegrityState.JUMPED, 1 | 1024, False),
+        (IntegrityState.FROZEN, 1 | 1024, False),
+        (IntegrityState.INCONSISTENT, 1 | 1024, False),
+    ],
+)
+def test_a_place_that_cannot_be_true_is_a_glitch(
+    state: IntegrityState, flags: int, has_gps: bool
+) -> None:
+    known = Known().doubted(state)
+    found = told("ESTIMATOR_STATUS", known, None)
+    assert (found["flags"], found["pos_horiz_ratio"]) == (flags, 4.5)
+    health = told("SYS_STATUS", known, None)["onboard_control_sensors_health"]
+    assert bool(health & 0x20) is has_gps
+
+
+def test_places_are_those_of_the_item() -> None:
+    found = told("GLOBAL_POSITION_INT", Known(position(latitude=12.5, longitude=-0.25)), None)
+    assert (found["lat"], found["lon"]) == (125_000_000, -2_500_000)
+    assert (LATITUDE, LONGITUDE) != (12.5, -0.25)
+
+
+# MAV_DATA_STREAM: sensors 1, status 2, sticks 3, position 6, and three that are free: 10 to 12.
+RATES_BY_DEFAULT = {
+    "SYS_STATUS": (2, 2),
+    "EXTENDED_SYS_STATE": (2, 2),
+    "GLOBAL_POSITION_INT": (20, 6),
+    "LOCAL_POSITION_NED": (20, 6),
+    "ATTITUDE": (20, 10),
+    "ATTITUDE_QUATERNION": (20, 10),
+    "HOME_POSITION": (1, 6),
+    "GPS_RAW_INT": (5, 1),
+    "BATTERY_STATUS": (1, 2),
+    "RC_CHANNELS": (5, 3),
+    "VFR_HUD": (0, 11),
+    "ALTITUDE": (0, 12),
+    "HIGHRES_IMU": (0, 1),
+    "SYSTEM_TIME": (0, 12),
+    "ESTIMATOR_STATUS": (1, 2),
+}
+
+
+def test_what_nobody_asked_for_comes_as_often_as_the_manual_says() -> None:
+    assert {name: (one.hz, one.group) for name, one in STREAMS.items()} == RATES_BY_DEFAULT

@@ -1,0 +1,189 @@
+"""What the bridge knows of an aircraft, as tables: where the flight stands, and what is known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from m100link.apps.agent.lease import Lease
+from m100link.apps.agent.messages import LeaseChanged, State
+from m100link.apps.mavlink.modes import Mode, Phase
+from m100link.apps.mavlink.world import World
+from m100link.protocol.records import (
+    Attitude,
+    Battery,
+    FlightStatus,
+    Position,
+    RemoteControl,
+    Velocity,
+)
+from tests.apps.mavlink.conftest import world_of
+from tests.known import Known, position
+
+GROUND, AIR = FlightStatus(1), FlightStatus(3)
+P, A, F = (RemoteControl(0, 0, 0, 0, mode, None) for mode in (-8000, 0, 8000))
+
+
+def world(*values: Any, **state: Any) -> World:
+    """By name: holder, authority, lease, arming; anything else is of the agent's state."""
+    known = Known(*values)
+    if state.pop("no_switch", False):
+        known.without(RemoteControl)
+    known.holder = LeaseChanged(state.pop("holder", 0), "somebody")
+    known.has_authority = state.pop("authority", False)
+    found = World(known)
+    number = state.pop("lease", 0)
+    found.lease = Lease("mavlink", "token", number) if number else None
+    found.is_arming = state.pop("arming", False)
+    known.state = replace(known.state, **state)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("one", "phase", "mode"),
+    [
+        (world(GROUND, F), Phase.DISARMED, Mode.HOLD),
+        (world(GROUND, P), Phase.DISARMED, Mode.POSCTL),
+        (world(GROUND, A), Phase.DISARMED, Mode.ALTCTL),
+        (world(GROUND, no_switch=True), Phase.DISARMED, Mode.HOLD),
+        (world(AIR, F), Phase.FREE, Mode.POSCTL),
+        (world(AIR, P), Phase.PILOT, Mode.POSCTL),
+        (world(AIR, A), Phase.PILOT, Mode.ALTCTL),
+        (world(AIR, no_switch=True), Phase.PILOT, Mode.POSCTL),
+        (world(AIR, F, mission="hotpoint"), Phase.FREE, Mode.MISSION),
+        (world(AIR, P, mission="hotpoint"), Phase.PILOT, Mode.POSCTL),
+        (world(AIR, F, mission="no kind"), Phase.FREE, Mode.POSCTL),
+        (world(GROUND, F, arming=True), Phase.ARMING, Mode.HOLD),
+        (world(AIR, F, arming=True), Phase.OBTAINING, Mode.POSCTL),
+        (world(AIR, F, arming=True, mission="follow mission"), Phase.OBTAINING, Mode.MISSION),
+        (world(GROUND, F, holder=3, lease=3, authority=True), Phase.ARMED, Mode.HOLD),
+        (world(AIR, F, holder=3, lease=3, authority=True), Phase.AIRBORNE, Mode.POSCTL),
+        (world(AIR, F, holder=3, lease=3), Phase.FREE, Mode.POSCTL),
+        (world(AIR, F, holder=3, lease=2, authority=True), Phase.OTHER, Mode.POSCTL),
+        (world(GROUND, F, holder=3), Phase.OTHER, Mode.POSCTL),
+        *(
+            (world(AIR, F, holder=3, authority=True, task=task), Phase.OTHER, mode)
+            for task, mode in (
+                ("land", Mode.LAND),
+                ("take off", Mode.TAKEOFF),
+                ("go home", Mode.RTL),
+            )
+        ),
+        (world(AIR, F, holder=3, task="land"), Phase.OTHER, Mode.POSCTL),
+        (
+            world(AIR, F, holder=3, authority=True, mission="waypoint mission"),
+            Phase.OTHER,
+            Mode.MISSION,
+        ),
+    ],
+)
+def test_where_the_flight_stands_and_what_is_shown_of_it(
+    one: World, phase: Phase, mode: Mode
+) -> None:
+    assert one.phase is phase
+    assert one.mode_of_others() is mode
+    assert one.explain(phase)
+
+
+def test_who_has_control_is_named_where_a_wish_is_refused() -> None:
+    assert world(AIR, P).explain(Phase.PILOT) == "the pilot flies: the mode switch is in P"
+    unknown = world(AIR, no_switch=True).explain(Phase.PILOT)
+    assert unknown == "the pilot flies: the mode switch is unknown"
+    assert world(AIR, holder=3).explain(Phase.OTHER) == "somebody has control"
+
+
+@pytest.mark.parametrize(
+    ("age", "is_heard"), [(0.0, True), (1.2, True), (1.3, False), (None, False)]
+)
+def test_an_aircraft_that_says_nothing_is_away(age: float | None, is_heard: bool) -> None:
+    known = Known(GROUND, F)
+    known.newest_age = age
+    assert World(known).is_heard is is_heard
+    assert (World(known).phase is Phase.AWAY) is not is_heard
+    known.newest_age, known.is_connected = 0.0, False
+    assert World(known).phase is Phase.AWAY
+    assert World(known).fresh(Attitude) is None
+    known.is_connected, known.telemetry = True, None
+    assert World(known).phase is Phase.AWAY
+
+
+@pytest.mark.parametrize(
+    ("one", "is_armed"),
+    [
+        (world(GROUND), False),
+        (world(AIR), True),
+        (world(FlightStatus(9)), True),
+        (world(GROUND, authority=True), True),
+        (world(GROUND, holder=2), False),
+    ],
+)
+def test_motors_that_may_turn_count_as_armed(one: World, is_armed: bool) -> None:
+    assert one.is_armed is is_armed
+    one.may_take_off = True
+    assert one.is_armed, "a take-off that was called off may be flown all the same"
+
+
+def test_how_old_a_value_may_be() -> None:
+    known = Known()
+    for record in (FlightStatus, Battery, Attitude, Position, Velocity, RemoteControl):
+        assert World(known).fresh(record) is not None
+    others = dict.fromkeys((Attitude, Position, Velocity, RemoteControl), 1.2)
+    assert known.within == {FlightStatus: 2.5, Battery: 5.0, **others}
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
+def test_what_is_no_number_is_not_known(wrong: float) -> None:
+    one = World(Known(Velocity(0.0, wrong, 0.0, 3), position(altitude=wrong)))
+    assert (one.velocity, one.position, one.height, one.ground_altitude) == (None,) * 4
+
+
+def test_heights_are_above_where_it_stood() -> None:
+    one = World(Known())
+    assert one.height == 12.34
+    assert one.ground_altitude == pytest.approx(75.31)
+    standing = World(Known(GROUND, position(height=0.7)))
+    assert (standing.height, standing.ground_altitude) == (0.0, 87.65), "noise is no height"
+    assert World(Known().without(FlightStatus)).is_on_ground is None
+
+
+@pytest.mark.parametrize(
+    ("north", "up", "follows"),
+    [(0.5, 0.2, False), (1.5, 0.0, True), (0.0, 0.6, True), (-1.5, 0.0, True)],
+)
+def test_home_is_where_it_stood_last_and_follows_no_noise(
+    north: float, up: float, follows: bool
+) -> None:
+    known = Known(GROUND, position())
+    one = World(known)
+    one.look()
+    before = one.home
+    assert before is not None
+    assert before.altitude_m == 87.65
+    moved = position(latitude=-33.1234567 + math.degrees(north / 6_371_000), altitude=87.65 + up)
+    known.items[Position] = moved
+    known.items[FlightStatus] = AIR
+    one.look()
+    assert one.home is before, "in the air nothing is home"
+    known.items[FlightStatus] = GROUND
+    known.items[Position] = moved._replace(gps_health=2)
+    one.look()
+    assert one.home is before, "without GPS nobody knows where it stands"
+    known.items[Position] = moved
+    one.look()
+    assert (one.home is not before) is follows
+    assert world_of(Known(), home=(3.0, 4.0, 5.0)).local == pytest.approx((3.0, 4.0, 5.0), abs=0.05)
+
+
+def test_the_state_of_the_agent_is_read_each_time() -> None:
+    known = Known(AIR, F)
+    one, found = World(known), []
+    for known.state, known.is_connected in (
+        (State(0.0), True),
+        (State(0.0, mission="waypoint mission"), True),
+        (State(0.0, mission="waypoint mission"), False),
+    ):
+        found.append(one.flies_mission)
+    assert found == [False, True, False]

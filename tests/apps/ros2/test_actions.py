@@ -1,0 +1,286 @@
+"""Actions by their services and topics, as rclpy calls them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import anyio
+import pytest
+
+from m100link.apps.bus.network import TokenChange
+from m100link.apps.ros2.actions import GoalStatus
+from m100link.apps.ros2.flights import FLIGHTS
+from m100link.apps.ros2.graph import End, NodeName, Qos, data_key
+from m100link.geodesy import LocalFrame
+from m100link.log.cdr import decode
+from m100link.log.ros2_definitions import ACTIONS
+from tests.apps.ros2.conftest import Program, Rig
+
+pytestmark = pytest.mark.anyio
+
+
+class Client(Program):
+    """A program with clients of actions, whose tokens are in the graph."""
+
+    def __init__(self, rig: Rig, number: int = 5) -> None:
+        super().__init__(rig, number)
+        node = NodeName(0, f"5e55{number:02d}", "/", f"program{number}")
+        self.tokens = [
+            node.token_of(
+                place,
+                End.CLIENT,
+                self.inner(name, "send_goal"),
+                f"{FLIGHTS[name][0]}_SendGoal",
+                Qos(),
+            )
+            for place, name in enumerate(FLIGHTS)
+        ]
+        for token in self.tokens:
+            rig.bus.changed.waiting.append(TokenChange(token, True))
+        self.count = 0
+        self.last = b""
+
+    def leave(self) -> None:
+        """As after kill -9."""
+        for token in self.tokens:
+            self.rig.bus.changed.waiting.append(TokenChange(token, False))
+
+    def inner(self, name: str, part: str) -> str:
+        return f"{self.rig.names.full(name)}/_action/{part}"
+
+    async def send(self, name: str, **goal: Any) -> bytes | None:
+        """Send a goal; its id when it was accepted."""
+        answer = await self.ask_goal(name, **goal)
+        return self.last if answer["accepted"] else None
+
+    async def ask_goal(self, name: str, **goal: Any) -> dict[str, Any]:
+        """Send a goal, and be content without an answer."""
+        self.count += 1
+        self.last = bytes([self.gid[0], self.count]) + bytes(14)
+        return await self.call(
+            self.inner(name, "send_goal"),
+            f"{FLIGHTS[name][0]}_SendGoal",
+            goal_id={"uuid": list(self.last)},
+            goal=goal,
+        )
+
+    async def result(self, name: str, identity: bytes) -> tuple[GoalStatus, str]:
+        answer = await self.call(
+            self.inner(name, "get_result"),
+            f"{FLIGHTS[name][0]}_GetResult",
+            goal_id={"uuid": list(identity)},
+        )
+        status = GoalStatus(answer["status"])
+        assert answer["result"]["success"] is (status is GoalStatus.SUCCEEDED)
+        return status, answer["result"]["message"]
+
+    async def cancel(self, name: str, identity: bytes = bytes(16), sec: int = 0) -> tuple[int, int]:
+        """Return code, and how many goals are cancelled."""
+        answer = await self.ask_cancel(name, identity, sec)
+        return answer["return_code"], len(answer["goals_canceling"])
+
+    async def ask_cancel(
+        self, name: str, identity: bytes = bytes(16), sec: int = 0
+    ) -> dict[str, Any]:
+        """Cancel, and be content without an answer."""
+        info = {"goal_id": {"uuid": list(identity)}, "stamp": {"sec": sec, "nanosec": 0}}
+        kind = "action_msgs/srv/CancelGoal"
+        return await self.call(self.inner(name, "cancel_goal"), kind, goal_info=info)
+
+    def heard(self, name: str, part: str, kind: str) -> list[dict[str, Any]]:
+        outlet = self.rig.bus.outlets[data_key(0, self.inner(name, part), kind)]
+        return [decode(kind, payload) for payload, _ in outlet.sent]
+
+    def place(self, north: float, east: float) -> dict[str, float]:
+        settings = self.rig.aircraft.vehicle.settings
+        frame = LocalFrame(settings.latitude_deg, settings.longitude_deg)
+        latitude, longitude = frame.to_geodetic(north, east)
+        return {"latitude": latitude, "longitude": longitude}
+
+
+@pytest.fixture
+def client(rig: Rig) -> Client:
+    return Client(rig)
+
+
+def test_each_flight_is_an_action_of_the_package() -> None:
+    assert {kind for kind, _, _ in FLIGHTS.values()} == ACTIONS.keys()
+
+
+async def test_a_take_off_to_a_height(rig: Rig, client: Client) -> None:
+    await client.call("~/obtain_control")
+    goal = await client.send("~/take_off", height=6.0)
+    assert goal is not None
+    assert await client.result("~/take_off", goal) == (GoalStatus.SUCCEEDED, "done")
+    assert rig.height == pytest.approx(6.0, abs=0.5)
+    told = client.heard("~/take_off", "feedback", "m100_msgs/action/TakeOff_FeedbackMessage")
+    assert bytes(told[-1]["goal_id"]["uuid"]) == goal
+    assert told[-1]["feedback"]["height"] > 3.0
+    states = [
+        one["status_list"][0]["status"]
+        for one in client.heard("~/take_off", "status", "action_msgs/GoalStatusArray")
+    ]
+    assert states == [GoalStatus.EXECUTING, GoalStatus.SUCCEEDED]
+    assert "~/take_off for /program5" in rig.texts
+
+
+async def test_a_flight_to_a_place(rig: Rig, client: Client) -> None:
+    await client.up()
+    place = client.place(20.0, 5.0)
+    goal = await client.send("~/fly_to", **place, height=4.0, speed=4.0)
+    assert goal is not None
+    await anyio.sleep(2.0)
+    client.speed(-2.0)  # setpoints of a program do not push it aside
+    assert (await client.result("~/fly_to", goal))[0] is GoalStatus.SUCCEEDED
+    fix = rig.said("~/fix")[-1]
+    assert fix["latitude"] == pytest.approx(place["latitude"], abs=1e-5)
+    assert fix["longitude"] == pytest.approx(place["longitude"], abs=1e-5)
+    told = client.heard("~/fly_to", "feedback", "m100_msgs/action/FlyTo_FeedbackMessage")
+    left = [one["feedback"]["distance"] for one in told]
+    assert left[-1] < left[1]
+    assert "~/cmd_vel: ~/fly_to flies: cancel it first" in rig.texts
+
+
+async def test_a_mission_from_place_to_place(rig: Rig, client: Client) -> None:
+    await client.up()
+    legs = [(5.0, 0.0), (5.0, 5.0), (0.0, 5.0)]
+    waypoints = [{**client.place(*one), "height": 3.0, "wait": 1.0} for one in legs]
+    goal = await client.send("~/fly_mission", waypoints=waypoints, speed=0.0)
+    assert goal is not None
+    assert (await client.result("~/fly_mission", goal))[0] is GoalStatus.SUCCEEDED
+    told = client.heard("~/fly_mission", "feedback", "m100_msgs/action/FlyMission_FeedbackMessage")
+    places = [one["feedback"]["waypoint"] for one in told]
+    assert sorted(set(places)) == [0, 1, 2]
+    assert places == sorted(places)
+
+
+@pytest.mark.parametrize("by", ["id", "all", "time"])
+async def test_cancelled_in_flight_means_hover(rig: Rig, client: Client, by: str) -> None:
+    await client.up()
+    goal = await client.send("~/fly_to", **client.place(60.0, 0.0), height=4.0, speed=6.0)
+    assert goal is not None
+    await rig.until(lambda: rig.speed > 3.0)
+    asked = {
+        "id": {"identity": goal},
+        "all": {},
+        "time": {"sec": 2_000_000_000},
+    }[by]
+    assert await client.cancel("~/fly_to", **asked) == (0, 1)  # type: ignore[arg-type]  # mixed
+    status, why = await client.result("~/fly_to", goal)
+    assert (status, why) == (GoalStatus.CANCELED, "the goal was cancelled")
+    await anyio.sleep(2.0)
+    assert rig.speed < 0.3
+    assert await client.cancel("~/fly_to", goal) == (3, 0)
+    assert await client.cancel("~/fly_to", bytes([9] * 16)) == (2, 0)
+    # The next one may fly.
+    assert await client.send("~/fly_to", **client.place(5.0, 0.0), height=4.0, speed=0.0)
+
+
+async def test_a_take_off_that_is_cancelled_ends_in_a_hover(rig: Rig, client: Client) -> None:
+    await client.call("~/obtain_control")
+    goal = await client.send("~/take_off", height=20.0)
+    assert goal is not None
+    await anyio.sleep(1.0)
+    assert await client.cancel("~/take_off", goal) == (0, 1)
+    assert (await client.result("~/take_off", goal))[0] is GoalStatus.CANCELED
+    await anyio.sleep(5.0)
+    assert 0.5 < rig.height < 2.0
+
+
+async def test_who_asked_is_killed_and_it_hovers(rig: Rig, client: Client) -> None:
+    await client.up()
+    goal = await client.send("~/fly_to", **client.place(60.0, 0.0), height=4.0, speed=6.0)
+    assert goal is not None
+    await rig.until(lambda: rig.speed > 3.0)
+    client.leave()
+    status, why = await client.result("~/fly_to", goal)
+    assert (status, why) == (GoalStatus.CANCELED, "whoever asked has gone")
+    await anyio.sleep(2.0)
+    assert rig.speed < 0.3
+
+
+async def test_who_asked_stands_still_and_it_hovers(rig: Rig, client: Client) -> None:
+    rig.bus.answering = {"5e5505"}
+    await client.up()
+    goal = await client.send("~/fly_to", **client.place(60.0, 0.0), height=4.0, speed=6.0)
+    assert goal is not None
+    await rig.until(lambda: rig.speed > 3.0)
+    rig.bus.answering = set()  # as after kill -STOP: its tokens stay
+    began = rig.client.now
+    status, why = await client.result("~/fly_to", goal)
+    assert (status, why) == (GoalStatus.CANCELED, "whoever asked does not answer any more")
+    assert rig.client.now - began < 2.0
+    await anyio.sleep(2.0)
+    assert rig.speed < 0.3
+
+
+async def test_one_goal_flies_at_a_time(rig: Rig, client: Client) -> None:
+    await client.up()
+    assert await client.send("~/fly_to", **client.place(60.0, 0.0), height=4.0, speed=3.0)
+    other = Client(rig, 6)
+    assert await other.send("~/fly_to", **client.place(-60.0, 0.0), height=4.0, speed=3.0) is None
+    assert await other.send("~/take_off", height=9.0) is None
+    assert "~/fly_to flies" in (await other.call("~/takeoff"))["message"]
+    # A way to the ground is anybody's.
+    assert (await other.call("~/land"))["success"]
+    await rig.until(lambda: not rig.motors_on)
+    assert rig.node.helm.goal == ""
+
+
+async def test_the_pilot_ends_a_goal(rig: Rig, client: Client) -> None:
+    await client.up()
+    goal = await client.send("~/fly_to", **client.place(60.0, 0.0), height=4.0, speed=3.0)
+    assert goal is not None
+    await anyio.sleep(2.0)
+    rig.aircraft.vehicle.remote.set_mode("P")
+    assert (await client.result("~/fly_to", goal))[0] is GoalStatus.ABORTED
+    assert rig.node.helm.goal == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "goal"),
+    [
+        ("~/take_off", {"height": math.nan}),
+        ("~/take_off", {"height": -3.0}),
+        ("~/fly_to", {"latitude": 120.0, "longitude": 0.0, "height": 5.0, "speed": 1.0}),
+        ("~/fly_to", {"latitude": math.inf, "longitude": 0.0, "height": 5.0, "speed": 1.0}),
+        ("~/fly_to", {"latitude": 0.0, "longitude": 0.0, "height": 5.0, "speed": 99.0}),
+        ("~/fly_mission", {"waypoints": [], "speed": 1.0}),
+        (
+            "~/fly_mission",
+            {
+                "waypoints": [{"latitude": 0, "longitude": 0, "height": 5, "wait": -1}],
+                "speed": 1.0,
+            },
+        ),
+    ],
+)
+async def test_a_goal_that_cannot_be_is_rejected(
+    rig: Rig, client: Client, name: str, goal: dict[str, Any]
+) -> None:
+    await client.call("~/obtain_control")
+    assert await client.send(name, **goal) is None
+    assert f"{name}: " in rig.texts
+    assert not rig.motors_on
+
+
+async def test_without_control_no_goal_flies(rig: Rig, client: Client) -> None:
+    assert await client.send("~/take_off", height=5.0) is None
+    assert "~/take_off: ROS has no control" in rig.texts
+
+
+async def test_a_place_outside_the_envelope_is_refused(rig: Rig, client: Client) -> None:
+    await client.up()
+    goal = await client.send("~/fly_to", **client.place(5000.0, 0.0), height=4.0, speed=3.0)
+    assert goal is not None
+    status, why = await client.result("~/fly_to", goal)
+    assert status is GoalStatus.ABORTED
+    assert "what to do" in why
+    assert rig.speed < 0.3
+
+
+async def test_a_goal_that_nobody_knows(rig: Rig, client: Client) -> None:
+    status, why = await client.result("~/fly_to", bytes([4] * 16))
+    assert status is GoalStatus.UNKNOWN
+    assert "no such goal" in why

@@ -1,0 +1,304 @@
+"""Whole flights by topics and services, on virtual time and without a session."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from random import Random
+
+import anyio
+import pytest
+
+from m100link.apps.bus.network import Question, Received, TokenChange
+from m100link.apps.ros2.graph import End, Names, NodeName, data_key, read_token
+from m100link.apps.ros2.helm import IDLE_S
+from m100link.apps.ros2.topics import INPUTS, OUTPUTS, SERVICES
+from m100link.log.cdr import encode
+from tests.apps.ros2.conftest import Program, Rig
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.mark.parametrize("firmware", ["1.0", "2.3", "3.1"])
+async def test_up_along_and_down_again(firmware: str) -> None:
+    async with Rig(firmware=firmware).running() as rig:
+        program = rig.program
+        await program.up()
+        await program.fly(3.0, 2.0)
+        assert rig.speed == pytest.approx(2.0, abs=0.3)
+        assert (await program.call("~/land"))["success"]
+        await rig.until(lambda: not rig.motors_on)
+        await rig.until(lambda: not rig.client.holder.number)
+
+
+async def test_all_that_is_offered_has_a_token(rig: Rig) -> None:
+    seen = [read_token(one) for one in rig.bus.tokens]
+    assert all(one is not None and one.node_name == "/m100" for one in seen)
+    ends = [(one.end, one.topic) for one in seen if one is not None]
+    assert ends[0] == (End.NODE, "")
+    full = rig.names.full
+    assert set(ends[1:]) >= {
+        *((End.PUBLISHER, full(name)) for name in OUTPUTS),
+        *((End.SUBSCRIBER, full(name)) for name in INPUTS),
+        *((End.SERVER, full(name)) for name in SERVICES),
+    }
+    assert len({one.split("/")[4] for one in rig.bus.tokens}) == len(rig.bus.tokens)
+
+
+async def test_names_are_remapped_everywhere() -> None:
+    names = Names.of("/fleet", "a1", ("~/imu:=/imu", "~/takeoff:=up"))
+    async with Rig(names=names).running() as rig:
+        keys = {key.rpartition("/RIHS")[0] for key in (*rig.bus.outlets, *rig.bus.inboxes)}
+        assert "0/imu/sensor_msgs::msg::dds_::Imu_" in keys
+        assert "0/fleet/up/std_srvs::srv::dds_::Trigger_" in keys
+        assert "0/fleet/a1/land/std_srvs::srv::dds_::Trigger_" in keys
+        assert rig.said("~/odom")[0]["header"]["frame_id"] == "fleet/odom"
+        await rig.program.up()
+
+
+# -- refusals -------------------------------------------------------------------------------------
+
+
+async def test_nothing_flies_before_control_was_obtained(rig: Rig, program: Program) -> None:
+    for name in ("~/takeoff", "~/land", "~/go_home", "~/arm", "~/take_photo"):
+        answer = await program.call(name)
+        assert not answer["success"]
+        assert "what to do:   call ~/obtain_control first" in answer["message"]
+    await program.fly(1.0, 2.0)
+    assert not rig.motors_on
+    assert "ROS has no control" in rig.texts
+
+
+async def test_control_of_somebody_else_is_not_taken(rig: Rig, program: Program) -> None:
+    await rig.client.acquire("the console")
+    answer = await program.call("~/obtain_control")
+    assert not answer["success"]
+    assert "the console" in answer["message"]
+    assert "the console" in (await program.call("~/takeoff"))["message"]
+
+
+async def test_of_two_nodes_of_one_name_none_is_flown(rig: Rig, program: Program) -> None:
+    other = NodeName(0, "anotherone", "/", "m100").token
+    rig.bus.changed.waiting.append(TokenChange(rig.node.name.token, True))
+    rig.bus.changed.waiting.append(TokenChange(other, True))
+    await anyio.sleep(0.1)
+    answer = await program.call("~/obtain_control")
+    assert not answer["success"]
+    assert "two nodes are called /m100" in answer["message"]
+    rig.bus.changed.waiting.append(TokenChange(other, False))
+    await anyio.sleep(0.1)
+    assert (await program.call("~/obtain_control"))["success"]
+
+
+async def test_on_the_ground_speeds_move_nothing(rig: Rig, program: Program) -> None:
+    assert (await program.call("~/obtain_control"))["success"]
+    await program.fly(1.0, 2.0, z=1.0)
+    assert not rig.motors_on
+    assert "on the ground" in rig.texts
+
+
+async def test_control_that_nobody_uses_goes_back(rig: Rig, program: Program) -> None:
+    assert (await program.call("~/obtain_control"))["success"]
+    await anyio.sleep(IDLE_S - 2.0)
+    assert rig.client.holder.number
+    await anyio.sleep(3.0)
+    assert not rig.client.holder.number
+    assert "gives control back" in rig.texts
+
+
+# -- setpoints ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("frame", "heading"), [("base_link", "forward"), ("odom", "east"), ("map", "east")]
+)
+async def test_frames_say_where_to(rig: Rig, program: Program, frame: str, heading: str) -> None:
+    await program.up()
+    await program.fly(3.0, 2.0, frame=frame)
+    linear = rig.said("~/velocity")[-1]["twist"]["linear"]
+    # It looks north.
+    assert linear["x" if heading == "east" else "y"] == pytest.approx(2.0, abs=0.3)
+    odometry = rig.said("~/odom")[-1]["twist"]["twist"]["linear"]
+    assert odometry["y" if heading == "east" else "x"] == pytest.approx(
+        -2.0 if heading == "east" else 2.0, abs=0.3
+    )
+
+
+async def test_a_frame_that_nobody_knows_moves_nothing(rig: Rig, program: Program) -> None:
+    await program.up()
+    await program.fly(1.0, 2.0, frame="camera")
+    assert rig.speed < 0.3
+    assert "in the frame 'camera'" in rig.texts
+
+
+async def test_it_turns_about_the_axis_that_points_up(rig: Rig, program: Program) -> None:
+    await program.up()
+    before = rig.said("/tf")[-1]["transforms"][0]["transform"]["rotation"]
+    await program.fly(2.0, turn=0.5)
+    after = rig.said("/tf")[-1]["transforms"][0]["transform"]["rotation"]
+    turned = [2 * math.atan2(one["z"], one["w"]) for one in (before, after)]
+    assert math.remainder(turned[1] - turned[0], math.tau) == pytest.approx(1.0, abs=0.25)
+
+
+async def test_a_dead_publisher_means_hover(rig: Rig, program: Program) -> None:
+    await program.up()
+    await program.fly(3.0, 3.0)
+    await anyio.sleep(0.5)
+    assert rig.speed < 2.9  # it brakes
+    await anyio.sleep(1.5)
+    assert rig.speed < 0.3
+    assert rig.node.helm.stick.holder is None
+
+
+async def test_a_second_publisher_is_not_flown_and_does_not_follow(
+    rig: Rig, program: Program
+) -> None:
+    await program.up()
+    other = Program(rig, 2)
+    for _ in range(40):
+        program.speed(2.0)
+        other.speed(-2.0)
+        await anyio.sleep(0.05)
+    forward = rig.said("~/odom")[-1]["twist"]["twist"]["linear"]["x"]
+    assert forward == pytest.approx(2.0, abs=0.3)
+    assert "another publisher has the stick" in rig.texts
+    await other.fly(3.0, -2.0)  # the first one has died
+    assert rig.speed < 0.3
+    await anyio.sleep(0.6)  # it lets go, and begins anew
+    await other.fly(2.0, -2.0)
+    assert rig.speed > 1.5
+
+
+async def test_setpoints_that_waited_are_not_flown(rig: Rig, program: Program) -> None:
+    await program.up()
+    program.speed()
+    program.late = 0.5
+    await program.fly(1.0, 3.0)
+    assert rig.speed < 0.3
+    assert rig.node.helm.stick.refused["late"] == 20
+
+
+async def test_a_place_is_flown_to(rig: Rig, program: Program) -> None:
+    await program.up()
+    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "odom"}
+    place = {"x": 4.0, "y": -3.0, "z": 3.0}
+    east = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+    for _ in range(300):
+        pose = {"position": place, "orientation": east}
+        program.publish("~/setpoint_position", {"header": header, "pose": pose})
+        await anyio.sleep(0.05)
+    pose = rig.said("~/pose")[-1]["pose"]
+    for axis, value in place.items():
+        assert pose["position"][axis] == pytest.approx(value, abs=0.7)
+    assert abs(pose["orientation"]["z"]) < 0.1
+
+
+# -- losses ---------------------------------------------------------------------------------------
+
+
+async def test_what_is_sent_on_when_the_way_is_whole_again_is_not_flown(
+    rig: Rig, program: Program
+) -> None:
+    await program.up()
+    await program.fly(2.0, 2.0)
+    program.is_cut = True
+    await program.fly(3.0, 2.0)
+    assert rig.speed < 0.3
+    program.is_cut = False
+    await program.fly(2.0, 2.0)
+    assert rig.speed < 0.3
+    assert "was cut off while it went on sending" in rig.texts
+    await anyio.sleep(0.6)
+    await program.fly(2.0, 2.0)
+    assert rig.speed > 1.5
+
+
+async def test_after_stop_nothing_resumes_by_itself(rig: Rig, program: Program) -> None:
+    await program.up()
+    await program.fly(2.0, 2.0)
+    assert (await Program(rig, 7).call("~/stop"))["success"]
+    await program.fly(2.0, 2.0)
+    assert rig.speed < 0.3
+    assert (await program.call("~/obtain_control"))["success"]
+    await program.fly(2.0, 2.0)
+    assert rig.speed > 1.5
+
+
+async def test_the_pilot_takes_it_and_nothing_resumes(rig: Rig, program: Program) -> None:
+    await program.up()
+    rig.aircraft.vehicle.remote.set_mode("P")
+    await program.fly(2.0, 2.0)
+    assert not rig.client.holder.number
+    rig.aircraft.vehicle.remote.set_mode("F")
+    await program.fly(2.0, 2.0)
+    assert rig.speed < 0.3
+
+
+async def test_junk_is_counted_and_moves_nothing(rig: Rig, program: Program) -> None:
+    await program.up()
+    random = Random(3)
+    for name, row in INPUTS.items():
+        inbox = rig.inbox(name, row.kind)
+        for _ in range(50):
+            inbox.waiting.append(
+                Received(random.randbytes(random.randrange(120)), program.attachment())
+            )
+            head = b"\0\1\0\0" + random.randbytes(random.randrange(200))
+            inbox.waiting.append(Received(head, program.attachment()))
+            inbox.waiting.append(Received(head, random.randbytes(9)))
+            await anyio.sleep(0.02)
+    dropped: list[int] = []
+    for name, service in SERVICES.items():
+        key = data_key(0, rig.names.full(name), service.kind)
+        for data in (b"", b"\1\1\0\0", random.randbytes(20)):
+            end = partial(dropped.append, 1)
+            asked = Question(key, data, print, end, program.attachment())
+            rig.inbox(name, service.kind).waiting.append(asked)
+            await anyio.sleep(0.02)
+    assert len(dropped) >= 2 * len(SERVICES)
+    assert rig.node.ends.junk > 200
+    assert rig.speed < 1.0
+    assert not rig.work.done()
+    assert (await program.call("~/land"))["success"]
+
+
+async def test_who_asks_all_services_at_once_asks_none(rig: Rig, program: Program) -> None:
+    assert (await program.call("~/obtain_control"))["success"]
+    for pattern in ("0/m100/**", "0/*/takeoff/**"):
+        assert await program.ask(pattern, "~/takeoff", SERVICES["~/takeoff"].kind) is None
+    await anyio.sleep(3.0)
+    assert rig.height < 0.5
+    assert rig.node.ends.junk == 2
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e9])
+async def test_numbers_that_are_none_are_told(rig: Rig, program: Program, value: float) -> None:
+    await program.up()
+    await program.fly(1.0, value)
+    assert rig.speed < 0.3
+    assert "~/cmd_vel: " in rig.texts
+
+
+async def test_what_came_while_it_stood_still_is_not_done(rig: Rig, program: Program) -> None:
+    await program.up()
+    rig.node._ran_at -= 5.0  # as after SIGSTOP and SIGCONT
+    assert (await program.call("~/land"))["success"] is None
+    assert rig.height > 1.0
+
+
+async def test_without_telemetry_it_answers_all_the_same(rig: Rig, program: Program) -> None:
+    rig.aircraft.stall_line()
+    await anyio.sleep(0.5)
+    began = rig.client.now
+    assert not (await program.call("~/takeoff"))["success"]
+    assert rig.client.now - began < 0.1
+
+
+async def test_the_end_of_the_node_gives_control_back(rig: Rig, program: Program) -> None:
+    await program.up()
+    rig.work.cancel()
+    await rig.until(lambda: not rig.client.holder.number)
+
+
+def test_an_empty_request_is_one_byte() -> None:
+    assert encode("std_srvs/srv/Trigger_Request", {}) == b"\0\1\0\0\0"

@@ -1,0 +1,91 @@
+"""Parameters by the services that ``ros2 param`` calls."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import anyio
+import pytest
+
+from m100link.apps.ros2.parameters import MOST_HZ
+from tests.apps.ros2.conftest import Program, Rig
+
+pytestmark = pytest.mark.anyio
+
+
+async def ask(program: Program, name: str, **request: Any) -> dict[str, Any]:
+    kind = "".join(word.capitalize() for word in name.split("_"))
+    return await program.call(f"~/{name}", f"rcl_interfaces/srv/{kind}", **request)
+
+
+def value(number: float, kind: int = 3) -> dict[str, Any]:
+    arrays = ("byte", "bool", "integer", "double", "string")
+    return {
+        "type": kind,
+        "bool_value": False,
+        "integer_value": 0,
+        "double_value": number,
+        "string_value": "",
+        **{f"{one}_array_value": [] for one in arrays},
+    }
+
+
+async def names_of(program: Program, *prefixes: str) -> list[str]:
+    answer = await ask(program, "list_parameters", prefixes=list(prefixes), depth=0)
+    return list(answer["result"]["names"])
+
+
+async def test_they_are_listed_described_and_read(rig: Rig, program: Program) -> None:
+    names = await names_of(program)
+    assert {"use_sim_time", "rates.imu", "guards.max_height_m"} <= set(names)
+    assert set(await names_of(program, "guards")) == {n for n in names if n.startswith("guards.")}
+    found = (await ask(program, "get_parameters", names=[*names, "nothing"]))["values"]
+    types = (await ask(program, "get_parameter_types", names=[*names, "nothing"]))["types"]
+    assert [one["type"] for one in found] == types
+    assert types[-1] == 0
+    by_name = dict(zip(names, found, strict=False))
+    assert by_name["guards.max_height_m"]["double_value"] == rig.client.state.limits.max_height_m
+    described = (await ask(program, "describe_parameters", names=names))["descriptors"]
+    assert [one["name"] for one in described] == names
+    assert {one["name"] for one in described if not one["read_only"]} == {
+        n for n in names if n.startswith("rates.")
+    }
+
+
+async def test_a_rate_is_set(rig: Rig, program: Program) -> None:
+    slower = [{"name": "rates.imu", "value": value(10.0)}]
+    [result] = (await ask(program, "set_parameters", parameters=slower))["results"]
+    assert result["successful"]
+    await anyio.sleep(1.0)
+    rig.outlet("~/imu").sent.clear()
+    await anyio.sleep(5.0)
+    assert len(rig.outlet("~/imu").sent) == pytest.approx(50, abs=2)
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("rates.imu", value(float("nan"))),
+        ("rates.imu", value(-1.0)),
+        ("rates.imu", value(2 * MOST_HZ)),
+        ("rates.imu", value(5.0, kind=2)),
+        ("guards.max_height_m", value(9999.0)),
+        ("use_sim_time", value(1.0)),
+        ("nothing", value(1.0)),
+    ],
+)
+async def test_what_cannot_be_set_says_why(
+    rig: Rig, program: Program, name: str, given: dict[str, Any]
+) -> None:
+    before = dict(rig.node.teller.hz)
+    wanted = [{"name": "rates.odom", "value": value(7.0)}, {"name": name, "value": given}]
+    answer = await ask(program, "set_parameters_atomically", parameters=wanted)
+    assert not answer["result"]["successful"]
+    assert name in answer["result"]["reason"]
+    assert rig.node.teller.hz == before
+
+
+async def test_sim_time_may_be_said_to_be_what_it_is(rig: Rig, program: Program) -> None:
+    same = [{"name": "use_sim_time", "value": value(0.0, kind=1)}]
+    [result] = (await ask(program, "set_parameters", parameters=same))["results"]
+    assert result["successful"]

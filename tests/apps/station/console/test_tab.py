@@ -1,0 +1,576 @@
+"""A tab of the console: beats move, and everything else stops."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import anyio
+import anyio.lowlevel
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from m100link.apps.agent.lease import LeaseChange, LeaseHeld, LeaseRefused
+from m100link.apps.agent.way_time import MAX_ORDER_LATE
+from m100link.apps.station.console.tab import BEAT_LIFETIME, Tab, _read
+from m100link.apps.station.console.view.instruments import FIELDS, live, read
+from m100link.apps.station.console.view.words import Speaker, say
+from m100link.errors import GuardRefused, LossReason
+from m100link.protocol.commands.control import Task
+from m100link.protocol.records import Attitude, RcMode, Velocity
+from tests.apps.station.conftest import Rig
+
+pytestmark = pytest.mark.anyio
+
+
+class Browser:
+    """What the page's script does."""
+
+    def __init__(self, rig: Rig, name: str = "tab") -> None:
+        self.rig = rig
+        self.tab = Tab(rig.front, name)
+        self.count = 0
+        # What the page knows of the station: its time, and when that was heard.
+        self.told: dict[str, float] | None = None
+        self.heard_at = 0.0
+
+    def message(self, op: str, **fields: Any) -> str:
+        """What the page sends at this moment."""
+        self.count += 1
+        at = 1000 * self.rig.agent.now
+        told = {} if self.told is None else {"told": self.told, "held": at - 1000 * self.heard_at}
+        return json.dumps({"op": op, "n": self.count, "at": at, **told, **fields})
+
+    def hear(self, answer: dict[str, Any] | None) -> dict[str, Any] | None:
+        if answer is not None:
+            self.told, self.heard_at = answer["told"], self.rig.agent.now
+        return answer
+
+    def say(self, op: str, **fields: Any) -> dict[str, Any] | None:
+        if self.told is None:
+            self.hear(self.tab.receive(self.message("alive")))
+        return self.hear(self.tab.receive(self.message(op, **fields)))
+
+    def beat(self, mode: int = 1, **axes: float) -> dict[str, Any] | None:
+        return self.say("beat", mode=mode, **({"x": 0, "y": 0, "z": 0, "w": 0} | axes))
+
+    async def hold(self, seconds: float, **axes: float) -> None:
+        for _ in range(round(seconds / 0.05)):
+            self.beat(1, **axes)
+            await anyio.sleep(0.05)
+
+
+async def airborne(rig: Rig) -> Browser:
+    browser = Browser(rig)
+    await browser.tab.activate()
+    await browser.tab.obtain()
+    await keep_alive(browser, browser.tab.fly(Task.TAKE_OFF))
+    return browser
+
+
+async def keep_alive(browser: Browser, work: Any) -> None:
+    """The page says twice a second that it is there."""
+    async with anyio.create_task_group() as group:
+
+        async def alive() -> None:
+            while True:
+                browser.say("alive")
+                await anyio.sleep(0.5)
+
+        group.start_soon(alive)
+        await work
+        group.cancel_scope.cancel()
+
+
+async def test_a_whole_flight(rig: Rig) -> None:
+    browser = await airborne(rig)
+    await browser.hold(2.0, x=-4)
+    browser.say("rest")
+    assert rig.aircraft.position[0] > 0.5
+    assert browser.tab.problem == ""
+    await keep_alive(browser, browser.tab.fly(Task.LAND))
+    await browser.tab.release()
+    assert rig.aircraft.height == pytest.approx(0, abs=0.05)
+    assert not rig.agent.holding.has_authority
+
+
+async def test_keys_that_were_long_on_their_way_move_nothing(rig: Rig) -> None:
+    browser = await airborne(rig)
+    await browser.hold(0.2, x=-4)
+    browser.say("rest")
+    waiting = [browser.message("beat", mode=1, x=-4, y=0, z=0, w=0) for _ in range(20)]
+    await anyio.sleep(2.0)
+    place = rig.aircraft.position
+    for text in waiting:  # all at once, as after a stall of the network
+        browser.tab.receive(text)
+    await keep_alive(browser, anyio.sleep(1.0))
+    assert "late on its way" in browser.tab.problem
+    assert browser.tab.refused == 20
+    assert rig.aircraft.position == pytest.approx(place, abs=0.3)
+
+
+@pytest.mark.parametrize(("each_way", "flies"), [(0.1, True), (0.25, False), (1.0, False)])
+async def test_nobody_steers_through_a_slow_network(rig: Rig, each_way: float, flies: bool) -> None:
+    browser = await airborne(rig)
+    north = rig.aircraft.position[0]
+    browser.tab.lost()  # another way
+    await browser.tab.obtain()
+
+    async def answer(reply: dict[str, Any]) -> None:
+        await anyio.sleep(each_way)
+        browser.hear(reply)
+
+    async def send(text: str, group: Any) -> None:
+        await anyio.sleep(each_way)
+        reply = browser.tab.receive(text)
+        assert reply is not None
+        group.start_soon(answer, reply)
+
+    browser.told = None
+    async with anyio.create_task_group() as group:
+        for number in range(80):
+            op = "alive" if number < 60 else "beat"
+            axes = {} if op == "alive" else {"mode": 1, "x": -4, "y": 0, "z": 0, "w": 0}
+            group.start_soon(send, browser.message(op, **axes), group)
+            await anyio.sleep(0.05)
+    assert browser.tab.beats == (20 if flies else 0)
+    assert (rig.aircraft.position[0] - north > 0.05) is flies
+    assert ("to the page and back it takes" in browser.tab.problem) is not flies
+
+
+async def test_a_beat_is_on_the_line_at_once(rig: Rig) -> None:
+    browser = await airborne(rig)
+    count = len(rig.moves)
+    browser.beat(x=-4)
+    await anyio.lowlevel.checkpoint()
+    await anyio.lowlevel.checkpoint()
+    assert len(rig.moves) == count + 1
+
+
+async def test_300_ms_without_a_beat_stop_the_motion(rig: Rig) -> None:
+    browser = await airborne(rig)
+    await browser.hold(1.0, x=-4)
+    last_beat = rig.agent.now - 0.05
+    await rig.until(lambda: rig.moves[-1].pitch_or_y == 0, within=1.0)
+    assert rig.agent.now - last_beat == pytest.approx(BEAT_LIFETIME, abs=0.03)
+
+
+async def test_a_rest_stops_at_once(rig: Rig) -> None:
+    browser = await airborne(rig)
+    await browser.hold(0.5, x=-4)
+    browser.say("rest")
+    await anyio.sleep(0.03)
+    assert rig.moves[-1].pitch_or_y == 0
+
+
+async def test_a_lost_socket_stops_at_once_and_frees_control(rig: Rig) -> None:
+    browser = await airborne(rig)
+    await browser.hold(0.5, x=-4)
+    browser.tab.lost()
+    await anyio.sleep(0.03)
+    assert rig.moves[-1].pitch_or_y == 0
+    await rig.until(lambda: not rig.agent.holding.has_authority, within=1.0)
+
+
+async def test_a_tab_that_is_silent_loses_its_lease(rig: Rig) -> None:
+    browser = await airborne(rig)
+    browser.say("alive")
+    await anyio.sleep(2.9)
+    assert rig.agent.desk.holder(rig.agent.now) == browser.tab.lease
+    await rig.until(lambda: not browser.tab.has_lease, within=0.3)
+    await rig.until(lambda: not rig.agent.holding.has_authority, within=1.0)
+    browser.beat(x=-4)
+    await anyio.sleep(0.1)
+    assert all(move.pitch_or_y == 0 for move in rig.moves)
+
+
+async def test_old_messages_again_do_nothing(rig: Rig) -> None:
+    browser = await airborne(rig)
+    await browser.hold(0.2, x=-4)
+    browser.say("rest")
+    await anyio.sleep(0.5)
+    count = len(rig.moves)
+    old = {"op": "beat", "n": 5, "at": 1.0, "mode": 1, "x": -4, "y": 0, "z": 0, "w": 0}
+    assert browser.tab.receive(json.dumps(old)) is None
+    await anyio.sleep(0.1)
+    assert len(rig.moves) == count
+
+
+async def test_a_tab_without_the_lease_moves_nothing(rig: Rig) -> None:
+    await airborne(rig)
+    other = Browser(rig, "other")
+    now = rig.agent.now
+    told = {"op": "echo", "at": 1000 * now, "fate": "no_control", "told": now}
+    assert other.beat(x=-4) == told
+    with pytest.raises(LeaseHeld):
+        await other.tab.obtain()
+    with pytest.raises(LeaseRefused):
+        await other.tab.fly(Task.LAND)
+    with pytest.raises(LeaseRefused):
+        await other.tab.release()
+    await anyio.sleep(0.2)
+    assert rig.moves == []
+
+
+async def test_a_take_over_stops_the_motion_and_keeps_authority(rig: Rig) -> None:
+    browser = await airborne(rig)
+    other = Browser(rig, "other")
+    await browser.hold(0.5, x=-4)
+    wanted = await other.tab.ask_take_over()
+    assert wanted.from_name == "tab"
+    await other.tab.confirm_take_over(wanted)
+    browser.beat(x=-4)
+    await anyio.sleep(0.03)
+    assert rig.moves[-1].pitch_or_y == 0
+    assert rig.agent.holding.has_authority
+    other.beat(y=2)
+    await anyio.sleep(0.03)
+    assert rig.moves[-1].roll_or_x == 2
+
+
+async def test_who_lost_the_lease_knows_to_whom(rig: Rig) -> None:
+    browser, other = await airborne(rig), Browser(rig, "Anna")
+    await other.tab.confirm_take_over(await other.tab.ask_take_over())
+    end = browser.tab.lease_end
+    assert end is not None
+    assert (end.name, end.why) == ("Anna", LeaseChange.TAKEN_OVER)
+    assert other.tab.lease_end is None
+    await browser.tab.confirm_take_over(await browser.tab.ask_take_over())
+    assert browser.tab.lease_end is None
+    await browser.tab.release()
+    await anyio.sleep(0.1)
+    assert browser.tab.lease_end is None  # it was given back
+
+
+async def test_a_lease_that_expired_was_taken_by_nobody(rig: Rig) -> None:
+    browser = await airborne(rig)
+    await rig.until(lambda: not browser.tab.has_lease, within=4.0)
+    end = browser.tab.lease_end
+    assert end is not None
+    assert (end.name, end.why) == ("", LeaseChange.EXPIRED)
+
+
+async def test_who_took_authority_is_known_until_it_is_held_again(rig: Rig) -> None:
+    browser = await airborne(rig)
+    rig.aircraft.set_rc_mode(RcMode.P)
+    await keep_alive(browser, rig.until(lambda: browser.tab.loss is not None, within=2.0))
+    assert browser.tab.loss is LossReason.MODE_SWITCH
+    rig.aircraft.set_rc_mode(RcMode.F)
+    await keep_alive(browser, rig.until(lambda: rig.front.has_authority, within=2.0))
+    await browser.tab.obtain()
+    assert browser.tab.loss is None
+
+
+async def test_a_tab_that_was_closed_hears_nothing_more(rig: Rig) -> None:
+    browser = Browser(rig)
+
+    def counts() -> tuple[int, int, int]:
+        front = rig.front
+        return len(front.on_lease), len(front.on_authority_taken), len(front.on_steer_refused)
+
+    before = counts()
+    browser.tab.close()
+    browser.tab.close()
+    assert counts() == tuple(count - 1 for count in before)
+
+
+async def test_stop_ends_a_task_by_giving_authority_back(rig: Rig) -> None:
+    browser = Browser(rig)
+    await browser.tab.activate()
+    await browser.tab.obtain()
+    async with anyio.create_task_group() as group:
+        group.start_soon(browser.tab.attempt, lambda: browser.tab.fly(Task.TAKE_OFF))
+        await anyio.sleep(2.0)
+        await Browser(rig, "anybody").tab.stop()
+    assert "control ended" in browser.tab.problem
+    assert not rig.agent.holding.has_authority
+
+
+async def test_problems_are_kept_for_the_operator(rig: Rig) -> None:
+    browser = Browser(rig)
+    assert not await browser.tab.attempt(browser.tab.obtain)
+    assert "activate first" in browser.tab.problem
+    assert not browser.tab.has_lease
+    await browser.tab.attempt(browser.tab.activate)
+    assert browser.tab.problem == ""
+    assert await browser.tab.attempt(browser.tab.obtain)
+    assert not await browser.tab.attempt(lambda: browser.tab.simple_task(3))
+    assert "random commands" in browser.tab.problem
+    browser.beat(x=-31)
+    assert "outside" in browser.tab.problem
+
+
+_VALUES = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3)
+
+
+@given(
+    st.dictionaries(
+        st.sampled_from(["op", "n", "at", "mode", "x", "y", "z", "w"]),
+        _VALUES | st.sampled_from(["beat", "rest", "alive"]),
+    )
+)
+def test_a_message_is_whole_or_nothing(message: dict[str, Any]) -> None:
+    result = _read(json.dumps(message))
+    if result is not None:
+        assert type(result["n"]) is int
+        if result["op"] == "beat":
+            assert all(isinstance(result[axis], int | float) for axis in "xyzw")
+
+
+def test_no_field_shows_a_zero_below_zero_or_a_whole_turn() -> None:
+    fields = {field.name: field for field in FIELDS}
+    half = math.radians(-0.2) / 2
+    a_bit_west = Attitude(q0=math.cos(half), q1=0.0, q2=0.0, q3=math.sin(half))
+    assert Speaker()(fields["heading"].text(a_bit_west)) == "0°"
+    sinking = Velocity(north_m_s=0.0, east_m_s=0.0, up_m_s=-0.02, status=None)
+    assert Speaker()(fields["climb"].text(sinking)) == "+0.0 m/s"
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "1", "[" * 1000, "x" * 3000, b"\xff\xfe"])
+def test_nonsense_is_nothing(text: str | bytes) -> None:
+    assert _read(text) is None
+
+
+async def test_fields_grey_out_by_their_own_age(rig: Rig) -> None:
+    telemetry = rig.front.telemetry
+    assert telemetry is not None
+    await anyio.sleep(1.5)
+    readings = {field.name: read(field, telemetry) for field in FIELDS}
+    assert not readings["height"].is_stale
+    assert Speaker()(readings["flight_status"].text) == "standby"
+    assert readings["control_device"].note == say("instruments.never")  # not sent by default
+    rig.aircraft.stall_line()
+    await anyio.sleep(1.5)
+    readings = {field.name: read(field, telemetry) for field in FIELDS}
+    assert readings["height"].is_stale
+    assert not readings["battery"].is_stale  # comes once a second only
+    await anyio.sleep(2.0)
+    readings = {field.name: read(field, telemetry) for field in FIELDS}
+    assert readings["battery"].is_stale
+    assert "att" not in live(telemetry, rig.agent.now)
+    assert read(FIELDS[0], None).is_stale
+    assert live(None, 1.0) == {"op": "live", "t": 1.0}
+
+
+def speed(rig: Rig) -> float:
+    telemetry = rig.front.telemetry
+    assert telemetry is not None
+    velocity = telemetry.get(Velocity)
+    assert velocity is not None
+    return velocity.ground_speed_m_s
+
+
+async def test_who_holds_something_while_somebody_presses_stop_has_to_let_go(rig: Rig) -> None:
+    flying, other = await airborne(rig), Browser(rig, "other")
+    await flying.hold(1.0, x=-8)
+    assert speed(rig) > 0.3
+    other.say("stop")
+    await flying.hold(2.5, x=-8)  # the key stays pressed
+    assert speed(rig) < 0.2
+    assert "STOP was pressed" in flying.tab.problem
+    flying.say("rest")
+    await flying.hold(1.0, x=-8)
+    assert speed(rig) > 0.3
+    assert flying.tab.problem == ""
+
+
+async def pilot_flies_a_while(flying: Browser) -> None:
+    flying.rig.aircraft.leave_f()
+    await flying.hold(3.0, x=-8)
+    flying.rig.aircraft.return_to_f()
+    await flying.hold(0.05, x=-8)
+
+
+async def the_way_is_slow_a_while(flying: Browser) -> None:
+    late: list[str] = []
+    for _ in range(60):
+        late.append(flying.message("beat", mode=1, x=-8, y=0, z=0, w=0))
+        await anyio.sleep(0.05)
+        if len(late) > 12:
+            flying.hear(flying.tab.receive(late.pop(0)))
+    for message in late:
+        flying.hear(flying.tab.receive(message))
+
+
+async def the_cable_is_out_a_while(flying: Browser) -> None:
+    rig = flying.rig
+    rig.aircraft.unplug()
+    await flying.hold(2.0, x=-8)
+    rig.aircraft.replug()
+    while not rig.front.is_connected:
+        await flying.hold(0.1, x=-8)
+    await flying.hold(0.5, x=-8)
+    obtaining = asyncio.create_task(flying.tab.obtain())
+    while not obtaining.done():
+        await flying.hold(0.1, x=-8)
+    await obtaining
+
+
+@pytest.mark.parametrize(
+    ("happens", "why"),
+    [
+        (pilot_flies_a_while, "control was lost meanwhile"),
+        (the_way_is_slow_a_while, "the way was too slow"),
+        (the_cable_is_out_a_while, "meanwhile"),
+    ],
+)
+async def test_what_is_held_while_nobody_could_steer_moves_nothing_when_somebody_can(
+    rig: Rig, happens: Callable[[Browser], Awaitable[None]], why: str
+) -> None:
+    flying = await airborne(rig)
+    await flying.hold(1.0, x=-8)
+    assert speed(rig) > 0.3
+    await happens(flying)
+    await flying.hold(3.0, x=-8)
+    assert rig.agent.holding.has_authority
+    assert speed(rig) < 0.2
+    assert f"{why}, and something is still held" in flying.tab.problem
+    flying.say("rest")
+    await flying.hold(1.0, x=-8)
+    assert speed(rig) > 0.3
+    assert flying.tab.problem == ""
+
+
+async def test_what_is_held_as_control_is_obtained_moves_nothing(rig: Rig) -> None:
+    first = await airborne(rig)
+    await first.tab.release()
+    browser = Browser(rig)
+    await browser.hold(1.0, x=-8)  # one hand on the stick, the other on the button
+    obtaining = asyncio.create_task(browser.tab.obtain())
+    while not obtaining.done():
+        await browser.hold(0.1, x=-8)
+    await browser.hold(2.0, x=-8)
+    assert browser.tab.has_lease
+    assert speed(rig) < 0.2
+    assert "control was obtained meanwhile" in browser.tab.problem
+    await keep_alive(browser, anyio.sleep(1.5))  # let go, and that was not heard
+    await browser.hold(1.0, x=-8)
+    assert speed(rig) > 0.3
+
+
+async def test_one_beat_that_is_late_asks_for_no_new_press(rig: Rig) -> None:
+    flying = await airborne(rig)
+    await flying.hold(1.0, x=-8)
+    late = flying.message("beat", mode=1, x=-8, y=0, z=0, w=0)
+    await anyio.sleep(0.6)
+    flying.hear(flying.tab.receive(late))
+    assert "late on its way" in flying.tab.problem
+    await keep_alive(flying, anyio.sleep(3.0))  # let go, and that was not heard
+    late = flying.message("beat", mode=1, x=-8, y=0, z=0, w=0)
+    await anyio.sleep(0.6)
+    flying.hear(flying.tab.receive(late))  # the first of another press, and late again
+    await flying.hold(1.0, x=-8)
+    assert flying.tab.problem == ""
+    assert speed(rig) > 0.3
+
+
+async def test_stop_by_the_socket_needs_no_lease_and_runs_once_at_a_time(rig: Rig) -> None:
+    flying, other = await airborne(rig), Browser(rig, "other")
+    flying.beat(1, x=-8)
+    for _ in range(50):  # a page that says it in a loop
+        other.say("stop")
+        flying.beat(1, x=-8)
+    assert sum("stop of other" in task.get_name() for task in asyncio.all_tasks()) == 1
+    await anyio.sleep(2.0)
+    assert speed(rig) < 0.2
+    assert [event.text for event in rig.front.events].count("stop") == 1
+
+
+async def test_one_press_of_stop_by_both_ways_is_one_entry(rig: Rig) -> None:
+    other = Browser(rig, "other")
+    for press in (1, 2):
+        assert (other.say("stop", press=press) or {})["press"] == press  # for the page to know
+        await anyio.sleep(0.1)
+        await other.tab.stop(press)
+        other.say("stop", press=press)  # late, or once more
+        await anyio.sleep(0.1)
+        assert [event.text for event in rig.front.events].count("stop") == press
+
+
+async def test_a_press_of_stop_that_one_way_failed_to_bring_is_carried_out_by_the_other(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tab = Browser(rig).tab
+    with monkeypatch.context() as failing:
+
+        async def fail() -> None:
+            raise GuardRefused("no", guard="", measured=None, limit=None)
+
+        failing.setattr(rig.front, "stop", fail)
+        await tab.stop(1)
+    await tab.stop(1)
+    assert [event.text for event in rig.front.events].count("stop") == 1
+
+
+async def test_beats_that_were_held_up_after_stop_do_not_count_as_let_go(rig: Rig) -> None:
+    flying = await airborne(rig)
+    await flying.hold(0.5, x=-1)
+    await Browser(rig, "other").tab.stop()
+    sent = []
+    for _ in range(30):  # a network that stands still for longer than a beat lasts
+        sent.append(flying.message("beat", mode=1, x=-1, y=0, z=0, w=0))
+        await anyio.sleep(0.05)
+    for message in sent:
+        flying.hear(flying.tab.receive(message))
+    await flying.hold(0.5, x=-1)
+    assert "STOP was pressed" in flying.tab.problem
+    before = len(rig.moves)
+    await flying.hold(0.5, x=-1)
+    assert not any(move.pitch_or_y for move in rig.moves[before:])
+    flying.say("rest")
+    await flying.hold(0.5, x=-1)
+    assert rig.moves[-1].pitch_or_y
+
+
+async def test_stop_is_heard_from_a_page_that_is_slow(rig: Rig) -> None:
+    browser = await airborne(rig)
+    await browser.hold(1.0, x=-8)
+    late = browser.message("stop")
+    await browser.hold(1.0, x=-8)
+    assert speed(rig) > 0.3
+    browser.tab.receive(late)  # behind others that were said later
+    await anyio.sleep(2.5)
+    assert speed(rig) < 0.2
+
+
+@pytest.mark.parametrize("said_at", [None, "now", True, math.nan, -1e300, [1.0]])
+async def test_an_order_without_a_time_is_refused(rig: Rig, said_at: object) -> None:
+    tab = Browser(rig).tab
+    with pytest.raises(GuardRefused, match="has no time"):
+        tab.check_order(said_at)
+
+
+async def test_an_order_that_waited_is_refused(rig: Rig) -> None:
+    tab, said_at = Browser(rig).tab, rig.agent.now
+    await anyio.sleep(MAX_ORDER_LATE - 0.1)
+    tab.check_order(said_at)
+    await anyio.sleep(0.2)
+    with pytest.raises(GuardRefused, match="2 s on its way") as refused:
+        tab.check_order(said_at)
+    await anyio.sleep(0.1)
+    assert "2 s on its way; nothing was done" in rig.front.events[-1].text
+    assert refused.value.limit == MAX_ORDER_LATE
+
+
+@pytest.mark.parametrize("whose", ["own", "of another"])
+async def test_what_ones_own_stop_ended_is_no_problem(rig: Rig, whose: str) -> None:
+    browser = await airborne(rig)
+    other = Browser(rig, "another")
+    tab = browser.tab
+
+    async def stop() -> None:
+        await anyio.sleep(1.0)
+        await (tab if whose == "own" else other.tab).stop()
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(stop)
+        group.start_soon(keep_alive, browser, anyio.sleep(3.0))
+        assert not await tab.attempt(lambda: tab.fly(Task.LAND))
+    assert (tab.problem == "") is (whose == "own")
+    # What goes wrong afterwards is one.
+    assert not await tab.attempt(lambda: tab.simple_task(99))
+    assert tab.problem

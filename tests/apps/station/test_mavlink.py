@@ -1,0 +1,66 @@
+"""MAVLink of the station: what is kept of signatures while it serves, over a socket."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import socket
+from contextlib import AsyncExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from m100link.apps.mavlink.bridge import signature_time
+from m100link.apps.mavlink.codec import Message, Signer, write_frame
+from m100link.apps.station.config import Settings
+from m100link.apps.station.mavlink import open_mavlink, serving_mavlink
+from tests.waiting import PATIENCE
+
+KEY = bytes(range(32))
+PING = Message("PING", {}, component=190)
+
+
+@pytest.fixture
+def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Settings:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    key = tmp_path / "key"
+    key.write_text(KEY.hex())
+    key.chmod(0o600)
+    return Settings(mavlink=("udp://127.0.0.1:0",), signing_key_file=key)
+
+
+async def served(settings: Settings, *frames: bytes) -> int:
+    """Serve, send, and end. Returns how many were refused."""
+    async with AsyncExitStack() as stack:
+        [bound] = sockets = open_mavlink(stack, settings)
+        bridge = await stack.enter_async_context(serving_mavlink({}, settings, sockets))
+        signer: Any = bridge._signer
+        before = dict(signer.newest)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+            for frame in frames:
+                one.sendto(frame, bound.getsockname())
+        async with asyncio.timeout(PATIENCE):
+            while not signer.refused and before == signer.newest:  # noqa: ASYNC110 - a socket
+                await asyncio.sleep(0.01)
+        return int(signer.refused)
+
+
+def test_what_was_recorded_is_refused_at_the_next_start(settings: Settings, tmp_path: Path) -> None:
+    recorded = write_frame(PING, system=245, sequence=0, signer=Signer(KEY), now=signature_time())
+    assert asyncio.run(served(settings, recorded)) == 0
+    [file] = (tmp_path / "m100link" / "mavlink").iterdir()
+    assert list(json.loads(file.read_text())["newest"]) == ["245.190.0"]
+    assert asyncio.run(served(settings, recorded)) == 1
+
+
+def test_a_folder_that_cannot_be_written_is_told_and_it_serves(
+    settings: Settings, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "m100link").write_text("a file")
+    later = signature_time() + 100_000
+    frame = write_frame(PING, system=245, sequence=0, signer=Signer(KEY), now=later)
+    with caplog.at_level(logging.WARNING):
+        assert asyncio.run(served(settings, frame)) == 0
+    assert "signatures are not remembered" in caplog.text
