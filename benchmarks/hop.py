@@ -28,13 +28,13 @@ from pathlib import Path
 import m100link
 from benchmarks.program import main
 from benchmarks.rows import NotMeasured, Program, Row, Setting, Side, percentile, ratio, times
-from m100link.apps.agent.carriers.unix import (
+from m100link.apps.agent.messages import Event, Message, Note, Steer
+from m100link.apps.agent.transports import (
     UnixChannel,
     connect_unix,
     private_directory,
     serve_unix,
 )
-from m100link.apps.agent.messages import Event, Message, Note, Steer
 from m100link.protocol import Setpoint
 
 COUNT = 200

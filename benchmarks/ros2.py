@@ -27,7 +27,7 @@ from benchmarks.rows import (
     times,
 )
 from m100link.log.cdr import Template, full_name
-from m100link.log.ros2_messages import Messages
+from m100link.log.ros2 import Messages
 from m100link.protocol.records import Acceleration, AngularVelocity, Attitude
 
 IMU = "sensor_msgs/Imu"

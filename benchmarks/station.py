@@ -52,9 +52,8 @@ from m100link.apps.station.ros.client import Client
 from m100link.apps.station.ros.graph import Graph, Publication
 from m100link.apps.station.run import running
 from m100link.flight.pacing import Ticker
-from m100link.sim.ports.driver import Driver
-from m100link.sim.ports.tcp import serve_tcp
-from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.ports.driver import Driver, serve_tcp
+from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.virtual import VirtualAircraft
 
 CLIENTS = 10

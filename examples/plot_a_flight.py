@@ -14,9 +14,8 @@ from pathlib import Path
 import m100link
 from m100link.errors import UsageError
 from m100link.log import Recorder, read
-from m100link.log.drawing import facts
 from m100link.log.page import page
-from m100link.log.picture import picture
+from m100link.log.picture import facts, picture
 from m100link.log.story import read_story
 from m100link.sim import DEMO_APP_ID, DEMO_KEY
 

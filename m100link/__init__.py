@@ -142,8 +142,13 @@ if TYPE_CHECKING:
         Uploading,
     )
     from m100link.flight.missions.flight import MissionFlight
-    from m100link.flight.missions.follow import FollowFlight, Target
-    from m100link.flight.missions.hotpoint import CircleHeading, CircleStart, HotpointFlight
+    from m100link.flight.missions.hotpoint import (
+        CircleHeading,
+        CircleStart,
+        FollowFlight,
+        HotpointFlight,
+        Target,
+    )
     from m100link.flight.missions.waypoint import WaypointFlight
     from m100link.flight.pacing import Tick, Ticker
     from m100link.flight.tasks import TaskProgress

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, cast
 
-from m100link.apps.agent.carriers.memory import MemoryChannel
 from m100link.apps.agent.messages import (
     VERSION,
     Action,
@@ -29,6 +28,7 @@ from m100link.apps.agent.messages import (
     State,
     Telemetry,
 )
+from m100link.apps.agent.transports import MemoryChannel
 from m100link.protocol.firmware import PROFILES
 from m100link.protocol.records import (
     Acceleration,

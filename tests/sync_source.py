@@ -412,7 +412,7 @@ FIXED_IMPORTS = {
     "types": "TracebackType",
     "typing": "Any, Self, TypeVar",
     "m100link.errors": "M100Error",
-    "m100link.flight.missions.follow": "Target",
+    "m100link.flight.missions.hotpoint": "Target",
     "m100link.flight.pacing": "Tick",
     "m100link.sync.missions": "FollowFlight, HotpointFlight, WaypointFlight",
     "m100link.sync.portal": "Portal",

@@ -1,10 +1,10 @@
 """What the bridge to MAVLink understands, made of its own tables.
 
-```{mavlink-modes}        m100link.apps.mavlink.modes.MODES
-```{mavlink-commands}     m100link.apps.mavlink.commands.COMMANDS
-```{mavlink-streams}      m100link.apps.mavlink.telemetry.STREAMS
-```{mavlink-items}        m100link.apps.mavlink.route.ITEMS
-```{mavlink-parameters}   m100link.apps.mavlink.parameters.PARAMETERS
+```{mavlink-modes}        m100link.apps.mavlink.translator.modes.MODES
+```{mavlink-commands}     m100link.apps.mavlink.translator.commands.COMMANDS
+```{mavlink-streams}      m100link.apps.mavlink.translator.telemetry.STREAMS
+```{mavlink-items}        m100link.apps.mavlink.translator.route.ITEMS
+```{mavlink-parameters}   m100link.apps.mavlink.translator.parameters.PARAMETERS
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from typing import Any
 from sphinx.application import Sphinx
 from tables import TableDirective
 
-from m100link.apps.mavlink.commands import COMMANDS
-from m100link.apps.mavlink.modes import MODES
-from m100link.apps.mavlink.numbers import Command
-from m100link.apps.mavlink.parameters import PARAMETERS
-from m100link.apps.mavlink.route import ITEMS
-from m100link.apps.mavlink.telemetry import STREAMS
+from m100link.apps.mavlink.translator.commands import COMMANDS
+from m100link.apps.mavlink.translator.modes import MODES
+from m100link.apps.mavlink.translator.numbers import Command
+from m100link.apps.mavlink.translator.parameters import PARAMETERS
+from m100link.apps.mavlink.translator.route import ITEMS
+from m100link.apps.mavlink.translator.telemetry import STREAMS
 
 
 class Modes(TableDirective):

@@ -3,7 +3,7 @@
 ```{ros2-outputs}     m100link.apps.ros2.topics.OUTPUTS
 ```{ros2-inputs}      m100link.apps.ros2.topics.INPUTS
 ```{ros2-services}    m100link.apps.ros2.topics.SERVICES
-```{ros2-actions}     m100link.apps.ros2.flights.FLIGHTS
+```{ros2-actions}     m100link.apps.ros2.actions.FLIGHTS
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 from sphinx.application import Sphinx
 from tables import TableDirective
 
-from m100link.apps.ros2.flights import FLIGHTS
+from m100link.apps.ros2.actions import FLIGHTS
 from m100link.apps.ros2.topics import INPUTS, OUTPUTS, SERVICES
 from m100link.log.cdr import full_name
 

@@ -44,7 +44,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from m100link import protocol
-from m100link.aircraft import supervision
+from m100link.aircraft import supervising as supervision
 from m100link.apps.cli.app import app as cli
 from m100link.flight import lifecycle
 from m100link.flight.authority import TRANSITIONS

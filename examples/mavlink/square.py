@@ -16,8 +16,8 @@ import time
 from collections.abc import Iterator
 from urllib.parse import urlsplit
 
-from m100link.apps.mavlink.codec import Message, read_datagram, write_frame
-from m100link.apps.mavlink.numbers import BaseMode, Command, Frame, Result
+from m100link.apps.mavlink.translator.codec import Message, read_datagram, write_frame
+from m100link.apps.mavlink.translator.numbers import BaseMode, Command, Frame, Result
 
 OFFBOARD, HOLD = (6, 0), (4, 3)  # main and sub mode, by the numbers of PX4
 LEGS = [(2.0, 0.0), (0.0, 2.0), (-2.0, 0.0), (0.0, -2.0)]  # m/s north, m/s east

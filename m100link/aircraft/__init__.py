@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from m100link.aircraft.aircraft import Aircraft
+from m100link.aircraft.aircraft import Aircraft, AuthorityEvent, ConnectionEvent
 from m100link.aircraft.camera import AircraftCamera
 from m100link.aircraft.connecting import Connecting, connect
-from m100link.aircraft.events import AuthorityEvent, ConnectionEvent
 from m100link.aircraft.gimbal import AircraftGimbal, GimbalRates
 
 __all__ = [

@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Awaitable, Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from m100link.aircraft.activation import ActivationProgress, activate
 from m100link.aircraft.camera import AircraftCamera
-from m100link.aircraft.events import AuthorityEvent, ConnectionEvent
 from m100link.aircraft.gimbal import AircraftGimbal
 from m100link.aircraft.rates import set_telemetry_rates
 from m100link.errors import (
     CommandRefused,
     LinkError,
+    LossReason,
     UsageError,
 )
 from m100link.errors.base import of_the_system
 from m100link.flight.authority import Authority, AuthorityInput, AuthorityState
-from m100link.flight.handover import release_authority
 from m100link.flight.lifecycle import BlockClaim
 from m100link.flight.mission_state import MissionState, MissionWatch
-from m100link.flight.sticks import SettingsPace
-from m100link.flight.tasks import Commander, task_sequences
+from m100link.flight.stop_path import release_authority
+from m100link.flight.tasks import Commander, SettingsPace, task_sequences
 from m100link.link import Link, LinkStatistics
 from m100link.link.requests import Requests
 from m100link.protocol.command import Address, Push, Request
@@ -45,9 +44,45 @@ if TYPE_CHECKING:
     from m100link.flight.virtual_rc import VirtualRc
     from m100link.missions.plan import WaypointPlan
 
-__all__ = ["Aircraft"]
+__all__ = [
+    "Aircraft",
+    "AuthorityEvent",
+    "ConnectionEvent",
+]
 
 _logger = logging.getLogger(__name__)
+
+
+# -- what happens to a connection and to control authority, as a program is told -------------------
+
+
+class ConnectionEvent(NamedTuple):
+    """Something happened to the connection.
+
+    Attributes:
+        is_connected: Whether the line is open now.
+        error: Why it is not; None while it is.
+    """
+
+    is_connected: bool
+    error: LinkError | None
+
+
+class AuthorityEvent(NamedTuple):
+    """Control authority passed from one state to another.
+
+    Attributes:
+        before: State before.
+        after: State now.
+        reason: Why it was lost or paused.
+    """
+
+    before: AuthorityState
+    after: AuthorityState
+    reason: LossReason
+
+
+# -- aircraft --------------------------------------------------------------------------------------
 
 A = TypeVar("A")
 
@@ -387,7 +422,7 @@ class Aircraft:
             BadPlan: What is stored is no plan that could be uploaded.
             CommandNotSupported, NotActivated, AckTimeout, LinkError: See each class.
         """
-        from m100link.flight.missions.download import download_waypoint_plan
+        from m100link.flight.missions.waypoint import download_waypoint_plan
 
         return await download_waypoint_plan(self._requests)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from m100link.errors import CommandRefused, NotObserved, UsageError
 from m100link.protocol.commands.activation import RATES_HZ, SetTelemetryRates
 from m100link.protocol.items import ITEMS, Item
-from m100link.telemetry.names import ITEM_NAMES, snake
+from m100link.telemetry.columns import ITEM_NAMES, snake
 
 if TYPE_CHECKING:
     from m100link.link.requests import Requests

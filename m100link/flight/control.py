@@ -14,21 +14,19 @@ from m100link.errors import (
     UsageError,
 )
 from m100link.flight.authority import AuthorityState
-from m100link.flight.block import ControlBlock, PauseAction
+from m100link.flight.block import ControlBlock, PauseAction, Steering
 from m100link.flight.guardian import patience_of
 from m100link.flight.guards import GuardKeeper, Guards
 from m100link.flight.guidance import Guidance
 from m100link.flight.lifecycle import BlockClaim, BlockState, StopCause
 from m100link.flight.loops import ClosedLoops
-from m100link.flight.missions.deck import Deck
+from m100link.flight.missions.context import Deck
 from m100link.flight.missions.keeper import MissionKeeper
 from m100link.flight.missions.missions import Missions
-from m100link.flight.motors import Motors
 from m100link.flight.pacing import MAX_RATE_HZ, Pace, Tick, Ticker, period_of
 from m100link.flight.setpoints import SETPOINT_LIFETIME, Hold
-from m100link.flight.steering import Steering
 from m100link.flight.stop_path import StopAction
-from m100link.flight.tasks import Commander, TaskListener, run_task, task_name
+from m100link.flight.tasks import Commander, Motors, TaskListener, run_task, task_name
 from m100link.geodesy import LocalFrame
 from m100link.protocol.commands.control import Move, Task
 from m100link.protocol.setpoint import Setpoint

@@ -14,13 +14,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from m100link.errors import M100Error, UsageError
-from m100link.flight.guards import GuardKeeper
+from m100link.flight.guards import GuardKeeper, known
 from m100link.flight.guidance import heading_of, position_of, require_in_the_air
-from m100link.flight.known import known
-from m100link.flight.loops import BRAKING_PER_S, check_height, check_speed
-from m100link.flight.orbit import Orbit
+from m100link.flight.loops import BRAKING_PER_S, Orbit, check_height, check_speed
 from m100link.geodesy import LocalFrame, normalize_degrees
-from m100link.missions.estimate import HOVER_MINUTES
+from m100link.missions.checks import HOVER_MINUTES
 from m100link.protocol.records import Attitude, Position
 from m100link.protocol.setpoint import Setpoint
 

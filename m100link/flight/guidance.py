@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from m100link.errors import NotObserved, TelemetryStalled, UsageError
-from m100link.flight.known import known
+from m100link.flight.guards import known
 from m100link.flight.pacing import Ticker
 from m100link.flight.tasks import describe_situation
 from m100link.protocol.records import Attitude, FlightPhase, FlightStatus, Position, Velocity

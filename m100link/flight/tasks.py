@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import cycle, islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from m100link.errors import (
     AckTimeout,
@@ -17,10 +17,18 @@ from m100link.errors import (
     NotObserved,
     TaskFailed,
     TaskRefused,
+    TelemetryStalled,
+    UsageError,
 )
-from m100link.flight.known import known
-from m100link.protocol.codes import TaskResultCode, TaskStartCode
-from m100link.protocol.commands.control import QueryTask, StartTask, Task
+from m100link.flight.guards import GuardKeeper, known
+from m100link.protocol.codes import ArmCode, TaskResultCode, TaskStartCode
+from m100link.protocol.commands.control import Arm, QueryTask, StartTask, Task
+from m100link.protocol.commands.virtual_rc import (
+    CENTRE,
+    TRAVEL,
+    VirtualRcData,
+    VirtualRcSettings,
+)
 from m100link.protocol.records import FlightPhase, FlightStatus, Position
 
 if TYPE_CHECKING:
@@ -30,9 +38,23 @@ if TYPE_CHECKING:
     from m100link.link.requests import Requests
     from m100link.telemetry.state import AircraftState
 
-__all__ = ["Commander", "TaskListener", "TaskProgress", "run_task"]
+__all__ = [
+    "CENTRED",
+    "GESTURE",
+    "SETTINGS_INTERVAL_S",
+    "Commander",
+    "Motors",
+    "SettingsPace",
+    "Sticks",
+    "TaskListener",
+    "TaskProgress",
+    "is_on_ground",
+    "run_task",
+    "switch_motors",
+]
 
 _logger = logging.getLogger(__name__)
+
 
 _POLL_S = 0.25
 _SHOWN_POLL_S = 0.02
@@ -318,3 +340,177 @@ class _Watch:
                 self._result,
             )
         )
+
+
+# -- the sticks of a virtual remote control, and when its settings may be sent ---------------------
+
+
+SETTINGS_INTERVAL_S = 2.2
+"""Between two settings; faster than every 2 s they lock the aircraft (facts V2, DJI's header). The
+rest is for frames that are late: a second one may catch up with the first."""
+
+_ROUNDING_S = 1e-3  # timers are that exact
+_GEAR_DOWN, _MODE_P = 1324, 1552
+_CORNER = 0.9
+
+
+class Sticks(NamedTuple):
+    """Deflections, -1 (left or down) to 1 (right or up)."""
+
+    roll: float = 0.0
+    pitch: float = 0.0
+    throttle: float = 0.0
+    yaw: float = 0.0
+
+    @property
+    def are_in_corner(self) -> bool:
+        """Both sticks down and to one side each: that starts and stops the motors."""
+        down = self.pitch < -_CORNER and self.throttle < -_CORNER
+        return down and abs(self.roll) > _CORNER and abs(self.yaw) > _CORNER
+
+    def encoded(self) -> VirtualRcData:
+        """The channels. The mode is always P, in which centred sticks hover."""
+        sticks = (round(CENTRE + TRAVEL * deflection) for deflection in self)
+        return VirtualRcData((*sticks, _GEAR_DOWN, CENTRE, _MODE_P, *[CENTRE] * 9))
+
+
+CENTRED = Sticks()
+GESTURE = Sticks(roll=-1.0, pitch=-1.0, throttle=-1.0, yaw=1.0)
+
+
+class SettingsPace:
+    """Lets the settings of one aircraft out, and never two within two seconds.
+
+    The program before may have sent some just before this one connected: that counts.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self.free_at = clock() + SETTINGS_INTERVAL_S
+
+    async def wait(self) -> None:
+        """Wait until the next may be sent."""
+        await asyncio.sleep(max(0.0, self.free_at - self._clock()))
+
+    def send(self, commander: Commander, command: VirtualRcSettings) -> bool:
+        """Send it. False when the line does not drain.
+
+        Raises:
+            UsageError: Too soon; nothing was sent.
+        """
+        now = self._clock()
+        if now < self.free_at - _ROUNDING_S:
+            raise UsageError(
+                f"virtual RC settings are not sent: it is {self.free_at - now:.1f} s too soon",
+                cause="faster than every 2 s they lock the aircraft (DJI's header warns of it)",
+                remedy="await wait() first",
+            )
+        if not commander.requests.push(command):
+            return False
+        self.free_at = now + SETTINGS_INTERVAL_S
+        return True
+
+
+# -- starting and stopping the motors on the ground, without taking off (firmware 3.1) -------------
+
+
+def is_on_ground(commander: Commander) -> bool | None:
+    """Whether the flight status says so; None when nobody knows."""
+    status = known(commander.state, FlightStatus)
+    return None if status is None else status.status == FlightPhase.STANDBY
+
+
+async def switch_motors(commander: Commander, *, on: bool) -> None:
+    """Start or stop them; that they run, or stand, already is no error.
+
+    Raises:
+        TaskRefused: With the code.
+        CommandNotSupported, NotActivated, LevelTooLow, KeyRejected, AckTimeout, LinkError: See each
+            class.
+    """
+    code = await commander.requests.execute(Arm(on), timeout=0.2, tries=3, refusal=TaskRefused)
+    if code not in (ArmCode.DONE, ArmCode.ALREADY):
+        raise _refused("arm" if on else "disarm", commander, code, code.meaning)
+
+
+def _refused(what: str, commander: Commander, code: ArmCode, seen: str) -> TaskRefused:
+    situation = commander.state.situation()
+    return TaskRefused(
+        f"{what} was refused: {seen} (code {int(code)}; {describe_situation(situation)})",
+        command=what,
+        code=int(code),
+        situation=situation,
+        cause=code.cause,
+        remedy=code.remedy,
+    )
+
+
+class Motors:
+    """The motors of the aircraft of one control block.
+
+    Args:
+        commander: The aircraft.
+        guards: Asked before the motors start, as before a take-off.
+        make_way: Called before either; raises when something else is flying, and ends setpoints.
+        on_armed: Told when they may run because of this block, and when they do not.
+    """
+
+    def __init__(
+        self,
+        commander: Commander,
+        guards: GuardKeeper,
+        make_way: Callable[[str], None],
+        on_armed: Callable[[bool], None],
+    ) -> None:
+        self._commander = commander
+        self._guards = guards
+        self._make_way = make_way
+        self._on_armed = on_armed
+
+    async def arm(self) -> None:
+        """Start the motors on the ground; they idle, and the aircraft stays where it is.
+
+        Only for programs that take off by setpoints of their own: a setpoint with thrust, height or
+        a climb rate lifts it from there. ``take_off()`` starts the motors itself, and **fails while
+        they run** (facts K7). With nothing commanded they stop by themselves after about 20 s; when
+        the block ends on the ground they are stopped. Firmware 3.1.
+
+        Raises:
+            NoAuthority: Authority is not held.
+            GuardRefused: As for a take-off.
+            TaskRefused: With the code; or another task, or a closed loop, is under way.
+            CommandNotSupported: The firmware is older; nothing was sent.
+            AckTimeout: Nobody knows whether they run.
+        """
+        self._make_way("arm")
+        await self._guards.admit_take_off()
+        self._on_armed(True)  # whatever becomes of the ack
+        await switch_motors(self._commander, on=True)
+
+    async def disarm(self) -> None:
+        """Stop the motors on the ground; landing stops them by itself.
+
+        **In the air nothing is sent**: the aircraft would refuse it (facts A2), and this does not
+        rely on that.
+
+        Raises:
+            NoAuthority: Authority is not held.
+            TaskRefused: It is in the air (code 3), or another task is under way.
+            TelemetryStalled: Nobody knows whether it is on the ground; nothing was sent.
+            CommandNotSupported: The firmware is older; nothing was sent.
+            AckTimeout: Nobody knows whether they stand.
+        """
+        self._make_way("disarm")
+        on_ground = is_on_ground(self._commander)
+        if on_ground is None:
+            raise TelemetryStalled(
+                "disarm was not sent: nobody knows whether the aircraft is on the ground",
+                cause="the flight status is not among the telemetry items, or old",
+                remedy="set_telemetry_rates(flight_status=10), or in the PC assistant",
+            )
+        if not on_ground:
+            raise _refused(
+                "disarm", self._commander, ArmCode.IN_THE_AIR, "the aircraft is in the air"
+            )
+        await switch_motors(self._commander, on=False)
+        self._on_armed(False)

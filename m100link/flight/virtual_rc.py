@@ -25,17 +25,12 @@ from m100link.errors import (
     TaskRefused,
     UsageError,
 )
-from m100link.flight.cancellation import Errand, ProgramTask
-from m100link.flight.guardian import Guardian, patience_of
-from m100link.flight.guardian_plan import GuardianPlan, virtual_rc_plan
-from m100link.flight.guards import FIRST_VALUES_S, GuardKeeper, Guards
-from m100link.flight.known import known
+from m100link.flight.cancellation import SIGNALS, Errand, ProgramTask
+from m100link.flight.guardian import Guardian, GuardianPlan, patience_of, virtual_rc_plan
+from m100link.flight.guards import FIRST_VALUES_S, GuardKeeper, Guards, known
 from m100link.flight.lifecycle import BlockClaim, BlockInput, BlockState, Lifecycle, StopCause
-from m100link.flight.motors import is_on_ground
 from m100link.flight.reserves import free, reserve
-from m100link.flight.signals import SIGNALS
-from m100link.flight.sticks import CENTRED, GESTURE, SettingsPace, Sticks
-from m100link.flight.tasks import Commander
+from m100link.flight.tasks import CENTRED, GESTURE, Commander, SettingsPace, Sticks, is_on_ground
 from m100link.flight.watchdog import TelemetryWatchdog
 from m100link.protocol.command import in_range
 from m100link.protocol.commands.virtual_rc import VirtualRcSettings

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from m100link.errors import (
     ComputerSuspended,
@@ -13,13 +15,315 @@ from m100link.errors import (
     SetpointsIgnored,
     TelemetryStalled,
 )
-from m100link.flight.following import FollowCheck
-from m100link.flight.guards import Guards
+from m100link.flight.guards import Guards, known
 from m100link.flight.lifecycle import StopCause
-from m100link.flight.suspension import SuspendWatch
+from m100link.geodesy import normalize_degrees
+from m100link.protocol.records import Attitude, FlightPhase, FlightStatus, Position, Velocity
+from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Setpoint, Vertical, Yaw
 from m100link.telemetry.state import AircraftState
 
-__all__ = ["TelemetryWatchdog"]
+if TYPE_CHECKING:
+    from m100link.telemetry.state import AircraftState
+
+__all__ = [
+    "FOLLOW_S",
+    "FollowCheck",
+    "SuspendWatch",
+    "TelemetryWatchdog",
+]
+
+
+# -- detect that the computer slept: the event loop's clock stopped, the aircraft did not ----------
+
+
+_WITH_SLEEP = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # on macOS the other one
+_NOTICED_S = 0.1
+_READINGS = 3
+
+
+def asleep_s() -> float:
+    """Return the seconds for which the computer was suspended since it started, plus a constant.
+
+    The order matters, because the process may be stopped between the two readings. That makes the
+    result smaller, so no sleep is seen where there was none.
+    """
+    with_sleep = time.clock_gettime(_WITH_SLEEP)
+    return with_sleep - time.monotonic()
+
+
+class SuspendWatch:
+    """Notices a suspend after it was made.
+
+    The event loop's clock counts every age and lifetime of a flight. It is CLOCK_MONOTONIC, which
+    stops while the computer is suspended: on waking, a setpoint of an hour ago is a tenth of a
+    second old. So nothing relies on ages after a suspend.
+    """
+
+    def __init__(self) -> None:
+        self._before_s = max(asleep_s() for _ in range(_READINGS))
+
+    def slept_s(self) -> float:
+        """Return for how long the computer was suspended, s; 0 when it was not."""
+        slept = asleep_s() - self._before_s
+        return slept if slept > _NOTICED_S else 0.0
+
+
+# -- check that the aircraft follows setpoints: the wire to it may be broken while all else wor ----
+
+
+FOLLOW_S = 1.2
+"""Seconds in which something has to follow. The recorded flights of a Matrice 100 in
+caomuqing/mav_system_identification-DJI_M100_sysID show a tilt 0.24 s after it was asked for; the
+failsafes of ArduPilot act after one second (ekf_check: ten in a row at 10 Hz)."""
+
+_FRESH_S = 0.5
+_LEAST_M_S = 1.0  # slower setpoints drown in gusts
+_LEAST_CLIMB_M_S = 0.5
+_LEAST_TURN_DEG = 20.0
+_LEAST_TURN_DEG_S = 10.0
+_LEAST_TILT_DEG = 5.0
+_LEAST_OFFSET_M = 3.0
+_OFFSET_M_S = 1.5  # an autopilot flies a larger offset at least as fast
+_FAST_OFFSET_M_S = 5.0  # and at most as fast as that
+_FOLLOWS = 0.25  # which part of what is asked for counts as followed: the rest is wind
+_BEGINS = 0.25  # and which part of what is missing shows that it is on its way
+_TURNED_DEG = 3.0
+_TILTED_DEG = 3.0
+_LEANS_DEG = 8.0  # a tilt towards it that says that wind, and not a wire, is in the way
+_LANDS_BELOW_M = 3.0  # near the ground an autopilot descends as it likes
+_STILL_M = 0.5
+_NOWHERE = 0.0, 0.0
+_UNSEEN_M = 10.0  # without a velocity, how far it may fly and not be seen to move,
+_UNSEEN_S = 2.5  # for so long: an aircraft that turns round is within half a metre for 1.6 s
+
+
+class _Deadline:
+    """Something is asked for, and has to grow by so much within :data:`FOLLOW_S`."""
+
+    def __init__(self) -> None:
+        self._since: float | None = None
+        self._from = 0.0
+        self._asked = _NOWHERE
+
+    def is_over(
+        self, now: float, seen: float | None, needed: float, asked: tuple[float, float]
+    ) -> bool:
+        """Whether it did not; ``seen`` is how much there is, None while it need not grow.
+
+        ``asked`` is the direction. One that is asked to go back has that time anew: no aircraft
+        follows a direction that changes faster than it can tilt.
+        """
+        if seen is None:
+            self._since = None
+            return False
+        goes_back = asked[0] * self._asked[0] + asked[1] * self._asked[1] <= 0.0
+        if self._since is None or goes_back or seen - self._from >= needed:
+            self._since, self._from, self._asked = now, seen, asked
+        self._from = min(self._from, seen)
+        return now - self._since >= FOLLOW_S
+
+
+class FollowCheck:
+    """Compares setpoints with what telemetry shows of them.
+
+    A contradiction is a demand that the aircraft does not even begin to follow. An aircraft that is
+    slow, leans into the wind, or is held back by the wind follows all the same.
+
+    Args:
+        state: Telemetry.
+        setpoint: What is being sent; None: nothing.
+        clock: Seconds.
+    """
+
+    def __init__(
+        self,
+        state: AircraftState,
+        setpoint: Callable[[], Setpoint | None],
+        clock: Callable[[], float],
+    ) -> None:
+        self._state = state
+        self._setpoint = setpoint
+        self._clock = clock
+        self._looked_at = -math.inf
+        self._asked: Setpoint | None = None
+        self._begin()
+
+    def _begin(self) -> None:
+        self._way, self._climb, self._turn, self._tilt = (_Deadline() for _ in range(4))
+        self._lean: tuple[float, float] | None = None  # north and east, °, when the way began
+        self._heading: float | None = None  # when the turn began
+        self._rightward = 0.0  # which turn is asked for
+        self._place: Position | None = None
+        self._unseen = _NOWHERE  # north and east, m
+        self._unseen_s = 0.0
+
+    def look(self) -> str:
+        """Return which demand is not followed, with figures; empty while there is no contradiction.
+
+        Call it a few times a second.
+        """
+        now = self._clock()
+        passed, self._looked_at = now - self._looked_at, now
+        setpoint = self._setpoint()
+        status = known(self._state, FlightStatus)
+        if setpoint is None or status is None or status.status != FlightPhase.IN_AIR:
+            if self._asked is not None:
+                self._asked = None
+                self._begin()
+            return ""
+        self._asked = setpoint
+        velocity = known(self._state, Velocity, within=_FRESH_S)
+        return (
+            self._look_at_way(now, passed, setpoint, velocity)
+            or self._look_at_climb(now, setpoint, velocity)
+            or self._look_at_turn(now, setpoint)
+        )
+
+    def _attitude(self) -> Attitude | None:
+        return known(self._state, Attitude, within=_FRESH_S)
+
+    # -- horizontally ----------------------------------------------------------------------------
+
+    def _look_at_way(
+        self, now: float, passed: float, setpoint: Setpoint, velocity: Velocity | None
+    ) -> str:
+        if setpoint.mode.horizontal is Horizontal.TILT:
+            self._way.is_over(now, None, 0.0, _NOWHERE)
+            return self._look_at_tilt(now, setpoint)
+        self._tilt.is_over(now, None, 0.0, _NOWHERE)
+        north, east, fast = self._wanted(setpoint)
+        wanted = math.hypot(north, east)
+        if wanted < _LEAST_M_S:
+            self._unseen = _NOWHERE
+            self._way.is_over(now, None, 0.0, _NOWHERE)
+            return ""
+        north, east = north / wanted, east / wanted
+        if velocity is None:
+            return self._look_at_place(passed, (north * fast, east * fast))
+        self._unseen = _NOWHERE
+        along = velocity.north_m_s * north + velocity.east_m_s * east
+        seen: float | None = along
+        if along >= _FOLLOWS * wanted or self._leans(north, east):
+            seen = None
+        if not self._way.is_over(now, seen, _BEGINS * (wanted - along), (north, east)):
+            return ""
+        return f"{wanted:.1f} m/s are asked for, and {along:.1f} m/s flown, without a begin"
+
+    def _wanted(self, setpoint: Setpoint) -> tuple[float, float, float]:
+        """What is asked for at least, north and east, m/s, and how fast it may be flown."""
+        x, y = setpoint.x, setpoint.y
+        if setpoint.frame is ReferenceFrame.BODY:
+            attitude = self._attitude()
+            if attitude is None:
+                return 0.0, 0.0, 0.0
+            yaw = math.radians(attitude.yaw_deg)
+            x, y = x * math.cos(yaw) - y * math.sin(yaw), x * math.sin(yaw) + y * math.cos(yaw)
+        fast = math.hypot(x, y)
+        if setpoint.mode.horizontal is Horizontal.VELOCITY:
+            return x, y, fast
+        if fast < _LEAST_OFFSET_M:
+            return 0.0, 0.0, 0.0
+        return x / fast * _OFFSET_M_S, y / fast * _OFFSET_M_S, min(fast / 2, _FAST_OFFSET_M_S)
+
+    def _leans(self, north: float, east: float) -> bool:
+        """Whether it tilts towards that direction, or has begun to."""
+        attitude = self._attitude()
+        if attitude is None:
+            return False
+        yaw, pitch, roll = (
+            math.radians(attitude.yaw_deg),
+            -attitude.pitch_deg,
+            attitude.roll_deg,
+        )
+        lean = (
+            pitch * math.cos(yaw) - roll * math.sin(yaw),
+            pitch * math.sin(yaw) + roll * math.cos(yaw),
+        )
+        before, self._lean = self._lean or lean, lean if self._lean is None else self._lean
+        more = (lean[0] - before[0]) * north + (lean[1] - before[1]) * east
+        if more >= _TILTED_DEG:
+            self._lean = lean
+        return more >= _TILTED_DEG or lean[0] * north + lean[1] * east >= _LEANS_DEG
+
+    def _look_at_place(self, passed: float, asked: tuple[float, float]) -> str:
+        """Without a velocity, the place has to change while it is flown to another one."""
+        place = known(self._state, Position)
+        if place is None:
+            self._unseen, self._place = _NOWHERE, None
+            return ""
+        if self._place is None or _apart_m(self._place, place) > _STILL_M:
+            self._place, self._unseen = place, _NOWHERE
+            return ""
+        passed = min(passed, _FRESH_S)
+        self._unseen_s = self._unseen_s + passed if self._unseen != _NOWHERE else passed
+        self._unseen = self._unseen[0] + asked[0] * passed, self._unseen[1] + asked[1] * passed
+        unseen = math.hypot(*self._unseen)
+        if unseen < _UNSEEN_M or self._unseen_s < _UNSEEN_S:
+            return ""
+        return f"setpoints of {unseen:.0f} m were flown, and the position did not change"
+
+    def _look_at_tilt(self, now: float, setpoint: Setpoint) -> str:
+        wanted, attitude = math.hypot(setpoint.x, setpoint.y), self._attitude()
+        if attitude is None or wanted < _LEAST_TILT_DEG or setpoint.frame is ReferenceFrame.GROUND:
+            self._tilt.is_over(now, None, 0.0, _NOWHERE)
+            return ""
+        along = (attitude.roll_deg * setpoint.x + attitude.pitch_deg * setpoint.y) / wanted
+        seen = along if along < _FOLLOWS * wanted else None
+        asked = setpoint.x, setpoint.y
+        if not self._tilt.is_over(now, seen, _BEGINS * (wanted - along), asked):
+            return ""
+        return f"a tilt of {wanted:.0f}° is asked for, and {along:.0f}° flown, without a begin"
+
+    # -- climbing and turning --------------------------------------------------------------------
+
+    def _look_at_climb(self, now: float, setpoint: Setpoint, velocity: Velocity | None) -> str:
+        wanted, climb, seen = setpoint.z, 0.0, None
+        if (
+            velocity is not None
+            and setpoint.mode.vertical is Vertical.VELOCITY
+            and abs(wanted) >= _LEAST_CLIMB_M_S
+            and (wanted > 0.0 or self._is_high())
+        ):
+            climb = abs(velocity.up_m_s)  # the sources do not settle its sign
+            seen = climb if climb < _FOLLOWS * abs(wanted) else None
+        needed = _BEGINS * (abs(wanted) - climb)
+        if not self._climb.is_over(now, seen, needed, (wanted, 0.0)):
+            return ""
+        return f"a climb of {wanted:.1f} m/s is asked for, and {climb:.1f} m/s flown"
+
+    def _is_high(self) -> bool:
+        position = known(self._state, Position)
+        return position is not None and position.height_m > _LANDS_BELOW_M
+
+    def _look_at_turn(self, now: float, setpoint: Setpoint) -> str:
+        seen, asked, is_by_rate = None, 0.0, setpoint.mode.yaw is Yaw.RATE
+        is_slow = is_by_rate and abs(setpoint.yaw) < _LEAST_TURN_DEG_S
+        attitude = None if is_slow else self._attitude()
+        if attitude is None:
+            self._heading = None
+        else:
+            heading = attitude.yaw_deg
+            asked = setpoint.yaw if is_by_rate else normalize_degrees(setpoint.yaw - heading)
+            is_asked = is_by_rate or abs(asked) >= _LEAST_TURN_DEG
+            goes_back, self._rightward = asked * self._rightward < 0.0, asked
+            if self._heading is None or not is_asked or goes_back:
+                self._heading = heading
+            turned = abs(normalize_degrees(heading - self._heading))
+            seen = turned if is_asked and turned < _TURNED_DEG else None
+            if seen is None:
+                self._heading = heading
+        if not self._turn.is_over(now, seen, _TURNED_DEG, (asked, 0.0)):
+            return ""
+        return "a turn is asked for, and the heading stays"
+
+
+def _apart_m(one: Position, other: Position) -> float:
+    north = one.latitude_rad - other.latitude_rad
+    east = math.remainder(one.longitude_rad - other.longitude_rad, 2 * math.pi)
+    return math.hypot(north, east * math.cos(one.latitude_rad)) * 6_378_137.0
+
+
+# -- watchdog --------------------------------------------------------------------------------------
 
 _SLACK_S = 0.01  # so that a timer that is on time finds the limit passed
 _BLOCKED_S = 0.1  # a timer that is later than this says that the program itself did not run

@@ -2,11 +2,9 @@
 
 import logging
 
-from m100link.link.link import Link
+from m100link.link.link import Link, open_link
 from m100link.link.memory import MemoryTransport, connect_in_memory
-from m100link.link.opening import open_link
-from m100link.link.statistics import LinkStatistics, RoundTrips
-from m100link.link.tap import Direction, Tap
+from m100link.link.statistics import Direction, LinkStatistics, RoundTrips, Tap
 from m100link.link.url import DEFAULT_BAUD_RATE, parse_url
 
 __all__ = [

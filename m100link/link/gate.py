@@ -4,9 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import os
+import select
+import selectors
+import signal
+import threading
+from asyncio import _get_running_loop  # the other one raises where none runs
 from typing import Protocol
+from weakref import WeakSet
 
-__all__ = ["GUARDIAN_NAME", "Gate", "descriptor_of"]
+from m100link.errors import LinkClosed
+from m100link.errors.usage import of_another_loop
+
+__all__ = [
+    "GUARDIAN_NAME",
+    "Gate",
+    "descriptor_of",
+    "lose_at_fork",
+    "lose_line",
+    "require_loop",
+]
+
 
 GUARDIAN_NAME = "m100link-guard"
 """What the system calls the process that ends the flight of a program that cannot."""
@@ -32,3 +49,102 @@ def descriptor_of(transport: asyncio.BaseTransport | None) -> int | None:
             number = line.fileno()
             return number if isinstance(number, int) and number >= 0 else None
     return None
+
+
+# -- whose event loop a connection is: another one, or a thread, would break it for its owner ------
+
+
+def require_loop(own: asyncio.AbstractEventLoop, name: str = "aircraft.link.loop") -> None:
+    """Refuse a call when another event loop runs here, or its own elsewhere or nowhere.
+
+    Args:
+        own: The event loop in which the connection was made.
+        name: What a program calls that one.
+
+    Raises:
+        UsageError: It is another one.
+    """
+    here = _get_running_loop()
+    # Between two runs of its loop, as at a prompt, none runs here.
+    if here is not own and (here or own.is_running() or own.is_closed()):
+        raise of_another_loop(name)
+
+
+# -- detach a forked child from the line and the event loop of its parent --------------------------
+# A child shares the parent's open files. When it leaves the coroutine in which it was forked (an
+# exception, ``sys.exit``, ``return``), its event loop would remove the line from the parent's
+# epoll. The parent would then receive and send nothing, while its last setpoint stays in force.
+
+
+_EPOLLS = (selectors.EpollSelector,) if hasattr(selectors, "EpollSelector") else ()  # Linux
+
+
+class Inherited(Protocol):
+    """A resource that a child inherits and must not use."""
+
+    def after_fork(self) -> None:
+        """Let go of it, in the child. Raises nothing."""
+
+
+_inherited: WeakSet[Inherited] = WeakSet()
+
+
+def lose_at_fork(inherited: Inherited) -> None:
+    """Register a resource: the child of each fork lets go of it."""
+    _inherited.add(inherited)
+
+
+def _after_fork() -> None:
+    for inherited in list(_inherited):
+        inherited.after_fork()
+    _inherited.clear()
+
+
+def lose_line(
+    transport: asyncio.BaseTransport, loop: asyncio.AbstractEventLoop, name: str
+) -> LinkClosed:
+    """Let go of a line and of its event loop, in the child; returns why it is closed there."""
+    port = transport.get_extra_info("serial", transport.get_extra_info("socket"))
+    if port is not None:
+        _lose_file(port.fileno())
+    _lose_loop(loop)
+    return LinkClosed(
+        f"{name} belongs to the process from which this one was forked",
+        cause="a child has no part in the line of its parent",
+        remedy="fork before connect(), and fly from one process",
+    )
+
+
+def _lose_file(descriptor: int) -> None:
+    """Put a file that takes all and gives nothing in the place of one that is the parent's too."""
+    try:
+        nothing = os.open(os.devnull, os.O_RDWR)
+    except OSError:  # no descriptor is left
+        os.close(descriptor)
+        return
+    os.dup2(nothing, descriptor, inheritable=False)
+    os.close(nothing)
+
+
+def _lose_loop(loop: asyncio.AbstractEventLoop) -> None:
+    """Give an event loop of asyncio a selector of its own, which nothing wakes but its timers.
+
+    uvloop does that by itself.
+    """
+    # Neither has a public name; where they are called otherwise, the child is as it always was.
+    selector = getattr(loop, "_selector", None)
+    if selector is not None and isinstance(selector, _EPOLLS):
+        try:
+            with select.epoll() as own:
+                os.dup2(own.fileno(), selector.fileno(), inheritable=False)
+        except OSError:  # no descriptor is left
+            selector.close()
+    waker = getattr(loop, "_csock", None)
+    if waker is not None and threading.current_thread() is threading.main_thread():
+        before = signal.set_wakeup_fd(-1)
+        if before not in (-1, waker.fileno()):
+            signal.set_wakeup_fd(before)  # of somebody else
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=_after_fork)

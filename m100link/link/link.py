@@ -15,19 +15,29 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, cast
 
 from m100link.errors import AckTimeout, LinkClosed, LinkError, LinkLost
-from m100link.link.forked import lose_at_fork, lose_line
-from m100link.link.gate import Gate, descriptor_of
-from m100link.link.own_loop import require_loop
-from m100link.link.statistics import LinkStatistics, RoundTripCounter, counted
-from m100link.link.tap import excerpt
+from m100link.link.gate import Gate, descriptor_of, lose_at_fork, lose_line, require_loop
+from m100link.link.statistics import (
+    LinkStatistics,
+    RoundTripCounter,
+    Tap,
+    TappedProtocol,
+    counted,
+    excerpt,
+)
+from m100link.link.transport import open_transport
+from m100link.link.url import ConnectionString, parse_url
 from m100link.session.endpoint import Endpoint
 from m100link.session.events import Acked, Event, Expired, SessionMode
 from m100link.wire.cipher import Cipher
 from m100link.wire.frame import Frame
 
-__all__ = ["Link"]
+__all__ = [
+    "Link",
+    "open_link",
+]
 
 _logger = logging.getLogger(__name__)
+
 
 CLOSE_TIMEOUT = 1.0
 """Seconds that closing waits for written bytes to leave."""
@@ -509,3 +519,42 @@ class Link(asyncio.Protocol):
         except KeyboardInterrupt:
             self._is_failure_told = False  # it may not have heard, and may hear twice
             raise
+
+
+# -- opening a line --------------------------------------------------------------------------------
+
+
+async def open_link(
+    url: str | ConnectionString,
+    *,
+    baud_rate: int | None = None,
+    on_received: Callable[[Frame, float], None] = ignore,
+    on_lost: Callable[[LinkError], None] = ignore,
+    first_sequence: int | None = None,
+    tap: Tap | None = None,
+) -> Link:
+    """Open a line and return the link on it.
+
+    Args:
+        url: Connection string, see :func:`~m100link.link.url.parse_url`.
+        baud_rate: Rate when the string has none.
+        on_received: See :class:`Link`.
+        on_lost: See :class:`Link`.
+        first_sequence: See :class:`Link`.
+        tap: Called with every read and write, see :data:`~m100link.link.Tap`.
+
+    Raises:
+        BadURL, PortNotFound, PortPermissionDenied, PortBusy, PortFailed: See each class.
+    """
+    address = url if isinstance(url, ConnectionString) else parse_url(url, baud_rate=baud_rate)
+    link = Link(on_received=on_received, on_lost=on_lost, first_sequence=first_sequence)
+    link.name = str(address)
+    protocol = link if tap is None else TappedProtocol(link, tap, link.loop.time)
+    transport = await open_transport(address, protocol)
+    try:
+        await link.wait_connected()
+    except BaseException:
+        transport.abort()
+        await link.wait_disconnected()  # whoever opens it next finds it free
+        raise
+    return link

@@ -6,7 +6,12 @@ Names and fields of ``foxglove.*`` are Foxglove's, so that its panels know them.
 from __future__ import annotations
 
 import json
-from typing import Any, NamedTuple
+import math
+from typing import Any, NamedTuple, TypeVar
+
+from m100link.errors import LayoutMismatch
+from m100link.protocol.firmware import FirmwareProfile
+from m100link.telemetry.sample import Sample
 
 __all__ = [
     "CHUNKS",
@@ -22,8 +27,13 @@ __all__ = [
     "TRANSFORM",
     "TX",
     "Schema",
+    "Thinned",
+    "Thinning",
     "Told",
+    "layout",
+    "row_of",
 ]
+
 
 RX, TX = "/m100/raw/rx", "/m100/raw/tx"
 """The bytes as they were read and written: all messages of a topic joined are the whole stream."""
@@ -118,3 +128,176 @@ SCHEMAS = {
     ),
     STATE: _schema("m100.State", connection=_TEXT, has_authority={"type": "boolean"}, task=_TEXT),
 }
+
+
+# -- telemetry for the eye: a few rows a second, each with every item that came since the last -----
+
+
+R = TypeVar("R", bound=tuple[Any, ...])
+
+
+def row_of(sample: Sample) -> dict[str, float]:
+    """The numbers of a package by their columns; a NaN stays one, which JSON tells as null."""
+    return dict(zip(sample.columns, sample.row(), strict=True))
+
+
+class Thinned(NamedTuple):
+    """What is let through.
+
+    Attributes:
+        packages: Those whose items are in the row; the last one is that which was due.
+        row: Its numbers by their columns, and when it was received.
+    """
+
+    packages: list[Sample]
+    row: dict[str, float]
+
+    def get(self, record: type[R]) -> R | None:
+        """The newest record of that class, None when no package brought one."""
+        found = (one.get(record) for one in reversed(self.packages))
+        return next((one for one in found if one is not None), None)
+
+
+class Thinning:
+    """Lets some packages through.
+
+    Items come at rates of their own: every tenth package may never have the battery. So a row
+    begins with the items of the packages that were not let through, and ends with those of its own.
+
+    Args:
+        interval_s: Between two rows, at least; 0: every package.
+    """
+
+    def __init__(self, interval_s: float) -> None:
+        self._interval_s = 0.999 * interval_s
+        self._at = -math.inf
+        self._packages: list[Sample] = []  # one for each item at most
+        self._flags = 0
+
+    def hear(self, value: bytes, profile: FirmwareProfile, now: float) -> Thinned | None:
+        """A package, given by its value; what is let through when that is due.
+
+        What does not fit the profile is passed over: the link counts it.
+        """
+        is_due = now - self._at >= self._interval_s
+        flags = int.from_bytes(value[:2], "little")
+        if not is_due and not flags & ~self._flags:
+            return None  # its items will come once more
+        try:
+            sample = Sample(value, profile, now)
+        except (LayoutMismatch, IndexError):
+            return None
+        self._packages.append(sample)
+        self._flags |= flags
+        if not is_due:
+            return None
+        packages, self._packages, self._flags = self._packages, [], 0
+        self._at = now
+        row: dict[str, float] = {"received_at": now}
+        for one in packages:
+            row |= row_of(one)
+        return Thinned(packages, row)
+
+
+# -- A layout of panels for Foxglove and Lichtblick, for recorded flights and live ones ------------
+
+
+def _path(column: str) -> str:
+    """A column as the panels write it: its name has a dot, so it stands in quotes."""
+    return f'{TELEMETRY}."{column}"'
+
+
+def _plot(title: str, **lines: str) -> dict[str, Any]:
+    return {
+        "title": title,
+        "paths": [
+            {
+                "value": path,
+                "label": label.replace("_", " "),
+                "enabled": True,
+                "timestampMethod": "receiveTime",
+            }
+            for label, path in lines.items()
+        ],
+        "showXAxisLabels": True,
+        "showYAxisLabels": True,
+        "showLegend": True,
+        "legendDisplay": "floating",
+        "showPlotValuesInLegend": True,
+        "isSynced": True,
+        "xAxisVal": "timestamp",
+        "sidebarDimension": 240,
+    }
+
+
+def _split(direction: str, first: Any, second: Any, percent: int) -> dict[str, Any]:
+    return {
+        "direction": direction,
+        "first": first,
+        "second": second,
+        "splitPercentage": percent,
+    }
+
+
+def layout() -> dict[str, Any]:
+    """Map, height, speed, battery, attitude and events, ready for JSON.
+
+    ``/tf`` and ``/m100/log`` are there while a flight is watched, ``/m100/event`` in its log.
+    """
+    panels = {
+        "map!m100": {"enabledTopics": [FIX], "followTopic": FIX, "zoomLevel": 18},
+        "Plot!height": _plot("Height, m", height=_path("position.height")),
+        "Plot!speed": _plot(
+            "Speed, m/s",
+            north=_path("velocity.x"),
+            east=_path("velocity.y"),
+            up=_path("velocity.z"),
+        ),
+        "Plot!battery": _plot("Battery, %", charge=_path("battery.percent")),
+        "Gauge!battery": {
+            "path": _path("battery.percent"),
+            "minValue": 0,
+            "maxValue": 100,
+            "colorMode": "colormap",
+            "colorMap": "red-yellow-green",
+            "gradient": ["#0000ff", "#ff00ff"],
+            "reverse": False,
+        },
+        "Plot!attitude": _plot(
+            "Attitude, quaternion",
+            **{name: _path(f"quaternion.{name}") for name in ("q0", "q1", "q2", "q3")},
+        ),
+        "3D!attitude": {
+            "followTf": "takeoff",
+            "followMode": "follow-pose",
+            "scene": {"transforms": {"axisScale": 1.5, "showLabel": True}},
+            "transforms": {"frame:m100": {"visible": True}},
+            "topics": {},
+            "layers": {"grid": {"layerId": "foxglove.Grid", "visible": True, "size": 20}},
+        },
+        "StateTransitions!status": {
+            "paths": [
+                {"value": _path("flight_status.status"), "timestampMethod": "receiveTime"},
+                {"value": f"{EVENT}.after", "timestampMethod": "receiveTime"},
+            ],
+            "isSynced": True,
+        },
+        "RawMessages!event": {"topicPath": EVENT, "diffEnabled": False},
+        "RosOut!log": {"topicToRender": MESSAGE, "minLogLevel": 1},
+    }
+    left = _split("column", "map!m100", _split("row", "3D!attitude", "Gauge!battery", 65), 60)
+    plots = _split(
+        "column",
+        _split("column", "Plot!height", "Plot!speed", 50),
+        _split("column", "Plot!battery", "Plot!attitude", 50),
+        50,
+    )
+    told = _split("row", "RawMessages!event", "RosOut!log", 50)
+    right = _split("column", plots, _split("column", "StateTransitions!status", told, 35), 70)
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": _split("row", left, right, 45),
+    }

@@ -9,10 +9,9 @@ from collections.abc import Iterator
 from html import escape
 from importlib.resources import files
 
-from m100link.log.drawing import PHASE_COLOURS, Line, Panel, clock, facts, panels, ticks
-from m100link.log.story import Story
-from m100link.log.told import Span
-from m100link.telemetry.pictures import round_length
+from m100link.log.picture import PHASE_COLOURS, Line, Panel, clock, facts, panels, ticks
+from m100link.log.story import Span, Story
+from m100link.telemetry.columns import round_length
 
 __all__ = ["page"]
 

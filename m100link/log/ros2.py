@@ -5,14 +5,15 @@ The ground is ``map``, the body ``base_link``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping
+from functools import cached_property
 from typing import IO, Any
 
-from m100link.log.cdr import definition, encode
+from m100link.log.cdr import Template, definition, encode
 from m100link.log.channels import COMMAND, EVENT
 from m100link.log.reading import FlightLog
 from m100link.log.records import mcap_module
-from m100link.log.ros2_messages import Messages, Stamp
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import (
     Acceleration,
@@ -20,13 +21,292 @@ from m100link.protocol.records import (
     Attitude,
     Battery,
     FlightStatus,
+    Gimbal,
+    Magnetometer,
     Position,
     RemoteControl,
     Velocity,
 )
+from m100link.telemetry.integrity import has_fix
 from m100link.telemetry.sample import Sample
 
-__all__ = ["TOPICS", "write_bag"]
+__all__ = [
+    "TOPICS",
+    "Messages",
+    "Stamp",
+    "in_body",
+    "write_bag",
+]
+
+
+# -- what an aircraft tells, as messages of ROS 2: for flight logs, and for who listens live -------
+# Frames and units of REP 103 and 105: east, north, up on the ground; forward, left, up in the body.
+# What the wire does not say is said to be unknown, as each message has it.
+
+
+Stamp = tuple[int, int]
+"""Seconds and nanoseconds of POSIX time."""
+
+Vector = tuple[float, float, float]
+
+_GRAVITY_M_S2 = 9.80665
+_NO_FIX, _FIX, _GPS = -1, 0, 1
+_STICK = 10_000.0
+_ZERO = (0.0, 0.0, 0.0)
+_LEVEL = (0.0, 0.0, 0.0, 1.0)
+_UNKNOWN = [0.0] * 9
+_NOT_THERE = [-1.0] + [0.0] * 8  # as sensor_msgs/Imu says it
+_VECTOR = dict.fromkeys("xyz", 0.0)
+_ROTATION = dict.fromkeys("xyzw", 0.0)
+_TWIST = {"linear": _VECTOR, "angular": _VECTOR}
+_POSE = {"position": _VECTOR, "orientation": _ROTATION}
+
+
+def in_body(enu_flu_xyzw: tuple[float, float, float, float], enu: Vector) -> Vector:
+    """A ground vector, east, north, up, in body axes: forward, left, up.
+
+    Args:
+        enu_flu_xyzw: The attitude, as :attr:`m100link.Attitude.enu_flu_xyzw` has it.
+        enu: The vector.
+    """
+    x, y, z, w = enu_flu_xyzw
+    a, b, c = enu
+    # The inverse rotation: t = 2 v × q, then v + w t + t × q.
+    tx, ty, tz = 2 * (b * z - c * y), 2 * (c * x - a * z), 2 * (a * y - b * x)
+    return (
+        a + w * tx + ty * z - tz * y,
+        b + w * ty + tz * x - tx * z,
+        c + w * tz + tx * y - ty * x,
+    )
+
+
+class Messages:
+    """Makes the messages, with the names of two frames.
+
+    Args:
+        ground: Frame of what is east, north, up.
+        body: Frame of what is forward, left, up.
+    """
+
+    def __init__(self, ground: str, body: str) -> None:
+        self.ground, self.body = ground, body
+        self._imus: dict[tuple[bool, ...], Template] = {}
+        self._attitude: Attitude | None = None
+        self._rotation = _LEVEL
+
+    def _header(self, frame: str) -> Mapping[str, Any]:
+        return {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": frame}
+
+    def _turned(self, attitude: Attitude) -> tuple[float, float, float, float]:
+        """The attitude for ROS; four messages of a package have the same one."""
+        if attitude is not self._attitude:
+            self._attitude, self._rotation = attitude, attitude.enu_flu_xyzw
+        return self._rotation
+
+    # -- position and motion ---------------------------------------------------------------------
+
+    @cached_property
+    def _fix(self) -> Template:
+        message = {
+            "header": self._header(self.body),
+            "status": {"status": 0, "service": _GPS},
+            **dict.fromkeys(("latitude", "longitude", "altitude"), 0.0),
+            "position_covariance": _UNKNOWN,
+            "position_covariance_type": 0,
+        }
+        changing = ("header.stamp", "status.status", "latitude", "longitude", "altitude")
+        return Template("sensor_msgs/NavSatFix", message, *changing)
+
+    def fix(self, stamp: Stamp, position: Position) -> bytes:
+        """sensor_msgs/NavSatFix; the altitude is the aircraft's, by its barometer."""
+        place = (position.latitude_deg,), (position.longitude_deg,), (position.altitude_m,)
+        return self._fix.fill(stamp, (_FIX if has_fix(position) else _NO_FIX,), *place)
+
+    @cached_property
+    def _twist(self) -> Template:
+        message = {"header": self._header(self.ground), "twist": _TWIST}
+        return Template(
+            "geometry_msgs/TwistStamped", message, "header.stamp", "twist.linear", "twist.angular"
+        )
+
+    def velocity(self, stamp: Stamp, velocity: Velocity) -> bytes:
+        """geometry_msgs/TwistStamped over ground; it does not turn there."""
+        return self._twist.fill(stamp, velocity.enu, _ZERO)
+
+    @cached_property
+    def _vector(self) -> Template:
+        message = {"header": self._header(self.ground), "vector": _VECTOR}
+        return Template("geometry_msgs/Vector3Stamped", message, "header.stamp", "vector")
+
+    def acceleration(self, stamp: Stamp, acceleration: Acceleration) -> bytes:
+        """geometry_msgs/Vector3Stamped over ground, without gravity."""
+        return self._vector.fill(stamp, acceleration.enu)
+
+    @cached_property
+    def _odometry(self) -> Template:
+        message = {
+            "header": self._header(self.ground),
+            "child_frame_id": self.body,
+            "pose": {"pose": _POSE, "covariance": [0.0] * 36},
+            "twist": {"twist": _TWIST, "covariance": [0.0] * 36},
+        }
+        changing = ("pose.pose.position", "pose.pose.orientation", "twist.twist")
+        return Template("nav_msgs/Odometry", message, "header.stamp", *changing)
+
+    def odometry(
+        self,
+        stamp: Stamp,
+        place: Vector,
+        attitude: Attitude,
+        velocity: Velocity,
+        rates: AngularVelocity,
+    ) -> bytes:
+        """nav_msgs/Odometry: the pose over ground, the motion in body axes.
+
+        Args:
+            stamp: When.
+            place: East, north, up of the origin, m.
+            attitude: How it is turned.
+            velocity: Over ground.
+            rates: About the body axes.
+        """
+        turned = self._turned(attitude)
+        motion = (*in_body(turned, velocity.enu), *_flu(rates))
+        return self._odometry.fill(stamp, place, turned, motion)
+
+    @cached_property
+    def _pose(self) -> Template:
+        message = {"header": self._header(self.ground), "pose": _POSE}
+        return Template(
+            "geometry_msgs/PoseStamped",
+            message,
+            "header.stamp",
+            "pose.position",
+            "pose.orientation",
+        )
+
+    def pose(self, stamp: Stamp, place: Vector, attitude: Attitude) -> bytes:
+        """geometry_msgs/PoseStamped over ground; the place as in :meth:`odometry`."""
+        return self._pose.fill(stamp, place, self._turned(attitude))
+
+    @cached_property
+    def _transform(self) -> Template:
+        transform = {"translation": _VECTOR, "rotation": _ROTATION}
+        named = {
+            "header": self._header(self.ground),
+            "child_frame_id": self.body,
+            "transform": transform,
+        }
+        inner = "transforms.0"
+        changing = (f"{inner}.transform.translation", f"{inner}.transform.rotation")
+        message = {"transforms": [named]}
+        return Template("tf2_msgs/TFMessage", message, f"{inner}.header.stamp", *changing)
+
+    def transform(self, stamp: Stamp, place: Vector, attitude: Attitude) -> bytes:
+        """tf2_msgs/TFMessage from the ground to the body; the place as in :meth:`odometry`."""
+        return self._transform.fill(stamp, place, self._turned(attitude))
+
+    # -- sensors ---------------------------------------------------------------------------------
+
+    def _imu(self, *known: bool) -> Template:
+        """The message in which so much is known: attitude, rates, acceleration."""
+        template = self._imus.get(known)
+        if template is None:
+            names = ("orientation", "angular_velocity", "linear_acceleration")
+            covariances = {
+                f"{name}_covariance": _UNKNOWN if one else _NOT_THERE
+                for name, one in zip(names, known, strict=True)
+            }
+            empty = dict(zip(names, (_ROTATION, _VECTOR, _VECTOR), strict=True))
+            message = {"header": self._header(self.body), **empty, **covariances}
+            template = Template("sensor_msgs/Imu", message, "header.stamp", *names)
+            self._imus[known] = template
+        return template
+
+    def imu(
+        self,
+        stamp: Stamp,
+        attitude: Attitude | None,
+        rates: AngularVelocity | None,
+        acceleration: Acceleration | None,
+    ) -> bytes:
+        """sensor_msgs/Imu; the acceleration is what a sensor in the body feels, with gravity."""
+        turned = None if attitude is None else self._turned(attitude)
+        felt = None
+        if turned is not None and acceleration is not None:
+            east, north, up = acceleration.enu
+            felt = in_body(turned, (east, north, up + _GRAVITY_M_S2))
+        return self._imu(turned is not None, rates is not None, felt is not None).fill(
+            stamp, turned or _LEVEL, _ZERO if rates is None else _flu(rates), felt or _ZERO
+        )
+
+    @cached_property
+    def _magnetometer(self) -> Template:
+        message = {"header": self._header(self.body), "vector": _VECTOR}
+        return Template("geometry_msgs/Vector3Stamped", message, "header.stamp", "vector")
+
+    def magnetometer(self, stamp: Stamp, found: Magnetometer) -> bytes:
+        """geometry_msgs/Vector3Stamped: raw numbers without a unit, forward, left, up."""
+        return self._magnetometer.fill(stamp, (found.x, -found.y, -found.z))
+
+    @cached_property
+    def _gimbal(self) -> Template:
+        message = {"header": self._header(self.ground), "quaternion": _ROTATION}
+        return Template("geometry_msgs/QuaternionStamped", message, "header.stamp", "quaternion")
+
+    def gimbal(self, stamp: Stamp, gimbal: Gimbal) -> bytes:
+        """geometry_msgs/QuaternionStamped: how the camera is turned over ground."""
+        roll, pitch, yaw = (
+            math.radians(one) / 2 for one in (gimbal.roll_deg, gimbal.pitch_deg, gimbal.yaw_deg)
+        )
+        cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+        cy, sy = math.cos(yaw), math.sin(yaw)
+        turned = Attitude(
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        )
+        return self._gimbal.fill(stamp, turned.enu_flu_xyzw)
+
+    @cached_property
+    def _battery(self) -> Template:
+        unknown = ("voltage", "temperature", "current", "charge", "capacity", "design_capacity")
+        kinds = ("power_supply_status", "power_supply_health", "power_supply_technology")
+        message = {
+            "header": self._header(self.body),
+            **dict.fromkeys(unknown, math.nan),
+            "percentage": 0.0,
+            **dict.fromkeys(kinds, 0),
+            "present": True,
+            "cell_voltage": [],
+            "cell_temperature": [],
+            "location": "",
+            "serial_number": "",
+        }
+        return Template("sensor_msgs/BatteryState", message, "header.stamp", "percentage")
+
+    def battery(self, stamp: Stamp, battery: Battery) -> bytes:
+        """sensor_msgs/BatteryState: the wire has the percentage alone; NaN beyond 100 %."""
+        charge = battery.percent / 100.0 if battery.is_possible else math.nan
+        return self._battery.fill(stamp, (charge,))
+
+    def joy(self, stamp: Stamp, rc: RemoteControl) -> bytes:
+        """sensor_msgs/Joy of the remote: roll, pitch, yaw, throttle; mode switch and gear raw.
+
+        Firmware that does not tell the gear leaves that button away.
+        """
+        header = {"stamp": {"sec": stamp[0], "nanosec": stamp[1]}, "frame_id": self.body}
+        sticks = [one / _STICK for one in (rc.roll, rc.pitch, rc.yaw, rc.throttle)]
+        switches = [one for one in (rc.mode, rc.gear) if one is not None]
+        return encode("sensor_msgs/Joy", {"header": header, "axes": sticks, "buttons": switches})
+
+
+def _flu(rates: AngularVelocity) -> Vector:
+    return (rates.forward_rad_s, -rates.right_rad_s, -rates.down_rad_s)
+
+
+# -- ros2 ------------------------------------------------------------------------------------------
 
 TOPICS = {
     "/m100/fix": "sensor_msgs/NavSatFix",

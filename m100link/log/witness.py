@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from m100link.errors import BadAck
-from m100link.log.channels import COMMAND, FIX, TELEMETRY, Told
-from m100link.log.thinning import Thinning
+from m100link.log.channels import COMMAND, FIX, TELEMETRY, Thinning, Told
 from m100link.protocol.command import Acknowledged, Command, Unrecognised
 from m100link.protocol.commands.activation import Activate
 from m100link.protocol.commands.monitor import PushTelemetry

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from m100link.errors import BadPlan
 from m100link.missions.document import load_object
-from m100link.missions.qgroundcontrol_items import FILE_TYPE
+from m100link.missions.qgroundcontrol import FILE_TYPE
 
 __all__ = ["is_named_plan", "is_qgroundcontrol", "read", "write"]
 

@@ -8,9 +8,14 @@ from typing import TYPE_CHECKING, Any, Self
 
 from m100link.errors import BadPlan
 from m100link.geodesy import distance_m
-from m100link.missions.checks import leg_lengths, problems
-from m100link.missions.estimate import HOVER_MINUTES, PlanEstimate, estimate
-from m100link.missions.remarks import remarks
+from m100link.missions.checks import (
+    HOVER_MINUTES,
+    PlanEstimate,
+    estimate,
+    leg_lengths,
+    problems,
+    remarks,
+)
 from m100link.missions.waypoint import (
     AtEnd,
     GimbalPitch,
@@ -230,7 +235,6 @@ class WaypointPlan:
             document,
             qgroundcontrol,
             qgroundcontrol_export,
-            qgroundcontrol_items,
         )
 
         found = document.load_object(text)
@@ -239,7 +243,7 @@ class WaypointPlan:
             plan = cls(**written)
             made = qgroundcontrol_export.document_of(plan)
             if made["mission"] == found.get("mission"):
-                qgroundcontrol_items.refuse_fences(found, leave_out)
+                qgroundcontrol.refuse_fences(found, leave_out)
                 return plan
         return cls(
             **qgroundcontrol.from_document(found, home_altitude=home_altitude, leave_out=leave_out)

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from m100link.missions.document import FORMAT, VERSION, from_json, values_of
-from m100link.missions.qgroundcontrol_items import FILE_TYPE
+from m100link.missions.qgroundcontrol import FILE_TYPE
 from m100link.missions.waypoint import (
     AtEnd,
     GimbalPitch,

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from m100link.errors import LayoutMismatch
 from m100link.protocol.firmware import PROFILES, FirmwareProfile
 from m100link.protocol.items import BY_RECORD, ITEMS, Item, ItemLayout, RecordViews
-from m100link.wire.tuples import maker
+from m100link.wire.frame import maker
 
 __all__ = [
     "TelemetryPacket",

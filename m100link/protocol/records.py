@@ -13,7 +13,7 @@ import math
 from enum import IntEnum
 from typing import NamedTuple
 
-from m100link.wire.tuples import quick
+from m100link.wire.frame import quick
 
 __all__ = [
     "Acceleration",

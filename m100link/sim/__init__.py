@@ -14,19 +14,17 @@ from m100link.sim.clock import (
 )
 from m100link.sim.commands import Counters, LastCommand
 from m100link.sim.line import NO_FAULTS, Line, LineFaults
-from m100link.sim.ports.driver import Driver, open_sim
+from m100link.sim.ports.driver import Driver, TcpServer, open_sim, serve_tcp
 from m100link.sim.ports.pty import PtyPort
-from m100link.sim.ports.tcp import TcpServer, serve_tcp
-from m100link.sim.vehicle.airframe import Airframe
-from m100link.sim.vehicle.dynamics import Dynamics
-from m100link.sim.vehicle.missions.settings import MissionSettings, NoFlyZone
-from m100link.sim.vehicle.mobile import (
+from m100link.sim.vehicle.activation import (
     DEMO_APP_ID,
     DEMO_KEY,
     ActivationServer,
     MobileApp,
     RegisteredApp,
 )
+from m100link.sim.vehicle.dynamics import Airframe, Dynamics
+from m100link.sim.vehicle.missions.route import MissionSettings, NoFlyZone
 from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.settings import (
     DEFAULT_RATES_HZ,

@@ -23,7 +23,7 @@ from m100link.protocol.commands.control import Move
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile
 from m100link.session import Endpoint, SessionMode
 from m100link.sim.commands import Commands, Counters, LastCommand
-from m100link.sim.telemetry import TelemetryPusher
+from m100link.sim.line import TelemetryPusher
 from m100link.sim.vehicle.dynamics import STEP_S
 from m100link.sim.vehicle.settings import AssistantSettings, Undecodable
 from m100link.sim.vehicle.vehicle import Vehicle

@@ -43,7 +43,7 @@ from m100link.protocol.commands.waypoint import (
 from m100link.sim.vehicle.missions.computer import Flown, MissionComputer
 from m100link.sim.vehicle.missions.follow import FollowFlight
 from m100link.sim.vehicle.missions.hotpoint import HotpointFlight
-from m100link.sim.vehicle.missions.stages import Order
+from m100link.sim.vehicle.missions.plan import Order
 from m100link.sim.vehicle.missions.waypoints import WaypointFlight
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from m100link.protocol.firmware import FirmwareProfile, profile
 from m100link.protocol.records import RcMode
 from m100link.sim.autopilot import Autopilot
 from m100link.sim.line import NO_FAULTS, Line, LineFaults
-from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY, ActivationServer, MobileApp
+from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY, ActivationServer, MobileApp
 from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
 from m100link.sim.vehicle.vehicle import Vehicle

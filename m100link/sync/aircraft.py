@@ -13,8 +13,8 @@ from typing import Any, Self, TypeVar
 
 from m100link import aircraft as aio
 from m100link.aircraft.activation import ActivationProgress
+from m100link.aircraft.aircraft import AuthorityEvent, ConnectionEvent
 from m100link.aircraft.connecting import Recording
-from m100link.aircraft.events import AuthorityEvent, ConnectionEvent
 from m100link.errors import CommandRefused, LinkError
 from m100link.flight.authority import Authority
 from m100link.flight.block import PauseAction

@@ -14,8 +14,7 @@ from m100link.flight import control as aio
 from m100link.flight.guards import Guards
 from m100link.flight.guidance import Arrival, Progress
 from m100link.flight.mission_state import MissionKind
-from m100link.flight.missions.follow import Target
-from m100link.flight.missions.hotpoint import CircleHeading, CircleStart
+from m100link.flight.missions.hotpoint import CircleHeading, CircleStart, Target
 from m100link.flight.missions.waypoint import UploadListener
 from m100link.flight.pacing import MAX_RATE_HZ, Pace, Tick
 from m100link.flight.setpoints import SETPOINT_LIFETIME

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Generic, Self, TypeVar
 
-from m100link.flight.missions import flight, follow, hotpoint, waypoint
+from m100link.flight.missions import flight, hotpoint, waypoint
 from m100link.flight.missions.events import MissionEvent
-from m100link.flight.missions.follow import Target
+from m100link.flight.missions.hotpoint import Target
 from m100link.missions.plan import WaypointPlan
 from m100link.sync.portal import Caller, Portal
 
@@ -154,7 +154,7 @@ class HotpointFlight(MissionFlight[hotpoint.HotpointFlight]):
         self._portal.wait(lambda _: self._flight.reset_heading())
 
 
-class FollowFlight(MissionFlight[follow.FollowFlight]):
+class FollowFlight(MissionFlight[hotpoint.FollowFlight]):
     """Following a target: ``with control.follow_target(first) as mission:``."""
 
     @property

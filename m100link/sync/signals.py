@@ -10,7 +10,7 @@ import time
 from types import FrameType
 from typing import Any, Protocol
 
-from m100link.flight.signals import NUMBERS, OtherWatch
+from m100link.flight.cancellation import NUMBERS, OtherWatch
 
 __all__ = ["SIGNALS", "SyncSignals"]
 

@@ -4,19 +4,160 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from operator import attrgetter
 from typing import Any
 
 from m100link.errors import LinkError, TelemetryStalled, UsageError
-from m100link.protocol.items import ITEMS, item_of
-from m100link.telemetry.names import column_named
+from m100link.protocol.items import ITEMS, Item, item_of
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Subscription
 
-__all__ = ["Columns", "Table", "columns_of"]
+__all__ = [
+    "ITEM_NAMES",
+    "Columns",
+    "Table",
+    "column_named",
+    "columns_of",
+    "round_length",
+    "snake",
+    "track_svg",
+]
+
+
+# -- names of telemetry items and columns: one of each is written, several are understood ----------
+# Written are item names and, for a column, ``item.field`` with the field of the record. Understood
+# are also the names of :class:`~m100link.telemetry.state.AircraftState` (``attitude``,
+# ``remote_control``) and those of the document's table (2.2.3.1: ``q``, ``vgx``, ``pos.lati``),
+# whatever their case.
+
+
+# Item → its name in the document, and its variables in the order of the record's fields.
+_DOCUMENT = {
+    "time": ("time", "time_stamp"),
+    "quaternion": ("q", "q0 q1 q2 q3"),
+    "acceleration": ("acc", "agx agy agz"),
+    "velocity": ("vel", "vgx vgy vgz"),
+    "angular_velocity": ("w", "wx wy wz"),
+    "position": ("pos", "lati longti alti height health_flag"),
+    "magnetometer": ("mag", "mx my mz"),
+    "rc": ("rc", "roll pitch yaw throttle mode gear"),
+    "gimbal": ("gimbal", "roll pitch yaw"),
+    "flight_status": ("flight_status", "status"),
+    "battery": ("battery", "status"),
+    "control_device": ("ctrl_device", "status"),
+}
+
+
+def snake(record: type[Any]) -> str:
+    """The name of a record's class as a name of a value: ``remote_control``."""
+    words = "".join(f"_{letter}" if letter.isupper() else letter for letter in record.__name__)
+    return words.lower().removeprefix("_")
+
+
+ITEM_NAMES: Mapping[str, Item] = {
+    **{_DOCUMENT[item.name][0]: item for item in ITEMS},
+    **{snake(item.record): item for item in ITEMS},
+    **{item.name: item for item in ITEMS},
+}
+"""Items by every name that is understood."""
+
+
+def _columns(item: Item) -> dict[str, str]:
+    """Column by the names of its field that are understood, the record's own above all."""
+    fields = item.record._fields
+    names = dict(zip(_DOCUMENT[item.name][1].split(), fields, strict=False))
+    names |= dict(zip(item.fields, fields, strict=False))
+    names |= {field: field for field in (*fields, *item.views)}
+    return {name: f"{item.name}.{field}" for name, field in names.items()}
+
+
+_COLUMNS = {item.name: _columns(item) for item in ITEMS}
+
+# What the document calls one variable alone needs no item.
+_VARIABLES = [name for _, names in _DOCUMENT.values() for name in names.split()]
+_ALONE = {
+    name: _COLUMNS[item][name]
+    for item, (_, names) in _DOCUMENT.items()
+    for name in names.split()
+    if _VARIABLES.count(name) == 1
+}
+
+
+def column_named(name: str) -> str | None:
+    """The column of that name, as it is written; None: there is none."""
+    item, _, field = name.lower().partition(".")
+    if not field:
+        return _ALONE.get(item)
+    known = ITEM_NAMES.get(item)
+    return None if known is None else _COLUMNS[known.name].get(field)
+
+
+# -- what a notebook shows of telemetry: a track as a drawing --------------------------------------
+
+
+_SIZE, _MARGIN, _FOOT = 300.0, 12.0, 34.0
+_MOST_POINTS = 600
+_METRES_PER_DEGREE = 111_200.0
+"""Of latitude, within half a per cent everywhere: a drawing of a flight needs no ellipsoid."""
+
+_LEAST_M = 1.0  # what stands still is drawn as a point, not as its noise
+
+
+def track_svg(places: Iterable[tuple[float, float]]) -> str:
+    """A track seen from above, north up, in the colour of the text around it; empty of none.
+
+    A ring is where it begins, a dot where it ends.
+
+    Args:
+        places: Latitude and longitude, degrees, in order; what is not a number is passed over.
+    """
+    known = [place for place in places if all(map(math.isfinite, place))]
+    if not known:
+        return ""
+    (latitude, longitude), narrowing = known[0], math.cos(math.radians(known[0][0]))
+
+    def metres(place: tuple[float, float]) -> tuple[float, float]:
+        east = math.remainder(place[1] - longitude, 360.0) * narrowing
+        return (place[0] - latitude) * _METRES_PER_DEGREE, east * _METRES_PER_DEGREE
+
+    track = [metres(place) for place in known[:: 1 + len(known) // _MOST_POINTS]]
+    track.append(metres(known[-1]))
+    norths, easts = zip(*track, strict=True)
+    extent = max(max(norths) - min(norths), max(easts) - min(easts), _LEAST_M)
+    scale = _SIZE / extent
+
+    def at(north: float, east: float) -> str:
+        x = _MARGIN + (east - min(easts)) * scale
+        y = _MARGIN + (max(norths) - north) * scale
+        return f"{x:.1f},{y:.1f}"
+
+    bar = round_length(extent / 2)
+    foot = _MARGIN + (max(norths) - min(norths)) * scale + _FOOT
+    height, width = foot + _MARGIN, _SIZE + 2 * _MARGIN
+    begin, end = (at(*place).split(",") for place in (track[0], track[-1]))
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.0f}" height="{height:.0f}" '
+        f'viewBox="0 0 {width:.0f} {height:.0f}" fill="none" stroke="currentColor">'
+        "<title>The track from above, north up</title>"
+        f'<polyline points="{" ".join(at(*place) for place in track)}" stroke-width="1.5"/>'
+        f'<circle cx="{begin[0]}" cy="{begin[1]}" r="5"/>'
+        f'<circle cx="{end[0]}" cy="{end[1]}" r="3" fill="currentColor"/>'
+        f'<path d="M{_MARGIN:g},{foot:.1f} h{bar * scale:.1f}" stroke-width="3"/>'
+        f'<text x="{_MARGIN + bar * scale + 6:.1f}" y="{foot + 4:.1f}" font-size="12" '
+        f'fill="currentColor" stroke="none">{bar:g} m, north up</text></svg>'
+    )
+
+
+def round_length(most: float) -> float:
+    """The longest of 1, 2, 5, 10, … that is not longer."""
+    power = 10.0 ** math.floor(math.log10(most))
+    return max(step * power for step in (1, 2, 5) if step * power <= most)
+
+
+# -- columns ---------------------------------------------------------------------------------------
 
 _SHOWN = 10  # rows that a notebook shows
 
@@ -162,7 +303,7 @@ class Table:
         """What a notebook shows: the track, if position is among the columns; the first rows."""
         from html import escape  # which few programs need, and brings a table of all entities
 
-        from m100link.telemetry.pictures import track_svg
+        from m100link.telemetry.columns import track_svg
 
         head = "".join(f"<th>{escape(name)}</th>" for name in self.names)
         body = "".join(

@@ -12,8 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from enum import StrEnum
+from functools import cache
+from itertools import compress
 from struct import Struct
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from zlib import crc32
 
 from m100link.errors import PayloadTooLarge, UsageError
@@ -27,8 +29,9 @@ from m100link.wire.crc import (
     header_crc16_of_word,
     sequence_crc16_numbers,
 )
-from m100link.wire.hunt import HEADER_SIZE, SOF, right_headers
-from m100link.wire.tuples import maker, quick
+
+if TYPE_CHECKING:
+    from inspect import Signature
 
 __all__ = [
     "HEADER_SIZE",
@@ -41,7 +44,143 @@ __all__ = [
     "Frame",
     "FrameDecoder",
     "encode_frame",
+    "maker",
+    "quick",
+    "right_headers",
 ]
+
+
+# -- where the next frame may begin, among bytes that are none -------------------------------------
+# Anything may arrive: noise, another baud rate, a flood of start bytes. With one checksum for each
+# start byte such a flood would cost more than a fast line leaves time for, so where they are many
+# the checksums of many places are computed at once.
+
+
+SOF = 0xAA
+HEADER_SIZE = 12
+
+_BLOCK = 64  # bytes that are looked at together
+_FEW_BYTES = (
+    9  # start bytes in a block up to which one checksum each is cheaper than all places at once
+)
+_FEW_HALVES = 12  # right low halves up to which the same is cheaper than all high halves at once
+
+_LOW, _HIGH = 0, 8  # where a half of a CRC16 begins, bits
+_IS_ZERO = bytes([1]) + bytes(255)
+
+
+def right_headers(data: bytes, begin: int, end: int) -> Iterator[int]:
+    """Those of the places begin to end − 1 where a start byte begins a header with a right CRC16.
+
+    In order, and found when they are asked for. There must be room for a header at each place.
+    """
+    for first in range(begin, end, _BLOCK):
+        last = min(first + _BLOCK, end)
+        starts = data.count(SOF, first, last)
+        if not starts:
+            continue
+        if starts <= _FEW_BYTES:
+            signs, sign, shift = data, SOF, 0
+        else:
+            piece = data[first : last + HEADER_SIZE - 1]
+            wrong = _wrong_halves(piece, _LOW)
+            signs, sign, shift = wrong.to_bytes(len(piece), "little"), 0, first
+            if signs.count(0, 0, last - first) > _FEW_HALVES:
+                yield from compress(range(first, last), _all_right(piece, wrong))
+                continue
+        at = signs.find(sign, first - shift, last - shift)
+        while at >= 0:
+            place = at + shift
+            header = data[place : place + HEADER_SIZE]
+            if header_crc16(header) == HEADER_RESIDUE and header[0] == SOF:
+                yield place
+            at = signs.find(sign, at + 1, last - shift)
+
+
+def _all_right(data: bytes, wrong: int) -> bytes:
+    """Per place whether a header with a right CRC16 begins there; ``wrong`` is of low halves."""
+    other = int.from_bytes(data, "little") ^ int.from_bytes(bytes([SOF]) * len(data), "little")
+    wrong |= _wrong_halves(data, _HIGH) | other
+    return wrong.to_bytes(len(data), "little").translate(_IS_ZERO)
+
+
+def _wrong_halves(data: bytes, half: int) -> int:
+    """A number of a byte per place: 0 where that half of a header's CRC16 is right."""
+    # Each byte is that half of the CRC16 of ten bytes, xor the byte behind them (the second one
+    # for the high half): shifted by a byte, the share of the next place comes to stand in it.
+    wrong = int.from_bytes(data, "little") >> half
+    for shares in _shares(half):
+        wrong = wrong >> 8 ^ int.from_bytes(data.translate(shares), "little")
+    return wrong
+
+
+@cache
+def _shares(half: int) -> list[bytes]:
+    """What a byte adds to that half of a CRC16, by its value, from the tenth to the first.
+
+    CRC16 is affine: that depends on value and place alone, and the ten are added by xor. The first
+    has the start value in its share.
+    """
+    zero = header_crc16(bytes(10))
+    shares = []
+    for place in reversed(range(10)):
+        alone = [
+            header_crc16(bytes(place) + bytes((value,)) + bytes(9 - place)) for value in range(256)
+        ]
+        shares.append(bytes((crc ^ (zero if place else 0)) >> half & 0xFF for crc in alone))
+    return shares
+
+
+# -- named tuples that are made without a constructor in Python ------------------------------------
+# A named tuple takes 240 ns to make by its name, and 120 ns by ``tuple.__new__``, which looks first
+# whether it may. A package has twelve records and a frame, a hundred times a second on each line,
+# so there a class is asked for by what it has below its constructor: 95 ns.
+
+
+T = TypeVar("T", bound=tuple[Any, ...])
+
+
+class _Quick(type):
+    """The class of such classes: what their constructor does is done here.
+
+    A constructor of their own would stand in the way of :func:`maker`.
+    """
+
+    _of_fields: Callable[..., Any]
+
+    def __call__(cls, *values: Any, **named: Any) -> Any:
+        return cls._of_fields(cls, *values, **named)
+
+    @property
+    def __signature__(cls) -> Signature:
+        import inspect  # which takes longer to load than all that is here
+
+        whole = inspect.signature(cls._of_fields)
+        return whole.replace(parameters=list(whole.parameters.values())[1:])
+
+
+def _getnewargs(self: tuple[Any, ...]) -> tuple[tuple[Any, ...]]:
+    """For copies and pickles: all values are one argument."""
+    return (tuple(self),)
+
+
+def quick(named: type[T]) -> type[T]:
+    """Decorates a class of :class:`typing.NamedTuple`: it is used as before, see :func:`maker`."""
+    own = {name: value for name, value in vars(named).items() if name != "__new__"}
+    own["_of_fields"] = vars(named)["__new__"]
+    own["__getnewargs__"] = _getnewargs
+    own["__qualname__"] = named.__qualname__
+    made: Any = _Quick(named.__name__, named.__bases__, own)
+    return made  # type: ignore[no-any-return]  # the same class to whoever uses it
+
+
+def maker(named: type[T]) -> Callable[[tuple[Any, ...]], T]:
+    """What makes a :func:`quick` class of a tuple of all its values, unchecked, in their order."""
+    make: Callable[[tuple[Any, ...]], T] = type.__call__.__get__(named)
+    return make
+
+
+# -- frame -----------------------------------------------------------------------------------------
 
 CRC32_SIZE = 4
 OVERHEAD = HEADER_SIZE + CRC32_SIZE

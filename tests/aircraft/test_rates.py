@@ -14,7 +14,7 @@ from m100link.protocol.commands.activation import SetTelemetryRates
 from m100link.protocol.items import ITEMS
 from m100link.sim import LineFaults, VirtualClockEventLoop
 from m100link.sim.commands import Commands
-from m100link.telemetry.names import ITEM_NAMES
+from m100link.telemetry.columns import ITEM_NAMES
 from tests.rig import Rig, rig
 
 pytestmark = pytest.mark.anyio

@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from m100link.aircraft.supervision import (
+from m100link.aircraft.supervising import (
     ENDED,
     TRANSITIONS,
     BackOff,

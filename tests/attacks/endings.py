@@ -30,8 +30,8 @@ from types import FrameType
 from typing import Literal, NamedTuple, cast
 
 from m100link import Aircraft, Control, M100Error
-from m100link.flight import log_thread
-from m100link.flight.signals import NUMBERS
+from m100link.flight import reserves as log_thread
+from m100link.flight.cancellation import NUMBERS
 from m100link.sim import VirtualClockEventLoop
 from tests.flight.ending_programs import ASKED_FOR, LOG, default_signals, refuse_tasks
 from tests.flight.foreign_aircraft import (

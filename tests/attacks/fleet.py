@@ -34,7 +34,7 @@ from pathlib import Path
 from m100link.apps.fleet.client import connect
 from m100link.sim.ports.driver import Driver
 from m100link.sim.ports.pty import PtyPort
-from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.virtual import VirtualAircraft
 from tests.waiting import until
 

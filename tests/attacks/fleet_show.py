@@ -28,12 +28,12 @@ from itertools import combinations
 from pathlib import Path
 
 from m100link.apps.fleet.pki import Kind, init, issue
-from m100link.apps.fleet.show.document import Show
-from m100link.apps.fleet.show.track import TimedTrack, Vector
+from m100link.apps.fleet.show.plan.document import Show
+from m100link.apps.fleet.show.plan.track import TimedTrack, Vector
 from m100link.geodesy import LocalFrame
 from m100link.sim.ports.driver import Driver
 from m100link.sim.ports.pty import PtyPort
-from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
 from tests.attacks.fleet import ended

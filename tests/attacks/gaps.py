@@ -27,9 +27,8 @@ from typing import Any
 
 from websockets.asyncio.client import ClientConnection, connect
 
-from m100link.sim.ports.driver import Driver
-from m100link.sim.ports.tcp import serve_tcp
-from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.ports.driver import Driver, serve_tcp
+from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.virtual import VirtualAircraft
 from tests.attacks.common import publish
 from tests.waiting import kept_waiting, until

@@ -30,7 +30,7 @@ from websockets.exceptions import WebSocketException
 
 from m100link.sim.ports.driver import Driver
 from m100link.sim.ports.pty import PtyPort
-from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.virtual import VirtualAircraft
 from tests.attacks.common import publish
 from tests.waiting import until

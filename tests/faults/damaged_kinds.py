@@ -14,8 +14,8 @@ from pathlib import Path
 from unittest.mock import patch
 
 from m100link.apps.cli.configuration import read_configuration
-from m100link.apps.fleet.ledger import FileLedger
-from m100link.apps.fleet.rights import Rights
+from m100link.apps.fleet.identity import Rights
+from m100link.apps.fleet.order_log import FileLedger
 from m100link.errors import M100Error
 from m100link.link.keyfile import read_key
 from m100link.log import Message, read, recorder, recover

@@ -19,20 +19,19 @@ from collections.abc import Iterable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
 
-from m100link.apps.agent.actions import Action
-from m100link.apps.agent.agent import Agent
-from m100link.apps.agent.carriers.memory import memory_channels
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.messages import Ask
-from m100link.apps.agent.service import Service
+from m100link.apps.agent.messages import Action, Ask
+from m100link.apps.agent.server.agent import Agent
+from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.transports import memory_channels
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.asking import Asker
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.ledger import MemoryLedger
-from m100link.apps.fleet.outcome import Outcome, outcome_of
+from m100link.apps.fleet.order_log import MemoryLedger
+from m100link.apps.fleet.payloads import Outcome, outcome_of
 from m100link.errors import M100Error
 from m100link.sim import VirtualClockEventLoop
 from m100link.sim.ports.driver import Driver

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from m100link.apps.fleet.outcome import Outcome
+from m100link.apps.fleet.payloads import Outcome
 from tests.faults.fleet_orders import run
 
 

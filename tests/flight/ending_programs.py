@@ -26,7 +26,7 @@ from typing import Any, Literal
 
 import m100link
 from m100link import sync
-from m100link.flight.signals import NUMBERS
+from m100link.flight.cancellation import NUMBERS
 from tests.flight.foreign_aircraft import APP_ID, KEY
 from tests.flight.missions.foreign import plan
 from tests.rig import NORTH

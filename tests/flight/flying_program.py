@@ -11,7 +11,7 @@ import sys
 from typing import Literal
 
 import m100link
-from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from tests.waiting import PATIENCE
 
 

@@ -9,7 +9,7 @@ import asyncio
 import sys
 
 import m100link
-from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 
 
 async def main(port: str) -> None:

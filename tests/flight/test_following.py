@@ -9,7 +9,7 @@ from typing import Any, cast
 import pytest
 
 from m100link.errors import SetpointsIgnored
-from m100link.flight.following import FOLLOW_S, FollowCheck
+from m100link.flight.watchdog import FOLLOW_S, FollowCheck
 from m100link.protocol.records import (
     Attitude,
     FlightPhase,

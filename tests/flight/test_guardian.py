@@ -30,8 +30,7 @@ import m100link
 from m100link.errors import GuardianFailed, GuardianTookOver, PortBusy, UsageError
 from m100link.flight import guardian as guardian_module
 from m100link.flight import guardian_process as page
-from m100link.flight.guardian import Guardian, patience_of
-from m100link.flight.guardian_plan import GuardianPlan, Step
+from m100link.flight.guardian import Guardian, GuardianPlan, Step, patience_of
 from m100link.link import Link
 from tests.flight import foreign_aircraft as foreign
 from tests.flight.foreign_aircraft import ForeignAircraft, ForeignMatrice, foreign_aircraft

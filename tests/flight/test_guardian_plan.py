@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable
 import pytest
 
 from m100link import Control
-from m100link.flight.guardian_plan import (
+from m100link.flight.guardian import (
     NOTHING,
     GuardianPlan,
     Step,

@@ -24,8 +24,7 @@ from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.packet import field_span
 from m100link.protocol.records import Position, Velocity
 from m100link.sim import LineFaults
-from m100link.sim.line import split_frames
-from m100link.sim.telemetry import is_telemetry
+from m100link.sim.line import is_telemetry, split_frames
 from m100link.testing import ConnectableAircraft
 from m100link.wire.frame import encode_frame
 from tests.rig import Rig

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from m100link.flight.known import AGE_LIMITS_S, known
+from m100link.flight.guards import AGE_LIMITS_S, known
 from m100link.protocol import Attitude, Battery, FlightStatus, Position, encode_telemetry, profile
 from m100link.protocol.items import BY_RECORD
 from m100link.telemetry.sample import Sample

@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from m100link.flight import log_thread
-from m100link.flight.log_thread import MOST_WAITING, LogThread
+from m100link.flight import reserves as log_thread
+from m100link.flight.reserves import MOST_WAITING, LogThread
 from tests.waiting import PATIENCE
 
 NAME = "m100link.flight.block"
@@ -203,7 +203,7 @@ def run(program: str) -> tuple[str, str]:
     """What a process says on stdout and stderr."""
     head = "import logging, os, sys\n"
     head += "import m100link.flight.stop_path\n"
-    head += "from m100link.flight.log_thread import LOG_THREAD as thread\n"
+    head += "from m100link.flight.reserves import LOG_THREAD as thread\n"
     head += "def log(text, name='m100link.x', level=logging.WARNING):\n"
     head += "    logging.getLogger(name).log(level, text)\n"
     # Python 3.12 and later warn of the fork beside threads that is asked for here.

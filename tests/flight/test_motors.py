@@ -88,7 +88,7 @@ async def test_an_aircraft_that_refuses_is_believed(
     """Telemetry said "on the ground" a moment ago."""
     async with flown.aircraft.control(stop="land") as control:
         await control.take_off()
-        monkeypatch.setattr("m100link.flight.motors.is_on_ground", lambda _: True)
+        monkeypatch.setattr("m100link.flight.tasks.is_on_ground", lambda _: True)
         with pytest.raises(TaskRefused, match=r"in the air \(code 3"):
             await control.disarm()
         assert arms(flown) == [(False, 3)]

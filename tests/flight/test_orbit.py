@@ -11,7 +11,7 @@ import pytest
 
 from m100link import Guards, UsageError
 from m100link.flight.guidance import GuidanceProgress
-from m100link.flight.orbit import Orbit
+from m100link.flight.loops import Orbit
 from m100link.sim import AircraftSettings
 from tests.rig import FIRMWARES, rig
 

@@ -22,7 +22,7 @@ import m100link
 from m100link import FlightPhase, GuardRefused
 from m100link.protocol.records import Device
 from m100link.sim import Driver, PtyPort, VirtualAircraft
-from m100link.sim.vehicle.mobile import Grant
+from m100link.sim.vehicle.activation import Grant
 from tests.flight import foreign_aircraft as foreign
 from tests.flight.foreign_aircraft import ForeignAircraft, foreign_aircraft
 from tests.flight.guarded_program import guardian_of

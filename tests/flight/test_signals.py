@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from m100link import Control, NoAuthority
-from m100link.flight import signals as module
-from m100link.flight.handover import obtain_authority
-from m100link.flight.signals import OtherWatch, SignalWatch
+from m100link.flight import cancellation as module
+from m100link.flight.cancellation import OtherWatch, SignalWatch
+from m100link.flight.stop_path import obtain_authority
 from m100link.flight.tasks import Commander
 from m100link.sim import VirtualClockEventLoop
 from tests.rig import NORTH, Rig, rig
@@ -220,7 +220,7 @@ def test_ctrl_c_breaks_into_a_program_that_blocks_its_event_loop(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now = 0.0
-    monkeypatch.setattr("m100link.flight.signals.time.monotonic", lambda: now)
+    monkeypatch.setattr("m100link.flight.cancellation.time.monotonic", lambda: now)
     watch = SignalWatch()
     stopped: list[str] = []
 

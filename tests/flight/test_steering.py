@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import pytest
 
 from m100link import AckTimeout, LineBlocked
-from m100link.flight.steering import BLOCKED_S
+from m100link.flight.block import BLOCKED_S
 from m100link.flight.stop_path import StopAction
 from m100link.link import MemoryTransport
 from tests.rig import FIRMWARES, NORTH, Rig, rig

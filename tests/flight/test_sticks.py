@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from m100link import UsageError
-from m100link.flight.sticks import CENTRED, GESTURE, SETTINGS_INTERVAL_S, SettingsPace, Sticks
+from m100link.flight.tasks import CENTRED, GESTURE, SETTINGS_INTERVAL_S, SettingsPace, Sticks
 from m100link.protocol.commands.virtual_rc import VirtualRcSettings
 from tests.rig import rig
 

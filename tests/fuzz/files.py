@@ -25,19 +25,18 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from mcap.writer import CompressionType, Writer
 
-from m100link.apps.agent.actions import Action
-from m100link.apps.agent.fault import Fault, MessageError
-from m100link.apps.agent.message_bytes import encode as encode_message
-from m100link.apps.agent.messages import Ask, Steer
+from m100link.apps.agent.codec import encode as encode_message
+from m100link.apps.agent.messages import Action, Ask, Steer
+from m100link.apps.agent.remote_error import Fault, MessageError
 from m100link.apps.bus.network import Answer
 from m100link.apps.cli.decode import _from_hex
-from m100link.apps.cli.fleet_lease import borrowed
+from m100link.apps.cli.fleet import borrowed
 from m100link.apps.cli.telemetry import _plot_file
-from m100link.apps.doctor.listening import hear
+from m100link.apps.doctor.line import hear
 from m100link.apps.doctor.machine import Machine
-from m100link.apps.fleet.answers import believed, clocks_told
+from m100link.apps.fleet.asking import believed, clocks_told
+from m100link.apps.fleet.identity import Revoked, sign_revoked
 from m100link.apps.fleet.keys import Keys, name_in, session_in
-from m100link.apps.fleet.ledger import FileLedger
 from m100link.apps.fleet.logs.words import (
     LogEntry,
     LogReply,
@@ -46,6 +45,7 @@ from m100link.apps.fleet.logs.words import (
     unpack_entries,
     unpack_reply,
 )
+from m100link.apps.fleet.order_log import FileLedger, Mark, seal
 from m100link.apps.fleet.payloads import (
     Card,
     MissionCard,
@@ -59,22 +59,21 @@ from m100link.apps.fleet.payloads import (
 )
 from m100link.apps.fleet.pki import init
 from m100link.apps.fleet.revocations import AUTHORITY, LIST, Revocations
-from m100link.apps.fleet.revoked import Revoked, sign_revoked
-from m100link.apps.fleet.sealed import Mark, seal
-from m100link.apps.fleet.show.ahead import Ahead
 from m100link.apps.fleet.show.conductor import _part
-from m100link.apps.fleet.show.document import Show
-from m100link.apps.fleet.show.track import TimedTrack
+from m100link.apps.fleet.show.plan.conflicts import Ahead
+from m100link.apps.fleet.show.plan.document import Show
+from m100link.apps.fleet.show.plan.track import TimedTrack
 from m100link.apps.fleet.signing import _needed
-from m100link.apps.mavlink.codec import (
+from m100link.apps.mavlink.translator.codec import (
     LAYOUTS,
     Message,
     Reading,
+    SignatureMemory,
     Signer,
+    Snapshot,
     read_datagram,
     write_frame,
 )
-from m100link.apps.mavlink.signatures import SignatureMemory, Snapshot
 from m100link.apps.ros2.graph import Attachment, read_attachment
 from m100link.apps.ros2.graph import read_token as read_ros2_token
 from m100link.apps.station.config import resolve
@@ -85,17 +84,16 @@ from m100link.apps.station.web.gate import Gate
 from m100link.errors import M100Error, UsageError
 from m100link.link.keyfile import read_key, read_token
 from m100link.log import read, recover
+from m100link.log.cdr import DEFINITIONS
 from m100link.log.cdr import decode as decode_cdr
 from m100link.log.cdr import encode as encode_cdr
 from m100link.log.channels import CHUNKS, COMMAND, EVENT, FIX, LINK, RX, TELEMETRY, TX
 from m100link.log.folder import _is_ours
-from m100link.log.frames import read_frames
 from m100link.log.page import page
-from m100link.log.pcapng import write_pcapng
+from m100link.log.pcapng import read_frames, write_pcapng
+from m100link.log.recorder import Redaction
 from m100link.log.records import registered
-from m100link.log.redaction import Redaction
 from m100link.log.ros2 import write_bag
-from m100link.log.ros2_definitions import DEFINITIONS
 from m100link.log.story import read_story
 from m100link.log.witness import Witness
 from m100link.protocol.firmware import PROFILES
@@ -420,7 +418,7 @@ def read_show(data: bytes) -> None:
 
 def read_lease_file(data: bytes) -> None:
     """The lease that commands of one account share."""
-    with patch("m100link.apps.cli.fleet_lease.lease_file", lambda *_: place()):
+    with patch("m100link.apps.cli.fleet.lease_file", lambda *_: place()):
         of_file(lambda _: borrowed("site", "a1"))(data)
 
 

@@ -14,14 +14,14 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from m100link.aircraft.replaying import parse_replay
-from m100link.apps.agent.fault import MessageError
-from m100link.apps.agent.message_bytes import decode as decode_message
-from m100link.apps.agent.message_bytes import encode as encode_message
+from m100link.aircraft.connecting import parse_replay
+from m100link.apps.agent.codec import decode as decode_message
+from m100link.apps.agent.codec import encode as encode_message
 from m100link.apps.agent.messages import Event, Hello, LeaseChanged, State
+from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.cli.decode import decode_stream
-from m100link.apps.fleet.rights import Rights
+from m100link.apps.fleet.identity import Rights
 from m100link.apps.station.launch import read_launch
 from m100link.apps.station.ros.client import Client
 from m100link.apps.station.ros.graph import Graph
@@ -33,7 +33,7 @@ from m100link.protocol.command import plain
 from m100link.protocol.commands.registry import COMMANDS, parse_command
 from m100link.protocol.firmware import PROFILES
 from m100link.protocol.packet import TelemetryPacket
-from m100link.sim.orders.scenario import Scenario
+from m100link.sim.orders.actions import Scenario
 from m100link.sim.ports.url import aircraft_of, speed_of
 from m100link.wire import Cipher, FrameDecoder
 from tests.apps.fleet.show.shows import FIVE

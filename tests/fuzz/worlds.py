@@ -23,18 +23,17 @@ from typing import Any
 import cbor2
 import crcmod
 
-from m100link.apps.agent.actions import Action, LeaseAction
-from m100link.apps.agent.carriers.unix import UnixChannel
-from m100link.apps.agent.fault import MessageError
+from m100link.apps.agent.codec import decode as decode_message
+from m100link.apps.agent.codec import encode as encode_message
 from m100link.apps.agent.guided import ChangeHeading, ChangeHeight, FlyAround, FlyTo
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.message_bytes import decode as decode_message
-from m100link.apps.agent.message_bytes import encode as encode_message
 from m100link.apps.agent.messages import VERSION as MESSAGES_VERSION
 from m100link.apps.agent.messages import (
+    Action,
     Ask,
     Event,
     Hello,
+    LeaseAction,
     LeaseAsk,
     LeaseChanged,
     Note,
@@ -42,31 +41,33 @@ from m100link.apps.agent.messages import (
     Steer,
     Telemetry,
 )
-from m100link.apps.agent.service import Service
+from m100link.apps.agent.remote_error import MessageError
+from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.transports import UnixChannel
 from m100link.apps.bus.network import Question, Received
 from m100link.apps.fleet.asking import Asker
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.logs.service import LogService
 from m100link.apps.fleet.logs.words import LogQuestion, What, pack_question, unpack_reply
-from m100link.apps.fleet.outcome import Outcome
 from m100link.apps.fleet.payloads import (
     SHOW,
     VERSION,
     Card,
     MissionCard,
     Order,
+    Outcome,
     Progress,
     Reply,
     pack,
     pack_steer,
     unpack,
 )
-from m100link.apps.fleet.show.ahead import Ahead
+from m100link.apps.fleet.publisher import FleetTelemetry
+from m100link.apps.fleet.show.plan.conflicts import Ahead
 from m100link.apps.fleet.show.service import ShowService
-from m100link.apps.fleet.telemetry import FleetTelemetry
-from m100link.apps.mavlink.codec import LAYOUTS, Message, write_frame
-from m100link.apps.mavlink.modes import Mode
-from m100link.apps.mavlink.numbers import Command
+from m100link.apps.mavlink.translator.codec import LAYOUTS, Message, write_frame
+from m100link.apps.mavlink.translator.modes import Mode
+from m100link.apps.mavlink.translator.numbers import Command
 from m100link.apps.ros2.graph import Attachment, data_key
 from m100link.apps.ros2.topics import INPUTS, SERVICES
 from m100link.errors import M100Error

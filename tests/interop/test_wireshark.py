@@ -12,8 +12,7 @@ from typing import Any
 import pytest
 
 from m100link.link import Direction
-from m100link.log.dissector import dissector
-from m100link.log.pcapng import begin_pcapng, cut, packet
+from m100link.log.pcapng import begin_pcapng, cut, dissector, packet
 from m100link.protocol.firmware import PROFILES
 from m100link.wire import encode_frame
 

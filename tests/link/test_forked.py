@@ -17,8 +17,8 @@ from collections.abc import Callable
 import pytest
 
 from m100link import LinkClosed
+from m100link.flight.cancellation import SIGNALS
 from m100link.flight.pacing import Alarm
-from m100link.flight.signals import SIGNALS
 from m100link.link import open_link
 from tests.waiting import PATIENCE
 

@@ -15,12 +15,11 @@ import pytest
 
 import m100link
 from m100link import AckTimeout, LineBlocked, SilentLine
-from m100link.flight.steering import BLOCKED_S
+from m100link.flight.block import BLOCKED_S
 from m100link.link import Link, open_link, transport
 from m100link.link.link import CLOSE_TIMEOUT
 from m100link.sim import DEMO_APP_ID, DEMO_KEY, Driver, PtyPort, VirtualAircraft
-from m100link.sim.ports.driver import StreamPort
-from m100link.sim.ports.tcp import serve_tcp
+from m100link.sim.ports.driver import StreamPort, serve_tcp
 from tests.rig import NORTH
 from tests.waiting import PATIENCE, until
 

@@ -11,7 +11,7 @@ from m100link import connect
 from m100link.errors import LinkLost, UsageError
 from m100link.link import Direction, connect_in_memory, open_link
 from m100link.link.link import Link
-from m100link.link.tap import TappedProtocol
+from m100link.link.statistics import TappedProtocol
 from tests.link.peer import settle
 
 pytestmark = pytest.mark.anyio
@@ -74,7 +74,7 @@ async def test_a_tap_that_raises_is_logged_once_and_the_line_goes_on(
     async with connect("sim://", tap=broken) as aircraft:
         await aircraft.version()
     assert calls == 1
-    [record] = [one for one in caplog.records if one.name == "m100link.link.tap"]
+    [record] = [one for one in caplog.records if one.name == "m100link.link.statistics"]
     assert record.levelno == logging.ERROR
     assert "not called again" in record.message
 

@@ -22,7 +22,8 @@ from m100link.errors import (
     PortNotFound,
     PortPermissionDenied,
 )
-from m100link.link import Link, connect_in_memory, open_link, opening, transport
+from m100link.link import Link, connect_in_memory, open_link, transport
+from m100link.link import link as opening
 from m100link.link.transport import port_owners
 from m100link.link.url import ConnectionString, parse_url
 from tests.link.peer import Peer, settle

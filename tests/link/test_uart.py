@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from m100link.link.uart import read_inverted
+from m100link.link.serial_transport import read_inverted
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from m100link.log.cdr import Template, decode, definition, encode, full_name, type_hash
-from m100link.log.ros2_definitions import DEFINITIONS, OWN_PACKAGE
+from m100link.log.cdr import (
+    DEFINITIONS,
+    OWN_PACKAGE,
+    Template,
+    decode,
+    definition,
+    encode,
+    full_name,
+    type_hash,
+)
 
 typesys: Any = pytest.importorskip("rosbags.typesys", reason="the judge is not installed")
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from m100link.log.comparing import Comparison, compare
-from m100link.log.story import Story
-from m100link.log.told import Moment, Span
+from m100link.log.picture import Comparison, compare
+from m100link.log.story import Moment, Span, Story
 
 
 def flown(*, waits_s: float, to_m: float, **values: float) -> Story:

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from m100link.log.curves import Curve, Track
+from m100link.log.story import Curve, Track
 
 
 def test_a_short_peak_of_a_long_flight_stays() -> None:

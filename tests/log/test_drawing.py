@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from m100link.log.curves import Curve
-from m100link.log.drawing import Line, Panel, clock, facts, ticks
-from m100link.log.story import Story
+from m100link.log.picture import Line, Panel, clock, facts, ticks
+from m100link.log.story import Curve, Story
 
 
 @pytest.mark.parametrize(

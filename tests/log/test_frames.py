@@ -9,7 +9,7 @@ from mcap.writer import Writer
 
 from m100link.errors import UsageError
 from m100link.log import read
-from m100link.log.frames import read_frames
+from m100link.log.pcapng import read_frames
 from m100link.wire import Cipher
 from tests.log.flight import KEY, URL, fly
 

@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from m100link.log import read
-from m100link.log.channels import SCHEMAS
-from m100link.log.layout import layout
+from m100link.log.channels import SCHEMAS, layout
 from tests.log.flight import fly
 
 # Panels that Foxglove and Lichtblick both have, by the type in the panel's name.

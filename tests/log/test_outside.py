@@ -15,7 +15,7 @@ from m100link.log import read
 from m100link.log.channels import RX, TX
 from m100link.sim import Driver, VirtualAircraft
 from m100link.sim.line import LineFaults
-from m100link.sim.ports.tcp import serve_tcp
+from m100link.sim.ports.driver import serve_tcp
 
 pytestmark = pytest.mark.anyio
 

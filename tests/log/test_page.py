@@ -11,10 +11,8 @@ from typing import Any
 import pytest
 
 from m100link.log import read
-from m100link.log.curves import Curve
 from m100link.log.page import page
-from m100link.log.story import Story, read_story
-from m100link.log.told import Moment, Span
+from m100link.log.story import Curve, Moment, Span, Story, read_story
 from tests.log.flight import fly
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from m100link.log.redaction import Redaction
+from m100link.log.recorder import Redaction
 from m100link.wire import Cipher, FrameDecoder, encode_frame
 
 APP_ID = (0x7A3C91E5).to_bytes(4, "little")

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from m100link.log.ros2_messages import Messages, in_body
+from m100link.log.ros2 import Messages, in_body
 from m100link.protocol.records import (
     Acceleration,
     AngularVelocity,

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from m100link.log import read
-from m100link.log.thinning import Thinning, row_of
+from m100link.log.channels import Thinning, row_of
 from m100link.protocol.firmware import FIRMWARE_1_0, FIRMWARE_3_1
 from m100link.protocol.records import Battery
 from tests.log.flight import fly

@@ -9,7 +9,7 @@ from typing import Any
 from mcap.writer import Writer
 
 from m100link.log import read
-from m100link.log.told import Told, read_told
+from m100link.log.story import Told, read_told
 
 
 def told(tmp_path: Path, *messages: tuple[float, str, dict[str, Any]]) -> Told:

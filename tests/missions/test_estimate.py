@@ -21,7 +21,7 @@ from m100link import (
     WaypointPlan,
 )
 from m100link.geodesy import destination
-from m100link.missions.estimate import PlanEstimate
+from m100link.missions.checks import PlanEstimate
 from m100link.missions.waypoint import WaypointAction
 
 HOME = 52.1, 4.31

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from m100link import BadPlan, WaypointPlan
-from m100link.missions import qgroundcontrol_items
+from m100link.missions import qgroundcontrol as qgroundcontrol_items
 from tests.missions.qgroundcontrol import file, item, survey, waypoint
 
 ITEMS = waypoint(0), waypoint(50)

@@ -16,7 +16,7 @@ from m100link.protocol.items import BY_NAME, ITEMS
 from m100link.protocol.packet import encode_telemetry
 from m100link.sim import DEFAULT_RATES_HZ, AssistantSettings, VirtualAircraft
 from m100link.sim.autopilot import Autopilot
-from m100link.sim.telemetry import is_telemetry
+from m100link.sim.line import is_telemetry
 from m100link.wire import FrameDecoder, encode_frame
 
 from .host import Host, aircraft

@@ -18,17 +18,17 @@ from collections.abc import Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass, field
 
-from m100link.apps.agent.carriers.memory import MemoryChannel, memory_channels
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import State, Telemetry
+from m100link.apps.agent.transports import MemoryChannel, memory_channels
 from m100link.apps.bus.network import DEPTH, Held, Outlet
 from m100link.apps.bus.session import ZenohBus
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.ledger import MemoryLedger
+from m100link.apps.fleet.order_log import MemoryLedger
+from m100link.apps.fleet.publisher import FleetTelemetry
 from m100link.apps.fleet.session import open_fleet
-from m100link.apps.fleet.telemetry import FleetTelemetry
 from m100link.apps.fleet.thinning import WALL_HZ, Thinner
 from m100link.apps.station.child import leave_what_stays
 from m100link.apps.station.config import Settings

@@ -16,7 +16,7 @@ from m100link import (
     UsageError,
     sync,
 )
-from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sync.subscription import Subscription
 from tests import sync_source
 

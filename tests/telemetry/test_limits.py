@@ -9,7 +9,7 @@ import pytest
 from m100link.protocol.records import Position
 from m100link.sim.vehicle.flight import GOOD_GPS as GOOD_GPS_OF_THE_AIRCRAFT
 from m100link.sim.vehicle.settings import AircraftSettings
-from m100link.telemetry.limits import BATTERY_CRITICAL, BATTERY_LOW, GOOD_GPS, has_fix, is_low
+from m100link.telemetry.integrity import BATTERY_CRITICAL, BATTERY_LOW, GOOD_GPS, has_fix, is_low
 
 
 def test_the_levels_are_those_of_the_virtual_aircraft() -> None:

@@ -9,8 +9,7 @@ import pytest
 
 from m100link import AircraftState
 from m100link.protocol.items import ITEMS
-from m100link.telemetry.columns import columns_of
-from m100link.telemetry.names import ITEM_NAMES, column_named, snake
+from m100link.telemetry.columns import ITEM_NAMES, column_named, columns_of, snake
 
 COLUMNS = columns_of(item.record for item in ITEMS)
 

@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from m100link.geodesy import LocalFrame
-from m100link.telemetry.pictures import round_length, track_svg
+from m100link.telemetry.columns import round_length, track_svg
 
 SVG = "{http://www.w3.org/2000/svg}"
 HOME = LocalFrame(22.5, 113.9)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link.wire import hunt
-from m100link.wire.hunt import HEADER_SIZE, right_headers
+from m100link.wire import frame as hunt
+from m100link.wire.frame import HEADER_SIZE, right_headers
 from tests.support import crc16, raw_frame
 
 SPARSE = st.binary(max_size=40).map(lambda noise: noise.replace(b"\xaa", b"\x55"))

@@ -11,7 +11,7 @@ import pytest
 
 from m100link.protocol.items import ITEMS
 from m100link.wire import Frame
-from m100link.wire.tuples import maker, quick
+from m100link.wire.frame import maker, quick
 
 
 @quick

@@ -14,11 +14,9 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
 
-from m100link.apps.agent.answers import Answers
 from m100link.apps.agent.background import BackgroundTasks
-from m100link.apps.agent.carriers import Channel
-from m100link.apps.agent.fault import Fault, agent_gone
-from m100link.apps.agent.guided import GuidedOrder
+from m100link.apps.agent.codec import plan_of
+from m100link.apps.agent.guided import SETPOINT_LIFETIME, GuidedOrder
 from m100link.apps.agent.lease import Lease, LeaseRefused, TakeOver
 from m100link.apps.agent.messages import (
     VERSION,
@@ -39,16 +37,17 @@ from m100link.apps.agent.messages import (
     Note,
     Outcome,
     PlanTold,
+    Stage,
     State,
     Steer,
     SteerRefused,
     TakeOverOffered,
     Telemetry,
 )
-from m100link.apps.agent.own_loop import OwnLoop
-from m100link.apps.agent.plan_told import plan_of
-from m100link.apps.agent.steering import SETPOINT_LIFETIME
+from m100link.apps.agent.remote_error import Fault, agent_gone, agent_lost
+from m100link.apps.agent.transports import Channel
 from m100link.errors import AuthorityLost, LayoutMismatch, M100Error
+from m100link.link.gate import require_loop
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.commands.control import Task
@@ -58,7 +57,13 @@ from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 from m100link.telemetry.subscription import Hub, Policy, Subscription
 
-__all__ = ["MAX_SILENCE", "AgentClient"]
+__all__ = [
+    "MAX_SILENCE",
+    "AgentClient",
+    "Answers",
+    "OwnLoop",
+]
+
 
 MAX_SILENCE = 2.0
 """Seconds without a word after which the agent counts as silent; it tells its state at 4 Hz."""
@@ -419,21 +424,21 @@ class AgentClient:
     async def activate(self, lease: Lease | None = None) -> None:
         """Activate the aircraft. Needs the lease, or that nobody holds it.
 
-        Raises: as :meth:`m100link.apps.agent.agent.Agent.activate`.
+        Raises: as :meth:`m100link.apps.agent.server.agent.Agent.activate`.
         """
         await self.ask(Action.ACTIVATE, lease)
 
     async def obtain(self, lease: Lease | None) -> None:
         """Obtain control authority for the holder of the lease.
 
-        Raises: as :meth:`m100link.apps.agent.agent.Agent.obtain`.
+        Raises: as :meth:`m100link.apps.agent.server.agent.Agent.obtain`.
         """
         await self.ask(Action.OBTAIN, lease)
 
     async def release(self, lease: Lease | None) -> None:
         """Give control authority back; the lease stays.
 
-        Raises: as :meth:`m100link.apps.agent.agent.Agent.release`.
+        Raises: as :meth:`m100link.apps.agent.server.agent.Agent.release`.
         """
         await self.ask(Action.RELEASE, lease)
 
@@ -447,7 +452,7 @@ class AgentClient:
             task: Which of them.
             accepted: Called when the aircraft has begun.
 
-        Raises: as :meth:`m100link.apps.agent.agent.Agent.fly`, and LinkError.
+        Raises: as :meth:`m100link.apps.agent.server.agent.Agent.fly`, and LinkError.
         """
         await self.ask(Action[task.name], lease, accepted=accepted)
 
@@ -461,7 +466,7 @@ class AgentClient:
             order: Where, of :mod:`m100link.apps.agent.guided`; the newest one wins.
             accepted: Called when it has begun.
 
-        Raises: as :meth:`m100link.apps.agent.agent.Agent.guide`, and LinkError.
+        Raises: as :meth:`m100link.apps.agent.server.agent.Agent.guide`, and LinkError.
         """
         fence = lease.number if lease is not None else 0
         await self._answers.question(lambda n: replace(order, id=n, fence=fence), accepted)
@@ -497,3 +502,134 @@ class AgentClient:
     def note(self, text: str, level: str = "info") -> None:
         """Add an event to the agent's journal; many at once are dropped."""
         self._channel.send(Note(level, text))
+
+
+# -- questions of a front that wait for the agent's answer -----------------------------------------
+
+
+class Answers:
+    """What was asked and has no answer yet, by number.
+
+    Args:
+        send: Puts a question on its way.
+
+    Attributes:
+        gone: Why the agent will answer no more, once it has gone; None before.
+    """
+
+    def __init__(self, send: Callable[[Message], None]) -> None:
+        self._send = send
+        self._create_future = asyncio.get_running_loop().create_future
+        self._count = 0
+        self._waiting: dict[int, asyncio.Future[Any]] = {}
+        self._accepted: dict[int, Callable[[], None]] = {}
+        self.gone: str | None = None
+
+    async def question(
+        self, ask: Callable[[int], Message], accepted: Callable[[], None] | None = None
+    ) -> Any:
+        """Send what ``ask`` makes of a number, and wait for the answer to that number.
+
+        Args:
+            ask: Makes the question.
+            accepted: Called when the aircraft has begun.
+
+        Raises:
+            M100Error: What the agent tells.
+            LinkError: It has gone; nothing was asked.
+            LinkLost: It goes meanwhile, and may have done it.
+        """
+        if self.gone is not None:
+            raise agent_gone(self.gone)
+        self._count += 1
+        number = self._count
+        answer = self._waiting[number] = self._create_future()
+        if accepted is not None:
+            self._accepted[number] = accepted
+        try:
+            self._send(ask(number))
+            return await answer
+        finally:
+            self._waiting.pop(number, None)
+            self._accepted.pop(number, None)
+
+    def begin(self, send: Callable[[Message], None]) -> None:
+        """Another agent answers from now on; nothing that the one before was asked is left."""
+        self._send, self.gone = send, None
+
+    def end(self, reason: str) -> None:
+        """The agent has gone: nobody waits for it any longer."""
+        self.gone = reason
+        waiting, self._waiting = list(self._waiting.values()), {}
+        for answer in waiting:
+            if not answer.done():
+                answer.set_exception(agent_lost(reason))
+
+    # -- what comes in ---------------------------------------------------------------------------
+
+    def granted(self, message: LeaseGranted) -> None:
+        """The lease that was asked for."""
+        self._resolve(message.id, Lease(message.name, message.token, message.number))
+
+    def offered(self, message: TakeOverOffered) -> None:
+        """Who would lose the lease."""
+        offer = TakeOver(
+            message.name, message.from_name, message.token, message.number, message.expires_at
+        )
+        self._resolve(message.id, offer)
+
+    def outcome(self, outcome: Outcome) -> None:
+        """What became of a question."""
+        if outcome.stage is Stage.ACCEPTED:
+            accepted = self._accepted.get(outcome.id)
+            if accepted is not None:
+                accepted()
+            return
+        answer = self._waiting.get(outcome.id)
+        if outcome.fault is None:
+            self._resolve(outcome.id, outcome)
+        elif answer is not None and not answer.done():
+            answer.set_exception(outcome.fault.error())
+
+    def _resolve(self, number: int, value: object) -> None:
+        answer = self._waiting.get(number)
+        if answer is not None and not answer.done():
+            answer.set_result(value)
+
+
+# -- A channel that only the event loop in which it was made may use -------------------------------
+
+
+class OwnLoop:
+    """A channel for whoever may be called by anybody: another thread would break what it carries.
+
+    Args:
+        channel: The way.
+    """
+
+    def __init__(self, channel: Channel) -> None:
+        self._channel = channel
+        self._loop = asyncio.get_running_loop()
+
+    def require(self) -> None:
+        """Refuse what comes from elsewhere.
+
+        Raises:
+            UsageError: Another event loop runs here, or this one elsewhere or nowhere.
+        """
+        require_loop(self._loop, "the loop in which the client was made")
+
+    def open(self, on_message: Callable[[Message], None], on_closed: Callable[[str], None]) -> None:
+        """Begin to receive. Raises as :meth:`require`."""
+        self.require()
+        self._channel.open(on_message, on_closed)
+
+    def send(self, message: Message) -> None:
+        """Send a message; never waits. Raises as :meth:`require`, and MessageError."""
+        self.require()
+        self._channel.send(message)
+
+    def close(self, reason: str = "") -> None:
+        """Close it. Raises as :meth:`require`."""
+        self.require()
+        self._channel.close(reason)

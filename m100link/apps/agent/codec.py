@@ -8,13 +8,54 @@ from __future__ import annotations
 import base64
 import binascii
 import dataclasses
+import json
 import math
+import struct
 import types
 from collections.abc import Callable, Mapping
 from enum import Enum
+from itertools import product
 from typing import Any, get_args, get_origin, get_type_hints
 
-__all__ = ["MAX_TEXT", "BadValue", "Fields"]
+from m100link.apps.agent.messages import (
+    Activating,
+    Event,
+    Hello,
+    LinkCounted,
+    Message,
+    PlanTold,
+    State,
+    Steer,
+    Telemetry,
+)
+from m100link.apps.agent.remote_error import MessageError
+from m100link.errors import BadPlan
+from m100link.errors.texts import read_json
+from m100link.missions.plan import WaypointPlan
+from m100link.protocol.codes import ActivationCode
+from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
+from m100link.protocol.firmware import FIRMWARE_3_1
+from m100link.protocol.setpoint import (
+    ControlMode,
+    Horizontal,
+    ReferenceFrame,
+    Setpoint,
+    Vertical,
+    Yaw,
+)
+
+__all__ = [
+    "MAX_SIZE",
+    "MAX_TEXT",
+    "BadValue",
+    "Fields",
+    "decode",
+    "encode",
+    "plan_of",
+    "require_possible",
+    "told_of",
+]
+
 
 MAX_TEXT = 4096
 """Longest text of a field, characters."""
@@ -211,3 +252,245 @@ class Fields:
             except BadValue as error:
                 raise BadValue(f"{name}: {error}") from None
         return self._kind(**found)
+
+
+# -- the bytes of messages between an agent and its fronts, for carriers that take bytes -----------
+# What goes seldom is JSON, one object for each message: its kind and its fields. A setpoint and a
+# telemetry package go fifty and a hundred times a second, and somebody waits for the setpoint: they
+# are packed, after a first byte that no JSON begins with. Reading never raises anything but
+# :class:`~m100link.apps.agent.remote_error.MessageError`; what is longer than :data:`MAX_SIZE` is
+# not read.
+
+
+MAX_SIZE = 64 * 1024
+"""Longest message, bytes."""
+
+_STEER = struct.Struct("<BQddB4d")  # kind, fence, sent_at, lifetime, control flag, four values
+_TELEMETRY = struct.Struct("<BdB")  # kind, received_at, length of the profile's name; both follow
+_IS_STEER, _IS_TELEMETRY = 1, 2
+
+_MODES = {
+    mode.flag | frame << 1 | stable: (mode, frame, stable)
+    for mode in map(ControlMode._make, product(Horizontal, Vertical, Yaw))
+    if mode.is_legal
+    for frame in ReferenceFrame
+    for stable in (False, True)
+}
+_FLAGS = {mode: flag for flag, mode in _MODES.items()}
+
+
+def _pack_steer(message: Steer) -> bytes:
+    setpoint = message.setpoint
+    if not (math.isfinite(message.sent_at) and math.isfinite(message.lifetime)):
+        raise BadValue("not a finite number")
+    return _STEER.pack(
+        _IS_STEER,
+        message.fence,
+        message.sent_at,
+        message.lifetime,
+        _FLAGS[setpoint.mode, setpoint.frame, setpoint.stable],
+        setpoint.x,
+        setpoint.y,
+        setpoint.z,
+        setpoint.yaw,
+    )
+
+
+def _unpack_steer(data: bytes) -> Steer:
+    _, fence, sent_at, lifetime, flag, x, y, z, yaw = _STEER.unpack(data)
+    if not (math.isfinite(sent_at) and math.isfinite(lifetime)):
+        raise BadValue("not a finite number")
+    if flag not in _MODES:
+        raise BadValue(f"control flag 0x{flag:02X} names no control mode")
+    mode, frame, stable = _MODES[flag]
+    return Steer(fence, sent_at, lifetime, Setpoint(mode, x, y, z, yaw, frame, stable))
+
+
+def _pack_telemetry(message: Telemetry) -> bytes:
+    if len(message.value) > MAX_BYTES:
+        raise BadValue(f"more than {MAX_BYTES} bytes")
+    if not math.isfinite(message.received_at):
+        raise BadValue("not a finite number")
+    profile = message.profile.encode()
+    return (
+        _TELEMETRY.pack(_IS_TELEMETRY, message.received_at, len(profile)) + profile + message.value
+    )
+
+
+def _unpack_telemetry(data: bytes) -> Telemetry:
+    _, received_at, length = _TELEMETRY.unpack_from(data)
+    begin = _TELEMETRY.size + length
+    if not math.isfinite(received_at):
+        raise BadValue("not a finite number")
+    if not begin <= len(data) <= begin + MAX_BYTES:
+        raise BadValue("not the bytes of a telemetry package")
+    return Telemetry(data[begin:], data[_TELEMETRY.size : begin].decode(), received_at)
+
+
+_PACK: dict[type[Any], Callable[[Any], bytes]] = {Steer: _pack_steer, Telemetry: _pack_telemetry}
+_UNPACK: dict[int, tuple[type[Any], Callable[[bytes], Message]]] = {
+    _IS_STEER: (Steer, _unpack_steer),
+    _IS_TELEMETRY: (Telemetry, _unpack_telemetry),
+}
+_FIELDS = {kind: Fields(kind) for kind in Message.__args__ if kind not in _PACK}
+_KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in _FIELDS}
+
+
+def encode(message: Message) -> bytes:
+    """The bytes of a message, at most :data:`MAX_SIZE`.
+
+    Raises:
+        MessageError: A number in it is not finite or out of range, or it is too long. Long texts
+            are cut.
+    """
+    kind = type(message)
+    pack = _PACK.get(kind)
+    try:
+        if pack is not None:
+            return pack(message)
+        text = json.dumps(
+            {"kind": kind.__name__, **_FIELDS[kind].write(message)}, separators=(",", ":")
+        )
+    except (BadValue, struct.error) as error:
+        raise MessageError(f"{kind.__name__} cannot be sent: {error}") from None
+    data = text.encode("ascii")
+    if len(data) > MAX_SIZE:
+        raise MessageError(f"{kind.__name__} would have {len(data)} bytes, at most {MAX_SIZE} go")
+    return data
+
+
+def decode(data: bytes) -> Message:
+    """The message of these bytes.
+
+    Raises:
+        MessageError: They are none.
+    """
+    if len(data) > MAX_SIZE:
+        raise MessageError(f"{len(data)} bytes are not a message: at most {MAX_SIZE} are")
+    packed = _UNPACK.get(data[0]) if data else None
+    if packed is not None:
+        kind, unpack = packed
+        try:
+            return unpack(data)
+        except (ValueError, struct.error) as error:  # a setpoint out of range is a ValueError, too
+            raise MessageError(f"not a message: {kind.__name__}: {str(error)[:200]}") from None
+    return _from_json(data)
+
+
+def _from_json(data: bytes) -> Message:
+    try:
+        value = read_json(data, constant=_refuse)
+    except ValueError:
+        raise MessageError("not a message: this is not JSON") from None
+    name = value.pop("kind", None) if isinstance(value, dict) else None
+    kind = _KINDS.get(name) if isinstance(name, str) else None
+    if kind is None:
+        raise MessageError("not a message: it names no kind that this version knows")
+    try:
+        message: Message = _FIELDS[kind].read(value)
+        require_possible(message)
+    except BadValue as error:
+        raise MessageError(f"not a message: {kind.__name__}: {error}") from None
+    return message
+
+
+def _refuse(text: str) -> float:
+    raise ValueError(f"{text} is not JSON")
+
+
+# -- what a message of an agent may say besides being of the right types (pure logic) --------------
+# Over a network anybody may tell something under an agent's name. A view of the console that meets
+# a word or a time that cannot be would raise, and with it everything else on the page: such a
+# message is refused as it is read, and costs itself alone.
+
+
+_CONNECTIONS = ("connecting", "connected", "lost")
+_LEVELS = ("info", "warning", "error")
+_CODES = frozenset(map(int, ActivationCode))
+_LAST_UTC = 253_402_300_799.0
+"""POSIX time of the end of the year 9999, s."""
+_LONGEST_S = 1e10
+"""No clock of an agent, nor a flight, is three centuries old."""
+
+
+def _hello(hello: Hello) -> str:
+    return "" if abs(hello.at) <= _LONGEST_S else "at is no time"
+
+
+def _event(event: Event) -> str:
+    if event.level not in _LEVELS:
+        return "level is none"
+    return "" if abs(event.at) <= _LONGEST_S else "at is no time"
+
+
+def _state(state: State) -> str:
+    if not abs(state.at) <= _LONGEST_S:
+        return "at is no time"
+    if state.connection not in _CONNECTIONS:
+        return "connection is none"
+    if state.activation_code is not None and state.activation_code not in _CODES:
+        return "activation_code is none"
+    replay = state.replay
+    if replay is not None and not 0.0 <= replay.utc <= _LAST_UTC:
+        return "replay: utc is no time"
+    if replay is not None and not max(abs(replay.position_s), abs(replay.duration_s)) <= _LONGEST_S:
+        return "replay: no flight is that long"
+    return ""
+
+
+def _counted(counted: LinkCounted) -> str:
+    if not abs(counted.at) <= _LONGEST_S:
+        return "at is no time"
+    for name in ("counters", "discards", "round_trips"):
+        numbers: Mapping[str, Any] = getattr(counted, name)
+        if not all(type(one) in (int, float) for one in numbers.values()):
+            return f"{name}: not a number"
+    return ""
+
+
+def _activating(activating: Activating) -> str:
+    return "" if activating.code in _CODES else "code is none"
+
+
+_WHY_NOT: dict[type[Any], Callable[[Any], str]] = {
+    Event: _event,
+    Hello: _hello,
+    State: _state,
+    LinkCounted: _counted,
+    Activating: _activating,
+}
+
+
+def require_possible(message: Message) -> None:
+    """Whether a message that was read can be true.
+
+    Raises:
+        BadValue: It cannot; the field is named.
+    """
+    why_not = _WHY_NOT.get(type(message))
+    why = "" if why_not is None else why_not(message)
+    if why:
+        raise BadValue(why)
+
+
+# -- A plan on its way between an agent and its fronts ---------------------------------------------
+
+
+def told_of(plan: WaypointPlan, name: str) -> PlanTold:
+    """What fronts are told of a plan that somebody of that name has uploaded."""
+    mission, points = plan.to_wire()
+    return PlanTold(
+        name, mission.value(FIRMWARE_3_1), tuple(point.value(FIRMWARE_3_1) for point in points)
+    )
+
+
+def plan_of(message: PlanTold) -> WaypointPlan | None:
+    """The plan again; None where there is none, or none that this version can read."""
+    if not message.mission:
+        return None
+    try:
+        mission = WaypointMission.parse(message.mission, FIRMWARE_3_1)
+        points = [WaypointPoint.parse(one, FIRMWARE_3_1) for one in message.points]
+        return WaypointPlan.from_wire(mission, points)
+    except (ValueError, BadPlan):
+        return None

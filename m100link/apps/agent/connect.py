@@ -12,11 +12,11 @@ from m100link.aircraft.connecting import be_recorded
 from m100link.errors import PortNotFound
 from m100link.flight.guards import Envelope
 from m100link.link import Link
-from m100link.link.tap import TappedProtocol
+from m100link.link.statistics import TappedProtocol
 from m100link.protocol.firmware import profile
 
 if TYPE_CHECKING:
-    from m100link.apps.agent.connection import Connect
+    from m100link.apps.agent.server.connection import Connect
     from m100link.log.folder import Flights
     from m100link.log.recorder import Recorder
     from m100link.sim.ports.driver import Driver

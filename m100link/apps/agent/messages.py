@@ -1,7 +1,7 @@
 """What an agent and its fronts tell each other: a few typed messages.
 
 A front is what strangers reach: rosbridge, the console. It owns nothing of the aircraft. What it
-knows comes in these messages, what it wants goes out in them (``m100link.apps.agent.carriers``).
+knows comes in these messages, what it wants goes out in them (``m100link.apps.agent.transports``).
 
 ==================  ========================================================================
 Both ways           Hello, Goodbye
@@ -12,7 +12,7 @@ From a front        LeaseAsk, Steer, Ask, Note; FlyTo, FlyAround, ChangeHeight,
                     ChangeHeading (``m100link.apps.agent.guided``)
 ==================  ========================================================================
 
-What a carrier makes of them is in ``m100link.apps.agent.message_bytes``.
+What a carrier makes of them is in ``m100link.apps.agent.codec``.
 """
 
 from __future__ import annotations
@@ -22,8 +22,6 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-from m100link.apps.agent.actions import Action, LeaseAction, Stage
-from m100link.apps.agent.fault import Fault
 from m100link.apps.agent.guided import (
     ChangeHeading,
     ChangeHeight,
@@ -32,10 +30,12 @@ from m100link.apps.agent.guided import (
     GuidedFlight,
 )
 from m100link.apps.agent.lease import Flown, LeaseChange
-from m100link.apps.agent.replay_told import Replay
+from m100link.apps.agent.remote_error import Fault
 from m100link.protocol.setpoint import Setpoint
 
 __all__ = [
+    "TAKE_OFF_FIRST",
+    "UNTIL_OVER",
     "VERSION",
     "Action",
     "Activating",
@@ -56,6 +56,7 @@ __all__ = [
     "Note",
     "Outcome",
     "PlanTold",
+    "Replay",
     "Stage",
     "State",
     "Steer",
@@ -64,6 +65,7 @@ __all__ = [
     "Telemetry",
     "Topic",
 ]
+
 
 VERSION = 10
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
@@ -182,19 +184,15 @@ class State:
     """Where the agent stands: after each change, and a few times a second.
 
     Attributes:
-        at: When it was so, s.
-        connection: ``"connecting"``, ``"connected"`` or ``"lost"``.
-        connection_fault: Why it is not connected.
-        firmware: Firmware profile in use; empty when not connected.
-        is_activated: Whether the aircraft is active and its key in use.
-        activation_code: Last answer to an activation.
-        activation_fault: Why the last activation failed.
-        holding: State of control authority, a :class:`~m100link.apps.agent.holding.HoldingState`.
-        has_authority: Whether setpoints and tasks are obeyed.
-        task: What the aircraft flies by itself; empty for nothing.
-        pattern: Name of the program that flies; empty for none.
-        guided: The flight to where somebody points, with what remains of it; None for none.
-        mission: The kind of mission that the aircraft says it flies, whoever started it, by the
+        at: When it was so, s. connection: ``"connecting"``, ``"connected"`` or ``"lost"``.
+        connection_fault: Why it is not connected. firmware: Firmware profile in use; empty when not
+        connected. is_activated: Whether the aircraft is active and its key in use. activation_code:
+        Last answer to an activation. activation_fault: Why the last activation failed. holding:
+        State of control authority, a :class:`~m100link.apps.agent.server.authority.HoldingState`.
+        has_authority: Whether setpoints and tasks are obeyed. task: What the aircraft flies by
+        itself; empty for nothing. pattern: Name of the program that flies; empty for none. guided:
+        The flight to where somebody points, with what remains of it; None for none. mission: The
+        kind of mission that the aircraft says it flies, whoever started it, by the
             names of :class:`~m100link.flight.mission_state.MissionKind`; empty when nobody knows.
         mission_index: Waypoint that it flies to, counted from 0; -1 when nobody knows.
         mission_status: Status of the mission as on the wire; -1 when nobody knows.
@@ -496,3 +494,100 @@ Message = (
     | Note
 )
 """Any of them."""
+
+
+# -- what a front can ask for, and how far it came: the words of messages --------------------------
+
+
+TAKE_OFF_FIRST, UNTIL_OVER = 1, 2
+"""Bits of the number with which a mission is started: take off before it; the question is accepted
+when the mission has begun, and done when it is over."""
+
+
+class Action(Enum):
+    """What the agent can be asked to do."""
+
+    ACTIVATE = "activate"
+    OBTAIN = "obtain"  # control authority
+    RELEASE = "release"
+    TAKE_OFF = "take_off"
+    LAND = "land"
+    GO_HOME = "go_home"
+    PATTERN = "pattern"  # the simple task of that number
+    HALT = "halt"  # no motion, no guided flight; a task goes on
+    STOP = "stop"  # no motion, and no task
+    GIMBAL_ANGLES = "gimbal_angles"
+    GIMBAL_RATES = "gimbal_rates"
+    TAKE_PHOTO = "take_photo"
+    START_VIDEO = "start_video"
+    STOP_VIDEO = "stop_video"
+    ARM = "arm"
+    DISARM = "disarm"
+    MISSION_PLAN = "mission_plan"  # a new plan, of which the points follow
+    MISSION_POINT = "mission_point"
+    MISSION_START = "mission_start"
+    HOTPOINT_START = "hotpoint_start"
+    HOTPOINT_RADIUS = "hotpoint_radius"
+    HOTPOINT_RATE = "hotpoint_rate"
+    HOTPOINT_HEADING = "hotpoint_heading"  # back to where it is to point
+    MISSION_STOP = "mission_stop"  # of whatever kind, like the next two
+    MISSION_PAUSE = "mission_pause"
+    MISSION_RESUME = "mission_resume"
+    MISSION_SPEED = "mission_speed"
+    VERSION = "version"
+    SEND_TO_MOBILE = "send_to_mobile"
+    REPLAY = "replay"  # an order to a recording; the data says which, in words
+
+
+class LeaseAction(Enum):
+    """What a front may want of the lease."""
+
+    ACQUIRE = "acquire"
+    RENEW = "renew"
+    RELEASE = "release"
+    TAKE_OVER = "take_over"  # first step: who would lose it?
+    CONFIRM = "confirm"  # second step: take it from exactly that one
+
+
+class Stage(Enum):
+    """How far something that was asked for has come."""
+
+    ACCEPTED = "accepted"  # the aircraft has begun; another outcome follows
+    DONE = "done"
+    FAILED = "failed"
+
+
+# -- what fronts are told of a replay --------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """Where the replay of a recorded flight is.
+
+    Attributes:
+        name: Of the file.
+        utc: POSIX time of then, s.
+        clock: By which its telemetry is received, s.
+        rate: Seconds by which that clock goes on in a second; 0 while it stands.
+        position_s: Seconds that were played.
+        duration_s: Of the whole.
+        speed: Times as fast as it was flown; 0: as fast as it can be.
+        is_paused: Whether it stands still on purpose.
+        is_at_end: Whether everything was played.
+        is_cut_off: Whether the file was not ended.
+    """
+
+    name: str
+    utc: float
+    clock: float
+    rate: float
+    position_s: float
+    duration_s: float
+    speed: float
+    is_paused: bool
+    is_at_end: bool
+    is_cut_off: bool
+
+    def time(self, since: float) -> float:
+        """Its clock so many seconds after this was told, s."""
+        return self.clock + since * self.rate

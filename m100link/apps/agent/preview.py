@@ -17,7 +17,7 @@ from m100link.flight.foresight import (
     frame_at,
 )
 from m100link.flight.guards import Envelope, GuardKeeper, Guards
-from m100link.flight.missions.checks import check_battery, check_plan
+from m100link.flight.missions.context import check_battery, check_plan
 from m100link.missions.plan import WaypointPlan
 from m100link.telemetry.state import AircraftState
 

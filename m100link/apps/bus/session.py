@@ -17,16 +17,21 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from m100link.apps.bus.network import (
+    AT_ONCE,
     DEPTH,
     Answer,
+    Bundle,
     Held,
     Inbox,
+    Looks,
     Outlet,
+    Patient,
     Question,
+    Queue,
     Received,
+    Ring,
     TokenChange,
 )
-from m100link.apps.bus.waiting import AT_ONCE, Bundle, Looks, Patient, Queue, Ring
 from m100link.errors import UsageError
 from m100link.errors.texts import read_json
 

@@ -28,7 +28,7 @@ VERBS = {
         "Show what is at the other end: version, firmware profile, telemetry items, line quality.",
     ),
     "link": (
-        "link:link",
+        "aircraft:link",
         "Measure the line: damage and its causes, how long answers take, rates of telemetry.",
     ),
     "doctor": (
@@ -45,7 +45,7 @@ VERBS = {
         "Activate the aircraft for an app; waits while the aircraft asks DJI's server.",
     ),
     "monitor": (
-        "monitor:monitor",
+        "telemetry:monitor",
         "Watch telemetry: every item with its value, age, measured rate and jitter.",
     ),
     "echo": (
@@ -72,15 +72,15 @@ VERBS = {
         "Give control authority back; the aircraft hovers and the pilot flies on.",
     ),
     "gimbal": (
-        "payload:gimbal",
+        "flight:gimbal",
         "Point the gimbal, and show where it looks; without an angle it only shows that.",
     ),
     "camera": (
-        "payload:camera",
+        "flight:camera",
         "Take a photograph, start or stop video. It is sent; nobody confirms it.",
     ),
     "rates": (
-        "payload:rates",
+        "flight:rates",
         "Set telemetry rates (firmware 3.1), and show how items arrive; without any only that.",
     ),
     "plan": (
@@ -112,7 +112,7 @@ VERBS = {
         "Show the configuration file: where it is, which aircraft it names, what is in force.",
     ),
     "completion": (
-        "completion:completion",
+        "manual:completion",
         "Print what completes verbs, options and aircraft in a shell, or install it there.",
     ),
     "docs": (
@@ -121,15 +121,15 @@ VERBS = {
     ),
     "sim": ("sim:app", "A virtual Matrice 100, for people and other programs."),
     "serve": (
-        "station:serve",
+        "serve:serve",
         "Own the serial port and share the aircraft: rosbridge v2 for any number of clients.",
     ),
     "mavlink": (
-        "mavlink:mavlink",
+        "serve:mavlink",
         "Let MAVSDK, QGroundControl and other MAVLink programs see and fly the aircraft.",
     ),
     "ros2": (
-        "ros2:ros2",
+        "serve:ros2",
         "Be a node of ROS 2, without a ROS installation, until Ctrl-C.",
     ),
     "fleet": (
@@ -137,7 +137,7 @@ VERBS = {
         "Many aircraft on many machines: a router, agents on board, pilots, formations.",
     ),
     "console": (
-        "station:console",
+        "serve:console",
         "Serve the console for browsers, beside everything that `serve` serves, and open it.",
     ),
 }

@@ -24,7 +24,7 @@ from m100link.errors.texts import read_path, read_toml
 from m100link.link.keyfile import read_watched
 from m100link.link.url import EXAMPLES, parse_url
 from m100link.protocol.firmware import PROFILES
-from m100link.telemetry.names import ITEM_NAMES
+from m100link.telemetry.columns import ITEM_NAMES
 
 __all__ = ["Configuration", "configuration_path", "read_configuration", "shown"]
 

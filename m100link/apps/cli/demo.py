@@ -28,8 +28,8 @@ from rich.text import Text
 from m100link.aircraft import Aircraft
 from m100link.aircraft.activation import ActivationProgress
 from m100link.apps.agent.connect import by_driver, by_url
-from m100link.apps.cli.canvas import line_plot, track_plot
 from m100link.apps.cli.common import err, out
+from m100link.apps.cli.display import line_plot, track_plot
 from m100link.apps.cli.logs import AS_IT_IS, LogOptions
 from m100link.apps.cli.outcome import ExitCode, complain, print_json
 from m100link.apps.station.config import RECORD_KEEP, RECORD_KEEP_MB

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import getpass
+import json
+import os
 import platform
 import sys
-from collections.abc import Awaitable, Callable
-from contextlib import AbstractAsyncContextManager
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from contextlib import AbstractAsyncContextManager, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,29 +18,168 @@ import cyclopts
 from cyclopts import Parameter
 from rich.table import Table
 
-from m100link.apps.cli.common import err, out, run_async
-from m100link.apps.cli.fleet_left import Begun, Left
+from m100link.apps.cli.common import Above0, err, out, run_async
 from m100link.apps.cli.logs import AS_IT_IS, LogOptions
-from m100link.apps.cli.options import Above0
 from m100link.apps.cli.outcome import ExitCode, print_json
 from m100link.apps.fleet.asking import PATIENCE_S, Sign
 from m100link.apps.fleet.client import Fleet, FleetAircraft, connect
-from m100link.apps.fleet.keys import DEFAULT_SITE, in_order
-from m100link.apps.fleet.outcome import Result
-from m100link.apps.fleet.payloads import Card
+from m100link.apps.fleet.keys import DEFAULT_SITE, check_name, in_order
+from m100link.apps.fleet.payloads import Card, Result
 from m100link.apps.fleet.signing import read_signer, signing, tls_options
-from m100link.errors import UsageError
+from m100link.errors import M100Error, OutcomeUnknown, UsageError
+from m100link.errors.texts import read_json
+from m100link.log.folder import state_folder
 
 __all__ = [
     "NO_OPTIONS",
     "ROUTER",
     "All",
+    "Begun",
     "FleetOptions",
+    "Left",
     "Names",
     "app",
+    "borrowed",
+    "lease_file",
+    "shared",
     "tell_results",
+    "told_when_interrupted",
     "wanted_names",
 ]
+
+
+# -- what goes on on board when a verb of the fleet is ended by Ctrl-C, and how to see and end  ----
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """What an order leaves behind that was given, and whose end nobody waited for.
+
+    Attributes:
+        seen: What goes on, or ends.
+        remedy: How to see it and how to end it, with ``{name}`` for the aircraft.
+    """
+
+    seen: str
+    remedy: str
+
+    def of(self, name: str) -> Result:
+        """What is told of one aircraft: nobody knows what became of the order."""
+        remedy = self.remedy.format(name=name)
+        return Result.of(name, OutcomeUnknown(f"interrupted: {self.seen}", remedy=remedy))
+
+
+class Begun:
+    """What was asked of several aircraft, and what of it has ended.
+
+    Args:
+        do: What is asked of each.
+        left: What it leaves behind.
+    """
+
+    def __init__(self, do: Callable[[FleetAircraft], Awaitable[object]], left: Left) -> None:
+        self._do, self._left = do, left
+        self._results: dict[str, Result] = {}
+
+    async def __call__(self, aircraft: FleetAircraft) -> object:
+        """Ask one.
+
+        Raises: as what is done.
+        """
+        name = aircraft.name
+        self._results[name] = self._left.of(name)
+        try:
+            value = await self._do(aircraft)
+        except M100Error as error:
+            self._results[name] = Result.of(name, error)
+            raise
+        self._results[name] = Result.of(name, None, value)
+        return value
+
+    @property
+    def results(self) -> dict[str, Result]:
+        """What is known of each that was asked."""
+        return dict(self._results)
+
+
+@contextmanager
+def told_when_interrupted(name: str, left: Left) -> Iterator[None]:
+    """Tell what one order leaves behind, if the block is ended by Ctrl-C."""
+    try:
+        yield
+    except asyncio.CancelledError:
+        result = left.of(name)
+        if result.error is not None:
+            err.print(f"{name}: {result.error.seen}", markup=False, soft_wrap=True)
+            err.print(result.error.remedy, markup=False, soft_wrap=True)
+        raise
+
+
+# -- A lease that one command of a pilot holds, and others of the same account order under ---------
+# The proof of it lies in a file that nobody else can read, as long as the command runs that holds
+# it.
+
+
+def lease_file(site: str, name: str, environment: Mapping[str, str] | None = None) -> Path:
+    """Where the proof lies: in the folder of the user's session, else in that of the state."""
+    known = os.environ if environment is None else environment
+    session = known.get("XDG_RUNTIME_DIR", "")
+    base = Path(session) / "m100link" if Path(session).is_absolute() else state_folder(known)
+    return base / "leases" / check_name(site, "a site") / f"{check_name(name)}.json"
+
+
+@contextmanager
+def shared(site: str, name: str, proof: tuple[int, str]) -> Iterator[None]:
+    """Let other commands of this account order under a lease while the block runs.
+
+    Args:
+        site: Of the fleet.
+        name: Of the aircraft.
+        proof: Number and secret of the lease.
+
+    Raises:
+        UsageError: The file cannot be written.
+    """
+    path = lease_file(site, name)
+    fence, token = proof
+    text = json.dumps({"fence": fence, "token": token})
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)  # of one that was killed
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
+        with os.fdopen(handle, "w", encoding="ascii") as file:
+            file.write(text)
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror or error}") from error
+    try:
+        yield
+    finally:
+        if path.is_file() and path.read_text(encoding="ascii") == text:  # else it is another's
+            path.unlink(missing_ok=True)
+
+
+def borrowed(site: str, name: str) -> tuple[int, str]:
+    """Number and secret of the lease that another command of this account holds.
+
+    Raises:
+        UsageError: There is none.
+    """
+    path = lease_file(site, name)
+    try:
+        found = read_json(path.read_bytes())
+        return int(found["fence"]), str(found["token"])
+    except FileNotFoundError:
+        raise UsageError(
+            f"no command of this account has control of {name}",
+            cause="orders to a mission come under the lease of who flies",
+            remedy=f"m100link fleet lease {name}, or fleet mission fly {name} FILE, in another "
+            f"shell; m100link fleet stop {name} needs no lease",
+        ) from None
+    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
+        raise UsageError(f"{path} cannot be read: {error}", remedy="remove it") from error
+
+
+# -- fleet -----------------------------------------------------------------------------------------
 
 app = cyclopts.App(
     name="fleet",

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
+import os
 import time
+import webbrowser
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,34 +17,55 @@ from cyclopts import Parameter
 
 from m100link.apps.agent.journal import JOURNAL_LOG
 from m100link.apps.agent.messages import Event
-from m100link.apps.cli.common import Told, err, out, places, run_async
-from m100link.apps.cli.fleet import ROUTER
+from m100link.apps.cli.common import (
+    Above0,
+    Counted,
+    Told,
+    err,
+    offered,
+    options_of,
+    out,
+    places,
+    run_async,
+)
+from m100link.apps.cli.fleet import NO_OPTIONS, ROUTER, FleetOptions
 from m100link.apps.cli.logs import AS_IT_IS, LogOptions
-from m100link.apps.cli.options import Above0, Counted, offered, options_of
 from m100link.apps.cli.outcome import ExitCode, print_json
-from m100link.apps.cli.serving import AS_USUAL, RunOptions, Teller, show
-from m100link.apps.cli.station import aircraft_of
-from m100link.apps.fleet.acl import router_config
+from m100link.apps.cli.serve import (
+    AS_USUAL,
+    RunOptions,
+    Teller,
+    aircraft_of,
+    require_packages,
+    show,
+    warn_of,
+)
+from m100link.apps.fleet.identity import Rights, nobody
 from m100link.apps.fleet.keys import DEFAULT_SITE
 from m100link.apps.fleet.logs.service import RATE
-from m100link.apps.fleet.lost import LostAction, LostPlan
+from m100link.apps.fleet.lost_link import LostAction, LostPlan
+from m100link.apps.fleet.pki import router_config
 from m100link.apps.fleet.revocations import Revocations
-from m100link.apps.fleet.revoked import nobody
-from m100link.apps.fleet.rights import Rights
 from m100link.apps.fleet.session import open_fleet
 from m100link.apps.fleet.signing import tls_options, verifying
 from m100link.apps.station.child import leave_what_stays
-from m100link.apps.station.config import ENVIRONMENT, ONLY_NAME, Settings
+from m100link.apps.station.config import ENVIRONMENT, ONLY_NAME, Settings, resolve
 from m100link.apps.station.fleet import (
     FleetSettings,
     default_ledgers,
     recorded_apart,
     serving_fleet,
 )
+from m100link.apps.station.fleet_console import serving_fleet_console
 from m100link.apps.station.log_output import tell_elsewhere
 from m100link.errors import UsageError
 
-__all__ = ["agent", "router"]
+__all__ = [
+    "agent",
+    "console",
+    "router",
+]
+
 
 _FromSettings: Any = options_of(
     Settings,
@@ -220,4 +244,75 @@ async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, run: RunOp
             leave_what_stays()
             await ended.wait()
             teller.do(lambda: err.print("ending: an aircraft that flies hovers"))
+    return ExitCode.OK
+
+
+# -- ``m100link fleet console``: a page in the browser for aircraft that are elsewhere -------------
+
+
+_ConsoleFromSettings: Any = options_of(
+    Settings,
+    (
+        *("host", "console_port", "allow_host", "allow_origin", "token_file"),
+        *("tls_cert", "tls_key", "tiles"),
+    ),
+    environment=ENVIRONMENT,
+    is_layer=True,
+)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class PageOptions(_ConsoleFromSettings):  # type: ignore[misc] # a class that is made has no type
+    """Who may open the page, and where it is served.
+
+    Attributes:
+        open_browser: Open it in the browser.
+    """
+
+    open_browser: bool = True
+
+
+def console(
+    *names: str,
+    options: FleetOptions = NO_OPTIONS,
+    page: PageOptions = PageOptions(),
+) -> int:
+    """Serve the console for a fleet, until Ctrl-C: all on a list and a map, one to look at and fly.
+
+    Without names it shows whoever is there and whoever comes. What is steered flies on board, under
+    the lease and the guards of that aircraft's agent. The one that is looked at sends every
+    package, the others what suffices for a wall. When this ends, control that was taken here is
+    given back: that aircraft hovers.
+
+    Args:
+        names: Names of aircraft.
+        options: Which fleet.
+        page: See below.
+    """
+    known = {one.name for one in fields(Settings)}
+    given = {name: value for name, value in vars(page).items() if name in known and value != ()}
+    settings = resolve(given, os.environ)
+    require_packages()
+    return run_async(_serve_console(names, options, settings, is_opened=page.open_browser))
+
+
+async def _serve_console(
+    names: tuple[str, ...], options: FleetOptions, settings: Settings, *, is_opened: bool
+) -> int:
+    ended = Told()
+    async with options.open() as fleet, serving_fleet_console(fleet, settings, names) as served:
+        scheme = "http" if settings.tls_cert is None else "https"
+        path = served.fronts.console_path()
+        url = f"{scheme}://{settings.authority(served.console_port)}{path}"
+        if options.json_output:
+            print_json({"console": url, "aircraft": served.names})
+        else:
+            out.print(f"console:   {url}", markup=False, soft_wrap=True)
+            out.print(f"aircraft:  {', '.join(served.names)}", markup=False, soft_wrap=True)
+        warn_of(settings)
+        if is_opened:
+            await asyncio.to_thread(webbrowser.open, url)
+        await ended.wait()
+        err.print("ending: an aircraft that was flown from here hovers")
     return ExitCode.OK

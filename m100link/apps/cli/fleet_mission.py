@@ -12,20 +12,23 @@ from typing import Annotated
 import cyclopts
 from cyclopts import Parameter
 
-from m100link.apps.agent.actions import Action
-from m100link.apps.agent.messages import Ask, Message
+from m100link.apps.agent.messages import Action, Ask, Message
 from m100link.apps.cli.common import err, out, run_async
-from m100link.apps.cli.fleet import NO_OPTIONS, FleetOptions
-from m100link.apps.cli.fleet_lease import borrowed, shared
-from m100link.apps.cli.fleet_left import Left, told_when_interrupted
+from m100link.apps.cli.fleet import (
+    NO_OPTIONS,
+    FleetOptions,
+    Left,
+    borrowed,
+    shared,
+    told_when_interrupted,
+)
 from m100link.apps.cli.mission import event_name, event_words
 from m100link.apps.cli.outcome import ExitCode, print_json
 from m100link.apps.cli.plan import File, FileOptions, read_plan
 from m100link.apps.cli.terminal import ReaderGone
 from m100link.apps.fleet.client import FleetAircraft
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
-from m100link.apps.fleet.missions.stages import MissionStage
-from m100link.apps.fleet.payloads import MissionCard, Reply
+from m100link.apps.fleet.payloads import MissionCard, MissionStage, Reply
 from m100link.errors import UsageError
 from m100link.flight.missions.events import Finished, MissionEvent, MissionProgress, Reached
 from m100link.missions.plan import AtEnd, WaypointPlan

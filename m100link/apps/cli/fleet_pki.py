@@ -22,13 +22,12 @@ from m100link.apps.cli.fleet import (
 )
 from m100link.apps.cli.outcome import ExitCode, print_json
 from m100link.apps.cli.plan import File, require_free
-from m100link.apps.fleet.acl import explain, router_config
-from m100link.apps.fleet.pki import Issued, Kind, listed
+from m100link.apps.fleet.identity import BadRights, Right, Rights
+from m100link.apps.fleet.pki import Issued, Kind, explain, listed, router_config
 from m100link.apps.fleet.pki import init as make_authority
 from m100link.apps.fleet.pki import issue as make_certificate
 from m100link.apps.fleet.pki import revoke as revoke_names
 from m100link.apps.fleet.revocations import LIST, Revocations, bring
-from m100link.apps.fleet.rights import BadRights, Right, Rights
 from m100link.errors import UsageError
 
 __all__ = ["acl", "pki"]

@@ -10,17 +10,15 @@ from typing import Annotated, Any
 import cyclopts
 from cyclopts import Parameter
 
-from m100link.apps.cli.common import err, out, run_async
+from m100link.apps.cli.common import Above0, err, out, run_async
 from m100link.apps.cli.fleet import NO_OPTIONS, FleetOptions
-from m100link.apps.cli.options import Above0
 from m100link.apps.cli.outcome import ExitCode, print_json
 from m100link.apps.cli.plan import File, require_free
-from m100link.apps.fleet.show import checks
 from m100link.apps.fleet.show.conductor import Conductor
-from m100link.apps.fleet.show.document import Show
 from m100link.apps.fleet.show.performer import Leave, Stage
-from m100link.apps.fleet.show.picture import svg
-from m100link.apps.fleet.show.track import BadShow
+from m100link.apps.fleet.show.plan.document import Report, Show, distances, places, svg
+from m100link.apps.fleet.show.plan.document import check as report_on
+from m100link.apps.fleet.show.plan.track import BadShow
 from m100link.errors import UsageError
 from m100link.flight.guards import Envelope
 
@@ -85,7 +83,7 @@ def check(
             raise
         print_json({"ok": False, "problems": [_problem(error)]})
         return ExitCode.USAGE
-    report = checks.check(found, guards.envelope)
+    report = report_on(found, guards.envelope)
     status = ExitCode.OK if report.ok else ExitCode.USAGE
     if as_json:
         print_json(_told(found, report))
@@ -104,7 +102,7 @@ def check(
     return status
 
 
-def _told(show: Show, report: checks.Report) -> dict[str, Any]:
+def _told(show: Show, report: Report) -> dict[str, Any]:
     return {
         "ok": report.ok,
         "problems": [_problem(problem) for problem in report.problems],
@@ -152,7 +150,7 @@ def preview(
         force: Write over a file that is there.
     """
     found = _read(show)
-    report = checks.check(found, guards.envelope)
+    report = report_on(found, guards.envelope)
     if picture is None:
         _say(_drawn(found))
     elif str(picture) == "-":
@@ -189,7 +187,7 @@ def fly(
         options: Which fleet.
     """
     found = _read(show)
-    report = checks.check(found, guards.envelope)
+    report = report_on(found, guards.envelope)
     for problem in report.problems:
         err.print(f"✗ {problem.seen}", markup=False, soft_wrap=True)
     if not report.ok:
@@ -239,17 +237,17 @@ def _ask(show: Show) -> None:
 
 
 def _drawn(show: Show) -> list[str]:
-    from m100link.apps.cli.canvas import line_plot, track_plot
+    from m100link.apps.cli.display import line_plot, track_plot
 
     width = max(20, min(out.width, 100))
-    samples = checks.places(show)
+    samples = places(show)
     # One line through all of them would join the end of a track with the beginning of the next.
     dots = [(place[0], place[1]) for _, there in samples for place in there]
     names = [((t.points[0].north, t.points[0].east), t.name) for t in show.tracks]
     lines = track_plot([], columns=width, rows=min(20, width // 3), marks=names, dots=dots)
     if len(show.tracks) > 1:
         lines += ["", "least distance of any two"]
-        lines += line_plot(checks.distances(show), unit="m", columns=width - 10, rows=6)
+        lines += line_plot(distances(show), unit="m", columns=width - 10, rows=6)
     return lines
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from m100link.apps.cli.fleet import app
-from m100link.apps.cli.fleet_agent import agent, router
-from m100link.apps.cli.fleet_console import console
-from m100link.apps.cli.fleet_log import app as log
+from m100link.apps.cli.fleet_agent import agent, console, router
 from m100link.apps.cli.fleet_mission import app as mission
 from m100link.apps.cli.fleet_pki import acl, pki
 from m100link.apps.cli.fleet_show import app as show
+from m100link.apps.cli.fleet_watch import app as log
 from m100link.apps.cli.fleet_watch import lease, monitor, watch
 
 __all__ = ["app"]

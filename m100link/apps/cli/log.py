@@ -4,33 +4,422 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import csv as csv_module
+import io
+import json
 import signal
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import IO, Annotated, Any
 
 import cyclopts
 from cyclopts import Parameter
 
 from m100link.aircraft import Aircraft, connect
-from m100link.apps.cli.common import LinkOptions, Place, Url, err, out, run_async
-from m100link.apps.cli.log_exports import layout, ros2
-from m100link.apps.cli.log_frames import compare_files, frames
-from m100link.apps.cli.log_plot import plot
-from m100link.apps.cli.log_tables import csv, parquet
-from m100link.apps.cli.log_wireshark import wireshark
-from m100link.apps.cli.options import Above0, Firmware
+from m100link.apps.cli.common import (
+    Above0,
+    Firmware,
+    LinkOptions,
+    Place,
+    Url,
+    err,
+    offered,
+    out,
+    run_async,
+)
+from m100link.apps.cli.display import items_named, reading, status
 from m100link.apps.cli.outcome import ExitCode, complain, print_json
-from m100link.apps.cli.progress import reading, status
 from m100link.errors import LinkError, UsageError
+from m100link.link.keyfile import read_key
 from m100link.log import FlightLog, Recorder, read, recover
 from m100link.log.channels import COMMAND, EVENT
-from m100link.log.drawing import clock, facts
-from m100link.log.story import read_story
+from m100link.log.channels import layout as layout_of_panels
+from m100link.log.parquet import write_parquet
+from m100link.log.pcapng import dissector, read_frames, write_pcapng
+from m100link.log.picture import Comparison, clock, compare, facts
+from m100link.log.ros2 import write_bag
+from m100link.log.story import Story, read_story
+from m100link.protocol.items import BY_NAME
+from m100link.wire import Cipher
 
-__all__ = ["app", "record"]
+__all__ = [
+    "app",
+    "cannot_write",
+    "compare_files",
+    "csv",
+    "frames",
+    "layout",
+    "new_file",
+    "parquet",
+    "plot",
+    "record",
+    "ros2",
+    "wireshark",
+    "write_new",
+]
+
+
+# -- ``m100link log ros2`` and ``layout``: flights for the tools of others -------------------------
+
+
+def ros2(
+    file: Path,
+    /,
+    *,
+    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    firmware: Firmware | None = None,
+) -> int:
+    """Write a bag of ROS 2: MCAP with its messages in CDR, for ``ros2 bag``, rosbags, Foxglove.
+
+    Args:
+        file: The log.
+        output: A new file; by default FILE with ``-ros2`` before its suffix.
+        firmware: Profile to read it by; by default that of the flight.
+    """
+    target = output or file.with_stem(f"{file.stem}-ros2")
+    with reading(file, passes=2) as flight, new_file(target) as stream:
+        count = write_bag(flight, stream, firmware=firmware)
+    out.print(f"{count} messages in {target}", soft_wrap=True)
+    return status(flight)
+
+
+def layout(*, output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None) -> int:
+    """Print a layout for Foxglove and Lichtblick: map, height, speed, battery, attitude, events.
+
+    Import it there: Layouts, Import from file.
+
+    Args:
+        output: A new file instead of standard output.
+    """
+    text = json.dumps(layout_of_panels(), indent=2) + "\n"
+    if output is None:
+        sys.stdout.write(text)
+    else:
+        write_new(output, text.encode())
+        out.print(f"layout in {output}", soft_wrap=True)
+    return ExitCode.OK
+
+
+# -- ``m100link log csv`` and ``parquet``: telemetry as tables, a row per package ------------------
+
+
+def csv(
+    file: Path,
+    /,
+    *items: Annotated[str, offered(BY_NAME)],
+    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    firmware: Firmware | None = None,
+) -> int:
+    """Print telemetry as CSV: every package, decoded from its bytes.
+
+    Columns are those of ``m100link echo --csv``; what a package does not have is empty.
+
+    Args:
+        file: The log.
+        items: Item names, such as position; all without one.
+        output: A file instead of standard output.
+        firmware: Profile to read it by; by default that of the flight.
+    """
+    records = items_named(items)
+    with reading(file) as flight, contextlib.ExitStack() as stack:
+        names, rows = flight.rows(*records, firmware=firmware)
+        stream: IO[str] = sys.stdout
+        if output is not None:
+            stream = stack.enter_context(_new_text(output))
+        writer = csv_module.writer(stream, lineterminator="\n")
+        writer.writerow(names)
+        for row in rows:
+            writer.writerow("" if value != value else round(value, 9) for value in row)
+    return status(flight)
+
+
+@contextlib.contextmanager
+def _new_text(path: Path) -> Iterator[IO[str]]:
+    with new_file(path) as stream:
+        text = io.TextIOWrapper(stream, encoding="utf-8", newline="")
+        yield text
+        text.flush()
+        text.detach()
+
+
+def parquet(
+    file: Path,
+    /,
+    *items: Annotated[str, offered(BY_NAME)],
+    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    firmware: Firmware | None = None,
+) -> int:
+    """Write telemetry as a Parquet file: every package, decoded from its bytes.
+
+    Columns are those of ``m100link log csv``; what a package does not have is null.
+
+    Args:
+        file: The log.
+        items: Item names, such as position; all without one.
+        output: A new file; by default FILE with .parquet.
+        firmware: Profile to read it by; by default that of the flight.
+    """
+    records = items_named(items)
+    target = output or file.with_suffix(".parquet")
+    with reading(file) as flight, new_file(target) as stream:
+        count = write_parquet(flight, stream, *records, firmware=firmware)
+    out.print(f"{count} rows in {target}", soft_wrap=True)
+    return status(flight)
+
+
+# -- ``m100link log wireshark``: a log for Wireshark, and the plugin that reads it -----------------
+
+
+_PLUGIN = "m100.lua"
+
+
+def wireshark(
+    file: Path | None = None,
+    /,
+    *,
+    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    key_file: Path | None = None,
+    firmware: Firmware | None = None,
+    install: bool = False,
+    plugin: Path | None = None,
+) -> int:
+    """Write a log as pcapng, a packet per frame, and the plugin by which Wireshark reads it.
+
+    With a key, each encrypted frame is followed by what it says on a second interface.
+
+    Args:
+        file: The log; none with ``--install`` or ``--plugin`` alone.
+        output: A new file; by default FILE with .pcapng.
+        key_file: File with the AES key.
+        firmware: Profile that the plugin reads by; by default that of the flight.
+        install: Write the plugin to where Wireshark looks for it; an older one is replaced.
+        plugin: Write the plugin into this new file: ``tshark -X lua_script:FILE -r …``.
+    """
+    if file is None and not install and plugin is None:
+        raise UsageError("no log is named", remedy="FILE, or --install for the plugin alone")
+    cipher = None if key_file is None else Cipher(read_key(key_file))
+    if plugin is not None:
+        with new_file(plugin) as stream:
+            stream.write(dissector().encode())
+        out.print(f"plugin in {plugin}", soft_wrap=True)
+    if install:
+        out.print(f"plugin in {_install()}; Wireshark: Analyze, Reload Lua Plugins", soft_wrap=True)
+    if file is not None:
+        target = output or file.with_suffix(".pcapng")
+        with reading(file) as flight, new_file(target) as stream:
+            count = write_pcapng(flight, stream, firmware=firmware, cipher=cipher)
+        out.print(f"{count} packets in {target}", soft_wrap=True)
+        return status(flight)
+    return ExitCode.OK
+
+
+def _install() -> Path:
+    place = Path.home() / ".local/lib/wireshark/plugins" / _PLUGIN
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_text(dissector(), encoding="utf-8")
+    except OSError as error:
+        raise cannot_write(place, error) from error
+    return place
+
+
+# -- log -------------------------------------------------------------------------------------------
+
+# -- ``m100link log frames`` and ``compare``: what went over the line, and how flights differ ------
+
+
+_HEAD = {"utc", "at", "direction", "session", "is_ack", "sequence", "encrypted", "padding"}
+_BODY = {"data", "command", "raw", "ciphertext"}
+
+
+def frames(
+    file: Path,
+    /,
+    *,
+    key_file: Path | None = None,
+    firmware: Firmware | None = None,
+    json: Annotated[bool | None, Parameter(negative="--table")] = None,
+) -> int:
+    """Print every frame, decoded: telemetry, commands, setpoints, answers, and what was lost.
+
+    Each is described as ``m100link decode`` does.
+
+    Args:
+        file: The log.
+        key_file: File with the AES key, to decrypt setpoints and tasks.
+        firmware: Profile to read them by; by default that of the flight.
+        json: JSON lines instead of lines for people; the default when output is not a terminal.
+    """
+    cipher = None if key_file is None else Cipher(read_key(key_file))
+    as_json = (not sys.stdout.isatty()) if json is None else json
+    flight = read(file)
+    for frame in read_frames(flight, firmware=firmware, cipher=cipher):
+        if as_json:
+            print_json(frame)
+        else:
+            out.print(_line(frame), soft_wrap=True, markup=False)
+    return status(flight)
+
+
+def _line(frame: dict[str, Any]) -> str:
+    head = f"{frame['at']:>11.3f} {frame['direction']}"
+    if "cause" in frame:
+        return f"{head} lost: {frame['cause']} ({frame['discards']})"
+    marks = ("ack" if frame["is_ack"] else "   ") + (" aes" if frame["encrypted"] else "    ")
+    known = ", ".join(
+        f"{name}={value}" for name, value in frame.items() if name not in _HEAD | _BODY
+    )
+    said = frame["command"] or "?"
+    return (
+        f"{head} {frame['session']:>2}/{frame['sequence']:<5} {marks} {said:<18} {known}".rstrip()
+    )
+
+
+def compare_files(first: Path, second: Path, /, *, json: bool = False) -> int:
+    """Say what differs between two flights: durations, maxima, track, line, commands, alarms.
+
+    Tracks are laid over each other at take-off: each from its own take-off point and time.
+
+    Args:
+        first: A log.
+        second: Another one.
+        json: One JSON object.
+    """
+    flights, stories = [], []
+    for file in (first, second):
+        with reading(file, passes=2) as flight:
+            flights.append(flight)
+            stories.append(read_story(flight))
+    found = compare(*stories)
+    if json:
+        shown = asdict(found) | {"mean_apart_m": found.mean_apart_m}
+        shown["apart"] = [one._asdict() for one in found.apart]
+        shown["values"] = [asdict(one) | {"by": one.by} for one in found.values]
+        print_json(shown)
+    else:
+        _print_comparison(found, first.name, second.name)
+    return status(*flights)
+
+
+def _print_comparison(found: Comparison, first: str, second: str) -> None:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    table.add_column("")
+    for title in (first, second, "difference"):
+        table.add_column(title, justify="right", overflow="fold")
+    for one in found.values:
+        if one.first is not None or one.second is not None:
+            table.add_row(one.name, _shown(one.first), _shown(one.second), _shown(one.by, "+"))
+    out.print(table)
+    if found.most_apart is not None:
+        after, metres = found.most_apart
+        out.print(
+            f"apart over ground: {found.mean_apart_m:.1f} m in the mean, "
+            f"{metres:.1f} m at the most, {after:.1f} s after take-off"
+        )
+    for title, lines in (("commands", found.commands), ("alarms", found.alarms)):
+        out.print(f"{title}: {'the same' if not lines else ''}")
+        for line in lines:
+            out.print(f"  {line}", markup=False, soft_wrap=True)
+
+
+def _shown(value: float | None, sign: str = "") -> str:
+    return "" if value is None else f"{value:{sign}.4g}" if value % 1 else f"{value:{sign}.0f}"
+
+
+# -- ``m100link log plot``: a flight as a page or a picture ----------------------------------------
+
+
+def plot(
+    file: Path,
+    /,
+    *,
+    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    firmware: Firmware | None = None,
+) -> int:
+    """Draw a flight: track, height, speeds, battery, line, phases, alarms, commands.
+
+    A page (.html) needs nothing but a browser, and no network; a picture (.png) needs matplotlib.
+
+    Args:
+        file: The log.
+        output: A new file whose suffix, .html or .png, says which; by default FILE with .html.
+        firmware: Profile to read it by; by default that of the flight.
+    """
+    target = output or file.with_suffix(".html")
+    if target.suffix.lower() not in (".html", ".htm", ".png"):
+        raise UsageError(
+            f"{target} is neither a page nor a picture", remedy="a name that ends in .html or .png"
+        )
+    if target.exists():
+        raise _is_there(target)
+    with reading(file, passes=2) as flight:
+        story = read_story(flight, firmware=firmware)
+    write_new(target, _drawn(story, target))
+    out.print(f"drawn into {target}", soft_wrap=True)
+    return status(flight)
+
+
+def _drawn(story: Story, target: Path) -> bytes:
+    if target.suffix.lower() == ".png":
+        from m100link.log.picture import picture  # loads matplotlib
+
+        return picture(story)
+    from m100link.log.page import page
+
+    return page(story).encode()
+
+
+def write_new(target: Path, data: bytes) -> None:
+    """Write a file that must not be there yet.
+
+    Raises:
+        UsageError: It is, or it cannot be written.
+    """
+    with new_file(target) as stream:
+        stream.write(data)
+
+
+@contextlib.contextmanager
+def new_file(target: Path) -> Iterator[IO[bytes]]:
+    """A file that must not be there yet; half of one is not left behind.
+
+    Raises:
+        UsageError: It is, or it cannot be written.
+    """
+    try:
+        stream = target.open("xb")
+    except OSError as error:
+        raise cannot_write(target, error) from error
+    try:
+        with stream:
+            yield stream
+    except OSError as error:
+        target.unlink()
+        raise cannot_write(target, error) from error
+    except BaseException:
+        target.unlink()
+        raise
+
+
+def cannot_write(target: Path, error: OSError) -> UsageError:
+    """What is told of a file that cannot be written."""
+    if isinstance(error, FileExistsError):
+        return _is_there(target)
+    return UsageError(
+        f"{target} cannot be written: {error.strerror or error}", remedy="-o with another place"
+    )
+
+
+def _is_there(target: Path) -> UsageError:
+    return UsageError(f"{target} is there already", remedy="-o with another name")
+
+
+# -- log -------------------------------------------------------------------------------------------
 
 app = cyclopts.App(
     name="log",

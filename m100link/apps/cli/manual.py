@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 from rich.console import Console
@@ -27,12 +27,16 @@ from rich.table import Table
 from rich.text import Text
 
 import m100link
-from m100link.apps.cli.common import err, out
-from m100link.apps.cli.options import offered
+from m100link.apps.cli.common import err, offered, out
 from m100link.apps.cli.outcome import ExitCode
 from m100link.errors import M100Error, UsageError
 
-__all__ = ["docs", "error_classes"]
+__all__ = [
+    "completion",
+    "docs",
+    "error_classes",
+]
+
 
 _FOLDERS = ("tutorial", "howto", "explanation", "reference")
 _WIDEST = 100
@@ -190,9 +194,9 @@ def _show(page: _Page) -> None:
 def error_classes() -> list[type[M100Error]]:
     """Every class of errors of the package, each before those that derive from it."""
     for elsewhere in (
-        "m100link.apps.agent.fault",
+        "m100link.apps.agent.remote_error",
         "m100link.apps.fleet.pki",
-        "m100link.apps.fleet.show.steering",
+        "m100link.apps.fleet.show.plan.steering",
         "m100link.sim.orders.ctl",
     ):
         importlib.import_module(elsewhere)
@@ -285,3 +289,48 @@ def _described(body: str) -> Iterator[str]:
         sentence = (inspect.getdoc(described) or "").partition("\n\n")[0].replace("\n", " ")
         yield f"- `{dotted}`: {sentence}"
     yield "\n`python -m pydoc NAME` shows all of it."
+
+
+# -- ``m100link completion``: what a shell needs to complete this command --------------------------
+
+
+Shell = Literal["bash", "zsh", "fish"]
+
+
+def completion(
+    shell: Annotated[
+        Shell | None, Parameter(help="Which shell; by default the one that this is typed in")
+    ] = None,
+    /,
+    *,
+    install: Annotated[bool, Parameter(negative=())] = False,
+) -> int:
+    """Print what completes verbs, options and aircraft in a shell, or install it there.
+
+    Args:
+        shell: Which shell.
+        install: Write it where the shell looks for it, and have bash and zsh load it: a line in
+            ~/.bashrc or ~/.zshrc.
+    """
+    from m100link.apps.cli.app import app
+
+    shell = shell or _detected()
+    if install:
+        place = app.install_completion(shell=shell)
+        sys.stderr.write(f"written to {place}; a {shell} that is started now completes m100link\n")
+    else:
+        sys.stdout.write(app.generate_completion(shell=shell))
+    return ExitCode.OK
+
+
+def _detected() -> Shell:
+    from cyclopts.completion import ShellDetectionError, detect_shell
+
+    try:
+        found = detect_shell()
+    except ShellDetectionError:
+        found = None
+    for shell in ("bash", "zsh", "fish"):
+        if shell == found:
+            return shell
+    raise UsageError("the shell is none that is known here", remedy="name it: bash, zsh or fish")

@@ -11,13 +11,12 @@ from typing import Annotated, Any, Literal
 import cyclopts
 from cyclopts import Parameter
 
-from m100link.apps.cli.options import Above0
+from m100link.apps.cli.common import Above0
 from m100link.apps.cli.outcome import ExitCode, print_json
 from m100link.errors import BadPlan, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.missions import files
-from m100link.missions.checks import leg_lengths
-from m100link.missions.estimate import HOVER_MINUTES, PlanEstimate
+from m100link.missions.checks import HOVER_MINUTES, PlanEstimate, leg_lengths
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.survey import survey as lines_over
 from m100link.missions.waypoint import GimbalPitch, Heading, Stay, TurnTo, Waypoint, WaypointAction
@@ -227,7 +226,7 @@ def show(
 
 def _pictures(plan: WaypointPlan, width: int) -> Iterator[str]:
     """Seen from above, and from the side."""
-    from m100link.apps.cli.canvas import line_plot, track_plot
+    from m100link.apps.cli.display import line_plot, track_plot
 
     first = plan.waypoints[0]
     frame = LocalFrame(first.latitude_deg, first.longitude_deg)

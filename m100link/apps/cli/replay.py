@@ -16,9 +16,8 @@ from cyclopts import Parameter
 
 from m100link.apps.agent.messages import Action
 from m100link.apps.cli.common import err
-from m100link.apps.cli.serving import run_station
-from m100link.apps.cli.sim_live import read_keys
-from m100link.apps.cli.station import StationOptions, aircraft_of
+from m100link.apps.cli.serve import StationOptions, aircraft_of, run_station
+from m100link.apps.cli.sim import read_keys
 from m100link.apps.station.config import namespace_of
 from m100link.errors import M100Error, UsageError
 

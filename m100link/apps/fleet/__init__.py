@@ -13,7 +13,7 @@ is a hover.
 
 from m100link.apps.fleet.client import Change, Fleet, FleetAircraft, connect
 from m100link.apps.fleet.control import FleetControl
-from m100link.apps.fleet.outcome import Outcome, Result
+from m100link.apps.fleet.payloads import Outcome, Result
 
 __all__ = [
     "Change",

@@ -21,18 +21,16 @@ from functools import partial
 
 import m100link
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.fault import MessageError, fault_of
-from m100link.apps.agent.message_bytes import decode
+from m100link.apps.agent.codec import decode
 from m100link.apps.agent.messages import Event, Message, Telemetry
+from m100link.apps.agent.remote_error import MessageError, fault_of
 from m100link.apps.bus.network import Bus, Held, Question
-from m100link.apps.fleet.age import OrderAges, require_young
-from m100link.apps.fleet.aloft import Aloft
-from m100link.apps.fleet.book import OrderBook
+from m100link.apps.fleet.expiry import OrderAges, require_young
+from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.ledger import Ledger
-from m100link.apps.fleet.lost import Lost, LostPlan
+from m100link.apps.fleet.lost_link import Aloft, Lost, LostPlan
 from m100link.apps.fleet.missions.board import Missions
-from m100link.apps.fleet.namesake import Namesakes
+from m100link.apps.fleet.order_log import Ledger, OrderBook
 from m100link.apps.fleet.orders import (
     Done,
     Orders,
@@ -44,24 +42,30 @@ from m100link.apps.fleet.orders import (
     revokes,
     takes,
 )
-from m100link.apps.fleet.outcome import outcome_of
 from m100link.apps.fleet.payloads import (
     Card,
     Order,
     Progress,
     Reply,
+    outcome_of,
     pack,
     unpack,
     unpack_steer,
 )
-from m100link.apps.fleet.revoked import Since, nobody
 from m100link.apps.fleet.stream import Dropped, SetpointStream, broken
 from m100link.apps.fleet.thinning import WALL_WITHIN_S, Thinner
 from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, UsageError
 from m100link.protocol.records import Battery, Position
 from m100link.telemetry.sample import Sample
 
-__all__ = ["HOLD_S", "FleetAgent", "Verify"]
+__all__ = [
+    "GONE_S",
+    "HOLD_S",
+    "FleetAgent",
+    "Namesakes",
+    "Verify",
+]
+
 
 HOLD_S = 0.5
 """Seconds that a question waits for what becomes of its order; then it hears that it runs."""
@@ -496,3 +500,65 @@ def _begun_before() -> OutcomeUnknown:
         cause="it was killed, or its computer was",
         remedy="look at the aircraft: it may or may not have been done",
     )
+
+
+# -- whether another agent has the name of this one (pure logic, ``now`` is an argument) -----------
+# Each looks before it begins, but two behind routers that were joined later have both begun. What
+# is told of one aircraft is then told of two, and one order reaches both.
+
+
+GONE_S = 5.0
+"""Seconds without a word of the other one after which it is taken for gone."""
+
+_SURE_S = 0.5
+"""Seconds from its first word to its last that show that it lives: each tells once a second, and
+one word alone may be the last of an agent that was killed."""
+_MOST = 16
+
+
+class Namesakes:
+    """What one agent hears under its own name.
+
+    Args:
+        name: Of the aircraft.
+        boot: Which run of the agent this is.
+    """
+
+    def __init__(self, name: str, boot: str) -> None:
+        self._name, self._boot = name, boot
+        # When each other run was heard first and last.
+        self._heard: dict[str, tuple[float, float]] = {}
+
+    def hear(self, boot: str, now: float) -> None:
+        """Something was told under this name.
+
+        Args:
+            boot: By which run of an agent.
+            now: s.
+        """
+        if boot == self._boot:
+            return
+        self._heard = {one: at for one, at in self._heard.items() if now - at[1] <= GONE_S}
+        if boot in self._heard or len(self._heard) < _MOST:
+            first, _ = self._heard.get(boot, (now, now))
+            self._heard[boot] = first, now
+
+    def is_there(self, now: float) -> bool:
+        """Whether there is another one."""
+        return any(
+            last - first >= _SURE_S and now - last <= GONE_S for first, last in self._heard.values()
+        )
+
+    def require_none(self, now: float) -> None:
+        """Whether what is asked of this name is asked of one aircraft.
+
+        Raises:
+            UsageError: It is not.
+        """
+        if self.is_there(now):
+            raise UsageError(
+                f"two agents are named {self._name}: neither moves its aircraft",
+                cause="they began behind different routers, which were joined later",
+                remedy="end one of them, and give its aircraft another --name; stop and land are "
+                "done by both",
+            )

@@ -11,23 +11,32 @@ import asyncio
 import time
 import uuid
 from collections.abc import Callable, Collection, Iterable
+from dataclasses import replace
+from types import TracebackType
+from typing import Self
 
-from m100link.apps.agent.actions import LeaseAction
-from m100link.apps.agent.fault import MessageError
+from m100link.apps.agent.codec import encode
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.message_bytes import encode
-from m100link.apps.agent.messages import LeaseAsk, Message
+from m100link.apps.agent.messages import LeaseAction, LeaseAsk, Message
+from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.bus.network import Answer, Bus
-from m100link.apps.fleet.answers import believed, clocks_told
 from m100link.apps.fleet.keys import Keys, session_in
-from m100link.apps.fleet.outcome import Outcome
-from m100link.apps.fleet.payloads import Order, Progress, Reply, pack
-from m100link.apps.fleet.questions import Questions
+from m100link.apps.fleet.payloads import Order, Outcome, Progress, Reply, pack, unpack
 from m100link.apps.fleet.secret import Half, LeaseRequest
 from m100link.apps.fleet.show.clock import DRIFT
 from m100link.errors import NotAllowed, OutcomeUnknown, StaleLease, Unreachable
 
-__all__ = ["PATIENCE_S", "Asker", "Sign", "nobody_there"]
+__all__ = [
+    "PATIENCE_S",
+    "STEP_S",
+    "Asker",
+    "Questions",
+    "Sign",
+    "believed",
+    "clocks_told",
+    "nobody_there",
+]
+
 
 PATIENCE_S = 10.0
 """Seconds without any answer after which the outcome counts as unknown.
@@ -345,3 +354,181 @@ def _raised(reply: Reply) -> Reply:
     if kind is not None and not isinstance(error, kind):
         raise kind(error.seen, cause=error.cause, remedy=error.remedy) from error
     raise error
+
+
+# -- questions to an agent that are open at the same time ------------------------------------------
+# Over a way of seconds the answer to the first question comes when two others have been asked. It
+# is an answer all the same, and what was lost is asked again without waiting for what may be under
+# way.
+
+
+STEP_S = 1.5
+"""Seconds after which it is asked again, while earlier questions stay open."""
+
+_MOST_DOUBLED = 5
+
+
+class Questions:
+    """Asks again and again; to be used as ``async with``, at whose end nothing is open.
+
+    Args:
+        bus: The network.
+        step: Seconds after which the newest question waits for nothing that the next one would not
+            tell sooner.
+    """
+
+    def __init__(self, bus: Bus, *, step: float = STEP_S) -> None:
+        self._bus, self._step = bus, step
+        self._clock = asyncio.get_running_loop().time
+        self._open: dict[asyncio.Task[list[Answer]], int] = {}
+        self._asked_at = 0.0
+        self._unanswered = 0
+        self.newest = 0
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        for task in self._open:
+            task.cancel()
+        await asyncio.gather(*self._open, return_exceptions=True)
+
+    @property
+    def is_due(self) -> bool:
+        """Whether it is to be asked again: the newest question has ended, or waits for long."""
+        return self.left <= 0.0
+
+    @property
+    def left(self) -> float:
+        """Seconds until it is to be asked again."""
+        if self.newest not in self._open.values():
+            return 0.0
+        return self._asked_at + self._step - self._clock()
+
+    def ask(self, key: str, payload: bytes = b"", *, within: float) -> int:
+        """Ask; those that were asked before stay open.
+
+        A question waits for longer, the more before it got no answer: where two agents serve a key
+        and one of them hangs, the other one's answer is seen when the wait is over.
+
+        Args:
+            key: Whom.
+            payload: What.
+            within: Seconds that an answer is of any use.
+
+        Returns:
+            The number of the question.
+        """
+        self._unanswered += 1
+        longest = self._step * 2 ** min(self._unanswered, _MOST_DOUBLED)
+        self.newest += 1
+        self._asked_at = self._clock()
+        asking = self._bus.ask(key, payload, timeout=min(within, longest))
+        task = asyncio.create_task(asking, name="m100link: question to an agent")
+        self._open[task] = self.newest
+        return self.newest
+
+    async def answered(self, within: float) -> tuple[int, list[Answer]] | None:
+        """Wait until a question ends.
+
+        Args:
+            within: Seconds.
+
+        Returns:
+            Its number, and what was answered: nothing where nobody is there. None when none ended.
+        """
+        if not self._open:
+            return None
+        done, _ = await asyncio.wait(
+            self._open, timeout=within, return_when=asyncio.FIRST_COMPLETED
+        )
+        if not done:
+            return None
+        task = min(done, key=self._open.__getitem__)
+        number = self._open.pop(task)
+        answers = task.result()
+        if answers and number == self.newest:
+            self._unanswered = 0
+        return number, answers
+
+
+# -- decide which answer to an order to believe ----------------------------------------------------
+# Any program on the network may answer for an aircraft. An answer is believed if it comes from the
+# only session that shows the aircraft's token, and if no other answer of that session contradicts
+# it.
+
+
+def clocks_told(answers: Iterable[Answer], name: str) -> list[float]:
+    """Return the clock, s, of each session that claims to be the aircraft of that name."""
+    found = set()
+    for one in answers:
+        try:
+            reply: Reply = unpack(Reply, one.payload)
+        except MessageError:
+            continue
+        if reply.name == name:
+            found.add(reply.clock)
+    return sorted(found)
+
+
+def believed(
+    answers: Iterable[Answer],
+    keys: Keys,
+    identity: str,
+    sessions: Collection[str],
+    digest: bytes = b"",
+) -> Reply | MessageError | None:
+    """Return the answer of an aircraft to an order.
+
+    Args:
+        answers: All answers to one question.
+        keys: Keys of the aircraft.
+        identity: Id of the order.
+        sessions: Ids of the sessions that show the aircraft's token.
+        digest: Digest of the order, where a reply may name another one of the same id.
+
+    Returns:
+        Its reply, or the reason why no reply can be read; None when it did not answer. Answers of
+        other sessions do not count.
+
+    Raises:
+        OutcomeUnknown: Two agents have that name, two answers say different things, or what they
+            say is of another order.
+    """
+    replies: list[Reply] = []
+    unread: MessageError | None = None
+    for one in answers:
+        if one.session not in sessions:
+            continue
+        try:
+            reply: Reply = unpack(Reply, one.payload)
+        except MessageError as error:
+            unread = error
+            continue
+        if reply.id in (identity, "") and reply.name == keys.name:
+            replies.append(reply)
+    if replies and (len(sessions) > 1 or len({one.boot for one in replies}) > 1):
+        raise OutcomeUnknown(
+            f"two agents are named {keys.name}: nobody knows which of them answered",
+            cause="two were given one name, or a stranger says to be it",
+            remedy="end one of them, and look at both aircraft",
+        )
+    # One agent gives one answer. When it was given, and whether it had been before, may differ.
+    if len({repr(replace(one, clock=0.0, is_repeated=False)) for one in replies}) > 1:
+        raise OutcomeUnknown(
+            f"two answers of {keys.name} to one order disagree",
+            cause="a stranger answers in its name",
+            remedy="look at the aircraft; the rules of a router keep strangers out",
+        )
+    if replies and replies[0].order not in (b"", digest):
+        raise OutcomeUnknown(
+            f"{keys.name} tells of another order of the same id",
+            cause="a stranger heard the id and used it",
+            remedy="look at the aircraft, and ask anew",
+        )
+    return replies[0] if replies else unread

@@ -14,10 +14,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from m100link.apps.agent.actions import LeaseAction, Stage
 from m100link.apps.agent.background import BackgroundTasks
 from m100link.apps.agent.client import MAX_SILENCE
-from m100link.apps.agent.fault import Fault, MessageError, agent_gone
 from m100link.apps.agent.guided import GuidedOrder
 from m100link.apps.agent.lease import TAKE_OVER_LIFETIME, Lease, LeaseRefused
 from m100link.apps.agent.messages import (
@@ -26,6 +24,7 @@ from m100link.apps.agent.messages import (
     Event,
     Goodbye,
     Hello,
+    LeaseAction,
     LeaseAsk,
     LeaseChanged,
     LeaseGranted,
@@ -33,19 +32,21 @@ from m100link.apps.agent.messages import (
     Message,
     Note,
     Outcome,
+    Stage,
     State,
     Steer,
     SteerRefused,
     TakeOverOffered,
     Telemetry,
 )
+from m100link.apps.agent.remote_error import Fault, MessageError, agent_gone
 from m100link.apps.bus.network import Bus, Held
 from m100link.apps.fleet.asking import Asker
-from m100link.apps.fleet.clock import AgentClock
+from m100link.apps.fleet.control import SetpointSender
+from m100link.apps.fleet.expiry import AgentClock
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.orders import revokes
 from m100link.apps.fleet.payloads import Reply, unpack_message
-from m100link.apps.fleet.sending import SetpointSender
 from m100link.errors import M100Error, UsageError
 
 __all__ = ["FleetChannel", "reach"]
@@ -84,7 +85,7 @@ async def reach(bus: Bus, keys: Keys, asker: Callable[[str], Asker]) -> FleetCha
 
 
 class FleetChannel:
-    """A front's end; see :class:`m100link.apps.agent.carriers.Channel`.
+    """A front's end; see :class:`m100link.apps.agent.transports.Channel`.
 
     Args:
         bus: The network.

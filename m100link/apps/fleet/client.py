@@ -12,20 +12,18 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
 
-from m100link.apps.agent.actions import Action
-from m100link.apps.agent.fault import MessageError, fault_of
-from m100link.apps.agent.messages import Ask
+from m100link.apps.agent.messages import Action, Ask
+from m100link.apps.agent.remote_error import MessageError, fault_of
 from m100link.apps.bus.network import Bus, Held
-from m100link.apps.fleet.age import ORDER_AGE
 from m100link.apps.fleet.asking import PATIENCE_S, Asker, Sign, nobody_there
 from m100link.apps.fleet.carrier import FleetChannel, reach
 from m100link.apps.fleet.control import FleetControl
+from m100link.apps.fleet.expiry import ORDER_AGE
 from m100link.apps.fleet.keys import DEFAULT_SITE, Keys, in_order, name_in, session_in
 from m100link.apps.fleet.logs.fetching import Fetched, LogFetcher, Progress
 from m100link.apps.fleet.logs.words import LogEntry
 from m100link.apps.fleet.missions.flight import mission_card
-from m100link.apps.fleet.outcome import Result
-from m100link.apps.fleet.payloads import Card, MissionCard, unpack
+from m100link.apps.fleet.payloads import Card, MissionCard, Result, unpack
 from m100link.apps.fleet.session import open_fleet
 from m100link.apps.fleet.thinning import WALL_WITHIN_S
 from m100link.errors import GuardRefused, M100Error, OutcomeUnknown

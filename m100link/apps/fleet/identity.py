@@ -6,22 +6,366 @@ whatever stands between it and the pilot. Pure logic; the time is an argument.
 
 from __future__ import annotations
 
+import base64
+import json
 import math
+import re
 import struct
-from dataclasses import dataclass
-from enum import Enum
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from enum import Enum, IntEnum
+from pathlib import Path
+from typing import Any, Self
 
-from cryptography.exceptions import InvalidSignature
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import (
     Ed25519PrivateKey,
     Ed25519PublicKey,
 )
+from cryptography.hazmat.primitives.hashes import SHA256
 
-from m100link.apps.fleet.revoked import Since, nobody
-from m100link.apps.fleet.rights import Right, Rights
+from m100link.apps.fleet.keys import NAME
 from m100link.errors import NotAllowed, UsageError
+from m100link.errors.texts import read_json, read_toml
+from m100link.link.keyfile import read_watched
 
-__all__ = ["STOP_WINDOW_S", "WINDOW_S", "Claim", "Gate", "OrderRefused", "Reason", "Signer"]
+__all__ = [
+    "LARGEST",
+    "STOP_WINDOW_S",
+    "WINDOW_S",
+    "BadRevoked",
+    "BadRights",
+    "Claim",
+    "Gate",
+    "Identity",
+    "OrderRefused",
+    "Reason",
+    "Revoked",
+    "Right",
+    "Rights",
+    "Signer",
+    "Since",
+    "nobody",
+    "sign_revoked",
+]
+
+
+# -- who may do what with which aircraft: one small file, from which router and agents take it -----
+# ::
+#     site = "site"
+#     [aircraft.a1]                  # its certificate is a1, unless common_name says another one
+#     [identity.anna]
+#     public_key = "64 hex digits"   # of her signing key; without one she can sign nothing
+#     fly = ["a1", "b*"]             # who may fly may stop and watch, too
+#     stop = ["*"]                   # who may stop may watch
+
+
+_PATTERN = re.compile(rf"{NAME.pattern}\*?|\*")
+_KEY = re.compile(r"[0-9a-fA-F]{64}")
+_LARGEST = 1024 * 1024
+_FIELDS = ("common_name", "public_key", "watch", "stop", "fly")
+
+
+class BadRights(
+    UsageError,
+    code="M100-BAD-RIGHTS",
+    cause="a word in the file of rights that means nothing, or a file that is none",
+    remedy="`m100link fleet acl check FILE` says what each identity may do",
+):
+    """A file of rights that says what cannot be."""
+
+
+class Right(IntEnum):
+    """What one may do; each includes those before it."""
+
+    WATCH = 1
+    STOP = 2
+    FLY = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Somebody who is known.
+
+    Attributes:
+        name: By which orders are signed.
+        common_name: Of the certificate.
+        public_key: Of the signing key, 32 bytes; None for who signs nothing.
+        patterns: Which aircraft, by right: names, or a beginning and ``*``.
+    """
+
+    name: str
+    common_name: str
+    public_key: bytes | None
+    patterns: Mapping[Right, tuple[str, ...]]
+
+    def may(self, right: Right, aircraft: str) -> bool:
+        """Whether it may do this with that aircraft."""
+        return any(fits(pattern, aircraft) for pattern in self.allowed(right))
+
+    def allowed(self, right: Right) -> tuple[str, ...]:
+        """With which aircraft it may do this, as the file names them."""
+        found = (pattern for one in Right if one >= right for pattern in self.patterns[one])
+        return tuple(dict.fromkeys(found))
+
+
+def fits(pattern: str, aircraft: str) -> bool:
+    """Whether a pattern of the file means an aircraft."""
+    if pattern.endswith("*"):
+        return aircraft.startswith(pattern[:-1])
+    return pattern == aircraft
+
+
+@dataclass(frozen=True, slots=True)
+class Rights:
+    """A file of rights.
+
+    Attributes:
+        site: Whose aircraft they are.
+        aircraft: Name of each, and the common name of its agent's certificate.
+        identities: By name.
+    """
+
+    site: str
+    aircraft: Mapping[str, str]
+    identities: Mapping[str, Identity]
+
+    def without(self, names: Collection[str]) -> Self:
+        """The same without who has a name, or a certificate of a name, among these."""
+        return replace(
+            self,
+            aircraft={one: cn for one, cn in self.aircraft.items() if cn not in names},
+            identities={
+                name: one
+                for name, one in self.identities.items()
+                if name not in names and one.common_name not in names
+            },
+        )
+
+    def identity(self, name: str) -> Identity | None:
+        """Who has the name; None for nobody."""
+        return self.identities.get(name)
+
+    @classmethod
+    def read(cls, path: str | Path) -> Self:
+        """Read a file.
+
+        Raises:
+            BadRights: It cannot be read, or says what cannot be.
+        """
+        try:
+            with Path(path).open("rb") as file:
+                data = read_watched(file, Path(path), _LARGEST + 1)
+        except OSError as error:
+            raise BadRights(
+                f"{path} cannot be read: {error.strerror}", remedy="check its name"
+            ) from error
+        if len(data) > _LARGEST:
+            raise BadRights(f"{path} is too large for a file of rights", remedy="1 MiB at most")
+        try:
+            text = data.decode()
+        except UnicodeDecodeError as error:
+            raise BadRights(f"{path} is not text: {error.reason}") from error
+        return cls.parse(text)
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Read what such a file holds.
+
+        Raises:
+            BadRights: It says what cannot be.
+        """
+        try:
+            found = read_toml(text)
+        except ValueError as error:
+            raise BadRights(f"the file of rights is not TOML: {error}") from error
+        _refuse_unknown(found, ("site", "aircraft", "identity"), "the file")
+        site = found.get("site", "site")
+        _require(NAME, site, "site")
+        aircraft = dict(_aircraft(_table(found, "aircraft")))
+        people = {name: _identity(name, table) for name, table in _table(found, "identity").items()}
+        shared = [*aircraft.values(), *(one.common_name for one in people.values())]
+        for name in shared:
+            if shared.count(name) > 1:
+                raise BadRights(
+                    f"two have the common name {name}",
+                    cause="the router knows who somebody is by the certificate alone",
+                    remedy="a certificate for each of them",
+                )
+        return cls(site, aircraft, people)
+
+
+def _table(found: Mapping[str, Any], name: str) -> dict[str, dict[str, Any]]:
+    tables = found.get(name, {})
+    if not isinstance(tables, dict) or not all(isinstance(one, dict) for one in tables.values()):
+        raise BadRights(f"{name} is no table of tables", remedy=f"[{name}.NAME]")
+    return tables
+
+
+def _aircraft(tables: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
+    for name, table in tables.items():
+        _require(NAME, name, "aircraft")
+        _refuse_unknown(table, ("common_name",), f"aircraft {name}")
+        common_name = table.get("common_name", name)
+        _require(NAME, common_name, f"common_name of {name}")
+        yield name, common_name
+
+
+def _identity(name: str, table: Mapping[str, Any]) -> Identity:
+    _require(NAME, name, "identity")
+    _refuse_unknown(table, _FIELDS, f"identity {name}")
+    common_name = table.get("common_name", name)
+    _require(NAME, common_name, f"common_name of {name}")
+    key = table.get("public_key")
+    if key is not None:
+        _require(_KEY, key, f"public_key of {name}", "64 hex digits, as `fleet pki issue` tells")
+    patterns = {}
+    for right in Right:
+        listed = table.get(right.name.lower(), [])
+        if not isinstance(listed, list):
+            raise BadRights(
+                f"{right.name.lower()} of {name} is {listed!r}", remedy='a list such as ["a1"]'
+            )
+        for pattern in listed:
+            _require(_PATTERN, pattern, f"{right.name.lower()} of {name}", 'a name, "b*" or "*"')
+        patterns[right] = tuple(listed)
+    return Identity(name, common_name, None if key is None else bytes.fromhex(key), patterns)
+
+
+def _require(
+    wanted: re.Pattern[str], value: object, what: str, remedy: str = "letters, digits, - and _"
+) -> None:
+    if not isinstance(value, str) or wanted.fullmatch(value) is None:
+        raise BadRights(f"{what} is {value!r}", remedy=remedy)
+
+
+def _refuse_unknown(found: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:
+    for name in found:
+        if name not in known:
+            raise BadRights(
+                f"{where}: there is no field {name!r}", remedy=f"one of {', '.join(known)}"
+            )
+
+
+# -- names that are shut out before their certificates end: a list that the authority signs --------
+# A list is two lines: what it says, as JSON, and the authority's signature over that line with its
+# line feed (ECDSA over P-256 with SHA-256, as base64), so that ``openssl`` verifies it, too. It
+# holds every name that was ever revoked and a number; one with a smaller number never takes its
+# place. Pure logic.
+
+
+LARGEST = 32 * 1024
+"""Bytes of a list at most: some 700 names."""
+
+Since = Callable[[str], str]
+"""Since when somebody is revoked, in words; empty for who is not."""
+
+_KIND = "revoked 1"
+_MOST_NUMBER = 1 << 53
+_MOST_DATE = 32
+
+
+def nobody(name: str) -> str:
+    """Where there is no list."""
+    return ""
+
+
+class BadRevoked(
+    UsageError,
+    code="M100-BAD-REVOKED",
+    cause="the list was made by another authority, was changed, or a newer one is in force",
+    remedy="`m100link fleet pki push` brings the list of the authority",
+):
+    """A list of revoked names that is not believed; the one before it stays in force."""
+
+
+@dataclass(frozen=True, slots=True)
+class Revoked:
+    """What a list says.
+
+    Attributes:
+        number: Counts lists from 1; 0 for none.
+        names: Who is revoked, and since which day, in words.
+        data: The bytes as they were signed; empty for no list.
+    """
+
+    number: int
+    names: Mapping[str, str]
+    data: bytes = b""
+
+    @classmethod
+    def verified(cls, data: bytes, authority: x509.Certificate) -> Self:
+        """What a list of this authority says.
+
+        Raises:
+            BadRevoked: It is none of its lists.
+        """
+        line, _, signature = data[: LARGEST + 1].partition(b"\n")
+        if len(data) > LARGEST:
+            raise BadRevoked(f"more than {LARGEST} bytes are no list of revoked names")
+        try:
+            key = authority.public_key()
+            if not isinstance(key, ec.EllipticCurvePublicKey):
+                raise BadRevoked("the authority has no key that signs lists of revoked names")
+            signed = base64.b64decode(signature.strip(), validate=True)
+            key.verify(signed, line + b"\n", ec.ECDSA(SHA256()))
+        except (InvalidSignature, UnsupportedAlgorithm, ValueError) as error:
+            if isinstance(error, BadRevoked):
+                raise
+            raise BadRevoked(
+                "the signature of a list of revoked names is not that of the authority",
+                cause="it was made by another authority, or changed on its way",
+            ) from error
+        return cls(*_read(line), data)
+
+
+def sign_revoked(number: int, names: Mapping[str, str], key: ec.EllipticCurvePrivateKey) -> bytes:
+    """The bytes of a list.
+
+    Args:
+        number: Greater than that of every list before.
+        names: Who is revoked, and since when, in words.
+        key: Of the authority.
+
+    Raises:
+        BadRevoked: They are too many for one list.
+    """
+    told = {"m100link": _KIND, "number": number, "names": dict(names)}
+    line = json.dumps(told).encode() + b"\n"
+    data = line + base64.b64encode(key.sign(line, ec.ECDSA(SHA256()))) + b"\n"
+    if len(data) > LARGEST:
+        raise BadRevoked(
+            f"{len(names)} names are too many for a list",
+            cause="names stay in it for good",
+            remedy="make a new authority, and issue all certificates anew",
+        )
+    return data
+
+
+def _read(line: bytes) -> tuple[int, dict[str, str]]:
+    """Number and names of a line that the authority has signed."""
+    try:
+        found: Any = read_json(line)
+        number, names = found["number"], found["names"]
+        if found["m100link"] != _KIND:
+            raise ValueError(f"it is {found['m100link']!r}")
+        if type(number) is not int or not 0 < number < _MOST_NUMBER:
+            raise ValueError("its number is none")
+        for name, since in names.items():
+            if not NAME.fullmatch(name) or type(since) is not str or len(since) > _MOST_DATE:
+                raise ValueError(f"{name!r} is no name")
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise BadRevoked(
+            f"a list of revoked names says what this release cannot read: {error}",
+            cause="the authority has a newer release, or signed something else",
+            remedy="install the same release on both",
+        ) from error
+    return number, names
+
+
+# -- identity --------------------------------------------------------------------------------------
 
 WINDOW_S = 5.0
 """Seconds that an order may be old, or from the future: by so much clocks may differ."""

@@ -11,16 +11,15 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
-from m100link.apps.agent.actions import Action, LeaseAction
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.fault import Fault, MessageError, fault_of
 from m100link.apps.agent.guided import GuidedOrder
 from m100link.apps.agent.lease import Flown, Lease, LeaseHeld
-from m100link.apps.agent.messages import Ask, LeaseAsk, Message, PlanTold
-from m100link.apps.fleet.ledger import Ledger
+from m100link.apps.agent.messages import Action, Ask, LeaseAction, LeaseAsk, Message, PlanTold
+from m100link.apps.agent.remote_error import Fault, MessageError, fault_of
+from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.missions.board import Missions
+from m100link.apps.fleet.order_log import Ledger
 from m100link.apps.fleet.payloads import Order
-from m100link.apps.fleet.revoked import Since, nobody
 from m100link.apps.fleet.secret import agree
 from m100link.errors import M100Error, MissionRunning, NotAllowed, StaleLease, TaskRefused
 from m100link.protocol.commands.control import Task

@@ -2,7 +2,7 @@
 
 The first byte of every payload is :data:`VERSION`; who reads another one says so and reads no more.
 Behind it telemetry, events and setpoints are the messages of :mod:`m100link.apps.agent.messages`,
-by :mod:`m100link.apps.agent.message_bytes`. What a fleet adds is in three values: :class:`Order`
+by :mod:`m100link.apps.agent.codec`. What a fleet adds is in three values: :class:`Order`
 around a message that asks for something, :class:`Reply`, and :class:`Card`.
 """
 
@@ -16,12 +16,23 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
-from m100link.apps.agent.codec import BadValue, Fields
-from m100link.apps.agent.fault import Fault, MessageError
-from m100link.apps.agent.message_bytes import decode, encode
+from m100link.apps.agent.codec import BadValue, Fields, decode, encode
+from m100link.apps.agent.lease import LeaseHeld, LeaseRefused
 from m100link.apps.agent.messages import Message, Steer
-from m100link.apps.fleet.missions.stages import MissionStage
-from m100link.apps.fleet.outcome import Outcome
+from m100link.apps.agent.remote_error import Fault, MessageError
+from m100link.errors import (
+    AckTimeout,
+    AuthorityLost,
+    LinkClosed,
+    LinkLost,
+    M100Error,
+    MissionRunning,
+    NotAllowed,
+    NotObserved,
+    OutcomeUnknown,
+    StaleLease,
+    Unreachable,
+)
 from m100link.errors.texts import read_json
 
 __all__ = [
@@ -29,16 +40,167 @@ __all__ = [
     "VERSION",
     "Card",
     "MissionCard",
+    "MissionInput",
+    "MissionStage",
     "Order",
+    "Outcome",
     "Progress",
     "Reply",
+    "Result",
+    "after",
     "body",
+    "outcome_of",
     "pack",
     "pack_steer",
     "unpack",
     "unpack_message",
     "unpack_steer",
 ]
+
+
+# -- what became of an order: six answers, and none of them is silence -----------------------------
+
+
+class Outcome(Enum):
+    """What became of an order."""
+
+    OK = "ok"  # carried out, and seen to be
+    REFUSED = "refused"  # not carried out, or it failed: the reason says which
+    STALE_LEASE = "stale_lease"  # not carried out: somebody else may steer, or nobody
+    NOT_ALLOWED = "not_allowed"  # not carried out: this identity may not
+    UNREACHABLE = "unreachable"  # never sent: there is no such agent
+    UNKNOWN = "unknown"  # sent; nobody knows
+
+
+# The first class that fits decides, so subclasses stand before their bases.
+_OUTCOMES: tuple[tuple[type[M100Error], Outcome], ...] = (
+    (LeaseHeld, Outcome.REFUSED),  # by who has it: this side never had it
+    (LeaseRefused, Outcome.STALE_LEASE),
+    (StaleLease, Outcome.STALE_LEASE),
+    (NotAllowed, Outcome.NOT_ALLOWED),
+    (Unreachable, Outcome.UNREACHABLE),
+    (OutcomeUnknown, Outcome.UNKNOWN),
+    (AckTimeout, Outcome.UNKNOWN),  # the aircraft itself did not answer
+    # It had begun, and nobody saw how it went on.
+    (NotObserved, Outcome.UNKNOWN),
+    (AuthorityLost, Outcome.UNKNOWN),
+    (LinkLost, Outcome.UNKNOWN),
+    (LinkClosed, Outcome.UNKNOWN),
+    (M100Error, Outcome.REFUSED),
+)
+
+
+def outcome_of(error: M100Error | None) -> Outcome:
+    """The outcome that an error means; None means that all is well."""
+    if error is None:
+        return Outcome.OK
+    return next(outcome for kind, outcome in _OUTCOMES if isinstance(error, kind))
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What became of an order to one aircraft.
+
+    Attributes:
+        name: Which one.
+        outcome: What became of it.
+        error: Why it is not ``ok``: what was seen, the likely cause, what to do.
+        value: What the order gave, where it gives something.
+    """
+
+    name: str
+    outcome: Outcome
+    error: M100Error | None = None
+    value: object = None
+
+    @classmethod
+    def of(cls, name: str, error: M100Error | None, value: object = None) -> Result:
+        """What an error means."""
+        return cls(name, outcome_of(error), error, value)
+
+    @property
+    def is_ok(self) -> bool:
+        """Whether it was carried out."""
+        return self.outcome is Outcome.OK
+
+    def __str__(self) -> str:
+        if self.error is None:
+            return self.outcome.value
+        return f"{self.outcome.value} ({self.error.seen})"
+
+
+# -- how far the mission of one aircraft is (pure logic) -------------------------------------------
+
+
+class MissionStage(Enum):
+    """How far a mission is."""
+
+    NONE = "none"  # there is no plan
+    UPLOADED = "uploaded"  # it waits on board; the aircraft has not heard of it
+    STARTING = "starting"  # it is told to the aircraft, which takes off first if it has to
+    FLYING = "flying"
+    OVER = "over"  # flown, stopped, or failed; the plan is there still
+
+
+class MissionInput(Enum):
+    """What happens to it."""
+
+    UPLOADED = "uploaded"  # another plan is whole
+    ASKED = "asked"  # to start it
+    BEGUN = "begun"  # the aircraft flies it
+    ENDED = "ended"  # however
+    LEASE_ENDED = "lease ended"  # the agent ends what flew under it, and forgets the plan
+
+
+_NEXT: dict[MissionStage, dict[MissionInput, MissionStage | None]] = {
+    MissionStage.NONE: {
+        MissionInput.UPLOADED: MissionStage.UPLOADED,
+        MissionInput.ASKED: MissionStage.STARTING,  # of what came in pieces: the agent knows it
+    },
+    MissionStage.UPLOADED: {
+        MissionInput.UPLOADED: MissionStage.UPLOADED,
+        MissionInput.ASKED: MissionStage.STARTING,
+        MissionInput.LEASE_ENDED: MissionStage.NONE,
+    },
+    MissionStage.STARTING: {
+        MissionInput.UPLOADED: None,
+        MissionInput.ASKED: None,
+        MissionInput.BEGUN: MissionStage.FLYING,
+        MissionInput.ENDED: MissionStage.OVER,
+        MissionInput.LEASE_ENDED: MissionStage.OVER,
+    },
+    MissionStage.FLYING: {
+        MissionInput.UPLOADED: None,
+        MissionInput.ASKED: None,
+        MissionInput.ENDED: MissionStage.OVER,
+        MissionInput.LEASE_ENDED: MissionStage.OVER,
+    },
+    MissionStage.OVER: {
+        MissionInput.UPLOADED: MissionStage.UPLOADED,
+        MissionInput.ASKED: MissionStage.STARTING,
+    },
+}
+"""What is not named changes nothing; None is refused."""
+
+
+def after(stage: MissionStage, happens: MissionInput) -> MissionStage:
+    """How far it is then.
+
+    Raises:
+        MissionRunning: It cannot be asked for while a mission flies, or begins.
+    """
+    found = _NEXT[stage].get(happens, stage)
+    if found is None:
+        what = "a plan" if happens is MissionInput.UPLOADED else "the start of a mission"
+        raise MissionRunning(
+            f"{what} came while a mission is {stage.value}; nothing was changed",
+            cause="whoever has the lease flies one already",
+            remedy="stop it first, or wait for its end",
+        )
+    return found
+
+
+# -- payloads --------------------------------------------------------------------------------------
 
 VERSION = 2
 """Of these payloads."""
@@ -68,7 +230,7 @@ class Order:
         by: Who asks, for people; what a signature proves is in :attr:`signer`.
         fence: Number of the lease that it is asked under; 0 for none.
         at: When it was made, POSIX time, s.
-        message: The agent's message, by :mod:`m100link.apps.agent.message_bytes`.
+        message: The agent's message, by :mod:`m100link.apps.agent.codec`.
         clock: When it was made at the earliest, by the agent's own clock, s; 0: nobody knows.
         proof: That whoever asks has the lease; empty without one.
         signer: Whose signature it is; empty for none.

@@ -18,15 +18,12 @@ from typing import Any
 from cryptography import x509
 
 from m100link.apps.agent.background import BackgroundTasks
-from m100link.apps.agent.fault import MessageError, fault_of
+from m100link.apps.agent.remote_error import MessageError, fault_of
 from m100link.apps.bus.network import Bus, Question
-from m100link.apps.fleet.answers import believed
-from m100link.apps.fleet.asking import nobody_there
+from m100link.apps.fleet.asking import believed, nobody_there
+from m100link.apps.fleet.identity import LARGEST, BadRevoked, Revoked, Rights
 from m100link.apps.fleet.keys import Keys, session_in
-from m100link.apps.fleet.outcome import outcome_of
-from m100link.apps.fleet.payloads import VERSION, Progress, Reply, body, pack
-from m100link.apps.fleet.revoked import LARGEST, BadRevoked, Revoked
-from m100link.apps.fleet.rights import Rights
+from m100link.apps.fleet.payloads import VERSION, Progress, Reply, body, outcome_of, pack
 from m100link.errors import M100Error, OutcomeUnknown, UsageError
 from m100link.link.keyfile import replace_file
 

@@ -11,8 +11,8 @@ import hmac
 
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
-from m100link.apps.agent.fault import MessageError
 from m100link.apps.agent.lease import Lease
+from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.fleet.payloads import Order, Reply
 
 __all__ = ["Half", "LeaseRequest", "agree"]

@@ -7,16 +7,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from m100link.apps.agent.actions import Action
-from m100link.apps.agent.message_bytes import decode
-from m100link.apps.agent.messages import Ask, Message
+from m100link.apps.agent.codec import decode
+from m100link.apps.agent.messages import Action, Ask, Message
 from m100link.apps.fleet.agent import Verify
 from m100link.apps.fleet.asking import Sign
-from m100link.apps.fleet.identity import Claim, Gate, Signer
+from m100link.apps.fleet.identity import Claim, Gate, Right, Rights, Signer, Since, nobody
 from m100link.apps.fleet.logs.words import LOG
 from m100link.apps.fleet.payloads import SHOW, Order
-from m100link.apps.fleet.revoked import Since, nobody
-from m100link.apps.fleet.rights import Right, Rights
 from m100link.link.keyfile import read_key
 
 __all__ = ["read_signer", "right_for", "signing", "tls_options", "verifying"]

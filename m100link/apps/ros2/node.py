@@ -3,35 +3,45 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import AbstractAsyncContextManager
 from typing import Any
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Action
 from m100link.apps.bus.network import PolledBus
+from m100link.apps.bus.session import LARGEST, Opening, ZenohBus, open_session
 from m100link.apps.ros2.actions import Actions
-from m100link.apps.ros2.answers import answering, trigger
-from m100link.apps.ros2.descriptions import serve_descriptions
-from m100link.apps.ros2.dji import DJI_OUTPUTS
-from m100link.apps.ros2.ends import Call, Ends, Input
-from m100link.apps.ros2.graph import ADMIN, Names, NodeName
-from m100link.apps.ros2.heartbeat import Heartbeat
-from m100link.apps.ros2.helm import Helm
-from m100link.apps.ros2.missions import Missions
+from m100link.apps.ros2.control import Frames, Helm, speed, toward
+from m100link.apps.ros2.endpoints import (
+    Call,
+    Ends,
+    Heartbeat,
+    Input,
+    answering,
+    serve_descriptions,
+    trigger,
+)
+from m100link.apps.ros2.graph import ADMIN, Names, NodeName, Presence
 from m100link.apps.ros2.parameters import Parameters
-from m100link.apps.ros2.payload import Payload
-from m100link.apps.ros2.presence import Presence
-from m100link.apps.ros2.setpoints import Frames, speed, toward
-from m100link.apps.ros2.telling import ALL_OUTPUTS, Teller
-from m100link.apps.ros2.topics import INPUTS, SERVICES
+from m100link.apps.ros2.publishers import ALL_OUTPUTS, Teller
+from m100link.apps.ros2.services import Missions, Payload
+from m100link.apps.ros2.topics import DJI_OUTPUTS, INPUTS, SERVICES
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.sample import Sample
 
-__all__ = ["STEP_S", "Node"]
+__all__ = [
+    "MOST_BYTES",
+    "STEP_S",
+    "Node",
+    "open_ros2",
+]
+
 
 STEP_S = 0.02
 """Seconds between two looks at what has come, with telemetry: it has the process awake anyway."""
@@ -281,3 +291,65 @@ class Node:
         self.teller.hear(sample)
         if self._agent.now - self._ran_at >= _STEP_SOONEST_S:
             self._wake()
+
+
+# -- A session of ROS 2: configured from where rmw_zenoh takes it ----------------------------------
+
+
+MOST_BYTES = 32768
+"""Of a payload that is read: a mission of 500 places has 20,000."""
+
+_SESSION = {
+    "mode": '"peer"',
+    "connect/endpoints": '["tcp/localhost:7447"]',
+    "connect/exit_on_failure": "false",
+    "listen/endpoints": '["tcp/localhost:0"]',
+    "scouting/multicast/enabled": "false",
+    "timestamping/enabled": '{"router": true, "peer": true, "client": true}',
+    # As rmw_zenoh's, and not below that of its router: who stands still for longer than ours and
+    # shorter than the router's gives up this session and is told of no way back to it.
+    "transport/link/tx/lease": "60000",
+    # Nothing that a node hears is longer, and zenoh would put a gigabyte together.
+    "transport/link/rx/max_message_size": str(LARGEST),
+}
+"""rmw_zenoh's session, where it differs from zenoh's default."""
+
+_CONFIG, _OVERRIDE = "ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE"
+
+
+def _overrides(told: str) -> dict[str, str]:
+    found = {}
+    for rule in told.split(";"):
+        name, sign, value = rule.partition("=")
+        if rule.strip() and not sign:
+            raise UsageError(f"{_OVERRIDE}: {rule!r} is not name=value")
+        if sign:
+            found[name.strip()] = value.strip()
+    return found
+
+
+def open_ros2(
+    environment: Mapping[str, str] = os.environ,
+) -> AbstractAsyncContextManager[ZenohBus]:
+    """A session while the block runs, configured as rmw_zenoh's are.
+
+    Without a router it waits for one; who listens is found when that is there.
+
+    Args:
+        environment: Has ``ZENOH_SESSION_CONFIG_URI`` and ``ZENOH_CONFIG_OVERRIDE``.
+
+    Raises:
+        UsageError: The package is missing, or the configuration cannot be.
+    """
+    path = environment.get(_CONFIG)
+    options = ({} if path else _SESSION) | _overrides(environment.get(_OVERRIDE, ""))
+    return open_session(
+        Opening(
+            "ROS 2",
+            "ros2",
+            options,
+            file=(path, _CONFIG) if path else None,
+            largest=MOST_BYTES,
+            remedies={"": f"check {_CONFIG} and {_OVERRIDE}, and that the port is free"},
+        )
+    )

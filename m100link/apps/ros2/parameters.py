@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.ros2.ends import Ends
+from m100link.apps.ros2.endpoints import Ends
 from m100link.apps.ros2.graph import Names
-from m100link.apps.ros2.telling import Teller
+from m100link.apps.ros2.publishers import Teller
 from m100link.apps.ros2.topics import OUTPUTS
 from m100link.errors import UsageError
 

@@ -1,8 +1,8 @@
 """The ground station: one aircraft shared by many clients, with one hand on the stick at a time.
 
-:mod:`m100link.apps.agent.lease` says who may steer, :mod:`m100link.apps.agent.agent` owns the
-aircraft, :mod:`m100link.apps.station.ros.client` speaks rosbridge v2 without knowing what carries
-it, :mod:`m100link.apps.station.ros.node_2015` is DJI's ROS node of 2015, and
+:mod:`m100link.apps.agent.lease` says who may steer, :mod:`m100link.apps.agent.server.agent` owns
+the aircraft, :mod:`m100link.apps.station.ros.client` speaks rosbridge v2 without knowing what
+carries it, :mod:`m100link.apps.station.ros.node_2015` is DJI's ROS node of 2015, and
 :mod:`m100link.apps.station.web.server` puts them on a WebSocket. The console for browsers stands in
 :mod:`m100link.apps.station.console`.
 

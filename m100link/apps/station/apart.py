@@ -15,8 +15,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from m100link.apps.agent.agent import Agent
-from m100link.apps.agent.carriers.unix import private_directory, serve_unix
+from m100link.apps.agent.server.agent import Agent
+from m100link.apps.agent.transports import private_directory, serve_unix
 from m100link.apps.station.child import Child
 from m100link.apps.station.config import ONLY_NAME, Settings
 from m100link.apps.station.fronts import Sockets, open_sockets

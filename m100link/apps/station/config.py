@@ -51,7 +51,7 @@ class Settings:
     """What the station needs to know.
 
     The command line is made from these fields and their sentences; see
-    ``m100link.apps.cli.options``.
+    ``m100link.apps.cli.common``.
 
     Attributes:
         url: Where the aircraft is; none with a virtual one.

@@ -10,21 +10,21 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
-from m100link.apps.agent.carriers.memory import memory_channels
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event
+from m100link.apps.agent.transports import memory_channels
 from m100link.apps.bus.network import Bus
 from m100link.apps.fleet.agent import FleetAgent, Verify
+from m100link.apps.fleet.identity import nobody
 from m100link.apps.fleet.keys import DEFAULT_SITE, Keys, check_name
-from m100link.apps.fleet.ledger import FileLedger, Ledger, MemoryLedger
 from m100link.apps.fleet.logs.service import RATE, LogService
-from m100link.apps.fleet.lost import LostPlan
-from m100link.apps.fleet.missions.told import MissionTeller
+from m100link.apps.fleet.lost_link import LostPlan
+from m100link.apps.fleet.missions.board import MissionTeller
+from m100link.apps.fleet.order_log import FileLedger, Ledger, MemoryLedger
+from m100link.apps.fleet.publisher import AgentTold
 from m100link.apps.fleet.revocations import Revocations, RevocationService
-from m100link.apps.fleet.revoked import nobody
 from m100link.apps.fleet.session import open_fleet
 from m100link.apps.fleet.show.service import Beside, ShowService
-from m100link.apps.fleet.told import AgentTold
 from m100link.apps.station.config import Settings
 from m100link.apps.station.run import owning
 from m100link.log.folder import state_folder

@@ -14,8 +14,8 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from functools import partial
 
-from m100link.apps.agent.carriers import Channel
 from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.transports import Channel
 from m100link.apps.fleet.carrier import FleetChannel
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.keys import in_order

@@ -18,8 +18,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from m100link.apps.agent.carriers.unix import connect_unix
-from m100link.apps.agent.fault import Fault
+from m100link.apps.agent.remote_error import Fault
+from m100link.apps.agent.transports import connect_unix
 from m100link.apps.station.child import answer, end_with_parent, leave_what_stays, logging_as_told
 from m100link.apps.station.config import resolve
 from m100link.apps.station.console.orders import orders_by_socket

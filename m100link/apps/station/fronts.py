@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-from m100link.apps.agent.carriers import Channel
 from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.transports import Channel
 from m100link.apps.station.config import Settings
 from m100link.apps.station.console.orders import Orders
 from m100link.apps.station.mavlink import open_mavlink, serving_mavlink

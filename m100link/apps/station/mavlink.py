@@ -9,12 +9,17 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.mavlink.bridge import Bridge, signature_time
-from m100link.apps.mavlink.codec import Signer
-from m100link.apps.mavlink.numbers import AUTOPILOT_GENERIC, AUTOPILOT_PX4
-from m100link.apps.mavlink.peers import Address
-from m100link.apps.mavlink.signatures import SignatureMemory, Snapshot
-from m100link.apps.mavlink.udp import bind, is_loopback, read_address, serving
+from m100link.apps.mavlink.bridge import (
+    Bridge,
+    bind,
+    is_loopback,
+    read_address,
+    serving,
+    signature_time,
+)
+from m100link.apps.mavlink.translator.codec import SignatureMemory, Signer, Snapshot
+from m100link.apps.mavlink.translator.numbers import AUTOPILOT_GENERIC, AUTOPILOT_PX4
+from m100link.apps.mavlink.translator.peers import Address
 from m100link.apps.station.config import Settings
 from m100link.errors import UsageError
 from m100link.link.keyfile import read_key

@@ -15,9 +15,9 @@ from contextlib import AsyncExitStack
 from pathlib import Path
 from typing import Any
 
-from m100link.apps.agent.carriers.unix import serve_unix
-from m100link.apps.agent.fault import Fault
 from m100link.apps.agent.journal import JOURNAL_LOG
+from m100link.apps.agent.remote_error import Fault
+from m100link.apps.agent.transports import serve_unix
 from m100link.apps.station.child import answer, end_with_parent, leave_what_stays, logging_as_told
 from m100link.apps.station.config import resolve
 from m100link.apps.station.log_output import log_of, tell_elsewhere

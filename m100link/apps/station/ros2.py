@@ -8,10 +8,9 @@ from contextlib import asynccontextmanager
 from importlib.util import find_spec
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.ros2.flights import FLIGHTS
+from m100link.apps.ros2.actions import FLIGHTS
 from m100link.apps.ros2.graph import Names
-from m100link.apps.ros2.node import Node
-from m100link.apps.ros2.session import open_ros2
+from m100link.apps.ros2.node import Node, open_ros2
 from m100link.apps.ros2.topics import INPUTS, SERVICES
 from m100link.apps.station.config import Settings, namespace_of
 from m100link.errors import UsageError

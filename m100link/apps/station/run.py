@@ -11,13 +11,12 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from m100link.apps.agent.agent import Agent
-from m100link.apps.agent.carriers import Channel
-from m100link.apps.agent.carriers.memory import memory_channels
 from m100link.apps.agent.connect import by_driver, by_url, envelope_of
-from m100link.apps.agent.connection import Connect
-from m100link.apps.agent.replays import Replays
-from m100link.apps.agent.service import Service
+from m100link.apps.agent.server.agent import Agent
+from m100link.apps.agent.server.connection import Connect
+from m100link.apps.agent.server.replays import Replays
+from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.transports import Channel, memory_channels
 from m100link.apps.station.config import ONLY_NAME, Settings
 from m100link.apps.station.console.orders import orders_in_process
 from m100link.apps.station.fronts import Fronts, Sockets, open_sockets, serving_fronts
@@ -27,7 +26,7 @@ from m100link.log.folder import Flights, default_folder
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.firmware import FIRMWARE_1_0
 from m100link.sim.ports.driver import Driver
-from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
 

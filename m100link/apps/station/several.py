@@ -15,9 +15,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from m100link.apps.agent.carriers.unix import connect_unix, private_directory
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event
+from m100link.apps.agent.transports import connect_unix, private_directory
 from m100link.apps.station.apart import as_json, front_process, front_settings, kept
 from m100link.apps.station.child import Child
 from m100link.apps.station.config import MOST_AIRCRAFT, Settings

@@ -5,23 +5,42 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
 
-from m100link.errors import M100Error
+from m100link.errors import M100Error, MissionRefused
+from m100link.flight.mission_state import MissionKind
+from m100link.protocol.codes import MissionCode
+from m100link.protocol.command import Request
+from m100link.protocol.commands.follow import FollowPauseResume, FollowStop
+from m100link.protocol.commands.hotpoint import HotpointPauseResume, HotpointStop
+from m100link.protocol.commands.waypoint import WaypointPauseResume, WaypointStartStop
 
 __all__ = [
+    "IN_THE_AIR",
+    "ORDERS",
+    "OWES_A_STOP",
+    "PAUSED_CODES",
+    "RESUMED_CODES",
+    "STOPPED_CODES",
+    "TRANSITIONS",
     "Aborted",
     "ActionsDone",
     "Events",
     "Finished",
     "MissionEvent",
     "MissionProgress",
+    "Orders",
     "Paused",
     "Reached",
     "Resumed",
+    "RunInput",
+    "RunState",
     "Started",
     "Stopped",
     "Uploaded",
     "Uploading",
+    "mission_refused",
 ]
 
 
@@ -199,3 +218,175 @@ class Events:
             self._news.clear()
             await self._news.wait()
         return self._waiting.popleft()
+
+
+# -- the life of one mission as a table of states and inputs ---------------------------------------
+# A mission lives in the flight controller: it flies on when the program dies, and setpoints are
+# ignored while it runs (facts M8, M9). So from the moment before its start leaves until its end is
+# known, whoever ends the program's block owes the aircraft a stop.
+
+
+class RunState(Enum):
+    """Where a mission is in its life, as this program knows it."""
+
+    READY = "nothing was sent that flies"
+    STARTING = "the start is under way; nobody knows yet whether it flies"
+    FLYING = "the aircraft flies it and ignores setpoints"
+    PAUSED = "it hovers by order of the program; setpoints are ignored all the same"
+    ENDING = "every waypoint was flown; it flies on to the first one, or waits for the stick"
+    RETURNING = "every waypoint was flown, and the aircraft goes home or lands, as planned"
+    STOPPING = "a stop is under way"
+    UNSTOPPED = "the stop was not answered, or refused: it may be flying on"
+    DETACHED = "the program said that it shall fly on, and looks away"
+    OVER = "it does not fly any more"
+
+
+class RunInput(Enum):
+    """What moves a mission through its life."""
+
+    START = "the start is about to be sent"
+    STARTED = "the aircraft accepted it"
+    REFUSED = "the aircraft refused it"
+    PAUSED = "the aircraft accepted a pause"
+    RESUMED = "the aircraft accepted that it goes on"
+    STOP = "a stop is about to be sent"
+    STOPPED = "the aircraft stopped it, or says that none is running"
+    NOT_STOPPED = "the stop was not answered, or refused"
+    FLOWN = "every waypoint was flown, and the mission goes on"
+    RETURNS = "every waypoint was flown, and the aircraft goes home or lands"
+    FINISHED = "the aircraft does not fly it any more, and all was well"
+    BROKEN_OFF = "the aircraft broke it off"
+    DETACH = "the program lets go of it"
+
+
+_S, _I = RunState, RunInput
+
+_ENDS = {_I.FINISHED: _S.OVER, _I.BROKEN_OFF: _S.OVER}
+_IN_FLIGHT = {
+    _I.STOP: _S.STOPPING,
+    _I.FLOWN: _S.ENDING,
+    _I.RETURNS: _S.RETURNING,
+    _I.DETACH: _S.DETACHED,
+    **_ENDS,
+}
+
+TRANSITIONS: dict[RunState, dict[RunInput, RunState]] = {
+    _S.READY: {
+        _I.START: _S.STARTING,
+    },
+    _S.STARTING: {
+        _I.STARTED: _S.FLYING,
+        _I.REFUSED: _S.OVER,
+        # What is pushed before the ack waits for it: it may be about another mission.
+        _I.STOP: _S.STOPPING,
+    },
+    _S.FLYING: {
+        _I.PAUSED: _S.PAUSED,
+        **_IN_FLIGHT,
+    },
+    _S.PAUSED: {
+        _I.RESUMED: _S.FLYING,
+        **_IN_FLIGHT,
+    },
+    _S.ENDING: {
+        _I.STOP: _S.STOPPING,
+        _I.DETACH: _S.DETACHED,
+        **_ENDS,
+    },
+    _S.RETURNING: {
+        # Asked for by name alone: leaving the block lets the aircraft land where it was to land.
+        _I.STOP: _S.STOPPING,
+        _I.DETACH: _S.DETACHED,
+        # The mission itself is over: what is pushed about it changes nothing.
+        _I.FINISHED: _S.OVER,
+    },
+    _S.STOPPING: {
+        # What the pushes say meanwhile may be older than the stop: its answer decides.
+        _I.STOPPED: _S.OVER,
+        _I.NOT_STOPPED: _S.UNSTOPPED,
+    },
+    _S.UNSTOPPED: {
+        _I.STOP: _S.STOPPING,
+        _I.DETACH: _S.DETACHED,
+        **_ENDS,
+    },
+    _S.DETACHED: {},
+    _S.OVER: {},
+}
+"""State, input, next state. A pair that is not in the table changes nothing."""
+
+IN_THE_AIR = frozenset(_S) - {_S.READY, _S.DETACHED, _S.OVER}
+"""States in which the aircraft flies by it, as far as anybody knows."""
+
+OWES_A_STOP = IN_THE_AIR - {_S.RETURNING}
+"""States that nobody may leave behind."""
+
+
+# -- what an aircraft that says no to a mission is reported as -------------------------------------
+
+
+_REMEDIES = {
+    MissionCode.RUNNING: "stop it first: await control.stop_mission()",
+    MissionCode.OTHER_RUNNING: "stop that one first: await control.stop_mission()",
+}
+"""What to do about it here, where a program is asked and not a pilot."""
+
+
+def mission_refused(
+    what: str, code: MissionCode, *, point: int | None = None, remedy: str = ""
+) -> MissionRefused:
+    """The refusal of an order, with what the code says.
+
+    Args:
+        what: The order, in words.
+        code: What the aircraft answered.
+        point: The waypoint that it is about, counted from 0.
+        remedy: What to do about it, if what the code says does not fit the order.
+    """
+    where = "" if point is None else f", waypoint {point}"
+    return MissionRefused(
+        f"{what} was refused{where}: {code.meaning} (code 0x{code:02X})",
+        command=what,
+        code=int(code),
+        point=point,
+        cause=code.cause,
+        remedy=remedy or _REMEDIES.get(code, code.remedy),
+    )
+
+
+# -- what every kind of mission can be told, and which answers say that none is running ------------
+
+
+class Orders(NamedTuple):
+    """The requests of one kind of mission."""
+
+    stop: Request[MissionCode]
+    pause: Request[MissionCode]
+    resume: Request[MissionCode]
+
+
+ORDERS = {
+    MissionKind.WAYPOINT: Orders(
+        WaypointStartStop(stop=1), WaypointPauseResume(resume=0), WaypointPauseResume(resume=1)
+    ),
+    MissionKind.HOTPOINT: Orders(
+        HotpointStop(), HotpointPauseResume(resume=0), HotpointPauseResume(resume=1)
+    ),
+    MissionKind.FOLLOW: Orders(
+        FollowStop(), FollowPauseResume(resume=0), FollowPauseResume(resume=1)
+    ),
+}
+"""Every kind that flies by itself."""
+
+_C = MissionCode
+
+STOPPED_CODES = frozenset(
+    {_C.NOT_RUNNING, _C.NOT_INITIALISED, _C.NO_MISSION, _C.NO_POINTS, _C.NOT_STARTED}
+)
+"""Answers to a stop that say that there is nothing to stop."""
+
+PAUSED_CODES = frozenset({_C.SUCCESS, _C.ALREADY_SO, _C.ALREADY_PAUSED})
+"""Answers to a pause after which it is paused."""
+
+RESUMED_CODES = frozenset({_C.SUCCESS, _C.ALREADY_SO, _C.NOT_PAUSED})
+"""Answers to a resumption after which it flies."""

@@ -7,10 +7,9 @@ from types import TracebackType
 from typing import ClassVar, Self
 
 from m100link.errors import UsageError
-from m100link.flight.missions.deck import Deck
-from m100link.flight.missions.events import MissionEvent
+from m100link.flight.missions.context import Deck
+from m100link.flight.missions.events import MissionEvent, RunState
 from m100link.flight.missions.keeper import MissionKeeper
-from m100link.flight.missions.life import RunState
 from m100link.flight.missions.run import MissionRun
 from m100link.protocol.command import Command
 

@@ -15,11 +15,16 @@ from m100link.errors import (
     MissionRunning,
     UsageError,
 )
-from m100link.flight.known import known
+from m100link.flight.guards import known
 from m100link.flight.mission_state import MissionKind
-from m100link.flight.missions.life import RunState
-from m100link.flight.missions.orders import ORDERS, PAUSED_CODES, RESUMED_CODES, STOPPED_CODES
-from m100link.flight.missions.refusal import mission_refused
+from m100link.flight.missions.events import (
+    ORDERS,
+    PAUSED_CODES,
+    RESUMED_CODES,
+    STOPPED_CODES,
+    RunState,
+    mission_refused,
+)
 from m100link.flight.missions.run import MissionRun
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.records import FlightPhase, FlightStatus

@@ -7,9 +7,14 @@ from collections.abc import Awaitable, Callable
 
 from m100link.errors import UsageError
 from m100link.flight.mission_state import MissionKind
-from m100link.flight.missions.deck import Deck
-from m100link.flight.missions.follow import FollowFlight, TargetSource
-from m100link.flight.missions.hotpoint import CircleHeading, CircleStart, HotpointFlight
+from m100link.flight.missions.context import Deck
+from m100link.flight.missions.hotpoint import (
+    CircleHeading,
+    CircleStart,
+    FollowFlight,
+    HotpointFlight,
+    TargetSource,
+)
 from m100link.flight.missions.keeper import MissionKeeper
 from m100link.flight.missions.waypoint import UploadListener, WaypointFlight
 from m100link.missions.plan import WaypointPlan

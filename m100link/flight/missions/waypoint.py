@@ -5,29 +5,44 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable
+from functools import partial
+from typing import TYPE_CHECKING
 
 from m100link.errors import BadAck, MissionRefused, UsageError
 from m100link.flight.mission_state import MissionKind
-from m100link.flight.missions.checks import check_battery, check_plan, require_airborne
-from m100link.flight.missions.deck import Deck
-from m100link.flight.missions.events import Uploaded, Uploading
+from m100link.flight.missions.context import (
+    Deck,
+    WaypointTrack,
+    check_battery,
+    check_plan,
+    require_airborne,
+)
+from m100link.flight.missions.events import Uploaded, Uploading, mission_refused
 from m100link.flight.missions.flight import MissionFlight
 from m100link.flight.missions.keeper import MissionKeeper
-from m100link.flight.missions.refusal import mission_refused
 from m100link.flight.missions.run import MissionRun
-from m100link.flight.missions.waypoint_track import WaypointTrack
 from m100link.missions.plan import OnRCLoss, WaypointPlan
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.waypoint import (
+    WaypointDownloadMission,
+    WaypointDownloadPoint,
     WaypointMission,
     WaypointPoint,
     WaypointSetIdleSpeed,
     WaypointStartStop,
 )
 
-__all__ = ["UploadListener", "WaypointFlight"]
+if TYPE_CHECKING:
+    from m100link.link.requests import Requests
+
+__all__ = [
+    "UploadListener",
+    "WaypointFlight",
+    "download_waypoint_plan",
+]
 
 _logger = logging.getLogger(__name__)
+
 
 UploadListener = Callable[[Uploading], None]
 """Told of each waypoint that the aircraft has taken."""
@@ -181,3 +196,28 @@ class WaypointFlight(MissionFlight):
         if answer.code is not MissionCode.SUCCESS:
             raise mission_refused("another speed of the waypoint mission", answer.code)
         return answer.idle_speed
+
+
+# -- reading back the plan that the aircraft has stored (facts W21) --------------------------------
+
+
+_WHEN = "download it while it flies: the aircraft forgets a mission at its end"
+
+
+async def download_waypoint_plan(requests: Requests) -> WaypointPlan:
+    """See :meth:`m100link.Aircraft.download_waypoint_plan`."""
+    what = "the download of the waypoint mission"
+    execute = partial(requests.execute, timeout=_TIMEOUT_S, tries=_TRIES, refusal=MissionRefused)
+    head = await execute(WaypointDownloadMission())
+    is_empty = head.code is MissionCode.SUCCESS and head.mission.count == 0
+    if is_empty or head.code is MissionCode.NO_MISSION:
+        raise mission_refused(what, MissionCode.NO_MISSION, remedy=_WHEN)
+    if head.code is not MissionCode.SUCCESS:
+        raise mission_refused(what, head.code)
+    points = []
+    for index in range(head.mission.count):
+        answer = await execute(WaypointDownloadPoint(index))
+        if answer.code is not MissionCode.SUCCESS:
+            raise mission_refused(what, answer.code, point=index)
+        points.append(answer.point)
+    return WaypointPlan.from_wire(head.mission, points)

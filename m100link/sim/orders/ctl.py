@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from m100link.errors import M100Error, UsageError
 from m100link.errors.texts import read_json
 from m100link.sim.orders.actions import perform, status
-from m100link.sim.ports.tcp import stop_listening
+from m100link.sim.ports.driver import stop_listening
 
 if TYPE_CHECKING:
     from m100link.sim.virtual import VirtualAircraft

@@ -2,28 +2,39 @@
 
 Each aircraft has one :class:`Driver`: one timer, no task, no thread. Ports are in-memory cables
 (:meth:`Driver.connect`), pseudo-terminals (:mod:`m100link.sim.ports.pty`) and TCP sockets
-(:mod:`m100link.sim.ports.tcp`). As on the real one there is one serial line: what several ports
+(:mod:`m100link.sim.ports.driver`). As on the real one there is one serial line: what several ports
 write arrives mixed.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections import deque
 from typing import TYPE_CHECKING, Protocol
 
 from m100link.errors import UsageError
 from m100link.link import connect_in_memory
+from m100link.sim.line import is_telemetry
 from m100link.sim.ports.url import aircraft_of, check_clock
-from m100link.sim.telemetry import is_telemetry
 
 if TYPE_CHECKING:
     from m100link.link import MemoryTransport
     from m100link.link.url import ConnectionString
-    from m100link.sim.orders.scenario import Scenario
+    from m100link.sim.orders.actions import Scenario
     from m100link.sim.virtual import VirtualAircraft
 
-__all__ = ["Backlog", "Driver", "Port", "StreamPort", "open_sim"]
+__all__ = [
+    "Backlog",
+    "Driver",
+    "Port",
+    "StreamPort",
+    "TcpServer",
+    "open_sim",
+    "serve_tcp",
+    "stop_listening",
+]
+
 
 _OVERSLEPT_S = 1.0
 
@@ -292,3 +303,61 @@ class _OwnedPort(StreamPort):
     def connection_lost(self, exc: Exception | None) -> None:
         super().connection_lost(exc)
         self._driver.stop()
+
+
+# -- programs reach a virtual aircraft by TCP, as through a serial server --------------------------
+
+
+async def stop_listening(server: asyncio.Server) -> None:
+    """Close a listening server without losing a connection on the way in.
+
+    A connection that the event loop has accepted, but not yet made a transport for, would be left
+    open by closing the server (CPython 3.11: an assertion fails inside the transport). So nothing
+    new is accepted first, then what was accepted gets its transport, then the server is closed.
+    """
+    loop = asyncio.get_running_loop()
+    for listening in server.sockets:
+        loop.remove_reader(listening.fileno())
+    for _ in range(3):
+        await asyncio.sleep(0)
+    server.close()
+
+
+class TcpServer:
+    """Listens for one aircraft, like a serial server: a new connection replaces the last."""
+
+    def __init__(self, driver: Driver) -> None:
+        self._driver = driver
+        self._server: asyncio.Server | None = None
+        self._current: StreamPort | None = None
+        self.port = 0
+
+    async def start(self, host: str, port: int) -> None:
+        """Listen; port 0 chooses a free one (see ``port``)."""
+        self._server = await self._driver.loop.create_server(self._make_port, host, port)
+        self.port = self._server.sockets[0].getsockname()[1]
+        self._driver.start()
+
+    def _make_port(self) -> StreamPort:
+        if self._current is not None:
+            self._current.close()
+        self._current = StreamPort(self._driver)
+        return self._current
+
+    async def stop(self) -> None:
+        """Stop listening and hang up."""
+        if self._server is not None:
+            await stop_listening(self._server)
+            if self._current is not None:
+                self._current.close()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(1.0):
+                    await self._server.wait_closed()
+            self._server = None
+
+
+async def serve_tcp(driver: Driver, host: str = "127.0.0.1", port: int = 0) -> TcpServer:
+    """Let programs reach an aircraft by ``tcp://host:port``."""
+    server = TcpServer(driver)
+    await server.start(host, port)
+    return server

@@ -11,8 +11,8 @@ from urllib.parse import parse_qsl
 from m100link.errors import BadURL, UsageError
 from m100link.sim.clock import LockstepEventLoop, VirtualClockEventLoop, loop_factory
 from m100link.sim.line import LineFaults
-from m100link.sim.vehicle.missions.settings import MissionSettings
-from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.vehicle.missions.route import MissionSettings
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
 from m100link.sim.virtual import VirtualAircraft
 

@@ -11,7 +11,7 @@ from enum import Enum
 from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import Device, RcMode
-from m100link.sim.vehicle.mobile import MobileApp
+from m100link.sim.vehicle.activation import MobileApp
 from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
 

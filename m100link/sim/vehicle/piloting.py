@@ -9,7 +9,7 @@ from m100link.protocol.records import RcMode
 from m100link.sim.vehicle.dynamics import Guidance, ModelHorizontal
 
 if TYPE_CHECKING:
-    from m100link.sim.vehicle.airframe import Airframe
+    from m100link.sim.vehicle.dynamics import Airframe
     from m100link.sim.vehicle.remote import Sticks
 
 __all__ = ["by_sticks"]

@@ -13,8 +13,8 @@ from enum import Enum
 
 from m100link.protocol.commands.activation import RATES_HZ
 from m100link.protocol.items import BY_NAME, ITEMS
-from m100link.sim.vehicle.airframe import Airframe
-from m100link.sim.vehicle.missions.settings import MissionSettings
+from m100link.sim.vehicle.dynamics import Airframe
+from m100link.sim.vehicle.missions.route import MissionSettings
 
 __all__ = ["DEFAULT_RATES_HZ", "AircraftSettings", "AssistantSettings", "Undecodable"]
 

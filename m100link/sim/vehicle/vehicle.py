@@ -20,14 +20,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from m100link.protocol.codes import ActivationCode, AuthorityCode
 from m100link.protocol.records import Device, RcMode
-from m100link.sim.vehicle.activation import Activation
+from m100link.sim.vehicle.activation import Activation, ActivationServer, MobileApp
 from m100link.sim.vehicle.authority import ControlArbiter
 from m100link.sim.vehicle.dynamics import STEP_S
 from m100link.sim.vehicle.flight import FlightController
 from m100link.sim.vehicle.gimbal import Camera, GimbalMount
 from m100link.sim.vehicle.missions.actions import Payload
 from m100link.sim.vehicle.missions.computer import MissionComputer
-from m100link.sim.vehicle.mobile import ActivationServer, MobileApp
 from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.sensors import Sensors
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings

@@ -9,10 +9,10 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.agent import Agent
 from m100link.apps.agent.connect import by_driver
-from m100link.apps.agent.connection import ConnectionState
-from m100link.apps.agent.holding import HoldingState
+from m100link.apps.agent.server.agent import Agent
+from m100link.apps.agent.server.authority import HoldingState
+from m100link.apps.agent.server.connection import ConnectionState
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft

@@ -8,10 +8,10 @@ import anyio
 import pytest
 
 from m100link.aircraft import Aircraft, AircraftCamera
-from m100link.apps.agent.connection import ConnectionState
 from m100link.apps.agent.guided import ChangeHeight
-from m100link.apps.agent.holding import HoldingState
 from m100link.apps.agent.lease import LeaseChange, LeaseRefused
+from m100link.apps.agent.server.authority import HoldingState
+from m100link.apps.agent.server.connection import ConnectionState
 from m100link.errors import GuardRefused, M100Error, NoAuthority, NotObserved, UsageError
 from m100link.flight.control import Control
 from m100link.missions.plan import Waypoint, WaypointPlan

@@ -11,14 +11,14 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.agent import Agent
-from m100link.apps.agent.carriers.memory import MemoryChannel, memory_channels
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.guided import ChangeHeight
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused
 from m100link.apps.agent.messages import VERSION, Action, Hello, PlanTold, State, Telemetry
-from m100link.apps.agent.service import Service
+from m100link.apps.agent.server.agent import Agent
+from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.transports import MemoryChannel, memory_channels
 from m100link.errors import GuardRefused, LinkError, M100Error, NoAuthority, TaskRefused
 from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.commands.control import Task

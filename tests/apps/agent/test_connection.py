@@ -10,8 +10,8 @@ import pytest
 
 import m100link
 from m100link.aircraft import Aircraft
-from m100link.apps.agent.connection import Connection, ConnectionState
 from m100link.apps.agent.journal import Journal
+from m100link.apps.agent.server.connection import Connection, ConnectionState
 from m100link.errors import LinkError, PortNotFound
 from m100link.telemetry.sample import Sample
 from m100link.testing import ConnectableAircraft

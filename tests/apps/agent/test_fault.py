@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from m100link import errors
-from m100link.apps.agent.fault import Fault, MessageError
+from m100link.apps.agent.codec import decode, encode
 from m100link.apps.agent.lease import LeaseHeld
-from m100link.apps.agent.message_bytes import decode, encode
 from m100link.apps.agent.messages import AuthorityTaken
+from m100link.apps.agent.remote_error import Fault, MessageError
 from m100link.errors import AuthorityLost, AuthorityRefused, GuardRefused, LossReason, M100Error
 
 ERRORS: list[M100Error] = [

@@ -18,8 +18,8 @@ from m100link.apps.agent.guided import (
     GuidedFlight,
     GuidedOrder,
 )
-from m100link.apps.agent.holding import HoldingState
 from m100link.apps.agent.lease import LeaseRefused
+from m100link.apps.agent.server.authority import HoldingState
 from m100link.errors import (
     GuardRefused,
     M100Error,

@@ -9,8 +9,8 @@ import anyio.lowlevel
 import pytest
 
 from m100link.apps.agent.background import BackgroundTasks
-from m100link.apps.agent.holding import Holding, HoldingInput, HoldingState
 from m100link.apps.agent.journal import Journal
+from m100link.apps.agent.server.authority import Holding, HoldingInput, HoldingState
 from m100link.errors import AuthorityRefused, LinkError, NoAuthority
 from m100link.sim.line import NO_FAULTS, LineFaults
 from tests.apps.agent.conftest import Rig

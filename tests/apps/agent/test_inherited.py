@@ -10,10 +10,10 @@ import anyio
 import pytest
 
 from m100link.aircraft import Aircraft
-from m100link.apps.agent.agent import Agent
 from m100link.apps.agent.connect import by_driver
-from m100link.apps.agent.connection import ConnectionState
-from m100link.apps.agent.holding import HoldingState
+from m100link.apps.agent.server.agent import Agent
+from m100link.apps.agent.server.authority import HoldingState
+from m100link.apps.agent.server.connection import ConnectionState
 from m100link.protocol.commands.control import Task
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.agent.conftest import Rig

@@ -13,8 +13,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link.apps.agent.codec import MAX_BYTES, MAX_TEXT, BadValue, Fields
-from m100link.apps.agent.fault import Fault, MessageError
+from m100link.apps.agent.codec import (
+    MAX_BYTES,
+    MAX_SIZE,
+    MAX_TEXT,
+    BadValue,
+    Fields,
+    decode,
+    encode,
+)
 from m100link.apps.agent.guided import (
     ChangeHeading,
     ChangeHeight,
@@ -23,7 +30,6 @@ from m100link.apps.agent.guided import (
     GuidedFlight,
 )
 from m100link.apps.agent.lease import LeaseChange
-from m100link.apps.agent.message_bytes import MAX_SIZE, decode, encode
 from m100link.apps.agent.messages import (
     VERSION,
     Action,
@@ -52,6 +58,7 @@ from m100link.apps.agent.messages import (
     TakeOverOffered,
     Telemetry,
 )
+from m100link.apps.agent.remote_error import Fault, MessageError
 from m100link.protocol.setpoint import ReferenceFrame, Setpoint
 
 FAULT = Fault("LinkLost", "the port went away", "a cable", "plug it in", {"code": 3, "who": None})

@@ -7,7 +7,7 @@ import random
 import pytest
 
 from m100link import BadPlan, UsageError
-from m100link.apps.agent.mission import StagedPlan, push_of
+from m100link.apps.agent.server.mission import StagedPlan, push_of
 from m100link.flight.missions.events import (
     ActionsDone,
     Finished,

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import pytest
 
-from m100link.apps.agent.carriers.memory import memory_channels
+from m100link.apps.agent.client import OwnLoop
 from m100link.apps.agent.messages import Message, Note
-from m100link.apps.agent.own_loop import OwnLoop
+from m100link.apps.agent.transports import memory_channels
 from tests.aircraft.test_other_loop import assert_told, elsewhere, plainly
 
 pytestmark = pytest.mark.anyio

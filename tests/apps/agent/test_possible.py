@@ -6,12 +6,17 @@ from dataclasses import replace
 
 import pytest
 
-from m100link.apps.agent.codec import BadValue
-from m100link.apps.agent.fault import MessageError
-from m100link.apps.agent.message_bytes import decode, encode
-from m100link.apps.agent.messages import Activating, Event, Hello, LinkCounted, Message, State
-from m100link.apps.agent.possible import require_possible
-from m100link.apps.agent.replay_told import Replay
+from m100link.apps.agent.codec import BadValue, decode, encode, require_possible
+from m100link.apps.agent.messages import (
+    Activating,
+    Event,
+    Hello,
+    LinkCounted,
+    Message,
+    Replay,
+    State,
+)
+from m100link.apps.agent.remote_error import MessageError
 from m100link.protocol.codes import ActivationCode
 
 REPLAY = Replay("x.mcap", 1.8e9, 5.0, 1.0, 3.0, 60.0, 1.0, False, False, False)

@@ -13,12 +13,12 @@ import pytest
 pytest.importorskip("mcap", reason="the extra `log` is not installed")
 
 from m100link import Position
-from m100link.apps.agent.agent import Agent
-from m100link.apps.agent.carriers.memory import memory_channels
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Action
-from m100link.apps.agent.replays import Replays
-from m100link.apps.agent.service import STATE_INTERVAL, Service
+from m100link.apps.agent.server.agent import Agent
+from m100link.apps.agent.server.replays import Replays
+from m100link.apps.agent.server.server import STATE_INTERVAL, Service
+from m100link.apps.agent.transports import memory_channels
 from m100link.errors import M100Error, OnlyRecorded, UsageError
 from m100link.log import recorder
 from m100link.sim import VirtualClockEventLoop

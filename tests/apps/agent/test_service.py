@@ -10,9 +10,6 @@ import anyio
 import pytest
 
 from m100link.aircraft import AircraftCamera
-from m100link.apps.agent.carriers.memory import memory_channels
-from m100link.apps.agent.flying import limits_of
-from m100link.apps.agent.front import MAX_SETPOINT_AGE
 from m100link.apps.agent.guided import FlyTo
 from m100link.apps.agent.lease import Flown, LeaseChange
 from m100link.apps.agent.messages import (
@@ -37,8 +34,9 @@ from m100link.apps.agent.messages import (
     TakeOverOffered,
     Telemetry,
 )
-from m100link.apps.agent.orders import Orders
-from m100link.apps.agent.service import STATE_INTERVAL, Service
+from m100link.apps.agent.server.flight import limits_of
+from m100link.apps.agent.server.server import MAX_SETPOINT_AGE, STATE_INTERVAL, Orders, Service
+from m100link.apps.agent.transports import memory_channels
 from m100link.errors import UsageError
 from m100link.flight.guards import Envelope, Guards
 from m100link.geodesy import LocalFrame

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from m100link.apps.agent.way_time import WayTime
+from m100link.apps.agent.latency import WayTime
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e9, -5e4])

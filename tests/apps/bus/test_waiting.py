@@ -10,9 +10,18 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.bus import waiting
-from m100link.apps.bus.network import Inbox, Outlet
-from m100link.apps.bus.waiting import AT_ONCE, TURN, Bundle, Looks, Patient, Queue, Ring
+from m100link.apps.bus import network as waiting
+from m100link.apps.bus.network import (
+    AT_ONCE,
+    TURN,
+    Bundle,
+    Inbox,
+    Looks,
+    Outlet,
+    Patient,
+    Queue,
+    Ring,
+)
 from m100link.sim.clock import virtual_clock_loop
 
 pytestmark = pytest.mark.anyio

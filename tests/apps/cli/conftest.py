@@ -17,7 +17,7 @@ import pytest
 from m100link.apps.cli.app import run
 from m100link.apps.station import log_output
 from m100link.sim.clock import VirtualClockEventLoop
-from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from tests.waiting import PATIENCE
 
 ROOT = Path(__file__).parents[3]

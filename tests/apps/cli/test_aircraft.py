@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from m100link.sim.vehicle.mobile import DEMO_APP_ID
+from m100link.sim.vehicle.activation import DEMO_APP_ID
 from tests.apps.cli.conftest import NEARLY_100, Simulator, process
 
 pytestmark = pytest.mark.pty

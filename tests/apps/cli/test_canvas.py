@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from m100link.apps.cli.canvas import line_plot, track_plot
+from m100link.apps.cli.display import line_plot, track_plot
 
 
 def dots(lines: list[str], columns: int) -> set[tuple[int, int]]:

@@ -13,7 +13,7 @@ from m100link.apps.cli import doctor as doctor_module
 from m100link.apps.cli.doctor import _EXIT_CODES
 from m100link.apps.doctor import Machine, Stage
 from m100link.apps.doctor.machine import Adapter
-from m100link.sim.vehicle.mobile import DEMO_KEY
+from m100link.sim.vehicle.activation import DEMO_KEY
 from tests.apps.cli.conftest import CommandLine, Simulator, process
 from tests.apps.cli.terminal import Terminal
 

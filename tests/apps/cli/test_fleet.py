@@ -19,7 +19,7 @@ import pytest
 
 from m100link.apps.cli.fleet import tell_results
 from m100link.apps.cli.outcome import ExitCode
-from m100link.apps.fleet.outcome import Result
+from m100link.apps.fleet.payloads import Result
 from m100link.errors import StaleLease
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import Attitude

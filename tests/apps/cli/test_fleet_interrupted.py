@@ -15,11 +15,11 @@ import anyio.to_thread
 import pytest
 
 from m100link.apps.bus.network import Question
-from m100link.apps.cli.fleet_left import Left, told_when_interrupted
+from m100link.apps.cli.fleet import Left, told_when_interrupted
 from m100link.apps.fleet.client import Fleet, connect
 from m100link.apps.fleet.keys import DEFAULT_SITE, Keys
 from m100link.apps.fleet.payloads import Card
-from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from tests.apps.cli.terminal import Terminal, terminal
 from tests.apps.cli.test_fleet import Site, site
 from tests.waiting import PATIENCE

@@ -17,7 +17,7 @@ import pytest
 
 pytest.importorskip("zenoh", reason="the extra fleet is not installed")
 
-from m100link.apps.cli.fleet_lease import borrowed, lease_file, shared
+from m100link.apps.cli.fleet import borrowed, lease_file, shared
 from m100link.errors import UsageError
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import WaypointPlan

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from m100link.apps.cli.fleet_agent import AgentOptions
-from m100link.apps.cli.station import settings_of
+from m100link.apps.cli.serve import settings_of
 from m100link.apps.station.config import Settings
 from m100link.apps.station.fleet import recorded_apart
 from m100link.apps.station.run import _flights

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from m100link.apps.cli.outcome import ExitCode
-from m100link.sim.vehicle.mobile import DEMO_KEY
+from m100link.sim.vehicle.activation import DEMO_KEY
 from tests.apps.cli.conftest import CommandLine
 
 pytest.importorskip("mcap", reason="the extra `log` is not installed")

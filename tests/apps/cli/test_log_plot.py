@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from m100link.apps.cli.log_plot import new_file
+from m100link.apps.cli.log import new_file
 from m100link.apps.cli.outcome import ExitCode
 from m100link.errors import UsageError
 from tests.apps.cli.conftest import CommandLine

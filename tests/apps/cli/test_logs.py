@@ -90,7 +90,7 @@ def test_verbs_that_run_long_have_the_options(cli: CommandLine, verb: str) -> No
 def test_every_logger_is_that_of_its_module() -> None:
     """So that one room, or one module, can be asked for its log."""
     package = {"m100link.link", "m100link.apps.cli.logs", "m100link.apps.station.log_output"}
-    package.add("m100link.flight.log_thread")  # it hands the records of others to their loggers
+    package.add("m100link.flight.reserves")  # it hands the records of others to their loggers
     for module, path in MODULES.items():
         for node in ast.walk(tree(path)):
             if isinstance(node, ast.Call) and ast.unparse(node.func) == "logging.getLogger":

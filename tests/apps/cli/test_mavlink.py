@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from m100link.apps.mavlink.codec import Message, read_datagram, write_frame
+from m100link.apps.mavlink.translator.codec import Message, read_datagram, write_frame
 from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.pty

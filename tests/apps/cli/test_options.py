@@ -8,10 +8,9 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("cyclopts")
-from m100link.apps.cli.common import AppOptions
-from m100link.apps.cli.options import attribute_texts, options_of
+from m100link.apps.cli.common import AppOptions, attribute_texts, options_of
+from m100link.apps.cli.serve import StationOptions, settings_of
 from m100link.apps.cli.sim import AssistantOptions, FaultOptions, MissionOptions, SiteOptions
-from m100link.apps.cli.station import StationOptions, settings_of
 from m100link.apps.station.config import ENVIRONMENT, Settings
 from m100link.protocol.commands.activation import Credentials
 from m100link.sim import NO_FAULTS, AircraftSettings, AssistantSettings, LineFaults, MissionSettings

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from m100link.apps.cli import progress
+from m100link.apps.cli import display as progress
 from tests.apps.cli.conftest import CommandLine
 
 

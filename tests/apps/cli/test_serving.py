@@ -9,8 +9,8 @@ import pytest
 
 pytest.importorskip("cyclopts")
 
-from m100link.apps.cli import serving
-from m100link.apps.cli.serving import _MOST_UNTOLD, Teller
+from m100link.apps.cli import serve as serving
+from m100link.apps.cli.serve import _MOST_UNTOLD, Teller
 from tests.waiting import PATIENCE
 
 

@@ -7,7 +7,7 @@ import io
 import pytest
 from rich.console import Console
 
-from m100link.apps.cli.sim_live import KEYS, LiveView, read_keys
+from m100link.apps.cli.sim import KEYS, LiveView, read_keys
 from m100link.protocol.commands.waypoint import WaypointPauseResume
 from m100link.sim import VirtualAircraft
 from tests.sim.vehicle.missions.flights import begin, host, point

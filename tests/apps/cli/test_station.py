@@ -27,7 +27,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from websockets.asyncio.client import connect
 
-from m100link.apps.cli.station import StationOptions, aircraft_of
+from m100link.apps.cli.serve import StationOptions, aircraft_of
 from m100link.errors import M100Error
 from tests.apps.station.test_apart import Pilot
 

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from m100link.apps.cli.values import columns_of, items_named, row
+from m100link.apps.cli.display import columns_of, items_named, row
 from m100link.errors import UsageError
 from m100link.protocol.items import BY_NAME, ITEMS, Item
 from m100link.protocol.records import Attitude, Battery, FlightStatus, Position, RemoteControl

@@ -11,7 +11,7 @@ import pytest
 
 from m100link.apps.doctor import answers, line
 from m100link.apps.doctor.findings import Stage, Verdict
-from m100link.apps.doctor.listening import Heard, hear
+from m100link.apps.doctor.line import Heard, hear
 from m100link.link.url import parse_url
 from m100link.wire import Frame
 from tests.apps.doctor.bench import TELEMETRY

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link.apps.doctor.listening import hear
-from m100link.link.uart import read_inverted
+from m100link.apps.doctor.line import hear
+from m100link.link.serial_transport import read_inverted
 from m100link.wire.frame import encode_frame
 from tests.apps.doctor.bench import CONSOLE, GPS, TELEMETRY, mavlink
 

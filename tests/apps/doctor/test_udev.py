@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from m100link.apps.doctor.machine import Adapter
-from m100link.apps.doctor.udev import rule
+from m100link.apps.doctor.machine import Adapter, rule
 from m100link.errors import UsageError
 
 FTDI = Adapter("ftdi_sio", "0403", "6001", "FTDI FT232R USB UART", "A50285BI", 16)

@@ -10,17 +10,17 @@ import anyio
 import pytest
 
 from m100link.aircraft import Aircraft
-from m100link.apps.agent.agent import Agent
-from m100link.apps.agent.carriers.memory import memory_channels
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.connect import by_driver
-from m100link.apps.agent.service import Service
+from m100link.apps.agent.server.agent import Agent
+from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.transports import memory_channels
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.ledger import Ledger, MemoryLedger
-from m100link.apps.fleet.missions.told import MissionTeller
-from m100link.apps.fleet.told import AgentTold
+from m100link.apps.fleet.missions.board import MissionTeller
+from m100link.apps.fleet.order_log import Ledger, MemoryLedger
+from m100link.apps.fleet.publisher import AgentTold
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft

@@ -13,9 +13,8 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.fleet.acl import explain, router_config
-from m100link.apps.fleet.pki import Kind, init, issue
-from m100link.apps.fleet.rights import Right, Rights
+from m100link.apps.fleet.identity import Right, Rights
+from m100link.apps.fleet.pki import Kind, explain, init, issue, router_config
 from tests.waiting import PATIENCE
 
 zenoh: Any = pytest.importorskip("zenoh", reason="the extra fleet is not installed")

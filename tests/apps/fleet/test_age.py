@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from m100link.apps.fleet.age import MOST_AGE_S, OrderAges, require_young
+from m100link.apps.fleet.expiry import MOST_AGE_S, OrderAges, require_young
 from m100link.errors import GuardRefused
 
 

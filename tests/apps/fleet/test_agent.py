@@ -10,18 +10,26 @@ from itertools import pairwise
 import anyio
 import pytest
 
-from m100link.apps.agent.actions import Action, LeaseAction
+from m100link.apps.agent.codec import encode
 from m100link.apps.agent.guided import FlyTo
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.message_bytes import encode
-from m100link.apps.agent.messages import Ask, Event, LeaseAsk, Message, Steer, Telemetry
+from m100link.apps.agent.messages import (
+    Action,
+    Ask,
+    Event,
+    LeaseAction,
+    LeaseAsk,
+    Message,
+    Steer,
+    Telemetry,
+)
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.ledger import MemoryLedger
-from m100link.apps.fleet.outcome import Outcome
+from m100link.apps.fleet.order_log import MemoryLedger
 from m100link.apps.fleet.payloads import (
     Card,
     Order,
+    Outcome,
     Progress,
     Reply,
     pack,

@@ -7,10 +7,9 @@ from dataclasses import replace
 import anyio
 import pytest
 
-from m100link.apps.fleet.aloft import KEPT_AGAIN_S
 from m100link.apps.fleet.client import Fleet
-from m100link.apps.fleet.ledger import LeftAloft, MemoryLedger
-from m100link.apps.fleet.lost import INHERITED_S, LostAction, LostPlan
+from m100link.apps.fleet.lost_link import INHERITED_S, KEPT_AGAIN_S, LostAction, LostPlan
+from m100link.apps.fleet.order_log import LeftAloft, MemoryLedger
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.fleet.conftest import OnBoard, Rig

@@ -7,15 +7,13 @@ from dataclasses import replace
 
 import pytest
 
-from m100link.apps.agent.actions import Action
-from m100link.apps.agent.fault import MessageError
-from m100link.apps.agent.messages import Ask
+from m100link.apps.agent.messages import Action, Ask
+from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.bus.network import Answer, Bus, Question
-from m100link.apps.fleet.answers import believed, clocks_told
+from m100link.apps.fleet.asking import believed, clocks_told
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.outcome import Outcome
-from m100link.apps.fleet.payloads import Order, Progress, Reply, pack, unpack
+from m100link.apps.fleet.payloads import Order, Outcome, Progress, Reply, pack, unpack
 from m100link.apps.fleet.session import open_fleet
 from m100link.errors import OutcomeUnknown
 from tests.apps.bus.pair import free_place, until

@@ -8,13 +8,12 @@ from typing import cast
 import anyio
 import pytest
 
-from m100link.apps.agent.actions import Action
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.messages import Ask, Message
+from m100link.apps.agent.messages import Action, Ask, Message
 from m100link.apps.bus.network import Answer, Bus
 from m100link.apps.fleet.asking import PATIENCE_S, Asker
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.outcome import Outcome, outcome_of
+from m100link.apps.fleet.payloads import Outcome, outcome_of
 from m100link.errors import M100Error, OutcomeUnknown, Unreachable
 from tests.apps.bus.memory import MemoryBus, Weather
 from tests.apps.fleet.conftest import SITE, Rig, with_camera

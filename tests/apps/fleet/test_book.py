@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from m100link.apps.agent.fault import MessageError
-from m100link.apps.fleet.book import KEPT_S, OrderBook
-from m100link.apps.fleet.outcome import Outcome
-from m100link.apps.fleet.payloads import Progress, Reply
+from m100link.apps.agent.remote_error import MessageError
+from m100link.apps.fleet.order_log import KEPT_S, OrderBook
+from m100link.apps.fleet.payloads import Outcome, Progress, Reply
 
 
 def reply(identity: str) -> Reply:

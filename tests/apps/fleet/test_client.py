@@ -7,8 +7,7 @@ import pytest
 
 from m100link.apps.fleet.client import Change
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.outcome import Outcome
-from m100link.apps.fleet.payloads import Card, pack
+from m100link.apps.fleet.payloads import Card, Outcome, pack
 from m100link.errors import OutcomeUnknown
 from tests.apps.bus.memory import Weather
 from tests.apps.fleet.conftest import SITE, Rig

@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from m100link.apps.fleet.clock import AgentClock
+from m100link.apps.fleet.expiry import AgentClock
 
 
 def test_nothing_is_known_before_anything_was_heard() -> None:

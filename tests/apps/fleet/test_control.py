@@ -7,10 +7,9 @@ import asyncio
 import anyio
 import pytest
 
-from m100link.apps.agent.actions import Action
 from m100link.apps.agent.guided import FlyTo
 from m100link.apps.agent.lease import LeaseHeld
-from m100link.apps.agent.messages import Ask, Message
+from m100link.apps.agent.messages import Action, Ask, Message
 from m100link.errors import GuardRefused, M100Error, OutcomeUnknown, StaleLease, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.setpoint import Setpoint

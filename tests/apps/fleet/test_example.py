@@ -9,7 +9,7 @@ from types import ModuleType
 import anyio
 import pytest
 
-from m100link.apps.fleet.outcome import Outcome
+from m100link.apps.fleet.payloads import Outcome
 from tests.apps.fleet.conftest import Rig
 
 pytestmark = pytest.mark.anyio

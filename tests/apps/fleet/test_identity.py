@@ -17,9 +17,10 @@ from m100link.apps.fleet.identity import (
     Gate,
     OrderRefused,
     Reason,
+    Right,
+    Rights,
     Signer,
 )
-from m100link.apps.fleet.rights import Right, Rights
 from m100link.errors import UsageError
 
 NOW = 1_800_000_000.0

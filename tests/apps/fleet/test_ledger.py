@@ -10,9 +10,9 @@ from zlib import crc32
 
 import pytest
 
-from m100link.apps.fleet.book import KEPT_S
-from m100link.apps.fleet.ledger import (
+from m100link.apps.fleet.order_log import (
     FENCES_AT_ONCE,
+    KEPT_S,
     FileLedger,
     LeftAloft,
     MemoryLedger,
@@ -68,7 +68,7 @@ async def test_what_is_from_before_the_computer_was_started_is_kept_as_long_agai
 
 
 async def test_the_file_does_not_grow_without_end(tmp_path: Path, monkeypatch: Any) -> None:
-    monkeypatch.setattr("m100link.apps.fleet.ledger.MOST_KEPT", 100)
+    monkeypatch.setattr("m100link.apps.fleet.order_log.MOST_KEPT", 100)
     path, up = tmp_path / "a1.jsonl", [0.0]
     ledger = FileLedger(path, lambda: 0.0, lambda: ("boot", up[0]))
     sizes = set()

@@ -8,10 +8,9 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.actions import Action
-from m100link.apps.agent.messages import Ask
+from m100link.apps.agent.messages import Action, Ask
 from m100link.apps.fleet.client import FleetAircraft
-from m100link.apps.fleet.outcome import Outcome
+from m100link.apps.fleet.payloads import Outcome
 from m100link.errors import OutcomeUnknown
 from tests.apps.bus.memory import Weather
 from tests.apps.fleet.conftest import OnBoard, Rig, with_camera

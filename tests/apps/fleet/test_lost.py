@@ -8,7 +8,7 @@ import anyio
 import pytest
 
 from m100link.apps.fleet.client import Fleet
-from m100link.apps.fleet.lost import LostAction, LostPlan
+from m100link.apps.fleet.lost_link import LostAction, LostPlan
 from m100link.apps.fleet.stream import Dropped
 from m100link.errors import FleetError, GuardRefused, UsageError
 from m100link.protocol.setpoint import Setpoint

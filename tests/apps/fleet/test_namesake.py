@@ -7,11 +7,10 @@ import asyncio
 import anyio
 import pytest
 
+from m100link.apps.fleet.agent import GONE_S, Namesakes
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.namesake import GONE_S, Namesakes
-from m100link.apps.fleet.outcome import Outcome
-from m100link.apps.fleet.payloads import SHOW, Order, Reply, pack, unpack
+from m100link.apps.fleet.payloads import SHOW, Order, Outcome, Reply, pack, unpack
 from m100link.apps.fleet.show.service import ShowService
 from m100link.apps.fleet.stream import Dropped
 from m100link.errors import M100Error, UsageError

@@ -5,12 +5,11 @@ from __future__ import annotations
 import anyio
 import pytest
 
-from m100link.apps.agent.actions import Action, LeaseAction
 from m100link.apps.agent.guided import FlyTo
-from m100link.apps.agent.messages import Ask, LeaseAsk, Message
+from m100link.apps.agent.messages import Action, Ask, LeaseAction, LeaseAsk, Message
 from m100link.apps.fleet.client import Fleet, FleetAircraft
 from m100link.apps.fleet.orders import acquires, lands, moves, renews, revokes, takes
-from m100link.apps.fleet.outcome import Outcome
+from m100link.apps.fleet.payloads import Outcome
 from m100link.errors import M100Error
 from tests.apps.fleet.conftest import OnBoard, Rig
 

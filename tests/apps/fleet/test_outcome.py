@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from m100link.apps.agent.lease import LeaseHeld, LeaseRefused
-from m100link.apps.fleet.outcome import Outcome, Result, outcome_of
+from m100link.apps.fleet.payloads import Outcome, Result, outcome_of
 from m100link.errors import (
     AckTimeout,
     AuthorityLost,

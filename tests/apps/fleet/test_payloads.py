@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link.apps.agent.fault import Fault, MessageError
 from m100link.apps.agent.messages import Steer, Telemetry
-from m100link.apps.fleet.outcome import Outcome
+from m100link.apps.agent.remote_error import Fault, MessageError
 from m100link.apps.fleet.payloads import (
     VERSION,
     Card,
     Order,
+    Outcome,
     Progress,
     Reply,
     pack,

@@ -19,7 +19,7 @@ from cryptography.x509.verification import (
     VerificationError,
 )
 
-from m100link.apps.fleet.identity import Signer
+from m100link.apps.fleet.identity import BadRevoked, Signer
 from m100link.apps.fleet.pki import (
     AUTHORITY_DAYS,
     ISSUED_DAYS,
@@ -31,7 +31,6 @@ from m100link.apps.fleet.pki import (
     revoke,
 )
 from m100link.apps.fleet.revocations import Revocations
-from m100link.apps.fleet.revoked import BadRevoked
 from m100link.link.keyfile import read_token
 
 NOW = datetime(2026, 11, 22, 14, 0, tzinfo=UTC)

@@ -6,7 +6,7 @@ import anyio
 import pytest
 
 from m100link.apps.bus.network import Question
-from m100link.apps.fleet.questions import STEP_S, Questions
+from m100link.apps.fleet.asking import STEP_S, Questions
 from tests.apps.bus.memory import MemoryNetwork, Weather
 
 pytestmark = pytest.mark.anyio

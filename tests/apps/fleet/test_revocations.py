@@ -11,13 +11,12 @@ import anyio
 import pytest
 
 from m100link.apps.fleet.client import Fleet, FleetAircraft
+from m100link.apps.fleet.identity import BadRevoked, Rights
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.lost import LostPlan
-from m100link.apps.fleet.outcome import Outcome
+from m100link.apps.fleet.lost_link import LostPlan
+from m100link.apps.fleet.payloads import Outcome
 from m100link.apps.fleet.pki import init, revoke
 from m100link.apps.fleet.revocations import LIST, Revocations, RevocationService, bring
-from m100link.apps.fleet.revoked import BadRevoked
-from m100link.apps.fleet.rights import Rights
 from m100link.apps.fleet.show.service import ShowService
 from m100link.apps.fleet.signing import signing, verifying
 from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, UsageError

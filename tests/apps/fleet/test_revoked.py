@@ -15,8 +15,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
+from m100link.apps.fleet.identity import LARGEST, BadRevoked, Revoked, nobody, sign_revoked
 from m100link.apps.fleet.pki import init, revoke
-from m100link.apps.fleet.revoked import LARGEST, BadRevoked, Revoked, nobody, sign_revoked
 
 NOW = datetime(2026, 11, 22, 14, 0, tzinfo=UTC)
 NAMES = {"anna": "2026-11-22", "a9": "2026-11-23"}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from m100link.apps.fleet.rights import BadRights, Right, Rights
+from m100link.apps.fleet.identity import BadRights, Right, Rights
 
 FILE = """
 site = "field"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from m100link.apps.fleet.sealed import Mark, seal, words
+from m100link.apps.fleet.order_log import Mark, seal, words
 
 LINES = [seal(number, 7, {"id": f"{number}"}) for number in (7, 8, 9)]
 MARK = bytes(Mark(9, 7))

@@ -12,15 +12,13 @@ import anyio
 import pytest
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
-from m100link.apps.agent.actions import Action, LeaseAction
-from m100link.apps.agent.fault import MessageError
-from m100link.apps.agent.message_bytes import decode, encode
-from m100link.apps.agent.messages import Ask, LeaseAsk, Steer
+from m100link.apps.agent.codec import decode, encode
+from m100link.apps.agent.messages import Action, Ask, LeaseAction, LeaseAsk, Steer
+from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.bus.network import Answer, Question
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.outcome import Outcome
-from m100link.apps.fleet.payloads import Order, Progress, Reply, pack, pack_steer, unpack
+from m100link.apps.fleet.payloads import Order, Outcome, Progress, Reply, pack, pack_steer, unpack
 from m100link.apps.fleet.secret import Half, LeaseRequest, agree
 from m100link.apps.fleet.signing import signing, verifying
 from m100link.protocol.setpoint import Setpoint

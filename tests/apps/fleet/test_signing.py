@@ -10,17 +10,14 @@ from pathlib import Path
 import anyio
 import pytest
 
-from m100link.apps.agent.actions import Action
+from m100link.apps.agent.codec import encode
 from m100link.apps.agent.guided import FlyTo
-from m100link.apps.agent.message_bytes import encode
-from m100link.apps.agent.messages import Ask, LeaseAction, LeaseAsk
+from m100link.apps.agent.messages import Action, Ask, LeaseAction, LeaseAsk
 from m100link.apps.fleet.asking import Sign
 from m100link.apps.fleet.client import Fleet, FleetAircraft
-from m100link.apps.fleet.identity import STOP_WINDOW_S, Signer
+from m100link.apps.fleet.identity import STOP_WINDOW_S, Right, Rights, Signer
 from m100link.apps.fleet.logs.words import LogQuestion, What, pack_question
-from m100link.apps.fleet.outcome import Outcome
-from m100link.apps.fleet.payloads import Order, Progress, Reply, pack, unpack
-from m100link.apps.fleet.rights import Right, Rights
+from m100link.apps.fleet.payloads import Order, Outcome, Progress, Reply, pack, unpack
 from m100link.apps.fleet.signing import read_signer, right_for, signing, tls_options, verifying
 from m100link.errors import NotAllowed, UsageError
 from tests.apps.fleet.conftest import SITE, UTC, Rig

@@ -6,7 +6,7 @@ import anyio
 import pytest
 
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.telemetry import FleetTelemetry
+from m100link.apps.fleet.publisher import FleetTelemetry
 from m100link.protocol.records import Attitude, Battery
 from tests.apps.fleet.conftest import SITE, Rig
 

@@ -24,20 +24,20 @@ from rich.console import Console
 pytest.importorskip("zenoh")
 
 import m100link
-from m100link.apps.agent.fault import Fault
 from m100link.apps.agent.messages import Event, LeaseChanged, State, Steer, Telemetry
+from m100link.apps.agent.remote_error import Fault
 from m100link.apps.cli import fleet as fleet_verbs
 from m100link.apps.cli import fleet_watch
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.lost import LostPlan
+from m100link.apps.fleet.lost_link import LostPlan
 from m100link.apps.fleet.missions.board import Missions
-from m100link.apps.fleet.missions.stages import MissionStage
-from m100link.apps.fleet.outcome import Outcome
 from m100link.apps.fleet.payloads import (
     Card,
     MissionCard,
+    MissionStage,
     Order,
+    Outcome,
     Progress,
     Reply,
     pack,
@@ -46,7 +46,7 @@ from m100link.apps.fleet.payloads import (
     unpack_message,
     unpack_steer,
 )
-from m100link.apps.fleet.telemetry import FleetTelemetry
+from m100link.apps.fleet.publisher import FleetTelemetry
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
 from m100link.protocol.records import Battery, FlightPhase

@@ -10,18 +10,18 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.agent import Agent
-from m100link.apps.agent.carriers.memory import memory_channels
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.service import Service
+from m100link.apps.agent.server.agent import Agent
+from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.transports import memory_channels
 from m100link.apps.mavlink.bridge import Bridge
-from m100link.apps.mavlink.codec import Message, Signer, read_datagram, write_frame
-from m100link.apps.mavlink.modes import MODES, Mode
-from m100link.apps.mavlink.numbers import Command, Result
-from m100link.apps.mavlink.peers import Address
-from m100link.apps.mavlink.world import World
+from m100link.apps.mavlink.translator.codec import Message, Signer, read_datagram, write_frame
+from m100link.apps.mavlink.translator.modes import MODES, Mode
+from m100link.apps.mavlink.translator.numbers import Command, Result
+from m100link.apps.mavlink.translator.peers import Address
+from m100link.apps.mavlink.translator.world import World
 from m100link.protocol.records import FlightPhase, FlightStatus, Position
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver

@@ -10,16 +10,15 @@ import pytest
 
 from m100link.apps.agent.guided import ChangeHeading, ChangeHeight, FlyAround, FlyTo
 from m100link.apps.agent.messages import Limits, State
-from m100link.apps.mavlink.codec import Message
-from m100link.apps.mavlink.commands import Commands, read_command
-from m100link.apps.mavlink.deck import Deck
-from m100link.apps.mavlink.modes import Mode, Phase
-from m100link.apps.mavlink.numbers import Result
-from m100link.apps.mavlink.orders import Flight, GoHome, Halt, Land, TakeOff
-from m100link.apps.mavlink.parameters import Parameters
-from m100link.apps.mavlink.peers import Peer
-from m100link.apps.mavlink.rates import Rates
-from m100link.apps.mavlink.wishes import Wish
+from m100link.apps.mavlink.translator.codec import Message
+from m100link.apps.mavlink.translator.commands import Commands, read_command
+from m100link.apps.mavlink.translator.deck import Deck
+from m100link.apps.mavlink.translator.modes import Mode, Phase
+from m100link.apps.mavlink.translator.numbers import Result
+from m100link.apps.mavlink.translator.orders import Flight, GoHome, Halt, Land, TakeOff, Wish
+from m100link.apps.mavlink.translator.parameters import Parameters
+from m100link.apps.mavlink.translator.peers import Peer
+from m100link.apps.mavlink.translator.telemetry import Rates
 from tests.apps.mavlink.conftest import world_of
 from tests.known import Known, position
 

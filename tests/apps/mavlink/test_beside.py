@@ -9,11 +9,11 @@ from contextlib import AsyncExitStack
 import anyio
 import pytest
 
-from m100link.apps.agent.carriers.memory import memory_channels
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease
-from m100link.apps.mavlink.modes import Mode, Phase
-from m100link.apps.mavlink.numbers import Command, MissionResult, Result
+from m100link.apps.agent.transports import memory_channels
+from m100link.apps.mavlink.translator.modes import Mode, Phase
+from m100link.apps.mavlink.translator.numbers import Command, MissionResult, Result
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.mavlink.conftest import Ground, Rig
 from tests.apps.mavlink.test_bridge import send_velocity

@@ -11,11 +11,11 @@ import anyio
 import pytest
 
 from m100link.apps.mavlink.bridge import IDLE_STEP_S, STEP_S
-from m100link.apps.mavlink.codec import Message, Signer, write_frame
-from m100link.apps.mavlink.modes import Mode
-from m100link.apps.mavlink.numbers import Command, Result
-from m100link.apps.mavlink.parameters import PARAMETERS
-from m100link.apps.mavlink.peers import MOST_PEERS
+from m100link.apps.mavlink.translator.codec import Message, Signer, write_frame
+from m100link.apps.mavlink.translator.modes import Mode
+from m100link.apps.mavlink.translator.numbers import Command, Result
+from m100link.apps.mavlink.translator.parameters import PARAMETERS
+from m100link.apps.mavlink.translator.peers import MOST_PEERS
 from tests.apps.mavlink.conftest import Ground, Rig
 
 pytestmark = pytest.mark.anyio

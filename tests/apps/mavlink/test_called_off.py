@@ -5,8 +5,8 @@ from __future__ import annotations
 import anyio
 import pytest
 
-from m100link.apps.mavlink.modes import Mode, Phase
-from m100link.apps.mavlink.numbers import Command, Result
+from m100link.apps.mavlink.translator.modes import Mode, Phase
+from m100link.apps.mavlink.translator.numbers import Command, Result
 from m100link.sim.vehicle.flight import FlightController
 from tests.apps.mavlink.conftest import Ground, Rig
 

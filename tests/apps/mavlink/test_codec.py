@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.mavlink import codec
-from m100link.apps.mavlink.codec import (
+from m100link.apps.mavlink.translator import codec
+from m100link.apps.mavlink.translator.codec import (
     LAYOUTS,
     Message,
     Reading,

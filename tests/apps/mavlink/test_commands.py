@@ -7,10 +7,10 @@ import math
 import anyio
 import pytest
 
-from m100link.apps.mavlink.codec import LAYOUTS
-from m100link.apps.mavlink.commands import COMMANDS
-from m100link.apps.mavlink.modes import MODES, Mode
-from m100link.apps.mavlink.numbers import Command, MissionResult, Result
+from m100link.apps.mavlink.translator.codec import LAYOUTS
+from m100link.apps.mavlink.translator.commands import COMMANDS
+from m100link.apps.mavlink.translator.modes import MODES, Mode
+from m100link.apps.mavlink.translator.numbers import Command, MissionResult, Result
 from m100link.geodesy import LocalFrame
 from tests.apps.mavlink.conftest import Ground, Rig
 from tests.apps.mavlink.test_missions import Exchange, waypoint

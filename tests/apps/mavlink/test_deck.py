@@ -10,9 +10,9 @@ import pytest
 
 from m100link.apps.agent.guided import ChangeHeight, FlyTo
 from m100link.apps.agent.messages import State
-from m100link.apps.mavlink.deck import REMEMBERED_S, Deck
-from m100link.apps.mavlink.flights import MissionFlights
-from m100link.apps.mavlink.modes import (
+from m100link.apps.mavlink.crew import MissionFlights
+from m100link.apps.mavlink.translator.deck import REMEMBERED_S, Deck
+from m100link.apps.mavlink.translator.modes import (
     ARM_VERDICTS,
     DISARM_VERDICTS,
     RUNNING,
@@ -23,8 +23,8 @@ from m100link.apps.mavlink.modes import (
     Step,
     Verdict,
 )
-from m100link.apps.mavlink.numbers import Command, Result, Severity
-from m100link.apps.mavlink.orders import (
+from m100link.apps.mavlink.translator.numbers import Command, Result, Severity
+from m100link.apps.mavlink.translator.orders import (
     Arm,
     CallOff,
     Disarm,
@@ -36,10 +36,10 @@ from m100link.apps.mavlink.orders import (
     Pause,
     Resume,
     TakeOff,
+    Wish,
 )
-from m100link.apps.mavlink.peers import Peer
-from m100link.apps.mavlink.wishes import Wish
-from m100link.apps.mavlink.world import World
+from m100link.apps.mavlink.translator.peers import Peer
+from m100link.apps.mavlink.translator.world import World
 from m100link.errors import GuardRefused, LinkError, TaskRefused
 from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.setpoint import Setpoint

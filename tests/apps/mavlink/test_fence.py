@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.mavlink.codec import Message
-from m100link.apps.mavlink.fence import read_fence
-from m100link.apps.mavlink.numbers import MissionResult
-from m100link.apps.mavlink.route import Refused
+from m100link.apps.mavlink.translator.codec import Message
+from m100link.apps.mavlink.translator.missions import read_fence
+from m100link.apps.mavlink.translator.numbers import MissionResult
+from m100link.apps.mavlink.translator.route import Refused
 from m100link.geodesy import LocalFrame
 
 FRAME = LocalFrame(47.4, -8.5)

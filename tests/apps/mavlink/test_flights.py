@@ -10,10 +10,10 @@ import anyio
 import pytest
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.mavlink.modes import Mode
-from m100link.apps.mavlink.numbers import Command, MissionType, Result
+from m100link.apps.mavlink.translator.modes import Mode
+from m100link.apps.mavlink.translator.numbers import Command, MissionType, Result
 from m100link.sim.line import LineFaults
-from m100link.sim.vehicle.missions.settings import MissionSettings
+from m100link.sim.vehicle.missions.route import MissionSettings
 from m100link.sim.vehicle.settings import AircraftSettings
 from tests.apps.mavlink.conftest import Ground, Rig
 from tests.apps.mavlink.test_missions import SQUARE, Exchange, Item, item, waypoint

@@ -10,11 +10,11 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.mavlink.codec import LAYOUTS, Layout
-from m100link.apps.mavlink.commands import COMMANDS
-from m100link.apps.mavlink.modes import Mode
-from m100link.apps.mavlink.numbers import Command, Result
-from m100link.apps.mavlink.route import ITEMS
+from m100link.apps.mavlink.translator.codec import LAYOUTS, Layout
+from m100link.apps.mavlink.translator.commands import COMMANDS
+from m100link.apps.mavlink.translator.modes import Mode
+from m100link.apps.mavlink.translator.numbers import Command, Result
+from m100link.apps.mavlink.translator.route import ITEMS
 from tests.apps.mavlink.conftest import Ground, Rig
 
 pytestmark = pytest.mark.anyio

@@ -17,9 +17,9 @@ import math
 
 import pytest
 
-from m100link.apps.mavlink.codec import Message
-from m100link.apps.mavlink.manual import STICKS_LIFETIME, Manual
-from m100link.apps.mavlink.parameters import Parameters
+from m100link.apps.mavlink.translator.codec import Message
+from m100link.apps.mavlink.translator.offboard import STICKS_LIFETIME, Manual
+from m100link.apps.mavlink.translator.parameters import Parameters
 from m100link.protocol.setpoint import ReferenceFrame, Setpoint
 from tests.apps.mavlink.conftest import world_of
 from tests.known import Known

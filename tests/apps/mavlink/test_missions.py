@@ -10,9 +10,9 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.mavlink.codec import Message
-from m100link.apps.mavlink.modes import Mode
-from m100link.apps.mavlink.numbers import Command, MissionResult, MissionType, Result
+from m100link.apps.mavlink.translator.codec import Message
+from m100link.apps.mavlink.translator.modes import Mode
+from m100link.apps.mavlink.translator.numbers import Command, MissionResult, MissionType, Result
 from m100link.geodesy import LocalFrame
 from tests.apps.mavlink.conftest import Ground, Rig
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.mavlink import numbers
-from m100link.apps.mavlink.modes import (
+from m100link.apps.mavlink.translator import numbers
+from m100link.apps.mavlink.translator.modes import (
     ARM_VERDICTS,
     DISARM_VERDICTS,
     MODES,

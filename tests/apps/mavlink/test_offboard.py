@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.mavlink.codec import Message
-from m100link.apps.mavlink.offboard import Offboard
-from m100link.apps.mavlink.parameters import Parameters
+from m100link.apps.mavlink.translator.codec import Message
+from m100link.apps.mavlink.translator.offboard import Offboard
+from m100link.apps.mavlink.translator.parameters import Parameters
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import ReferenceFrame, Setpoint
 from tests.apps.mavlink.conftest import world_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from m100link.apps.mavlink.parameters import PARAMETERS
+from m100link.apps.mavlink.translator.parameters import PARAMETERS
 
 # At first, least and most. A turn of more than 100 °/s, a tilt of more than 30°, a climb of more
 # than 4 m/s or a speed of more than 10 m/s is no setpoint of the M100.

@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from m100link.apps.agent.guided import FlyTo
-from m100link.apps.mavlink.modes import Mode
-from m100link.apps.mavlink.plans import Unfit, flies_missions, plan_of
-from m100link.apps.mavlink.route import Leg
+from m100link.apps.mavlink.translator.modes import Mode
+from m100link.apps.mavlink.translator.route import Leg, Unfit, flies_missions, plan_of
 from m100link.missions.plan import AtEnd, Heading
 
 

@@ -9,12 +9,11 @@ import anyio
 import pytest
 
 from m100link.apps.agent.messages import LeaseChanged, State
-from m100link.apps.mavlink.codec import LAYOUTS
-from m100link.apps.mavlink.numbers import Command, Result
-from m100link.apps.mavlink.peers import MOST_PEERS, Peer
-from m100link.apps.mavlink.rates import MOST_HZ, Rates
-from m100link.apps.mavlink.telemetry import STREAMS
-from m100link.apps.mavlink.world import World
+from m100link.apps.mavlink.translator.codec import LAYOUTS
+from m100link.apps.mavlink.translator.numbers import Command, Result
+from m100link.apps.mavlink.translator.peers import MOST_PEERS, Peer
+from m100link.apps.mavlink.translator.telemetry import MOST_HZ, STREAMS, Rates
+from m100link.apps.mavlink.translator.world import World
 from m100link.telemetry.state import AircraftState
 from tests.apps.mavlink.conftest import Ground, Rig
 

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from m100link.apps.agent.guided import FlyTo
-from m100link.apps.mavlink.codec import Message
-from m100link.apps.mavlink.modes import Mode
-from m100link.apps.mavlink.numbers import MissionResult
-from m100link.apps.mavlink.route import Leg, Refused, Route, read_route
+from m100link.apps.mavlink.translator.codec import Message
+from m100link.apps.mavlink.translator.modes import Mode
+from m100link.apps.mavlink.translator.numbers import MissionResult
+from m100link.apps.mavlink.translator.route import Leg, Refused, Route, read_route
 
 GLOBAL, MISSION, RELATIVE, GLOBAL_INT, RELATIVE_INT, TERRAIN = 0, 2, 3, 5, 6, 10
 GROUND = 432.5

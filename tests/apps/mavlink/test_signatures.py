@@ -7,15 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from m100link.apps.mavlink.codec import (
+from m100link.apps.mavlink.translator.codec import (
+    AHEAD,
     LAST_SIGNATURE,
     NEW_WITHIN,
     Message,
+    SignatureMemory,
     Signer,
     read_datagram,
     write_frame,
 )
-from m100link.apps.mavlink.signatures import AHEAD, SignatureMemory
 
 KEY = bytes(range(32))
 SECOND = 100_000

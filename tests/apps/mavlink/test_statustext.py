@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from m100link.apps.mavlink.numbers import Severity
-from m100link.apps.mavlink.statustext import Texts, severity_of
+from m100link.apps.mavlink.translator.numbers import Severity
+from m100link.apps.mavlink.translator.telemetry import Texts, severity_of
 
 
 def told(text: str) -> list[tuple[str, int]]:

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.mavlink.codec import Message, read_datagram, write_frame
-from m100link.apps.mavlink.modes import Mode
-from m100link.apps.mavlink.telemetry import STREAMS, heartbeat
+from m100link.apps.mavlink.translator.codec import Message, read_datagram, write_frame
+from m100link.apps.mavlink.translator.modes import Mode
+from m100link.apps.mavlink.translator.telemetry import STREAMS, heartbeat
 from m100link.protocol.records import (
     Acceleration,
     AngularVelocity,

@@ -8,11 +8,11 @@ import struct
 import anyio
 import pytest
 
-from m100link.apps.mavlink.codec import LAYOUTS
-from m100link.apps.mavlink.modes import MODES, Mode
-from m100link.apps.mavlink.numbers import Command, Result
-from m100link.apps.mavlink.parameters import PARAMETERS
-from m100link.apps.mavlink.telemetry import STREAMS
+from m100link.apps.mavlink.translator.codec import LAYOUTS
+from m100link.apps.mavlink.translator.modes import MODES, Mode
+from m100link.apps.mavlink.translator.numbers import Command, Result
+from m100link.apps.mavlink.translator.parameters import PARAMETERS
+from m100link.apps.mavlink.translator.telemetry import STREAMS
 from m100link.protocol.records import FlightPhase, RcMode
 from tests.apps.mavlink.conftest import Ground, Rig
 
@@ -257,7 +257,7 @@ async def test_the_version_has_its_numbers(ground: Ground) -> None:
 async def test_a_version_is_told_from_its_last_number_on(
     ground: Ground, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("m100link.apps.mavlink.vehicle.__version__", "3.17.203")
+    monkeypatch.setattr("m100link.apps.mavlink.translator.vehicle.__version__", "3.17.203")
     assert await ground.ask(Command.REQUEST_MESSAGE, number("AUTOPILOT_VERSION")) == 0
     assert ground.last("AUTOPILOT_VERSION")["flight_custom_version"] == (0, 0, 0, 0, 0, 203, 17, 3)
 

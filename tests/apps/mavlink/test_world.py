@@ -10,8 +10,8 @@ import pytest
 
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import LeaseChanged, State
-from m100link.apps.mavlink.modes import Mode, Phase
-from m100link.apps.mavlink.world import World
+from m100link.apps.mavlink.translator.modes import Mode, Phase
+from m100link.apps.mavlink.translator.world import World
 from m100link.protocol.records import (
     Attitude,
     Battery,

@@ -10,11 +10,11 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.agent import Agent
-from m100link.apps.agent.carriers.memory import memory_channels
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.connect import by_driver
-from m100link.apps.agent.service import Service
+from m100link.apps.agent.server.agent import Agent
+from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.transports import memory_channels
 from m100link.apps.bus.network import Held, Inbox, Outlet, Question, Received, TokenChange
 from m100link.apps.ros2.graph import Attachment, Names, data_key, read_attachment
 from m100link.apps.ros2.node import Node

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.agent.carriers.memory import memory_channels
 from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.transports import memory_channels
 from m100link.apps.ros2 import MESSAGES
 from m100link.apps.ros2.graph import Names, data_key
 from m100link.apps.ros2.node import Node
-from m100link.apps.ros2.telling import ALL_OUTPUTS
+from m100link.apps.ros2.publishers import ALL_OUTPUTS
 from m100link.log.cdr import full_name
 from tests.apps.ros2.conftest import MemoryBus, Program, Rig
 from tests.known import KnownAgent

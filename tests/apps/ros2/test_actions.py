@@ -9,12 +9,10 @@ import anyio
 import pytest
 
 from m100link.apps.bus.network import TokenChange
-from m100link.apps.ros2.actions import GoalStatus
-from m100link.apps.ros2.flights import FLIGHTS
+from m100link.apps.ros2.actions import FLIGHTS, GoalStatus
 from m100link.apps.ros2.graph import End, NodeName, Qos, data_key
 from m100link.geodesy import LocalFrame
-from m100link.log.cdr import decode
-from m100link.log.ros2_definitions import ACTIONS
+from m100link.log.cdr import ACTIONS, decode
 from tests.apps.ros2.conftest import Program, Rig
 
 pytestmark = pytest.mark.anyio

@@ -9,7 +9,7 @@ import anyio
 import pytest
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.ros2.diagnostics import Level, Status, diagnostics
+from m100link.apps.ros2.publishers import Level, Status, diagnostics
 from m100link.protocol.records import Battery, FlightPhase
 from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.integrity import Integrity, IntegrityState

@@ -7,8 +7,8 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.ros2.dji import DJI_OUTPUTS, dji_makers
 from m100link.apps.ros2.graph import data_key
+from m100link.apps.ros2.topics import DJI_OUTPUTS, dji_makers
 from m100link.log.cdr import decode
 from tests.apps.ros2.conftest import Rig
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from m100link.apps.bus.network import Inbox
-from m100link.apps.ros2.heartbeat import ASK_S, SILENCE_S, Heartbeat
+from m100link.apps.ros2.endpoints import ASK_S, SILENCE_S, Heartbeat
 from tests.apps.ros2.conftest import MemoryBus, MemoryInbox
 
 STEP_S = 0.02

@@ -16,9 +16,9 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.carriers.memory import memory_channels
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease
+from m100link.apps.agent.transports import memory_channels
 from m100link.errors import M100Error
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.ros2.conftest import Program, Rig

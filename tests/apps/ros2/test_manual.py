@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from m100link.log.ros2_definitions import DEFINITIONS
+from m100link.log.cdr import DEFINITIONS
 from tests.apps.ros2.conftest import Rig
 
 pytestmark = pytest.mark.anyio

@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 
 from m100link.apps.ros2 import MESSAGES
-from m100link.apps.ros2.missions import ACTIONS as MISSION_ACTIONS
-from m100link.log.cdr import full_name, type_hash
-from m100link.log.ros2_definitions import ACTIONS, DEFINITIONS, OWN_PACKAGE, SERVICES
+from m100link.apps.ros2.services import ACTIONS as MISSION_ACTIONS
+from m100link.log.cdr import ACTIONS, DEFINITIONS, OWN_PACKAGE, SERVICES, full_name, type_hash
 from m100link.missions.waypoint import AtEnd, Heading, OnRCLoss, Trace
 from m100link.protocol.records import FlightPhase
 

@@ -9,7 +9,7 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.ros2.missions import plan_of
+from m100link.apps.ros2.services import plan_of
 from m100link.geodesy import LocalFrame
 from m100link.missions.waypoint import AtEnd, Heading, OnRCLoss, Stay, TakePhoto, Trace
 from tests.apps.ros2.conftest import Program, Rig

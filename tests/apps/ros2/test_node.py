@@ -10,8 +10,8 @@ import anyio
 import pytest
 
 from m100link.apps.bus.network import Question, Received, TokenChange
+from m100link.apps.ros2.control import IDLE_S
 from m100link.apps.ros2.graph import End, Names, NodeName, data_key, read_token
-from m100link.apps.ros2.helm import IDLE_S
 from m100link.apps.ros2.topics import INPUTS, OUTPUTS, SERVICES
 from m100link.log.cdr import encode
 from tests.apps.ros2.conftest import Program, Rig

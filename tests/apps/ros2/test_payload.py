@@ -9,7 +9,7 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.ros2.payload import angles_of
+from m100link.apps.ros2.services import angles_of
 from tests.apps.ros2.conftest import Program, Rig
 
 pytestmark = pytest.mark.anyio

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from m100link.apps.bus.network import DEPTH, TokenChange
-from m100link.apps.ros2.graph import End, NodeName, Qos
-from m100link.apps.ros2.presence import Presence
+from m100link.apps.ros2.graph import End, NodeName, Presence, Qos
 from tests.apps.ros2.conftest import MemoryInbox
 
 TOPIC = "/m100/land"

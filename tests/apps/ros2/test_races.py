@@ -8,8 +8,8 @@ from collections.abc import Awaitable, Callable
 import anyio
 import pytest
 
-from m100link.apps.agent.carriers.memory import memory_channels
 from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.transports import memory_channels
 from m100link.apps.ros2.actions import GoalStatus
 from tests.apps.ros2.conftest import Program, Rig
 from tests.apps.ros2.test_actions import Client

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from m100link.apps.ros2.session import MOST_BYTES, open_ros2
+from m100link.apps.ros2.node import MOST_BYTES, open_ros2
 from m100link.errors import UsageError
 from tests.apps.bus.pair import free_place, until
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.ros2.setpoints import Frames, speed, toward
+from m100link.apps.ros2.control import Frames, speed, toward
 from m100link.errors import BadSetpoint, UsageError
 from m100link.protocol.setpoint import Setpoint
 

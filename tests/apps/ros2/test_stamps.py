@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from m100link.apps.ros2.stamps import Stamps
+from m100link.apps.ros2.publishers import Stamps
 from m100link.protocol import encode_telemetry
 from m100link.protocol.firmware import PROFILES, FirmwareProfile
 from m100link.telemetry.sample import Sample

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from m100link.apps.ros2.stick import SILENCE_S, Stick
+from m100link.apps.ros2.control import SILENCE_S, Stick
 
 ONE, OTHER = b"1" * 16, b"2" * 16
 

@@ -31,11 +31,10 @@ from m100link.apps.agent.messages import (
     Steer,
     Telemetry,
 )
-from m100link.apps.ros2.dji import DJI_OUTPUTS
-from m100link.apps.ros2.flights import FLIGHTS
+from m100link.apps.ros2.actions import FLIGHTS
 from m100link.apps.ros2.graph import data_key
-from m100link.apps.ros2.telling import ALL_OUTPUTS
-from m100link.apps.ros2.topics import INPUTS, SERVICES
+from m100link.apps.ros2.publishers import ALL_OUTPUTS
+from m100link.apps.ros2.topics import DJI_OUTPUTS, INPUTS, SERVICES
 from m100link.log.cdr import decode
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import (

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from m100link.apps.mavlink.bridge import signature_time
-from m100link.apps.mavlink.codec import Message, Signer, write_frame
+from m100link.apps.mavlink.translator.codec import Message, Signer, write_frame
 from m100link.apps.station.config import Settings
 from m100link.apps.station.mavlink import open_mavlink, serving_mavlink
 from tests.waiting import PATIENCE

@@ -23,9 +23,8 @@ from typing import Any
 import pytest
 
 from m100link.protocol.records import Device
-from m100link.sim.ports.driver import Driver
-from m100link.sim.ports.tcp import serve_tcp
-from m100link.sim.vehicle.mobile import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.ports.driver import Driver, serve_tcp
+from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.virtual import VirtualAircraft
 from tests.browser.conftest import ARGUMENTS, CHROMIUM, playwright, until
 from tests.browser.operator import hold_key

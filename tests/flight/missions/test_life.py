@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from m100link.flight.missions.life import (
+from m100link.flight.missions.events import (
     IN_THE_AIR,
     OWES_A_STOP,
     TRANSITIONS,

@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 
 from m100link import AtEnd
-from m100link.flight.missions.deck import Over
+from m100link.flight.missions.context import Over, WaypointTrack
 from m100link.flight.missions.events import Aborted, ActionsDone, Finished, Reached
-from m100link.flight.missions.waypoint_track import WaypointTrack
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands import missions as wire
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointMissionAnswer

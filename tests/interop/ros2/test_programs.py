@@ -19,11 +19,10 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.ros2.flights import FLIGHTS
+from m100link.apps.ros2.actions import FLIGHTS
 from m100link.apps.ros2.topics import INPUTS, OUTPUTS, SERVICES
 from m100link.geodesy import LocalFrame
-from m100link.log.cdr import decode, full_name
-from m100link.log.ros2_definitions import DEFINITIONS
+from m100link.log.cdr import DEFINITIONS, decode, full_name
 from m100link.sim.orders.ctl import send_order
 from tests.waiting import PATIENCE
 

@@ -18,9 +18,9 @@ from m100link.sim import (
     VirtualAircraft,
     open_sim,
 )
-from m100link.sim.orders.scenario import Scenario, Step
+from m100link.sim.line import is_telemetry
+from m100link.sim.orders.actions import Scenario, Step
 from m100link.sim.ports.driver import Backlog, StreamPort
-from m100link.sim.telemetry import is_telemetry
 from m100link.testing import ConnectableAircraft, VirtualClock
 from m100link.wire import Frame, FrameDecoder, encode_frame
 

@@ -7,10 +7,10 @@ import math
 import pytest
 
 from m100link.protocol import Attitude
-from m100link.sim.vehicle.airframe import Airframe
 from m100link.sim.vehicle.dynamics import (
     GRAVITY,
     STEP_S,
+    Airframe,
     Dynamics,
     Guidance,
     ModelHorizontal,

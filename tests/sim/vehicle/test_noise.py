@@ -9,7 +9,7 @@ from random import Random
 
 import pytest
 
-from m100link.sim.vehicle.noise import Wander, noise_source
+from m100link.sim.vehicle.sensors import Wander, noise_source
 
 
 def test_noise_has_unit_variance_and_comes_from_the_generator() -> None:

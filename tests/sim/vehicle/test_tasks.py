@@ -16,8 +16,7 @@ from m100link.protocol import (
     TaskResultCode,
     TaskStartCode,
 )
-from m100link.sim.vehicle.flight import Maneuver
-from m100link.sim.vehicle.tasks import TaskMachine, TaskState
+from m100link.sim.vehicle.flight import Maneuver, TaskMachine, TaskState
 from m100link.wire import encode_frame
 from tests.sim.host import Host, aircraft
 

@@ -1,6 +1,7 @@
 """Flight logs of a fleet: they lie on board, and whoever may watch an aircraft fetches its own.
 
 :mod:`~m100link.apps.fleet.logs.words` is what goes over the network,
-:mod:`~m100link.apps.fleet.logs.shelf` the folder on board, :mod:`~m100link.apps.fleet.logs.service`
-the agent's end and :mod:`~m100link.apps.fleet.logs.fetching` the other one.
+:mod:`~m100link.apps.fleet.logs.service` the folder on board,
+:mod:`~m100link.apps.fleet.logs.service` the agent's end and
+:mod:`~m100link.apps.fleet.logs.fetching` the other one.
 """

@@ -11,22 +11,21 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from m100link.apps.agent.fault import MessageError
+from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.bus.network import Bus
 from m100link.apps.fleet.asking import PATIENCE_S, Asker, nobody_there
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.logs.part import Part
 from m100link.apps.fleet.logs.words import (
     LogEntry,
     LogQuestion,
     LogReply,
+    Part,
     What,
     pack_question,
     unpack_entries,
     unpack_reply,
 )
-from m100link.apps.fleet.outcome import Outcome
-from m100link.apps.fleet.payloads import pack
+from m100link.apps.fleet.payloads import Outcome, pack
 from m100link.errors import FleetError, M100Error, Unreachable, UsageError
 from m100link.log.folder import is_log_name
 

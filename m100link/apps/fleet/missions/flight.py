@@ -13,16 +13,13 @@ from collections.abc import Awaitable, Callable
 from types import TracebackType
 from typing import Self
 
-from m100link.apps.agent.actions import TAKE_OFF_FIRST, Action
-from m100link.apps.agent.fault import MessageError
-from m100link.apps.agent.messages import Ask, Message
-from m100link.apps.agent.plan_told import told_of
+from m100link.apps.agent.codec import told_of
+from m100link.apps.agent.messages import TAKE_OFF_FIRST, Action, Ask, Message
+from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.bus.network import Bus
-from m100link.apps.fleet.asking import PATIENCE_S
+from m100link.apps.fleet.asking import PATIENCE_S, Questions
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.missions.stages import MissionStage
-from m100link.apps.fleet.payloads import MissionCard, Reply, unpack
-from m100link.apps.fleet.questions import Questions
+from m100link.apps.fleet.payloads import MissionCard, MissionStage, Reply, unpack
 from m100link.errors import M100Error, MissionAborted, OutcomeUnknown
 from m100link.flight.missions.events import (
     Finished,

@@ -17,18 +17,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from m100link.apps.agent.fault import MessageError
+from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.bus.network import Bus
-from m100link.apps.fleet.answers import believed
-from m100link.apps.fleet.asking import Sign
+from m100link.apps.fleet.asking import Sign, believed
 from m100link.apps.fleet.keys import Keys, session_in
 from m100link.apps.fleet.payloads import SHOW, Order, Reply, pack
-from m100link.apps.fleet.show.checks import SKEW_S
 from m100link.apps.fleet.show.clock import ClockEstimate
-from m100link.apps.fleet.show.document import Show
 from m100link.apps.fleet.show.performer import Leave, Stage
-from m100link.apps.fleet.show.steering import ShowRefused, Why
-from m100link.apps.fleet.show.track import BadShow, TimedTrack
+from m100link.apps.fleet.show.plan.document import SKEW_S, Show
+from m100link.apps.fleet.show.plan.steering import ShowRefused, Why
+from m100link.apps.fleet.show.plan.track import BadShow, TimedTrack
 from m100link.errors import M100Error, Unreachable
 from m100link.errors.texts import read_json
 

@@ -11,12 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from m100link.apps.fleet.show.clock import FleetClock
-from m100link.apps.fleet.show.steering import LeftShow, ShowRefused, TrackSteering, Why
-from m100link.apps.fleet.show.track import TimedTrack, Vector
+from m100link.apps.fleet.show.plan.steering import LeftShow, ShowRefused, TrackSteering, Why
+from m100link.apps.fleet.show.plan.track import TimedTrack, Vector
 from m100link.flight.control import Control
-from m100link.flight.guards import MAX_COMMAND_M_S
+from m100link.flight.guards import MAX_COMMAND_M_S, known
 from m100link.flight.guidance import heading_of, position_of
-from m100link.flight.known import known
 from m100link.flight.pacing import Tick
 from m100link.geodesy import LocalFrame
 from m100link.protocol.records import FlightPhase, FlightStatus

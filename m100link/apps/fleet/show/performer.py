@@ -18,12 +18,17 @@ from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.guided import ChangeHeight, FlyTo
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import Event, Topic
-from m100link.apps.fleet.age import OrderAges
-from m100link.apps.fleet.show.ahead import Ahead, Neighbours, by_speed, by_track
+from m100link.apps.fleet.expiry import OrderAges
 from m100link.apps.fleet.show.clock import DRIFT
-from m100link.apps.fleet.show.silence import RestOfTrack
-from m100link.apps.fleet.show.steering import LeftShow, TrackSteering, Why
-from m100link.apps.fleet.show.track import BadShow, TimedTrack, Vector
+from m100link.apps.fleet.show.plan.conflicts import (
+    Ahead,
+    Neighbours,
+    RestOfTrack,
+    by_speed,
+    by_track,
+)
+from m100link.apps.fleet.show.plan.steering import LeftShow, TrackSteering, Why
+from m100link.apps.fleet.show.plan.track import BadShow, TimedTrack, Vector
 from m100link.errors import M100Error, NoAuthority, TelemetryStalled, UsageError
 from m100link.flight.guards import MAX_COMMAND_M_S
 from m100link.flight.pacing import Ticker

@@ -13,17 +13,24 @@ from contextlib import ExitStack
 from typing import Any
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.fault import MessageError, fault_of
+from m100link.apps.agent.remote_error import MessageError, fault_of
 from m100link.apps.bus.network import Bus, Question
-from m100link.apps.fleet.agent import Verify
+from m100link.apps.fleet.agent import Namesakes, Verify
+from m100link.apps.fleet.identity import Since
 from m100link.apps.fleet.keys import Keys, name_in
-from m100link.apps.fleet.namesake import Namesakes
-from m100link.apps.fleet.outcome import outcome_of
-from m100link.apps.fleet.payloads import SHOW, VERSION, Order, Progress, Reply, pack, unpack
-from m100link.apps.fleet.revoked import Since
-from m100link.apps.fleet.show.ahead import Ahead, Neighbours
+from m100link.apps.fleet.payloads import (
+    SHOW,
+    VERSION,
+    Order,
+    Progress,
+    Reply,
+    outcome_of,
+    pack,
+    unpack,
+)
 from m100link.apps.fleet.show.performer import Performer
-from m100link.apps.fleet.show.track import MAX_POINTS, BadShow
+from m100link.apps.fleet.show.plan.conflicts import Ahead, Neighbours
+from m100link.apps.fleet.show.plan.track import MAX_POINTS, BadShow
 from m100link.errors import M100Error, NotAllowed
 from m100link.errors.texts import read_json
 

@@ -18,16 +18,16 @@ from collections.abc import Awaitable, Callable
 from typing import Any, TypeGuard
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.lease import Lease, TakeOver
-from m100link.apps.agent.messages import Action, Event, LeaseChanged, Topic
-from m100link.apps.agent.steering import setpoint_of
-from m100link.apps.agent.way_time import (
+from m100link.apps.agent.guided import setpoint_of
+from m100link.apps.agent.latency import (
     MAX_LATE,
     MAX_ORDER_LATE,
     MAX_ROUND_TRIP,
     MAX_UNHEARD,
     WayTime,
 )
+from m100link.apps.agent.lease import Lease, TakeOver
+from m100link.apps.agent.messages import Action, Event, LeaseChanged, Topic
 from m100link.apps.station.config import ONLY_NAME
 from m100link.apps.station.console.fate import Press
 from m100link.apps.station.console.kept import KeptLeases

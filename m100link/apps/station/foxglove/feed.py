@@ -12,8 +12,7 @@ from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event
 from m100link.apps.station.config import namespace_of
 from m100link.apps.station.foxglove.session import Channel
-from m100link.log.channels import FIX, MESSAGE, SCHEMAS, STATE, TELEMETRY, TRANSFORM
-from m100link.log.thinning import Thinning
+from m100link.log.channels import FIX, MESSAGE, SCHEMAS, STATE, TELEMETRY, TRANSFORM, Thinning
 from m100link.log.witness import fix_of
 from m100link.protocol.records import Attitude, Position
 from m100link.telemetry.sample import Sample

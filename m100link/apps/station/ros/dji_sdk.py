@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.way_time import MAX_LATE, WayTime
+from m100link.apps.agent.latency import MAX_LATE, WayTime
 from m100link.apps.station.ros.graph import Call, Graph, Listener, Topic
 from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.messages import Message
@@ -23,7 +23,7 @@ from m100link.apps.station.ros.missions import Missions
 from m100link.apps.station.ros.payload import Payload
 from m100link.errors import BadSetpoint, GuardRefused, M100Error, UsageError
 from m100link.geodesy import LocalFrame
-from m100link.log.ros2_messages import in_body
+from m100link.log.ros2 import in_body
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import (
@@ -34,7 +34,7 @@ from m100link.protocol.setpoint import (
     Vertical,
     Yaw,
 )
-from m100link.telemetry.limits import has_fix
+from m100link.telemetry.integrity import has_fix
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Newest
 

@@ -25,8 +25,8 @@ import asyncio
 import math
 
 from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.guided import ANGLE_MODE, VELOCITY_MODE, setpoint_of
 from m100link.apps.agent.lease import LeaseHeld
-from m100link.apps.agent.steering import ANGLE_MODE, VELOCITY_MODE, setpoint_of
 from m100link.apps.station.ros.graph import Graph, Listener, Publication
 from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.messages import Message

@@ -27,24 +27,22 @@ from m100link.protocol.commands.missions import (
 )
 from m100link.sim.vehicle.dynamics import Guidance, ModelVertical
 from m100link.sim.vehicle.flight import GOOD_GPS, FlightController, Maneuver
-from m100link.sim.vehicle.missions.actions import Payload
-from m100link.sim.vehicle.missions.conditions import Conditions
+from m100link.sim.vehicle.missions.actions import Conditions, Payload
 from m100link.sim.vehicle.missions.follow import FollowFlight, follow_code
 from m100link.sim.vehicle.missions.hotpoint import (
     LARGEST_RADIUS,
     HotpointFlight,
     hotpoint_code,
 )
-from m100link.sim.vehicle.missions.plan import FinishAction
-from m100link.sim.vehicle.missions.route import Place, distance
-from m100link.sim.vehicle.missions.site import Site, is_on_earth
-from m100link.sim.vehicle.missions.stages import (
+from m100link.sim.vehicle.missions.plan import (
     CIRCLE_REFUSALS,
     WAYPOINT_REFUSALS,
+    FinishAction,
     Order,
     Stage,
+    WaypointUpload,
 )
-from m100link.sim.vehicle.missions.upload import WaypointUpload
+from m100link.sim.vehicle.missions.route import Place, Site, distance, is_on_earth
 from m100link.sim.vehicle.missions.waypoints import BEFORE_ACTIONS, WaypointFlight
 
 if TYPE_CHECKING:

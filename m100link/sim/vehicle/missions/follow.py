@@ -9,14 +9,12 @@ from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.missions import FollowStatus, WaypointEvent
 from m100link.sim.vehicle.dynamics import STEP_S, Guidance, ModelHorizontal, ModelVertical, ModelYaw
 from m100link.sim.vehicle.missions.plan import FinishAction
-from m100link.sim.vehicle.missions.site import Site, is_on_earth
+from m100link.sim.vehicle.missions.route import Site, is_on_earth
 
 if TYPE_CHECKING:
     from m100link.protocol.commands.follow import FollowStart, FollowTarget
-    from m100link.sim.vehicle.airframe import Airframe
-    from m100link.sim.vehicle.dynamics import Dynamics
-    from m100link.sim.vehicle.missions.route import Place
-    from m100link.sim.vehicle.missions.settings import MissionSettings
+    from m100link.sim.vehicle.dynamics import Airframe, Dynamics
+    from m100link.sim.vehicle.missions.route import MissionSettings, Place
     from m100link.sim.vehicle.remote import Sticks
 
 __all__ = ["FollowFlight", "follow_code"]

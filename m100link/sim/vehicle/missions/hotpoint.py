@@ -10,15 +10,13 @@ from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.missions import HotpointStatus, WaypointEvent
 from m100link.sim.vehicle.dynamics import STEP_S, Guidance, ModelHorizontal, ModelVertical, ModelYaw
 from m100link.sim.vehicle.missions.plan import FinishAction
-from m100link.sim.vehicle.missions.route import Leg, Place
-from m100link.sim.vehicle.missions.site import Site, is_on_earth
+from m100link.sim.vehicle.missions.route import Leg, Place, Site, is_on_earth
 from m100link.sim.vehicle.missions.steering import Nose, Steering, slowed
 
 if TYPE_CHECKING:
     from m100link.protocol.commands.hotpoint import HotpointStart
-    from m100link.sim.vehicle.airframe import Airframe
-    from m100link.sim.vehicle.dynamics import Dynamics
-    from m100link.sim.vehicle.missions.settings import MissionSettings
+    from m100link.sim.vehicle.dynamics import Airframe, Dynamics
+    from m100link.sim.vehicle.missions.route import MissionSettings
     from m100link.sim.vehicle.remote import Sticks
 
 __all__ = [

@@ -6,27 +6,42 @@ point arrives (facts W2 to W6): its ack carries the code.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import Enum, auto
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from m100link.protocol.codes import MissionCode
-from m100link.sim.vehicle.missions.route import Leg, Place, distance, legs_between
-from m100link.sim.vehicle.missions.settings import MissionSettings
-from m100link.sim.vehicle.missions.site import Site, is_on_earth
+from m100link.protocol.commands.missions import Uploaded
+from m100link.sim.vehicle.missions.route import (
+    Leg,
+    MissionSettings,
+    Place,
+    Site,
+    distance,
+    is_on_earth,
+    legs_between,
+)
 
 if TYPE_CHECKING:
     from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
+    from m100link.sim.vehicle.missions.route import MissionSettings, Place, Site
 
 __all__ = [
+    "CIRCLE_REFUSALS",
     "STOP_S",
+    "WAYPOINT_REFUSALS",
     "ActionKind",
     "FinishAction",
+    "Order",
+    "Stage",
     "WaypointPlan",
+    "WaypointUpload",
     "YawMode",
     "mission_code",
     "point_code",
 ]
+
 
 STOP_S = 4.0
 """What braking, arriving and starting again cost at each stop, for the estimate, seconds."""
@@ -181,3 +196,145 @@ def _acting_seconds(point: WaypointPoint) -> float:
     ]:
         total += parameter / 1000.0 if kind == ActionKind.STAY else 2.0
     return min(total * max(1, point.action_repeat), float(point.action_time_limit))
+
+
+# -- what was uploaded of a waypoint mission, and its checks as they are due -----------------------
+
+
+class WaypointUpload:
+    """The memory for one waypoint mission.
+
+    Args:
+        settings: Of missions.
+        site: Where they may go.
+
+    Attributes:
+        mission: As 0x03/0x10 had it, with the idle speed that was set since; None without one.
+        points: The points so far, by index.
+        plan: All of it, once the check of the whole has passed.
+    """
+
+    __slots__ = ("_settings", "_site", "mission", "plan", "points")
+
+    def __init__(self, settings: MissionSettings, site: Site) -> None:
+        self._settings = settings
+        self._site = site
+        self.forget()
+
+    def forget(self) -> None:
+        """Nothing is there any more."""
+        self.mission: WaypointMission | None = None
+        self.points: dict[int, WaypointPoint] = {}
+        self.plan: WaypointPlan | None = None
+
+    def begin(self, mission: WaypointMission) -> MissionCode:
+        """Take a mission; a former one is gone, whether this one is legal or not."""
+        self.forget()
+        code = mission_code(mission)
+        if not code:
+            self.mission = mission
+        return code
+
+    def add(self, point: WaypointPoint, home: Place | None) -> tuple[MissionCode, Uploaded | None]:
+        """Take a point; with the last one that was missing, the whole is judged and told."""
+        if self.mission is None:
+            return MissionCode.NO_MISSION, None
+        if point.index >= self.mission.count:
+            return MissionCode.INDEX_TOO_LARGE, None
+        code = point_code(point)
+        if code:
+            return code, None
+        self.points[point.index] = point
+        if len(self.points) < self.mission.count:
+            return code, None
+        points = tuple(self.points[index] for index in range(self.mission.count))
+        places = tuple(self._site.place(p.latitude, p.longitude, p.altitude) for p in points)
+        plan = WaypointPlan(self.mission, points, places)
+        code = plan.check(self._settings, home, self._site)
+        if code:
+            self.points.clear()  # all of them have to come again
+            self.plan = None
+            return code, Uploaded(valid=0)
+        self.plan = plan
+        return code, Uploaded(valid=1, estimated_time=min(0xFFFF, round(plan.estimate())))
+
+    def set_idle_speed(self, speed: float) -> MissionCode:
+        """Change the speed without the stick."""
+        mission = self.mission
+        if mission is None:
+            return MissionCode.NO_MISSION
+        if not -mission.max_speed <= speed <= mission.max_speed:
+            return MissionCode.BAD_SPEED
+        self.mission = replace(mission, idle_speed=speed)
+        if self.plan is not None:
+            self.plan = replace(self.plan, mission=self.mission)
+        return MissionCode.SUCCESS
+
+
+# -- how far missions are, and which orders each stage refuses: two tables -------------------------
+# What a table does not refuse is taken, or judged by its contents and the state of the aircraft.
+
+
+class Stage(Enum):
+    """How far a mission of one kind is. Hotpoint and follow know EMPTY, FLYING and PAUSED."""
+
+    EMPTY = auto()
+    """Nothing was uploaded, or it has ended."""
+    PLANNED = auto()
+    """The mission is there, points are missing."""
+    READY = auto()
+    """All points are there and fit together."""
+    FLYING = auto()
+    PAUSED = auto()
+    OTHER = auto()
+    """A mission of another kind runs."""
+
+
+class Order(Enum):
+    """What can be asked for."""
+
+    UPLOAD = auto()
+    ADD = auto()
+    START = auto()
+    STOP = auto()
+    PAUSE = auto()
+    RESUME = auto()
+    DOWNLOAD = auto()
+    DOWNLOAD_POINT = auto()
+    SPEED = auto()
+
+
+_GROUNDED = (Stage.EMPTY, Stage.PLANNED, Stage.READY)
+_UNDER_WAY = (Stage.FLYING, Stage.PAUSED)
+
+WAYPOINT_REFUSALS: dict[tuple[Order, Stage], MissionCode] = {
+    **{(Order.UPLOAD, stage): MissionCode.RUNNING for stage in _UNDER_WAY},
+    **{(Order.ADD, stage): MissionCode.RUNNING for stage in _UNDER_WAY},
+    (Order.ADD, Stage.EMPTY): MissionCode.NO_MISSION,
+    (Order.START, Stage.EMPTY): MissionCode.NO_POINTS,
+    (Order.START, Stage.PLANNED): MissionCode.NO_POINTS,
+    **{(Order.START, stage): MissionCode.ALREADY_SO for stage in _UNDER_WAY},
+    **{(Order.STOP, stage): MissionCode.NOT_STARTED for stage in _GROUNDED},
+    **{(Order.PAUSE, stage): MissionCode.NOT_STARTED for stage in _GROUNDED},
+    **{(Order.RESUME, stage): MissionCode.NOT_STARTED for stage in _GROUNDED},
+    (Order.PAUSE, Stage.PAUSED): MissionCode.ALREADY_SO,
+    (Order.RESUME, Stage.FLYING): MissionCode.ALREADY_SO,
+    (Order.DOWNLOAD, Stage.EMPTY): MissionCode.NO_MISSION,
+    (Order.DOWNLOAD_POINT, Stage.EMPTY): MissionCode.NO_POINTS,
+    (Order.SPEED, Stage.EMPTY): MissionCode.NO_MISSION,
+}
+"""Waypoints (facts W8, W12, W21 to W23)."""
+
+_IDLE = (Stage.EMPTY, Stage.OTHER)
+
+CIRCLE_REFUSALS: dict[tuple[Order, Stage], MissionCode] = {
+    **{(Order.START, stage): MissionCode.RUNNING for stage in _UNDER_WAY},
+    (Order.START, Stage.OTHER): MissionCode.OTHER_RUNNING,
+    **{(Order.STOP, stage): MissionCode.NOT_RUNNING for stage in _IDLE},
+    **{(Order.PAUSE, stage): MissionCode.NOT_RUNNING for stage in _IDLE},
+    **{(Order.RESUME, stage): MissionCode.NOT_RUNNING for stage in _IDLE},
+    **{(Order.DOWNLOAD, stage): MissionCode.NOT_RUNNING for stage in _IDLE},
+    (Order.PAUSE, Stage.PAUSED): MissionCode.ALREADY_PAUSED,
+    (Order.RESUME, Stage.FLYING): MissionCode.NOT_PAUSED,
+}
+"""Hotpoint (facts M1, H8) and, with the same codes, follow."""

@@ -11,7 +11,116 @@ from bisect import bisect_right
 from dataclasses import dataclass
 from typing import NamedTuple
 
-__all__ = ["Leg", "OnLeg", "Place", "distance", "legs_between"]
+from m100link.geodesy import LocalFrame
+
+__all__ = [
+    "Leg",
+    "MissionSettings",
+    "NoFlyZone",
+    "OnLeg",
+    "Place",
+    "Site",
+    "distance",
+    "is_on_earth",
+    "legs_between",
+]
+
+
+# -- what can be chosen about missions: the numbers and open questions of command set 0x03 ---------
+
+
+@dataclass(frozen=True, slots=True)
+class NoFlyZone:
+    """A circle on the map that no mission may enter.
+
+    Attributes:
+        latitude_deg, longitude_deg: Its centre.
+        radius: Metres.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    radius: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissionSettings:
+    """How the flight controller takes missions.
+
+    What documents or real aircraft settle has no switch. The others have: their defaults are the
+    best reading of sources that are silent or disagree (``docs/explanation/simulator-limits.md``
+    tells which).
+
+    Attributes:
+        status_hz: Rate of the status push 0x02/0x03; 0 is the box *Ground Station Status* of the
+            assistant not ticked, and then no mission pushes anything.
+        status_when_idle: Push the status before the first mission, too.
+        takes_off_by_itself: A waypoint mission started on the ground takes off; else it is refused.
+        busy_is_one_code: Answer "conditions not met" for all of taking off, landing, going home
+            and starting motors, instead of a code for each.
+        closest_points: Neighbouring waypoints are at least so far apart, metres (0.5 in the
+            documents of 2017).
+        farthest_points: And at most so far, metres.
+        longest_route: From the first waypoint to the last, metres.
+        longest_way: The route with the ways from and to home, metres.
+        farthest_start: A mission farther away than this does not start, metres.
+        least_battery_percent: At this charge or below, no mission starts.
+        low_battery_returns: At the low-battery level a mission is broken off for going home.
+        leaving_f_pauses: When the pilot leaves F, the mission waits, paused, until control has come
+            back and a program resumes it; else it is broken off.
+        stick_pauses: The pilot's roll or throttle stick pauses a waypoint mission. (Pitch is its
+            speed, and yaw its heading where the yaw mode says so.)
+        radius_limit: Metres from home that no mission may leave; infinite when not set in the app.
+        never_logged_in: Nobody ever logged in to the app: 30 m of height, 50 m around home.
+        beginner_mode: The app's beginner mode, in which no mission starts.
+        no_fly_zones: Circles that no mission may enter.
+        turn_rate_deg: How fast a mission turns the nose on the spot, degrees per second.
+        photo_seconds: How long a photo or video action takes, seconds.
+        hotpoint_acks: Answer 0x03/0x23 to 0x25, which a real one does not.
+        radial_speed: How fast a hotpoint's radius changes, m/s.
+        hotpoint_reach: Farther than this outside its circle, a hotpoint mission cannot resume.
+        follow_yaw_reversed: Yaw mode 0 looks at the target and 1 obeys the remote control.
+        follow_silence: Seconds without a new target until the aircraft hovers.
+        follow_lost: Seconds without a new target until the mission is broken off.
+        follow_jump: A target that moved farther at once is ignored, metres.
+        follow_speed: Fastest pursuit, m/s.
+    """
+
+    status_hz: float = 10.0
+    status_when_idle: bool = False
+    takes_off_by_itself: bool = True
+    busy_is_one_code: bool = False
+    closest_points: float = 2.0
+    farthest_points: float = 2_000.0
+    longest_route: float = 30_000.0
+    longest_way: float = 60_000.0
+    farthest_start: float = 2_000.0
+    least_battery_percent: float = 30.0
+    low_battery_returns: bool = True
+    leaving_f_pauses: bool = False
+    stick_pauses: bool = False
+    radius_limit: float = math.inf
+    never_logged_in: bool = False
+    beginner_mode: bool = False
+    no_fly_zones: tuple[NoFlyZone, ...] = ()
+    turn_rate_deg: float = 45.0
+    photo_seconds: float = 1.2
+    hotpoint_acks: bool = False
+    radial_speed: float = 3.0
+    hotpoint_reach: float = 100.0
+    follow_yaw_reversed: bool = False
+    follow_silence: float = 6.0
+    follow_lost: float = 30.0
+    follow_jump: float = 200.0
+    follow_speed: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Check the rate."""
+        if not 0.0 <= self.status_hz <= 100.0:
+            raise ValueError(f"mission status is pushed at 0 to 100 Hz, not {self.status_hz}")
+
+
+# -- route -----------------------------------------------------------------------------------------
 
 _STRAIGHT = math.radians(0.5)  # a smaller turn needs no curve
 _SHARP_M = 0.1  # a smaller radius is none
@@ -214,3 +323,75 @@ def _curve(before: Place, point: Place, after: Place, damping: float) -> _Arc | 
     sideways = onwards.plus(tangent, -onwards.dot(tangent))
     normal = sideways.scaled(1.0 / math.hypot(*sideways))
     return _Arc(point.plus(tangent, -ahead), tangent, normal, radius, radius * angle)
+
+
+# -- where missions may go: places on the map in metres, no-fly zones, limits around home ----------
+
+
+_UNKNOWN_APP_HEIGHT, _UNKNOWN_APP_RADIUS = 30.0, 50.0
+
+
+def is_on_earth(latitude: float, longitude: float) -> bool:
+    """Whether there is such a place, in radians; nothing is where a number is not finite."""
+    return abs(latitude) <= math.pi / 2.0 and abs(longitude) <= math.pi
+
+
+class Site:
+    """The map around the place where the aircraft was switched on.
+
+    Args:
+        latitude_deg, longitude_deg: That place.
+        height_limit: Nothing climbs beyond it, metres.
+        settings: Of missions.
+
+    Attributes:
+        height_limit, radius_limit: Limits of missions, metres.
+        farthest_start: How far away a mission may begin, metres.
+    """
+
+    __slots__ = ("_frame", "_zones", "farthest_start", "height_limit", "radius_limit")
+
+    def __init__(
+        self,
+        latitude_deg: float,
+        longitude_deg: float,
+        height_limit: float,
+        settings: MissionSettings,
+    ) -> None:
+        self._frame = LocalFrame(latitude_deg, longitude_deg)
+        self._zones = [
+            (*self._frame.to_local(zone.latitude_deg, zone.longitude_deg), zone.radius)
+            for zone in settings.no_fly_zones
+        ]
+        self.farthest_start = settings.farthest_start
+        limited = settings.never_logged_in
+        self.height_limit = min(height_limit, _UNKNOWN_APP_HEIGHT) if limited else height_limit
+        radius = settings.radius_limit
+        self.radius_limit = min(radius, _UNKNOWN_APP_RADIUS) if limited else radius
+
+    def place(self, latitude: float, longitude: float, height: float) -> Place:
+        """A place given in radians, as on the wire; one that :func:`is_on_earth`."""
+        north, east = self._frame.to_local(math.degrees(latitude), math.degrees(longitude))
+        return Place(north, east, height)
+
+    def is_within_radius(self, place: Place, home: tuple[float, float] | None) -> bool:
+        """Whether a place is within the radius limit around home."""
+        north, east = home or (0.0, 0.0)
+        return math.hypot(place.north - north, place.east - east) <= self.radius_limit
+
+    def is_forbidden(self, start: Place, end: Place) -> bool:
+        """Whether the straight way between two places, or the one place, enters a no-fly zone."""
+        return any(
+            _distance_to_line(start, end, north, east) < radius
+            for north, east, radius in self._zones
+        )
+
+
+def _distance_to_line(start: Place, end: Place, north: float, east: float) -> float:
+    along_n, along_e = end.north - start.north, end.east - start.east
+    square = along_n * along_n + along_e * along_e
+    share = 0.0
+    if square > 0.0:
+        share = ((north - start.north) * along_n + (east - start.east) * along_e) / square
+        share = max(0.0, min(1.0, share))
+    return math.hypot(start.north + share * along_n - north, start.east + share * along_e - east)

@@ -16,7 +16,7 @@ from m100link.sim.vehicle.dynamics import (
 from m100link.sim.vehicle.missions.route import OnLeg, Place
 
 if TYPE_CHECKING:
-    from m100link.sim.vehicle.airframe import Airframe
+    from m100link.sim.vehicle.dynamics import Airframe
 
 __all__ = ["BRAKING", "Nose", "Steering", "slowed", "stopping_speed", "wrapped"]
 

@@ -14,9 +14,8 @@ from m100link.sim.vehicle.missions.route import Leg, Place
 from m100link.sim.vehicle.missions.steering import BRAKING, Nose, Steering, stopping_speed, wrapped
 
 if TYPE_CHECKING:
-    from m100link.sim.vehicle.airframe import Airframe
-    from m100link.sim.vehicle.dynamics import Dynamics
-    from m100link.sim.vehicle.missions.settings import MissionSettings
+    from m100link.sim.vehicle.dynamics import Airframe, Dynamics
+    from m100link.sim.vehicle.missions.route import MissionSettings
     from m100link.sim.vehicle.remote import Sticks
 
 __all__ = ["AFTER_ACTIONS", "BEFORE_ACTIONS", "Phase", "WaypointFlight"]

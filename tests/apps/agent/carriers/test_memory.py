@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from m100link.apps.agent.carriers.memory import memory_channels
 from m100link.apps.agent.messages import Message, Note
+from m100link.apps.agent.transports import memory_channels
 
 A, B = Note("info", "a"), Note("info", "b")
 

@@ -13,7 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from m100link.apps.agent.carriers.unix import (
+from m100link.apps.agent.codec import MAX_SIZE, encode
+from m100link.apps.agent.messages import Event, Message, Note, Telemetry
+from m100link.apps.agent.transports import (
     AT_ONCE,
     CLOSE_ABOVE,
     DROP_ABOVE,
@@ -22,8 +24,6 @@ from m100link.apps.agent.carriers.unix import (
     private_directory,
     serve_unix,
 )
-from m100link.apps.agent.message_bytes import MAX_SIZE, encode
-from m100link.apps.agent.messages import Event, Message, Note, Telemetry
 from m100link.errors import PortFailed, PortNotFound
 from tests.waiting import PATIENCE
 

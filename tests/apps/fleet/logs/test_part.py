@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from m100link.apps.fleet.logs.part import Part
+from m100link.apps.fleet.logs.words import Part
 from m100link.errors import UsageError
 from tests.disk import Disk
 

@@ -12,8 +12,7 @@ import anyio
 import pytest
 
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.logs.service import LogService, OwnThreads
-from m100link.apps.fleet.logs.shelf import Shelf
+from m100link.apps.fleet.logs.service import LogService, OwnThreads, Shelf
 from m100link.apps.fleet.logs.words import (
     MOST_PIECE,
     LogQuestion,
@@ -22,8 +21,7 @@ from m100link.apps.fleet.logs.words import (
     pack_question,
     unpack_reply,
 )
-from m100link.apps.fleet.outcome import Outcome
-from m100link.apps.fleet.payloads import Order, pack
+from m100link.apps.fleet.payloads import Order, Outcome, pack
 from m100link.errors import NotAllowed, UsageError
 from tests.apps.fleet.logs.conftest import FIRST, KEYS, Road, bytes_of
 

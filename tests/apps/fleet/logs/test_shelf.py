@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from m100link.apps.fleet.logs.shelf import Shelf
+from m100link.apps.fleet.logs.service import Shelf
 from m100link.errors import UsageError
 from m100link.log.recorder import Recorder
 from tests.apps.fleet.logs.conftest import FIRST, SECOND, bytes_of

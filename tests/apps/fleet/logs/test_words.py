@@ -8,7 +8,7 @@ import random
 
 import pytest
 
-from m100link.apps.agent.fault import MessageError, fault_of
+from m100link.apps.agent.remote_error import MessageError, fault_of
 from m100link.apps.fleet.logs.words import (
     LOG,
     MOST_PIECE,
@@ -23,8 +23,7 @@ from m100link.apps.fleet.logs.words import (
     unpack_question,
     unpack_reply,
 )
-from m100link.apps.fleet.outcome import Outcome
-from m100link.apps.fleet.payloads import VERSION
+from m100link.apps.fleet.payloads import VERSION, Outcome
 from m100link.errors import UsageError
 
 NAME = "m100link-20260101-000000.mcap"

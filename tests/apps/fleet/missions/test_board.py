@@ -8,16 +8,13 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.actions import Action
-from m100link.apps.agent.messages import Ask, PlanTold
-from m100link.apps.agent.plan_told import told_of
+from m100link.apps.agent.codec import told_of
+from m100link.apps.agent.messages import Action, Ask, PlanTold
 from m100link.apps.fleet.control import FleetControl
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.lost import LostAction, LostPlan
+from m100link.apps.fleet.lost_link import LostAction, LostPlan
 from m100link.apps.fleet.missions.board import digest_of
-from m100link.apps.fleet.missions.stages import MissionStage
-from m100link.apps.fleet.outcome import Outcome
-from m100link.apps.fleet.payloads import MissionCard
+from m100link.apps.fleet.payloads import MissionCard, MissionStage, Outcome
 from m100link.errors import GuardRefused, M100Error, MissionRunning, StaleLease, UsageError
 from tests.apps.bus.memory import Weather
 from tests.apps.fleet.conftest import SITE, OnBoard, Rig

@@ -5,10 +5,10 @@ from __future__ import annotations
 import anyio
 import pytest
 
-from m100link.apps.agent.fault import MessageError
+from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.missions.flight import FleetMission, mission_card
-from m100link.apps.fleet.missions.stages import MissionStage
+from m100link.apps.fleet.payloads import MissionStage
 from m100link.errors import M100Error, NotObserved, OutcomeUnknown, Unreachable
 from m100link.flight.missions.events import (
     Finished,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import anyio
 import pytest
 
-from m100link.apps.fleet.lost import LostAction, LostPlan
-from m100link.apps.fleet.missions.stages import MissionStage
+from m100link.apps.fleet.lost_link import LostAction, LostPlan
+from m100link.apps.fleet.payloads import MissionStage
 from m100link.errors import M100Error
 from tests.apps.fleet.conftest import Rig
 from tests.apps.fleet.missions.conftest import away, kind, on_board

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from m100link.apps.fleet.missions.stages import MissionInput, MissionStage, after
+from m100link.apps.fleet.payloads import MissionInput, MissionStage, after
 from m100link.errors import MissionRunning
 
 NONE, UPLOADED, STARTING, FLYING, OVER = MissionStage

@@ -7,8 +7,8 @@ import random
 from pathlib import Path
 from typing import Any
 
-from m100link.apps.fleet.show.document import Show
-from m100link.apps.fleet.show.track import TimedPoint, TimedTrack
+from m100link.apps.fleet.show.plan.document import Show
+from m100link.apps.fleet.show.plan.track import TimedPoint, TimedTrack
 
 ROOT = Path(__file__).parents[4]
 FIVE = ROOT / "examples" / "fleet" / "five.json"

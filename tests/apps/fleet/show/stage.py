@@ -13,7 +13,7 @@ from typing import Any
 from m100link import Aircraft
 from m100link.apps.fleet.show.clock import ClockEstimate, FleetClock, RemoteClock
 from m100link.apps.fleet.show.follower import TrackFlown, TrackFollower
-from m100link.apps.fleet.show.track import TimedTrack, Vector
+from m100link.apps.fleet.show.plan.track import TimedTrack, Vector
 from m100link.flight.stop_path import StopAction
 from m100link.geodesy import LocalFrame
 from m100link.sim import AircraftSettings

@@ -8,18 +8,18 @@ from itertools import pairwise
 
 import pytest
 
-from m100link.apps.fleet.show.ahead import (
+from m100link.apps.fleet.show.plan.conflicts import (
     AHEAD_S,
     SETTLED_S,
     SILENT_S,
     Ahead,
     Near,
     Neighbours,
+    RestOfTrack,
     by_speed,
     by_track,
 )
-from m100link.apps.fleet.show.silence import RestOfTrack
-from m100link.apps.fleet.show.track import BadShow
+from m100link.apps.fleet.show.plan.track import BadShow
 from tests.apps.fleet.show.shows import track
 
 NORTH = track("a1", (0, 0, 0, 4), (20, 40, 0, 4))

@@ -6,8 +6,7 @@ import math
 
 import pytest
 
-from m100link.apps.fleet.show.checks import SKEW_S, check, distances, needed_m
-from m100link.apps.fleet.show.document import Show
+from m100link.apps.fleet.show.plan.document import SKEW_S, Show, check, distances, needed_m
 from m100link.flight.guards import Envelope
 from tests.apps.fleet.show.shows import FIVE, show_of, track
 

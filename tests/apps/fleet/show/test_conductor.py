@@ -12,17 +12,15 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.fleet.identity import Signer
+from m100link.apps.fleet.identity import Rights, Signer
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.rights import Rights
 from m100link.apps.fleet.show import performer
-from m100link.apps.fleet.show.checks import check
 from m100link.apps.fleet.show.conductor import Conductor, Part
-from m100link.apps.fleet.show.document import Show
 from m100link.apps.fleet.show.performer import Leave, Stage
+from m100link.apps.fleet.show.plan.document import Show, check
+from m100link.apps.fleet.show.plan.steering import ShowRefused
+from m100link.apps.fleet.show.plan.track import TimedTrack
 from m100link.apps.fleet.show.service import ShowService
-from m100link.apps.fleet.show.steering import ShowRefused
-from m100link.apps.fleet.show.track import TimedTrack
 from m100link.apps.fleet.signing import signing, verifying
 from m100link.errors import GuardRefused, M100Error, NotAllowed, Unreachable, UsageError
 from m100link.flight.guards import Envelope, Guards

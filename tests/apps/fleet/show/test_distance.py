@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from m100link.apps.fleet.show.distance import apart, closest, under
+from m100link.apps.fleet.show.plan.track import apart, closest, under
 from tests.apps.fleet.show.shows import random_track, track
 
 

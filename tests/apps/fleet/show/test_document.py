@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.fleet.show.document import Show
-from m100link.apps.fleet.show.track import BadShow
+from m100link.apps.fleet.show.plan.document import Show
+from m100link.apps.fleet.show.plan.track import BadShow
 from m100link.geodesy import LocalFrame
 from tests.apps.fleet.show.shows import FIVE, five
 

@@ -13,7 +13,7 @@ import pytest
 from m100link import Aircraft, Control, FlightPhase, LinkLost
 from m100link.apps.fleet.show.clock import OwnClock
 from m100link.apps.fleet.show.follower import LeftShow, ShowRefused, TrackFlown, TrackFollower, Why
-from m100link.apps.fleet.show.track import TimedTrack
+from m100link.apps.fleet.show.plan.track import TimedTrack
 from m100link.testing import ConnectableAircraft
 from tests.apps.fleet.show.shows import track
 from tests.apps.fleet.show.stage import Machine, Stage, perform, ready, row, virtual

@@ -10,8 +10,8 @@ import anyio
 import pytest
 
 from m100link.apps.fleet.show.performer import ALLOWED, ATTENDED_S, Leave, Order, Performer, Stage
-from m100link.apps.fleet.show.steering import MOST_EARLY_S, LeftShow, ShowRefused, Why
-from m100link.apps.fleet.show.track import BadShow
+from m100link.apps.fleet.show.plan.steering import MOST_EARLY_S, LeftShow, ShowRefused, Why
+from m100link.apps.fleet.show.plan.track import BadShow
 from m100link.errors import AuthorityLost, M100Error, NoAuthority, TelemetryStalled, UsageError
 from m100link.protocol.records import Attitude, Velocity
 from m100link.sim.vehicle.settings import AircraftSettings

@@ -6,9 +6,7 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from m100link.apps.fleet.show.checks import check
-from m100link.apps.fleet.show.document import Show
-from m100link.apps.fleet.show.picture import svg
+from m100link.apps.fleet.show.plan.document import Show, check, svg
 from tests.apps.fleet.show.shows import FIVE, show_of, track
 
 SVG = "{http://www.w3.org/2000/svg}"

@@ -11,9 +11,8 @@ import anyio
 import pytest
 
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.outcome import Outcome
-from m100link.apps.fleet.payloads import SHOW, Order, Reply, pack, unpack
-from m100link.apps.fleet.show.ahead import Neighbours
+from m100link.apps.fleet.payloads import SHOW, Order, Outcome, Reply, pack, unpack
+from m100link.apps.fleet.show.plan.conflicts import Neighbours
 from m100link.apps.fleet.show.service import Beside, ShowService
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft

@@ -8,8 +8,8 @@ import time
 
 import pytest
 
-from m100link.apps.fleet.show.silence import RestOfTrack, nearest
-from m100link.apps.fleet.show.track import Vector
+from m100link.apps.fleet.show.plan.conflicts import RestOfTrack, nearest
+from m100link.apps.fleet.show.plan.track import Vector
 from tests.apps.fleet.show.shows import random_track, track
 
 NORTH = track("a1", (0, 0, 0, 4), (20, 40, 0, 4))

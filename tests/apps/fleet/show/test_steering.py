@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 
-from m100link.apps.fleet.show.steering import LeftShow, ShowRefused, TrackSteering, Why
+from m100link.apps.fleet.show.plan.steering import LeftShow, ShowRefused, TrackSteering, Why
 from tests.apps.fleet.show.shows import track
 
 FLOWN = track("a1", (0, 0, 0, 5), (10, 20, 0, 5), (20, 40, 0, 5), (30, 40, 0, 9))

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import pytest
 
-from m100link.apps.fleet.show.track import BadShow, TimedPoint, TimedTrack
+from m100link.apps.fleet.show.plan.track import BadShow, TimedPoint, TimedTrack
 from tests.apps.fleet.show.shows import ORIGIN, random_track, track
 
 BACK_AND_FORTH = track("a1", (0, 0, 0, 5), (10, 10, 0, 5), (20, 0, 0, 5))

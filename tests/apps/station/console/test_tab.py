@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from m100link.apps.agent.latency import MAX_ORDER_LATE
 from m100link.apps.agent.lease import LeaseChange, LeaseHeld, LeaseRefused
-from m100link.apps.agent.way_time import MAX_ORDER_LATE
 from m100link.apps.station.console.tab import BEAT_LIFETIME, Tab, _read
 from m100link.apps.station.console.view.instruments import FIELDS, live, read
 from m100link.apps.station.console.view.words import Speaker, say

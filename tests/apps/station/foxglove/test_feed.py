@@ -15,9 +15,9 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.carriers.memory import memory_channels
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event, LeaseChanged, State
+from m100link.apps.agent.transports import memory_channels
 from m100link.apps.station.foxglove.feed import Feed
 from m100link.protocol.records import AngularVelocity, Attitude, Position, Time
 from m100link.sim.clock import virtual_clock_loop

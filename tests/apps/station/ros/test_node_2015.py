@@ -8,12 +8,12 @@ import anyio
 import pytest
 
 from m100link.aircraft import Aircraft
-from m100link.apps.agent.connection import ConnectionState
-from m100link.apps.agent.patterns import pattern
+from m100link.apps.agent.server.connection import ConnectionState
+from m100link.apps.agent.server.flight import pattern
 from m100link.apps.station.ros.node_2015 import PRESS_LIFETIME, REPEAT_LIFETIME
 from m100link.errors import UsageError
 from m100link.protocol.commands.control import StartTask
-from m100link.sim.vehicle.mobile import MobileApp
+from m100link.sim.vehicle.activation import MobileApp
 from tests.apps.station.conftest import Rig
 
 pytestmark = pytest.mark.anyio

@@ -21,9 +21,7 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.carriers.memory import memory_channels
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.fault import Fault
 from m100link.apps.agent.messages import (
     Action,
     Activating,
@@ -36,6 +34,8 @@ from m100link.apps.agent.messages import (
     Steer,
     Telemetry,
 )
+from m100link.apps.agent.remote_error import Fault
+from m100link.apps.agent.transports import memory_channels
 from m100link.apps.station.ros.dji_sdk import DjiSdk
 from m100link.apps.station.ros.graph import Graph
 from m100link.apps.station.ros.leases import Clients

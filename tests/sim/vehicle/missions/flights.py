@@ -12,7 +12,7 @@ from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.commands.missions import Finished, Reached, Uploaded, WaypointEvent
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint, WaypointStartStop
-from m100link.sim.vehicle.missions.settings import MissionSettings
+from m100link.sim.vehicle.missions.route import MissionSettings
 from tests.sim.host import Host, aircraft
 
 SITE = LocalFrame(22.5431, 113.9589)

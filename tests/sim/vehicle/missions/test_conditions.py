@@ -11,7 +11,7 @@ from m100link.protocol import RequestAuthority, StartTask, Task
 from m100link.protocol.codes import MissionCode as Code
 from m100link.protocol.commands.follow import FollowStart
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointStartStop
-from m100link.sim.vehicle.missions.settings import NoFlyZone
+from m100link.sim.vehicle.missions.route import NoFlyZone
 from tests.sim.host import Host
 from tests.sim.vehicle.missions.flights import OK, SQUARE, host, hotpoint, point, upload
 

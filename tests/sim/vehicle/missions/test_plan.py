@@ -9,9 +9,7 @@ import pytest
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.waypoint import WaypointMission
 from m100link.sim.vehicle.missions.plan import WaypointPlan, mission_code, point_code
-from m100link.sim.vehicle.missions.route import Place
-from m100link.sim.vehicle.missions.settings import MissionSettings, NoFlyZone
-from m100link.sim.vehicle.missions.site import Site
+from m100link.sim.vehicle.missions.route import MissionSettings, NoFlyZone, Place, Site
 from tests.sim.vehicle.missions.flights import doing, point
 
 MISSION = WaypointMission(2, 10.0, 5.0)

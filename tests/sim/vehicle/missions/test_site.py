@@ -4,9 +4,7 @@ import math
 
 import pytest
 
-from m100link.sim.vehicle.missions.route import Place
-from m100link.sim.vehicle.missions.settings import MissionSettings, NoFlyZone
-from m100link.sim.vehicle.missions.site import Site
+from m100link.sim.vehicle.missions.route import MissionSettings, NoFlyZone, Place, Site
 from tests.sim.vehicle.missions.flights import SITE, radians_at
 
 

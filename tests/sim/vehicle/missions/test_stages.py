@@ -23,7 +23,7 @@ from m100link.protocol.commands.waypoint import (
     WaypointSetIdleSpeed,
     WaypointStartStop,
 )
-from m100link.sim.vehicle.missions.stages import CIRCLE_REFUSALS, WAYPOINT_REFUSALS, Order, Stage
+from m100link.sim.vehicle.missions.plan import CIRCLE_REFUSALS, WAYPOINT_REFUSALS, Order, Stage
 from tests.sim.host import Host
 from tests.sim.vehicle.missions.flights import OK, SQUARE, host, hotpoint, point, upload
 

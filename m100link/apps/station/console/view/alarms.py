@@ -17,7 +17,7 @@ from m100link.apps.station.console.view.units import Quantity
 from m100link.apps.station.console.view.words import Text, say
 from m100link.errors import LossReason
 from m100link.protocol.records import FlightPhase
-from m100link.telemetry.limits import (
+from m100link.telemetry.integrity import (
     BATTERY_CRITICAL,
     BATTERY_LOW,
     GOOD_GPS,

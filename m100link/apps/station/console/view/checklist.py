@@ -12,12 +12,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from m100link.apps.agent.way_time import MAX_ROUND_TRIP
+from m100link.apps.agent.latency import MAX_ROUND_TRIP
 from m100link.apps.station.console.view.situation import Situation
 from m100link.apps.station.console.view.units import Quantity
 from m100link.apps.station.console.view.words import Text, say
 from m100link.protocol.records import RcMode
-from m100link.telemetry.limits import GOOD_GPS, MAX_TELEMETRY_AGE
+from m100link.telemetry.integrity import GOOD_GPS, MAX_TELEMETRY_AGE
 
 __all__ = [
     "ENOUGH_BATTERY",

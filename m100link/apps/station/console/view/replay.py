@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-from m100link.apps.agent.replay_told import Replay
+from m100link.apps.agent.messages import Replay
 from m100link.apps.station.console.view.words import Text, say
 
 __all__ = ["SPEEDS", "ReplayView", "replay_of"]

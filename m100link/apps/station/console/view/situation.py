@@ -23,7 +23,7 @@ from m100link.protocol.records import (
     RcMode,
     RemoteControl,
 )
-from m100link.telemetry.limits import GOOD_GPS
+from m100link.telemetry.integrity import GOOD_GPS
 
 if TYPE_CHECKING:
     from m100link.apps.station.console.view.inputs import Inputs

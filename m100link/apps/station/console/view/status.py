@@ -23,7 +23,7 @@ from m100link.apps.station.console.view.situation import (
 from m100link.apps.station.console.view.words import Text, say
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.records import Device, RcMode
-from m100link.telemetry.limits import MAX_TELEMETRY_AGE
+from m100link.telemetry.integrity import MAX_TELEMETRY_AGE
 
 __all__ = ["RULES", "Cause", "Rule", "StatusLine", "activation_of", "status_line"]
 

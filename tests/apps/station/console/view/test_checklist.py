@@ -21,7 +21,7 @@ from m100link.apps.station.console.view.checklist import (
 from m100link.apps.station.console.view.situation import Hearing, Situation
 from m100link.apps.station.console.view.words import Speaker
 from m100link.protocol.records import FlightPhase, RcMode
-from m100link.sim.vehicle.missions.settings import MissionSettings
+from m100link.sim.vehicle.missions.route import MissionSettings
 
 READY = Situation(
     now=100.0,

@@ -14,10 +14,8 @@ import anyio
 import anyio.lowlevel
 import pytest
 
-from m100link.apps.agent.carriers.memory import memory_channels
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.fault import MessageError
-from m100link.apps.agent.message_bytes import decode, encode
+from m100link.apps.agent.codec import decode, encode
 from m100link.apps.agent.messages import (
     VERSION,
     Activating,
@@ -33,6 +31,8 @@ from m100link.apps.agent.messages import (
     SteerRefused,
     Telemetry,
 )
+from m100link.apps.agent.remote_error import MessageError
+from m100link.apps.agent.transports import memory_channels
 from m100link.apps.station.console.view.inputs import Inputs, Ship
 from m100link.apps.station.console.view.instruments import live
 from m100link.apps.station.console.view.memory import Memory

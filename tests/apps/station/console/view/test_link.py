@@ -5,8 +5,8 @@ from __future__ import annotations
 import anyio
 import pytest
 
-from m100link.apps.agent.fault import Fault
 from m100link.apps.agent.messages import LeaseChanged, LinkCounted, State
+from m100link.apps.agent.remote_error import Fault
 from m100link.apps.station.console.view.catalogue import CATALOGUE
 from m100link.apps.station.console.view.inputs import Inputs
 from m100link.apps.station.console.view.link import LINK_ITEMS, link_of

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from m100link.apps.agent.messages import State
-from m100link.apps.agent.replay_told import Replay
+from m100link.apps.agent.messages import Replay, State
 from m100link.apps.station.console.view.inputs import Inputs
 from m100link.apps.station.console.view.replay import replay_of
 from m100link.apps.station.console.view.status import Cause

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.agent.fault import Fault
 from m100link.apps.agent.messages import State
+from m100link.apps.agent.remote_error import Fault
 from m100link.apps.station.console.view.catalogue import CATALOGUE
 from m100link.apps.station.console.view.inputs import Inputs
 from m100link.apps.station.console.view.situation import Hearing, Level, Situation

@@ -1,0 +1,510 @@
+"""Holding control authority for whoever has the lease: a table of states and inputs.
+
+A client asks once. From then on authority is held until it is given back: when the client says so,
+when the lease ends, or when the app or the link takes it for good. A pilot who leaves F and comes
+back gives it back without a new request (document, quick start), as long as the same client has
+the lease.
+
+Everything that can happen is an input; what it leads to stands in :data:`TRANSITIONS`. A pair that
+is not in the table changes nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from enum import Enum
+
+from m100link.aircraft import Aircraft
+from m100link.aircraft.activation import ActivationProgress
+from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.guided import GuidedOrder
+from m100link.apps.agent.journal import Journal
+from m100link.apps.agent.lease import Flown
+from m100link.apps.agent.messages import Limits, Topic
+from m100link.apps.agent.server.flight import Flying, limits_of
+from m100link.apps.agent.server.mission import MissionListener
+from m100link.errors import (
+    AuthorityLost,
+    AuthorityRefused,
+    LinkError,
+    LossReason,
+    M100Error,
+    NoAuthority,
+    TelemetryStalled,
+    UsageError,
+)
+from m100link.flight.authority import AuthorityState
+from m100link.flight.control import Control
+from m100link.flight.guards import Guards
+from m100link.protocol.codes import ActivationCode
+from m100link.protocol.commands.activation import Credentials, Version
+from m100link.protocol.records import RemoteControl
+from m100link.telemetry.subscription import Newest
+
+__all__ = [
+    "TRANSITIONS",
+    "Activation",
+    "Holding",
+    "HoldingInput",
+    "HoldingState",
+    "Inherited",
+]
+
+
+class HoldingState(Enum):
+    """Where control authority stands for the clients of one agent."""
+
+    NONE = "none"  # nobody wants it
+    OBTAINING = "obtaining"  # a client waits for it
+    HELD = "held"  # setpoints and tasks are obeyed
+    TAKEN = "taken"  # somebody took it; a switch seen out of F would show that it was the pilot
+    PAUSED = "paused"  # the pilot left F; back in F it is obtained again
+    RESUMING = "resuming"  # the pilot is back in F: it is obtained again, nobody waits for it
+    RELEASING = "releasing"  # it is being given back
+
+
+class HoldingInput(Enum):
+    """What can happen."""
+
+    ASKED = "a client with the lease asks for authority"
+    OBTAINED = "the aircraft gave it"
+    REFUSED = "the aircraft refused it"
+    FAILED = "not activated, no answer, or another error"
+    LET_GO = "a client gives it back, or the lease has ended"
+    TAKEN_OVER = "another client took the lease over"
+    PILOT_TOOK = "lost: the pilot left F"
+    SOMEBODY_TOOK = "lost: nobody knows to whom"
+    APP_TOOK = "lost: the app took it"
+    LINK_LOST = "the link is gone"
+    LEFT_F = "the mode switch is not in F"
+    IN_F = "the mode switch is in F"
+    ENDED = "the control block was left"
+
+
+_S, _I = HoldingState, HoldingInput
+
+# The control block has ended when one of these is fed.
+_LOST: dict[HoldingInput, HoldingState] = {
+    _I.PILOT_TOOK: _S.PAUSED,
+    _I.SOMEBODY_TOOK: _S.TAKEN,
+    _I.APP_TOOK: _S.NONE,  # what the app took has to be asked for anew
+    _I.LINK_LOST: _S.NONE,
+    _I.FAILED: _S.NONE,
+    _I.ENDED: _S.NONE,
+}
+# A pilot who comes back does so for the client that was flying, not for another one.
+_WAITING: dict[HoldingInput, HoldingState] = {
+    _I.ASKED: _S.OBTAINING,
+    _I.LET_GO: _S.NONE,
+    _I.TAKEN_OVER: _S.NONE,
+    _I.LINK_LOST: _S.NONE,
+}
+
+TRANSITIONS: dict[HoldingState, dict[HoldingInput, HoldingState]] = {
+    _S.NONE: {
+        _I.ASKED: _S.OBTAINING,
+    },
+    _S.OBTAINING: dict.fromkeys(_LOST, _S.NONE)  # the client that waits is told, and asks anew
+    | {
+        _I.OBTAINED: _S.HELD,
+        _I.REFUSED: _S.NONE,
+        _I.LET_GO: _S.RELEASING,
+        _I.TAKEN_OVER: _S.RELEASING,  # another client asked for it; the new one has not
+    },
+    _S.HELD: _LOST
+    | {
+        _I.LET_GO: _S.RELEASING,
+    },
+    _S.TAKEN: _WAITING
+    | {
+        _I.LEFT_F: _S.PAUSED,
+    },
+    _S.PAUSED: _WAITING
+    | {
+        _I.IN_F: _S.RESUMING,
+    },
+    _S.RESUMING: _LOST
+    | {
+        _I.ASKED: _S.OBTAINING,  # the request under way is now this client's
+        _I.OBTAINED: _S.HELD,
+        _I.REFUSED: _S.TAKEN,  # the switch has to be seen out of F and back once more
+        _I.LET_GO: _S.RELEASING,
+        _I.TAKEN_OVER: _S.RELEASING,  # the pilot came back for another client
+    },
+    _S.RELEASING: dict.fromkeys(_LOST, _S.NONE)
+    | {
+        _I.REFUSED: _S.NONE,
+    },
+}
+"""State, input, next state."""
+
+_LOSSES = {
+    LossReason.MODE_SWITCH: _I.PILOT_TOOK,
+    LossReason.APP: _I.APP_TOOK,
+    LossReason.LINK: _I.LINK_LOST,
+}
+
+_UNSEEN = (LinkError, TelemetryStalled)
+"""What ends control without a sight of the aircraft."""
+
+
+class Holding:
+    """Control authority for the clients of one agent.
+
+    Args:
+        journal: Where it is told what happens.
+        background: Where the control block runs.
+        guards: Of every control block; by default all of them.
+
+    Attributes:
+        state: Where it stands.
+        flying: What flies; None outside a control block.
+        on_change: Called after each change with the old and the new state.
+        on_lost: Called when somebody else took authority.
+    """
+
+    def __init__(
+        self, journal: Journal, background: BackgroundTasks, guards: Guards | None = None
+    ) -> None:
+        self._journal = journal
+        self._background = background
+        self._guards = guards or Guards()
+        self.state = HoldingState.NONE
+        self.flying: Flying | None = None
+        self.on_change: list[Callable[[HoldingState, HoldingState], None]] = []
+        self.on_lost: list[Callable[[AuthorityLost], None]] = []
+        # The task of the control block, and what tells it to give authority back.
+        self._block: asyncio.Task[None] | None = None
+        self._let_go = asyncio.Event()
+        # Resolved when the request under way has ended.
+        self._granted: asyncio.Future[None] | None = None
+        self.on_mission_event: MissionListener | None = None
+        # The mission that a loss of control broke off, until the reason is known and told.
+        self._broken_off = ""
+        # Watches the mode switch while the pilot may come back.
+        self._watch: asyncio.Task[None] | None = None
+
+    @property
+    def has_authority(self) -> bool:
+        """Whether setpoints and tasks are obeyed now."""
+        return (
+            self.state is HoldingState.HELD
+            and self.flying is not None
+            and self.flying.has_authority
+        )
+
+    @property
+    def task(self) -> str | None:
+        """Name of the task that the aircraft flies, or None."""
+        return self.flying.task if self.flying is not None else None
+
+    @property
+    def pattern(self) -> str | None:
+        """Name of the program that flies the aircraft, or None."""
+        return self.flying.pattern if self.flying is not None else None
+
+    @property
+    def flown(self) -> Flown:
+        """What flies the aircraft now, as far as this side flies it."""
+        return self.flying.flown if self.flying is not None else Flown.NOTHING
+
+    @property
+    def limits(self) -> Limits:
+        """What the guards allow; without control, what they would."""
+        return limits_of(self._guards, None) if self.flying is None else self.flying.limits
+
+    @property
+    def guided_order(self) -> GuidedOrder | None:
+        """Where somebody has pointed and the aircraft flies to, or None."""
+        return self.flying.guiding.order if self.flying is not None else None
+
+    def require(self) -> Flying:
+        """What flies.
+
+        Raises:
+            NoAuthority: Authority is not held.
+        """
+        if self.flying is None or not self.has_authority:
+            raise NoAuthority(
+                "the station does not hold control authority; nothing was sent",
+                remedy="obtain control first",
+            )
+        return self.flying
+
+    def feed(self, what: HoldingInput) -> bool:
+        """Something happened. Returns whether the state changed."""
+        before = self.state
+        after = TRANSITIONS[before].get(what, before)
+        if after is before:
+            return False
+        self.state = after
+        if after is HoldingState.RELEASING:
+            self._let_go.set()
+        for callback in self.on_change:
+            callback(before, after)
+        return True
+
+    # -- what clients ask for --------------------------------------------------------------------
+
+    async def obtain(self, aircraft: Aircraft) -> None:
+        """Obtain authority; done when it is held. Asked for twice, it is requested once.
+
+        Raises:
+            AuthorityRefused, NotActivated, LinkError, AckTimeout: See each class.
+            NoAuthority: It was given back before it was obtained.
+        """
+        await self.settle()
+        self.feed(HoldingInput.ASKED)
+        if self._block is None:
+            self._begin(aircraft)
+        if self._granted is not None:
+            await asyncio.shield(self._granted)
+
+    def let_go(self) -> None:
+        """Give authority back; :meth:`settle` waits until that is done."""
+        self.feed(HoldingInput.LET_GO)
+
+    async def settle(self) -> None:
+        """Wait until no control block is ending."""
+        while self._block is not None and (
+            self.state is HoldingState.RELEASING
+            or (self.state is HoldingState.HELD and not self.has_authority)
+        ):
+            await asyncio.wait([self._block])
+
+    async def stop_landing(self) -> bool:
+        """Let go of a mission that was flown and goes home or lands; returns whether one does.
+
+        As long as it counts as flown by plan, authority would not be given back: it lands by that.
+        """
+        flying = self.flying
+        if flying is None or not flying.mission.is_landing:
+            return False
+        try:
+            await flying.mission.stop()
+        except M100Error as error:
+            self._journal.note(error.seen, "error")
+        return True
+
+    # -- the control block -----------------------------------------------------------------------
+
+    def _begin(self, aircraft: Aircraft) -> None:
+        self._let_go = asyncio.Event()
+        granted = self._granted = asyncio.get_running_loop().create_future()
+        granted.add_done_callback(_look_at)
+        self._block = self._background.spawn(self._hold(aircraft, granted), "authority")
+
+    async def _hold(self, aircraft: Aircraft, granted: asyncio.Future[None]) -> None:
+        try:
+            async with aircraft.control(guards=self._guards) as control:
+                await self._use(control, granted)
+            self.feed(HoldingInput.ENDED)
+            if aircraft.authority.state is AuthorityState.UNRELEASED:
+                self._journal.note("control authority may not be released: no answer", "warning")
+            else:
+                self._journal.note("control authority released")
+        except AuthorityLost as error:
+            self._lost(aircraft, error, granted)
+        except M100Error as error:
+            is_refusal = isinstance(error, AuthorityRefused)
+            self.feed(HoldingInput.REFUSED if is_refusal else HoldingInput.FAILED)
+            if granted.done():
+                self._journal.note(f"control ended: {error.seen}", "error")
+                self._tell_mission(error.seen, is_seen=not isinstance(error, _UNSEEN))
+            else:
+                self._journal.note(f"no control authority: {error.seen}", "warning")
+                granted.set_exception(error)
+            self._wait_for_pilot(aircraft)
+        finally:
+            self._block = None
+            self.feed(HoldingInput.ENDED)  # nothing holds it now, whatever ended the block
+            self._tell_mission("the agent ends")
+            granted.cancel()
+
+    async def _use(self, control: Control, granted: asyncio.Future[None]) -> None:
+        flying = self.flying = Flying(control, self._journal, self._background)
+        flying.mission.on_event = self.on_mission_event
+        try:
+            self.feed(HoldingInput.OBTAINED)
+            if self.state is HoldingState.HELD:
+                self._journal.note("control authority obtained")
+                granted.set_result(None)
+            else:
+                error = NoAuthority("control was given back before it was obtained")
+                granted.set_exception(error)
+            await self._let_go.wait()
+        finally:
+            self.flying = None
+            self._broken_off = await flying.end(is_lost=not self._let_go.is_set())
+
+    def _lost(
+        self, aircraft: Aircraft, error: AuthorityLost, granted: asyncio.Future[None]
+    ) -> None:
+        self.feed(_LOSSES.get(error.reason, HoldingInput.SOMEBODY_TOOK))
+        self._journal.note(f"control authority lost: {error.seen}", "warning")
+        self._tell_mission(error.seen, is_seen=error.reason is not LossReason.LINK)
+        if not granted.done():
+            granted.set_exception(error)
+        for callback in self.on_lost:
+            callback(error)
+        self._wait_for_pilot(aircraft)
+
+    def _tell_mission(self, why: str, *, is_seen: bool = True) -> None:
+        """Tell whoever has to see it that a loss of control broke a mission off, if it did.
+
+        Args:
+            why: What control was lost by.
+            is_seen: Whether the aircraft is seen: otherwise it may fly on, and nobody here knows.
+        """
+        what, self._broken_off = self._broken_off, ""
+        if not what:
+            return
+        told = f"the {what} ended: {why}"
+        if not is_seen:
+            told = f"nobody here flies the {what} now: {why}; the aircraft may fly on"
+        self._journal.note(told, "error", Topic.MISSION_ABORTED)
+
+    # -- the pilot comes back --------------------------------------------------------------------
+
+    def _is_waiting(self) -> bool:
+        return self.state in (HoldingState.TAKEN, HoldingState.PAUSED)
+
+    def _wait_for_pilot(self, aircraft: Aircraft) -> None:
+        if self._is_waiting():
+            if self._watch is not None:
+                self._watch.cancel()
+            self._watch = self._background.spawn(self._watch_switch(aircraft), "mode switch")
+
+    async def _watch_switch(self, aircraft: Aircraft) -> None:
+        try:
+            async with aircraft.telemetry(RemoteControl, policy=Newest(50)) as samples:
+                async for sample in samples:
+                    if not self._is_waiting():
+                        return
+                    is_in_f = sample[RemoteControl].is_in_f
+                    self.feed(HoldingInput.IN_F if is_in_f else HoldingInput.LEFT_F)
+                    if self.state is HoldingState.RESUMING:
+                        self._begin(aircraft)
+                        return
+        except M100Error:
+            pass  # the connection tells it
+        self.feed(HoldingInput.LINK_LOST)
+
+
+def _look_at(future: asyncio.Future[None]) -> None:
+    """Nobody may wait for it: then its error has been told in the journal only."""
+    if not future.cancelled():
+        future.exception()
+
+
+# -- control authority that an agent before may have left: nobody here asked for it, so it goes ----
+# An agent that is killed in flight gives nothing back. The aircraft hovers for want of setpoints
+# and goes on obeying a program that is not there, or flies the task or mission that it was asked
+# for, and every lease has gone with the agent. What a lost lease leads to happens here, too, only
+# later.
+
+
+class Inherited:
+    """Gives back, once, what an agent before may have held.
+
+    Args:
+        journal: Where it is told.
+        background: Where it is done.
+        is_owed: Whether there was an agent before.
+    """
+
+    def __init__(self, journal: Journal, background: BackgroundTasks, *, is_owed: bool) -> None:
+        self._journal = journal
+        self._background = background
+        self._is_owed = is_owed
+        self._work: asyncio.Task[None] | None = None
+
+    def connected(self, aircraft: Aircraft, *, is_activated: bool) -> None:
+        """The aircraft answers; one that is not activated obeys nobody."""
+        if self._is_owed and is_activated and self._work is None:
+            self._work = self._background.spawn(self._give_back(aircraft), "inherited authority")
+
+    async def settle(self) -> None:
+        """Wait until nothing goes back any more: a request would overtake it, and be undone.
+
+        Whoever asks now holds it in their own name, and nothing is owed.
+        """
+        self._is_owed = False
+        if self._work is not None:
+            await asyncio.wait([self._work])
+
+    async def _give_back(self, aircraft: Aircraft) -> None:
+        try:
+            if await aircraft.release_authority():
+                self._is_owed = False
+                self._journal.note(
+                    "control authority that the agent before may have left is given back: "
+                    "the aircraft hovers, the pilot flies",
+                    "warning",
+                )
+            else:
+                self._journal.note(
+                    "the agent before may have left control authority, and the aircraft does not "
+                    "say that it has it back: the pilot gets it by leaving F",
+                    "error",
+                )
+        finally:
+            self._work = None  # the next connection tries it again, if it is still owed
+
+
+# -- the activation of the aircraft for one app, and how the last one went -------------------------
+
+
+class Activation:
+    """What activates the aircraft.
+
+    Args:
+        credentials: App id and key; without them the aircraft can only be watched.
+        journal: Where it is told what happens.
+
+    Attributes:
+        code: Last answer to an activation, None before the first.
+        error: Why the last one failed, with remedy; None when it did not.
+        on_code: Called with each answer to an activation.
+    """
+
+    def __init__(self, credentials: Credentials | None, journal: Journal) -> None:
+        self._credentials = credentials
+        self._journal = journal
+        self.code: ActivationCode | None = None
+        self.error: M100Error | None = None
+        self.on_code: list[Callable[[ActivationCode], None]] = []
+
+    def adopt(self, aircraft: Aircraft) -> None:
+        """Use the key on an aircraft that is active: it needs no new activation (DJI's node)."""
+        if self._credentials is not None:
+            aircraft.use_key(self._credentials)
+
+    async def activate(self, aircraft: Aircraft) -> Version:
+        """Activate the aircraft.
+
+        Raises:
+            UsageError: There are no credentials.
+            ActivationRefused, AckTimeout, LinkError: See each class.
+        """
+        if self._credentials is None:
+            raise UsageError(
+                "this station has no app id and key",
+                remedy="start it with --app-id and --key-file",
+            )
+        self._journal.note("activating")
+        try:
+            version = await aircraft.activate(self._credentials, progress=self._progress)
+        except M100Error as error:
+            self.error = error
+            self._journal.note(f"activation failed: {error.seen}", "error")
+            raise
+        self.error = None
+        self._journal.note("activated")
+        return version
+
+    def _progress(self, progress: ActivationProgress) -> None:
+        self.code = progress.code
+        for callback in self.on_code:
+            callback(progress.code)

@@ -1,0 +1,164 @@
+"""The line to the aircraft, kept by a supervision, and told to whoever has to know."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from enum import Enum
+from random import Random
+
+from m100link.aircraft import Aircraft
+from m100link.aircraft.supervising import (
+    ENDED,
+    BackOff,
+    Supervised,
+    SupervisionEvent,
+    SupervisionState,
+)
+from m100link.apps.agent.journal import Journal
+from m100link.errors import LinkError, M100Error
+from m100link.protocol.commands.activation import Version
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.subscription import Newest
+
+__all__ = [
+    "Connect",
+    "Connection",
+    "ConnectionState",
+]
+
+
+RECONNECT_PAUSE = 1.0
+"""Seconds between two attempts to open the line: somebody waits for it."""
+
+_STEADY = BackOff(first=RECONNECT_PAUSE, factor=1.0, jitter=0.0)
+
+Connect = Callable[[], Awaitable[Aircraft]]
+"""Opens the aircraft; raises :class:`M100Error` when it cannot."""
+
+
+class ConnectionState(Enum):
+    """State of the line."""
+
+    CONNECTING = "connecting"  # being opened, for the first time or again
+    CONNECTED = "connected"  # the aircraft answered
+    LOST = "lost"  # it was connected; the next attempt comes after a pause
+
+
+class Connection:
+    """Keeps an aircraft connected, whichever it is.
+
+    A :class:`~m100link.Supervised` ends when another aircraft answers. Nobody flies then: a control
+    block ended with the line. So a station begins another supervision, and whoever flew has to
+    obtain control of that one.
+
+    Args:
+        connect: Opens the aircraft.
+        journal: Where it is told what happens.
+
+    Attributes:
+        aircraft: The aircraft while it is connected, else None.
+        state: State of the line.
+        error: Why it is not connected.
+        on_aircraft: Called when the aircraft was connected, and with None when it was lost.
+        on_sample: Called with each telemetry package.
+    """
+
+    def __init__(self, connect: Connect, journal: Journal) -> None:
+        self._connect = connect
+        self._journal = journal
+        self._supervised = self._new()
+        self.aircraft: Aircraft | None = None
+        self.state = ConnectionState.CONNECTING
+        self.error: M100Error | None = None
+        self.on_aircraft: list[Callable[[Aircraft | None], None]] = []
+        self.on_sample: list[Callable[[Sample], None]] = []
+
+    def _new(self) -> Supervised:
+        return Supervised(self._connect, credentials=None, back_off=_STEADY, random=Random())
+
+    @property
+    def version(self) -> Version | None:
+        """What the aircraft answered last."""
+        return self._supervised.version
+
+    @property
+    def round_trip(self) -> float | None:
+        """Seconds for a question to the aircraft and its answer, None when unanswered."""
+        return None if self.aircraft is None else self._supervised.round_trip
+
+    async def keep(self) -> None:
+        """Keep it connected, until cancelled."""
+        while True:
+            try:
+                async with self._supervised as one, asyncio.TaskGroup() as group:
+                    passing = group.create_task(self._pass_on(one))
+                    await self._follow(one)
+                    passing.cancel()
+            finally:
+                if self.aircraft is not None:
+                    self._lose(None)
+            await asyncio.sleep(RECONNECT_PAUSE)
+            self._supervised = self._new()
+
+    async def _follow(self, one: Supervised) -> None:
+        """Tell what happens to the connection, until it ends for good."""
+        async for event in one.events():
+            self._take(event, one.aircraft)
+            if event.after in ENDED:
+                return
+
+    def _take(self, event: SupervisionEvent, aircraft: Aircraft | None) -> None:
+        if event.after is SupervisionState.CONNECTED:
+            if aircraft is not None:  # it may be gone again by now
+                self._gain(aircraft)
+        elif event.before is SupervisionState.CONNECTED:
+            self._lose(event.error)
+        elif event.after is SupervisionState.CONNECTING:
+            self.state = ConnectionState.CONNECTING
+        elif event.error is not None:
+            is_news = str(event.error) != str(self.error)
+            self.error = event.error
+            if is_news:
+                self._journal.note(f"not connected: {event.error.seen}", "warning")
+
+    async def _pass_on(self, one: Supervised) -> None:
+        try:
+            async for sample in one.telemetry(policy=Newest(50)):
+                if isinstance(sample, Sample):  # a gap is told by the events, and so is the end
+                    for callback in self.on_sample:
+                        callback(sample)
+        except M100Error:
+            return
+
+    def _gain(self, aircraft: Aircraft) -> None:
+        self.aircraft, self.error = aircraft, None
+        self.state = ConnectionState.CONNECTED
+        version = self.version.name if self.version is not None else ""
+        self._journal.note(f"connected to {aircraft.link.name}: {version} ({aircraft.firmware})")
+        self._tell()
+
+    def _lose(self, error: M100Error | None) -> None:
+        self.aircraft, self.error = None, error or self.error
+        self.state = ConnectionState.LOST
+        if error is not None:
+            self._journal.note(f"connection lost: {error.seen}", "error")
+        self._tell()
+
+    def _tell(self) -> None:
+        for callback in self.on_aircraft:
+            callback(self.aircraft)
+
+    def require_aircraft(self) -> Aircraft:
+        """The aircraft.
+
+        Raises:
+            LinkError: It is not connected; the error says why.
+        """
+        if self.aircraft is None:
+            why = f": {self.error.seen}" if self.error else ""
+            raise LinkError(
+                f"the aircraft is not connected{why}",
+                remedy=self.error.remedy if self.error else "",
+            )
+        return self.aircraft

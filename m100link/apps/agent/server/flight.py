@@ -1,0 +1,672 @@
+"""What is flown with control authority in hand: a setpoint, a task, or a program."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Coroutine
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import anyio
+
+from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.guided import (
+    ANGLE_MODE,
+    SETPOINT_LIFETIME,
+    VELOCITY_MODE,
+    ChangeHeading,
+    ChangeHeight,
+    FlyAround,
+    FlyTo,
+    GuidedFlight,
+    GuidedOrder,
+    name_of,
+    setpoint_of,
+)
+from m100link.apps.agent.journal import Journal
+from m100link.apps.agent.lease import Flown
+from m100link.apps.agent.messages import Limits
+from m100link.apps.agent.preview import preview
+from m100link.apps.agent.server.mission import FlyingMission
+from m100link.errors import GuardRefused, M100Error, NotObserved, TaskRefused, UsageError
+from m100link.flight.control import Control
+from m100link.flight.foresight import (
+    APPROACH_M_S,
+    frame_at,
+    seconds_around,
+    seconds_climbing,
+    seconds_straight,
+    seconds_turning,
+)
+from m100link.flight.guards import Guards
+from m100link.flight.guidance import GuidanceProgress
+from m100link.flight.missions.flight import MissionFlight
+from m100link.missions.plan import WaypointPlan
+from m100link.protocol.commands.control import Task
+from m100link.protocol.commands.hotpoint import HotpointStart
+from m100link.protocol.setpoint import Setpoint
+
+__all__ = [
+    "LEG_TIME",
+    "Flying",
+    "Guiding",
+    "MissionOrder",
+    "Pattern",
+    "limits_of",
+    "pattern",
+]
+
+
+MissionOrder = Literal["pause", "resume", "stop"]
+"""What may be told to a mission that flies."""
+
+_AT_ONCE = 1e-3
+
+Pattern = Callable[[Control, Callable[[Setpoint], None]], Coroutine[Any, Any, None]]
+"""A program that flies: takes the control and what sends a setpoint."""
+
+
+def _ignore() -> None:
+    """Nobody wants to know that a task was accepted."""
+
+
+class Flying:
+    """What flies during one control block; made when it is entered, ended before it is left.
+
+    Args:
+        control: The block.
+        journal: Where it is told what happens.
+        background: Where tasks and programs run.
+
+    Attributes:
+        task: Name of the task that was asked of the aircraft and has not ended, or None.
+        mission: The waypoint mission, while one flies.
+        guiding: The flight to where somebody points, while one flies.
+    """
+
+    def __init__(self, control: Control, journal: Journal, background: BackgroundTasks) -> None:
+        self._control = control
+        self._journal = journal
+        self._background = background
+        self.task: str | None = None
+        self.mission = FlyingMission(control, journal, background)
+        self.guiding = Guiding(control, journal, background)
+        # The setpoint to neutralise when motion has to stop; None when nothing was sent.
+        self._last: Setpoint | None = None
+        self._running_task: asyncio.Task[None] | None = None
+        self._pattern: tuple[str, asyncio.Task[None]] | None = None
+        self._is_ended = False
+
+    @property
+    def has_authority(self) -> bool:
+        """Whether setpoints and tasks are obeyed now."""
+        return not self._is_ended and self._control.has_authority
+
+    @property
+    def limits(self) -> Limits:
+        """What the guards of the block allow."""
+        return limits_of(self._control.guards, self._control.origin)
+
+    @property
+    def pattern(self) -> str | None:
+        """Name of the program that flies the aircraft, or None."""
+        return self._pattern[0] if self._pattern is not None else None
+
+    @property
+    def flown(self) -> Flown:
+        """What flies the aircraft now."""
+        if self.task is not None:
+            return Flown(self.task)
+        if self.mission.is_flying:
+            return Flown.MISSION
+        if self.guiding.order is not None:
+            return Flown.GUIDED
+        if self._pattern is not None:
+            return Flown.PROGRAM
+        last = self._last
+        return Flown.NOTHING if last is None or last == last.neutral() else Flown.SETPOINTS
+
+    # -- setpoints -------------------------------------------------------------------------------
+
+    def steer(self, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
+        """Fly this setpoint until it is renewed or its lifetime ends. Ends a program.
+
+        Letting go of a stick is not steering: a neutral setpoint leaves a program alone.
+
+        Raises:
+            NoAuthority, GuardRefused, UsageError: See :meth:`m100link.Control.send`.
+        """
+        if self._pattern is not None or self.guiding.order is not None or self.mission.is_flying:
+            if setpoint == setpoint.neutral():
+                return
+            self.mission.require_none("a setpoint")
+            self._end_program("the stick was moved")
+        self._send(setpoint, lifetime)
+
+    def _send(self, setpoint: Setpoint, lifetime: float) -> None:
+        try:
+            self._control.send(setpoint, lifetime=lifetime)
+        except M100Error as error:
+            self.halt(error.seen)  # what flew until now is not wanted any more
+            raise
+        self._last = setpoint
+
+    def halt(self, why: str = "") -> None:
+        """Stop moving: end a program or mission, replace the setpoint in force by its neutral.
+
+        A take-off, landing or go-home goes on in the autopilot.
+        """
+        self.mission.end(why or "halted")
+        self._end_program(why or "halted")
+        last, self._last = self._last, None
+        if last is None:
+            return
+        try:
+            self._control.send(last.neutral(), lifetime=_AT_ONCE)
+        except GuardRefused:
+            # Guards do not keep it from stopping.
+            self._background.spawn(self._control.stop(), "neutral")
+        except M100Error:
+            pass  # without authority nothing moves
+
+    # -- tasks -----------------------------------------------------------------------------------
+
+    async def fly(self, task: Task, accepted: Callable[[], None] = _ignore) -> None:
+        """Take off, land or go home; done when seen to be done.
+
+        Args:
+            task: Which of them.
+            accepted: Called when the aircraft has begun.
+
+        Raises:
+            NoAuthority, TaskRefused, TaskFailed, NotObserved, AckTimeout: See each class.
+        """
+        name = task.name.lower().replace("_", " ")
+        if self.task is not None:
+            raise TaskRefused(
+                f"{name} was asked for during {self.task}", remedy="wait for its end, or stop it"
+            )
+        self.mission.require_none(name)
+        self._end_program(f"{name} was asked for")
+        self.task, self._last = name, None
+        work = self._running_task = self._background.spawn(self._fly(task, name, accepted), name)
+        try:
+            await asyncio.shield(work)
+        except asyncio.CancelledError:
+            if work.cancelled():
+                # Not NoAuthority, which says that nothing was sent.
+                raise NotObserved(f"{name}: control ended before it was seen to end") from None
+            raise
+
+    async def _fly(self, task: Task, name: str, accepted: Callable[[], None]) -> None:
+        control = self._control
+        run = {Task.TAKE_OFF: control.take_off, Task.LAND: control.land}.get(task, control.go_home)
+        has_begun = False
+
+        def progress(_: object) -> None:
+            nonlocal has_begun
+            if not has_begun:
+                has_begun = True
+                accepted()
+
+        outcome, level = f"{name} is done", "info"
+        try:
+            self._journal.note(f"{name} begins")
+            await run(progress=progress)
+        except M100Error as error:
+            outcome, level = f"{name}: {error.seen}", "error"
+            raise
+        except asyncio.CancelledError:
+            outcome, level = f"{name} is not watched any more", "warning"
+            raise
+        finally:
+            self.task = self._running_task = None
+            self._journal.note(outcome, level)
+
+    async def switch_motors(self, *, on: bool) -> None:
+        """Start or stop the motors on the ground; ends a program.
+
+        Raises:
+            NoAuthority, GuardRefused, TaskRefused, TelemetryStalled, AckTimeout: See each class.
+        """
+        name = "arm" if on else "disarm"
+        self._end_program(f"{name} was asked for")
+        self._last = None
+        await (self._control.arm() if on else self._control.disarm())
+        self._journal.note("the motors were started" if on else "the motors were stopped")
+
+    # -- programs --------------------------------------------------------------------------------
+
+    def start_pattern(self, name: str, fly: Pattern) -> None:
+        """Let a program fly, until it ends, the stick is moved, or anything stops it.
+
+        Raises:
+            MissionRunning: A mission flies.
+        """
+        self.mission.require_none(name)
+        self._end_program("another one begins")
+        self._pattern = (name, self._background.spawn(self._run_pattern(name, fly), name))
+
+    async def _run_pattern(self, name: str, fly: Pattern) -> None:
+        def send(setpoint: Setpoint) -> None:
+            self._send(setpoint, SETPOINT_LIFETIME)
+
+        outcome, level = f"{name} is done", "info"
+        try:
+            self._journal.note(f"{name} begins")
+            await fly(self._control, send)
+        except M100Error as error:
+            outcome, level = f"{name} ended: {error.seen}", "error"
+        # A setpoint that was refused has ended the program already, and said so.
+        if self._pattern is not None and self._pattern[1] is asyncio.current_task():
+            self._pattern = None
+            self._journal.note(outcome, level)
+
+    def _end_program(self, why: str, *, hovers: bool = True) -> None:
+        self.guiding.end(why, hovers=hovers)
+        pattern, self._pattern = self._pattern, None
+        if pattern is not None:
+            name, work = pattern
+            work.cancel()
+            self._journal.note(f"{name} ended: {why}")
+
+    # -- guided flights --------------------------------------------------------------------------
+
+    async def guide(self, order: GuidedOrder, accepted: Callable[[], None] = _ignore) -> None:
+        """Fly to where somebody points; done when it is there. Ends a program; the newest one wins.
+
+        Args:
+            order: Where.
+            accepted: Called when it has begun.
+
+        Raises:
+            MissionRunning, TaskRefused: A mission or a task flies the aircraft.
+            NotObserved, GuardRefused, NoAuthority, TelemetryStalled, UsageError: See
+                :meth:`m100link.Control.fly_to`.
+        """
+        name = name_of(order)
+        if self.task is not None:
+            raise TaskRefused(
+                f"a {name} was asked for during {self.task}",
+                remedy="wait for its end, or stop it",
+            )
+        self.mission.require_none(f"a {name}")
+        self._end_program(f"a {name} was asked for")
+        self._last = None
+        await self.guiding.fly(order, accepted)
+
+    # -- missions --------------------------------------------------------------------------------
+
+    async def start_mission(
+        self, plan: WaypointPlan, *, take_off: bool, begun: Callable[[], None] | None = None
+    ) -> None:
+        """Upload a plan and let the aircraft fly it; done when it has begun. Ends a program.
+
+        Args:
+            plan: What to fly.
+            take_off: See :meth:`m100link.Control.waypoint_mission`.
+            begun: Called when it has begun; with it this is done when the mission is over.
+
+        Raises: as :meth:`m100link.Control.waypoint_mission`; with ``begun`` what ended it, too.
+        """
+        self._end_program("a mission was asked for")
+        self._last = None
+        over = await self.mission.start(plan, take_off=take_off)
+        if begun is not None:
+            begun()
+            await asyncio.shield(over)
+
+    async def start_hotpoint(self, request: HotpointStart) -> None:
+        """Let the aircraft fly around a place; done when it has begun. Ends a program.
+
+        Raises: as :meth:`m100link.Control.hotpoint`.
+        """
+        self._end_program("a hotpoint was asked for")
+        self._last = None
+        await self.mission.circle(request)
+
+    async def order_mission(self, what: MissionOrder) -> None:
+        """Pause, resume or stop the mission that flies, whoever started it.
+
+        A stop is done when something else may fly.
+
+        Raises:
+            MissionRefused, MissionAborted, AckTimeout, NoAuthority: See each class.
+            UsageError: It has not begun yet; a stop ends that.
+        """
+        control, own = self._control, self.mission
+        if own.is_flying and what == "stop":
+            await own.stop()
+            return
+        if own.is_flying:
+            # Every kind of mission will do: the class is only compared with, never made.
+            flight: MissionFlight = own.flight(MissionFlight)  # type: ignore[type-abstract]
+            await (flight.pause() if what == "pause" else flight.resume())
+            return
+        await {
+            "pause": control.pause_mission,
+            "resume": control.resume_mission,
+            "stop": control.stop_mission,
+        }[what]()
+
+    # -- the end ---------------------------------------------------------------------------------
+
+    async def end(self, *, is_lost: bool = False) -> str:
+        """Control ends: so does what was using it.
+
+        Args:
+            is_lost: Whether nobody here wanted that.
+
+        Returns:
+            What the mission is called that a loss of control broke off; empty for none.
+        """
+        self._is_ended = True
+        broken_off = ""
+        if is_lost:
+            broken_off = self.mission.cut_off()
+        else:
+            self.mission.end("control ended")
+        self._end_program("control was lost" if is_lost else "control ended", hovers=not is_lost)
+        if self._running_task is not None:
+            self._running_task.cancel()
+            with anyio.CancelScope(shield=True):  # a lost authority cancels this block, too
+                await asyncio.wait([self._running_task])
+        with anyio.CancelScope(shield=True):
+            await self.guiding.ended()
+            await self.mission.ended()
+        return broken_off
+
+
+def limits_of(guards: Guards, origin: tuple[float, float] | None) -> Limits:
+    """Guards as a front is told of them, with latitude and longitude of the start, °."""
+    envelope = guards.envelope
+    height, radius, speed = (
+        (None, None, None)
+        if envelope is None
+        else (
+            limit if math.isfinite(limit) else None
+            for limit in (envelope.max_height_m, envelope.max_radius_m, envelope.max_speed_m_s)
+        )
+    )
+    latitude, longitude = origin if origin is not None else (None, None)
+    return Limits(height, radius, speed, guards.battery_floor_percent, latitude, longitude)
+
+
+# -- flying to where an operator points: one at a time, and the newest wins ------------------------
+
+
+_PATIENCE = 3.0  # times what it was thought to take, until it gives up
+_PATIENCE_S = 30.0
+
+
+@dataclass(slots=True, eq=False)
+class _Flight:
+    """One of them.
+
+    Attributes:
+        order: What was asked for.
+        accepted: Called when it has begun.
+        work: The task in which it flies.
+        progress: How far it is; None before it has begun.
+        ended_because: Why something else ended it; empty while nothing did.
+        hovers: Whether the aircraft hovers then, as far as this side decides it.
+    """
+
+    order: GuidedOrder
+    accepted: Callable[[], None]
+    work: asyncio.Task[None] | None = None
+    progress: GuidanceProgress | None = None
+    ended_because: str = ""
+    hovers: bool = True
+
+
+class Guiding:
+    """The guided flight of one control block, if there is one.
+
+    Args:
+        control: The block.
+        journal: Where it is told what happens.
+        background: Where it flies.
+    """
+
+    def __init__(self, control: Control, journal: Journal, background: BackgroundTasks) -> None:
+        self._control = control
+        self._journal = journal
+        self._background = background
+        self._flight: _Flight | None = None
+        # Those whose neutral may still be going out: the next one waits for them.
+        self._works: set[asyncio.Task[None]] = set()
+
+    @property
+    def order(self) -> GuidedOrder | None:
+        """What flies, None for nothing."""
+        return None if self._flight is None else self._flight.order
+
+    async def fly(self, order: GuidedOrder, accepted: Callable[[], None]) -> None:
+        """Fly there; done when it is there. What flew before ends.
+
+        Args:
+            order: What is asked for.
+            accepted: Called when it has begun.
+
+        Raises:
+            NotObserved: Something else ended it, or it did not arrive in time.
+            GuardRefused, NoAuthority, TelemetryStalled, UsageError: See
+                :meth:`m100link.Control.fly_to`.
+        """
+        self.end("another place was pointed at")
+        flight = self._flight = _Flight(order, accepted)
+        work = flight.work = self._background.spawn(self._run(flight), name_of(order))
+        self._works.add(work)
+        work.add_done_callback(self._works.discard)
+        try:
+            await asyncio.shield(work)
+        except asyncio.CancelledError:
+            if work.cancelled():
+                state = ", and the aircraft hovers" if flight.hovers else ""
+                why = flight.ended_because or "the agent ends"
+                raise NotObserved(f"the {name_of(order)} was ended{state}: {why}") from None
+            self.end("nobody waits for it")
+            raise
+
+    async def _run(self, flight: _Flight) -> None:
+        name = name_of(flight.order)
+        ended, level = f"{name} is done", "info"
+        try:
+            before = self._works - {asyncio.current_task()}
+            if before:
+                await asyncio.wait(before)
+            await self._steer(flight)
+        except M100Error as error:
+            ended, level = f"{name} ended: {error.seen}", "error"
+            raise
+        except asyncio.CancelledError:
+            ended = f"{name} ended: {flight.ended_because or 'the agent ends'}"
+            raise
+        finally:
+            if self._flight is flight:
+                self._flight = None
+            if flight.progress is not None:
+                self._journal.note(ended, level)
+
+    async def _steer(self, flight: _Flight) -> None:
+        control, order = self._control, flight.order
+
+        def progress(found: GuidanceProgress) -> None:
+            is_first, flight.progress = flight.progress is None, found
+            if is_first:
+                self._journal.note(f"{name_of(order)} begins")
+                flight.accepted()
+
+        expected = preview(order, control.state, Limits()).seconds
+        timeout = _PATIENCE_S + _PATIENCE * expected
+        if isinstance(order, FlyTo):
+            await control.fly_to(
+                latitude_deg=order.latitude_deg,
+                longitude_deg=order.longitude_deg,
+                height=order.height,
+                yaw_deg=order.yaw_deg,
+                speed=order.speed,
+                timeout=timeout,
+                progress=progress,
+            )
+        elif isinstance(order, FlyAround):
+            await control.orbit(
+                center_north=0.0,
+                center_east=0.0,
+                frame=frame_at(order.latitude_deg, order.longitude_deg),
+                radius=order.radius,
+                height=order.height,
+                speed=order.speed,
+                turns=order.turns,
+                clockwise=order.clockwise,
+                timeout=timeout,
+                progress=progress,
+                approach=lambda found: progress(
+                    replace(found, heading_error_deg=360.0 * order.turns)
+                ),
+            )
+        elif isinstance(order, ChangeHeight):
+            await control.climb_to(order.height, timeout=timeout, progress=progress)
+        else:
+            turn = math.remainder(order.yaw_deg, 360.0)
+            await control.turn_to(turn, timeout=timeout, progress=progress)
+
+    def told(self) -> GuidedFlight | None:
+        """What flies, with what remains of it; None for nothing."""
+        if self._flight is None:
+            return None
+        order, found = self._flight.order, self._flight.progress
+        place: tuple[float | None, float | None] = None, None
+        if isinstance(order, FlyTo | FlyAround):
+            place = order.latitude_deg, order.longitude_deg
+        far, seconds = (None, None) if found is None else _left(order, found)
+        return GuidedFlight(
+            name_of(order),
+            *place,
+            height=None if isinstance(order, ChangeHeading) else order.height,
+            radius=order.radius if isinstance(order, FlyAround) else 0.0,
+            yaw_deg=order.yaw_deg if isinstance(order, FlyTo | ChangeHeading) else None,
+            distance_m=far,
+            seconds=seconds,
+        )
+
+    def end(self, why: str, *, hovers: bool = True) -> None:
+        """End it: neutral goes out, the aircraft hovers. Not waited for.
+
+        Args:
+            why: For people.
+            hovers: Whether it does; when control is lost somebody else flies, or nobody sees it.
+        """
+        flight, self._flight = self._flight, None
+        if flight is not None and flight.work is not None:
+            flight.ended_because, flight.hovers = why, hovers
+            flight.work.cancel()
+
+    async def ended(self) -> None:
+        """Wait until nothing of it is sent any more."""
+        if self._works:
+            await asyncio.wait(self._works)
+
+
+def _left(order: GuidedOrder, found: GuidanceProgress) -> tuple[float | None, float]:
+    """Metres and seconds that remain, roughly."""
+    climbing = seconds_climbing(found.height_error_m)
+    if isinstance(order, FlyTo):
+        return found.distance_m, max(seconds_straight(found.distance_m, order.speed), climbing)
+    if isinstance(order, FlyAround):
+        turns = max(0.0, found.heading_error_deg) / 360.0
+        far = found.distance_m + math.tau * order.radius * turns
+        there = max(seconds_straight(found.distance_m, APPROACH_M_S), climbing)
+        return far, there + seconds_around(order.radius, order.speed, turns)
+    if isinstance(order, ChangeHeight):
+        return abs(found.height_error_m), climbing
+    return None, seconds_turning(found.heading_error_deg)
+
+
+# -- the simple tasks of DJI's node of 2015: what ``/sdk_request_simple_task`` flies ---------------
+# ======  ==========================================================================================
+# Number  What it does
+# ======  ==========================================================================================
+# 0       legs of 5 s in angle mode: right, left, back, forward, up, down, clockwise, anticlockwise
+# 1       the same legs in velocity mode, starting north
+# 2       take-off, landing, take-off, go-home, over and over
+# 3       random commands: refused here
+# 4       take-off, 28 s of task 0, 40 s of task 1, go-home
+# 5       one activation
+# 6       one version query
+# ======  ==========================================================================================
+
+
+LEG_TIME = 5.0
+"""Seconds of each leg: 250 ticks of the node's 50 Hz timer."""
+
+Send = Callable[[Setpoint], None]
+
+
+def _legs(mode: int) -> list[Setpoint]:
+    """Eight legs in DJI's order; first and second value, climb rate, yaw rate."""
+    reach = 2.0 if mode == ANGLE_MODE else 0.5
+    moves = [
+        (reach, 0.0, 0.0, 0.0),
+        (-reach, 0.0, 0.0, 0.0),
+        (0.0, reach, 0.0, 0.0),
+        (0.0, -reach, 0.0, 0.0),
+        (0.0, 0.0, 0.5, 0.0),
+        (0.0, 0.0, -0.5, 0.0),
+        (0.0, 0.0, 0.0, 90.0),
+        (0.0, 0.0, 0.0, -90.0),
+    ]
+    return [setpoint_of(mode, y, x, yaw, up) for x, y, up, yaw in moves]
+
+
+async def _fly_legs(control: Control, send: Send, mode: int, seconds: float) -> None:
+    legs = _legs(mode)
+    async for tick in control.ticks():
+        if tick.elapsed >= seconds:
+            return
+        send(legs[int(tick.elapsed / LEG_TIME) % len(legs)])
+
+
+async def _legs_for_ever(control: Control, send: Send, mode: int) -> None:
+    await _fly_legs(control, send, mode, float("inf"))
+
+
+async def _commands(control: Control, send: Send) -> None:
+    while True:
+        await control.take_off()
+        await control.land()
+        await control.take_off()
+        await control.go_home()
+
+
+async def _everything(control: Control, send: Send) -> None:
+    await control.take_off()
+    await _fly_legs(control, send, ANGLE_MODE, 28.0)
+    await _fly_legs(control, send, VELOCITY_MODE, 40.0)
+    await asyncio.sleep(0.5)  # neutral goes out before the autopilot takes over
+    await control.go_home()
+
+
+def pattern(number: int) -> Pattern:
+    """The program behind a number.
+
+    Raises:
+        UsageError: There is none, or it is not flown here.
+    """
+    if number == 3:
+        raise UsageError(
+            "task 3 sends random commands every 20 ms, take-off and landing among them",
+            cause="it was made to test a protocol, not to fly",
+            remedy="use a test rig; see the virtual aircraft's line faults",
+        )
+    programs: dict[int, Pattern] = {
+        0: lambda control, send: _legs_for_ever(control, send, ANGLE_MODE),
+        1: lambda control, send: _legs_for_ever(control, send, VELOCITY_MODE),
+        2: _commands,
+        4: _everything,
+    }
+    if number not in programs:
+        raise UsageError(f"there is no simple task {number}", remedy="tasks are 0 to 6")
+    return programs[number]

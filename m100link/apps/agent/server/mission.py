@@ -1,0 +1,337 @@
+"""Missions for fronts: a plan in pieces, and the mission while it flies."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from typing import TypeVar
+
+from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.journal import Journal
+from m100link.apps.agent.messages import Topic
+from m100link.apps.agent.remote_error import MessageError
+from m100link.errors import M100Error, MissionRunning, NotObserved, UsageError
+from m100link.flight.control import Control
+from m100link.flight.missions.events import (
+    Aborted,
+    ActionsDone,
+    Finished,
+    MissionEvent,
+    MissionProgress,
+    Reached,
+    Stopped,
+    Uploaded,
+)
+from m100link.flight.missions.flight import MissionFlight
+from m100link.flight.missions.hotpoint import CircleHeading, CircleStart, HotpointFlight
+from m100link.flight.missions.waypoint import WaypointFlight
+from m100link.missions.plan import AtEnd, WaypointPlan
+from m100link.protocol.command import Command
+from m100link.protocol.commands.hotpoint import HotpointStart
+from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
+from m100link.protocol.firmware import FIRMWARE_3_1
+
+__all__ = [
+    "FlyingMission",
+    "MissionListener",
+    "StagedPlan",
+    "push_of",
+    "read_command",
+]
+
+
+C = TypeVar("C", bound=Command)
+F = TypeVar("F", bound=MissionFlight)
+
+_NAMES: dict[object, str] = {
+    MissionFlight: "mission",
+    WaypointFlight: "waypoint mission",
+    HotpointFlight: "hotpoint",
+}
+
+MissionListener = Callable[[MissionEvent], None]
+"""Told of each event, progress excepted."""
+
+
+class StagedPlan:
+    """A plan that comes in pieces, as the aircraft would get it, and is checked as a whole.
+
+    Attributes:
+        plan: The whole, checked; None while a piece is missing.
+    """
+
+    def __init__(self) -> None:
+        self._mission: WaypointMission | None = None
+        self._points: dict[int, WaypointPoint] = {}
+        self.plan: WaypointPlan | None = None
+
+    def begin(self, mission: WaypointMission) -> None:
+        """A new plan: what was there is forgotten."""
+        self._mission, self._points, self.plan = mission, {}, None
+
+    def add(self, point: WaypointPoint) -> None:
+        """One of its points. The last one that is missing makes it whole.
+
+        Raises:
+            UsageError: No plan was begun, or it has no such point.
+            BadPlan: The whole cannot be flown: point, value, limit.
+        """
+        mission = self._mission
+        if mission is None:
+            raise UsageError("a waypoint came before the plan that it belongs to")
+        if not 0 <= point.index < mission.count:
+            raise UsageError(f"the plan has {mission.count} waypoints, and no number {point.index}")
+        self._points[point.index] = point
+        if len(self._points) == mission.count:
+            in_order = [self._points[index] for index in range(mission.count)]
+            self.plan = WaypointPlan.from_wire(mission, in_order)
+
+    def require(self) -> WaypointPlan:
+        """The plan.
+
+        Raises:
+            UsageError: There is none, or a waypoint is missing.
+        """
+        if self.plan is None:
+            missing = 0 if self._mission is None else self._mission.count - len(self._points)
+            raise UsageError(
+                f"{missing} waypoints are missing" if missing else "there is no plan to be flown",
+                remedy="upload it first",
+            )
+        return self.plan
+
+
+class FlyingMission:
+    """The mission of one control block, if there is one.
+
+    Args:
+        control: The block.
+        journal: Where it is told what happens.
+        background: Where it is watched.
+
+    Attributes:
+        on_event: Called with each event.
+    """
+
+    def __init__(self, control: Control, journal: Journal, background: BackgroundTasks) -> None:
+        self._control = control
+        self._journal = journal
+        self._background = background
+        self._flight: MissionFlight | None = None
+        self._watch: asyncio.Task[None] | None = None
+        self._what = ""  # what the one that was begun last is called, for people
+        self._is_cut_off = False  # whoever cut it off knows why, and tells it
+        self._ended_because = ""  # why this side ended it, for whoever waits for its end
+        self._ends_by_landing = False  # as the plan says
+        self._is_landing = False
+        self.on_event: MissionListener | None = None
+
+    @property
+    def is_flying(self) -> bool:
+        """Whether one was begun and is not over."""
+        return self._watch is not None
+
+    @property
+    def is_landing(self) -> bool:
+        """Whether it was flown, and the aircraft goes home or lands, as planned."""
+        return self.is_flying and self._is_landing
+
+    def require_none(self, what: str) -> None:
+        """Refuse what the aircraft would ignore.
+
+        Raises:
+            MissionRunning: A mission flies.
+        """
+        if self.is_flying:
+            raise MissionRunning(
+                f"{what} was asked for while a mission flies; nothing was sent",
+                cause="the aircraft ignores movement during missions",
+                remedy="stop or pause the mission",
+            )
+
+    async def start(self, plan: WaypointPlan, *, take_off: bool = False) -> asyncio.Future[None]:
+        """Upload a plan and let it fly; done when the aircraft has begun.
+
+        Returns:
+            Its end: done when all of it was flown, or with the error that ended it before.
+
+        Raises: as :meth:`m100link.Control.waypoint_mission`.
+        """
+        self.require_none("a waypoint mission")
+        flight = self._control.waypoint_mission(plan, take_off=take_off)
+        self._ends_by_landing = plan.at_end in (AtEnd.GO_HOME, AtEnd.LAND)
+        return await self._begin(flight, f"mission of {len(plan.waypoints)} waypoints")
+
+    async def circle(self, request: HotpointStart) -> None:
+        """Let it fly around a place; done when the aircraft has begun.
+
+        Raises: as :meth:`m100link.Control.hotpoint`.
+        """
+        self.require_none("a hotpoint")
+        for problem in request.problems():
+            raise problem.error(request.NAME)
+        flight = self._control.hotpoint(
+            latitude_deg=math.degrees(request.latitude),
+            longitude_deg=math.degrees(request.longitude),
+            height=request.altitude,
+            radius=request.radius,
+            rate_deg_s=request.angular_rate,
+            clockwise=bool(request.clockwise),
+            start=CircleStart(request.start_point),
+            heading=CircleHeading(request.yaw_mode),
+        )
+        self._ends_by_landing = False
+        await self._begin(flight, f"circle of {request.radius:g} m")
+
+    async def _begin(self, flight: MissionFlight, what: str) -> asyncio.Future[None]:
+        loop = asyncio.get_running_loop()
+        begun: asyncio.Future[None] = loop.create_future()
+        over: asyncio.Future[None] = loop.create_future()
+        over.add_done_callback(_look_at)
+        self._what, self._is_cut_off = what, False
+        self._ended_because, self._is_landing = "", False
+        self._watch = self._background.spawn(self._fly(flight, what, begun, over), "mission")
+        try:
+            await asyncio.shield(begun)
+        except asyncio.CancelledError:
+            self.end("nobody waits for it")
+            raise
+        return over
+
+    async def _fly(
+        self,
+        flight: MissionFlight,
+        what: str,
+        begun: asyncio.Future[None],
+        over: asyncio.Future[None],
+    ) -> None:
+        outcome, level, topic = f"the {what} is over", "info", Topic.NONE
+        failure: M100Error | None = None
+        is_flown = False
+        try:
+            async with flight:
+                self._flight = flight
+                self._journal.note(f"a {what} begins")
+                if not begun.done():
+                    begun.set_result(None)
+                async for event in flight:
+                    self._tell(event)
+            is_flown = not self._ended_because
+        except M100Error as error:
+            failure = error
+            outcome, level = f"the {what} ended: {error.seen}", "error"
+            topic = Topic.MISSION_ABORTED if begun.done() else Topic.NONE
+            if not begun.done():
+                begun.set_exception(error)
+        except asyncio.CancelledError:
+            outcome, level = f"the {what} was stopped", "warning"
+            raise
+        finally:
+            if not begun.done():
+                begun.set_exception(UsageError("control ended before the mission began"))
+                begun.exception()  # nobody may be there to hear it
+            self._flight = self._watch = None
+            if is_flown:
+                over.set_result(None)
+            else:
+                why = self._ended_because or "control ended"
+                over.set_exception(failure or NotObserved(f"the {what} was stopped: {why}"))
+            if not self._is_cut_off:
+                self._journal.note(outcome, level, topic)
+
+    def _tell(self, event: MissionEvent) -> None:
+        if isinstance(event, Reached):
+            self._journal.note(f"waypoint {event.index} reached")
+        elif isinstance(event, Aborted):
+            self._journal.note(f"the aircraft broke the mission off: {event.reason}", "warning")
+        elif isinstance(event, Finished):
+            self._is_landing = self._ends_by_landing
+        elif isinstance(event, Stopped):
+            self._ended_because = self._ended_because or "it was told to stop"
+        if self.on_event is not None and not isinstance(event, MissionProgress):
+            self.on_event(event)
+
+    def flight(self, kind: type[F]) -> F:
+        """The mission.
+
+        Raises:
+            UsageError: None of that kind flies.
+        """
+        if not isinstance(self._flight, kind):
+            raise UsageError(f"no {_NAMES[kind]} flies", remedy="start one")
+        return self._flight
+
+    def end(self, why: str) -> None:
+        """Stop it, and do not wait for the answer: leaving its block sends the stop."""
+        if self._watch is not None:
+            self._ended_because = why
+            self._journal.note(f"the mission is stopped: {why}")
+            self._watch.cancel()
+
+    async def stop(self) -> None:
+        """Stop it, also while it begins; done when something else may fly.
+
+        Raises:
+            AckTimeout, MissionRefused, MissionAborted, LinkError: It may be flying on.
+        """
+        flight = self._flight
+        if flight is None:
+            self.end("it was told to stop")
+        else:
+            try:
+                await flight.stop()
+            except M100Error:
+                self.end("it was told to stop")  # leaving its block tries again
+                await self.ended()
+                raise
+        await self.ended()
+
+    def cut_off(self) -> str:
+        """Control was lost, and the mission with it; returns what it is called, empty for none.
+
+        Why control was lost is told a moment later, by whoever asks the aircraft: with that reason
+        the caller has to tell it.
+        """
+        if self._watch is None or self._flight is None:  # it has not begun: its start fails
+            self.end("control ended")
+            return ""
+        self._is_cut_off = True
+        self._watch.cancel()
+        return self._what
+
+    async def ended(self) -> None:
+        """Wait for the end of its stop."""
+        if self._watch is not None:
+            await asyncio.wait([self._watch])
+
+
+def _look_at(over: asyncio.Future[None]) -> None:
+    """Nobody may wait for the end: the journal tells it."""
+    if not over.cancelled():
+        over.exception()
+
+
+def push_of(event: MissionEvent) -> tuple[int, bytes] | None:
+    """The push (0x02/0x04) that tells of an event; None for what only this program knows."""
+    if isinstance(event, Uploaded):
+        return 0, bytes((1, *round(event.estimated_time or 0).to_bytes(2, "little"), 0, 0))
+    if isinstance(event, Finished):
+        return 1, bytes(5)
+    if isinstance(event, Reached):
+        return 2, bytes((event.index, 4, 0, 0, 0))
+    if isinstance(event, ActionsDone):
+        return 2, bytes((event.index, 6, 0, 0, 0))
+    return None
+
+
+def read_command(kind: type[C], value: bytes) -> C:
+    """A command of a front, which may have been written by anybody.
+
+    Raises:
+        MessageError: It is not one.
+    """
+    try:
+        return kind.parse(value, FIRMWARE_3_1)
+    except ValueError as error:
+        raise MessageError(f"not a command: {error}") from None

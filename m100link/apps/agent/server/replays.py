@@ -1,0 +1,142 @@
+"""A recorded flight in the place of an aircraft: what the agent of a replay owns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from m100link.aircraft import Aircraft
+from m100link.aircraft.aircraft import AuthorityEvent
+from m100link.aircraft.connecting import open_replay, parse_replay
+from m100link.apps.agent.messages import Replay
+from m100link.errors import M100Error, OnlyRecorded, UsageError
+from m100link.log.player import FASTEST, SLOWEST, Player, ReplayedLink
+from m100link.protocol.firmware import profile
+
+__all__ = [
+    "Replays",
+]
+
+
+class Replays:
+    """Plays one recording to a station, which stands still at its end.
+
+    Args:
+        url: A ``replay://`` URL.
+        firmware: Force a firmware profile.
+        note: Takes what people should know.
+
+    Raises:
+        BadURL, UsageError: It cannot be.
+    """
+
+    def __init__(self, url: str, firmware: str | None, note: Callable[[str], None]) -> None:
+        self._url = parse_replay(url)
+        self._firmware = None if firmware is None else profile(firmware)
+        self._note = note
+        self._player: Player | None = None
+
+    async def look(self) -> None:
+        """See whether it can be played, before anything is served.
+
+        Raises:
+            UsageError: It cannot.
+        """
+        aircraft = await open_replay(self._url, firmware=self._firmware, holds=True)
+        await aircraft.aclose()
+
+    async def connect(self) -> Aircraft:
+        """The aircraft of the recording.
+
+        Raises:
+            UsageError: The file cannot be played.
+        """
+        aircraft = await open_replay(self._url, firmware=self._firmware, holds=True)
+        assert isinstance(aircraft.link, ReplayedLink)  # of a replay it is one
+        self._player = aircraft.link.player
+        return aircraft
+
+    async def watch(self, aircraft: Aircraft) -> None:
+        """Tell who had control, as long as the aircraft is there."""
+        try:
+            async with aircraft.events() as events:
+                async for event in events:
+                    if isinstance(event, AuthorityEvent):
+                        self._note(f"recorded: control authority {event.after.value}")
+        except M100Error:
+            return  # it is over
+
+    def told(self) -> Replay | None:
+        """Where it is; None before it plays."""
+        player = self._player
+        if player is None:
+            return None
+        is_running = not (player.is_paused or player.is_at_end)
+        return Replay(
+            name=self._url.path.name,
+            utc=player.time() + player.utc_offset_s,
+            clock=player.time(),
+            rate=player.speed if is_running and math.isfinite(player.speed) else 0.0,
+            position_s=player.position_s,
+            duration_s=player.begin.duration_s,
+            speed=player.speed if math.isfinite(player.speed) else 0.0,
+            is_paused=player.is_paused,
+            is_at_end=player.is_at_end,
+            is_cut_off=not player.begin.is_ended,
+        )
+
+    async def order(self, text: str) -> None:
+        """Do what a page or a key asks.
+
+        Args:
+            text: ``pause``, ``resume``, ``toggle``, ``seek 30``, ``by -10``, ``speed 2``,
+                ``speed max``, ``faster`` or ``slower``.
+
+        Raises:
+            UsageError: There is no such order, or it does not play.
+        """
+        player = self._player
+        word, _, number = text.partition(" ")
+        if player is None:
+            raise UsageError("nothing is played yet", remedy="see why it is not connected")
+        if word == "pause":
+            player.pause()
+        elif word == "resume":
+            if player.is_at_end:
+                player.seek(0.0)
+            player.resume()
+        elif word == "toggle":
+            await self.order("resume" if player.is_paused or player.is_at_end else "pause")
+        elif word in ("faster", "slower"):
+            factor = 2.0 if word == "faster" else 0.5
+            player.set_speed(min(FASTEST, max(SLOWEST, player.speed * factor)))
+        elif word == "speed":
+            player.set_speed(math.inf if number == "max" else _number(number))
+        elif word == "seek":
+            player.seek(_number(number))
+        elif word == "by":
+            player.seek(player.position_s + _number(number))
+        else:
+            raise UsageError(
+                f"a replay does not know {word!r}",
+                remedy="pause, resume, toggle, seek, by, speed, faster, slower",
+            )
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise UsageError(f"{text!r} is not a number", remedy="seconds, or a speed")
+    return value
+
+
+def refused() -> OnlyRecorded:
+    """What whoever asks a replay for control gets."""
+    return OnlyRecorded(
+        "there is no control to be had: this is a replay, nothing flies",
+        cause=OnlyRecorded.usual_cause,
+        remedy=OnlyRecorded.usual_remedy,
+    )

@@ -1,0 +1,281 @@
+"""Pictures made of braille characters: a track seen from above, a value over time."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from difflib import get_close_matches
+from enum import Enum
+from itertools import pairwise
+from pathlib import Path
+from typing import IO, Any
+
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from m100link.apps.cli.common import err
+from m100link.apps.cli.outcome import ExitCode
+from m100link.errors import UsageError
+from m100link.log import FlightLog, read
+from m100link.protocol.items import BY_NAME, BY_RECORD, ITEMS
+from m100link.telemetry.columns import ITEM_NAMES, columns_of
+
+__all__ = [
+    "columns_of",
+    "items_named",
+    "line_plot",
+    "reading",
+    "row",
+    "status",
+    "track_plot",
+]
+
+
+# Bit of each dot of a braille character, by row (0 to 3) and column (0 to 1).
+_DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
+
+Point = tuple[float, float]
+
+
+class _Canvas:
+    """A grid of dots, two columns and four rows to a character; (0, 0) is at the bottom left."""
+
+    def __init__(self, columns: int, rows: int) -> None:
+        self.width, self.height = columns * 2, rows * 4
+        self._cells = [[0] * columns for _ in range(rows)]
+        self._words: dict[tuple[int, int], str] = {}
+
+    def dot(self, x: int, y: int) -> None:
+        if 0 <= x < self.width and 0 <= y < self.height:
+            y = self.height - 1 - y
+            self._cells[y // 4][x // 2] |= _DOTS[y % 4][x % 2]
+
+    def line(self, x0: float, y0: float, x1: float, y1: float) -> None:
+        steps = int(max(abs(x1 - x0), abs(y1 - y0))) + 1
+        for step in range(steps + 1):
+            part = step / steps
+            self.dot(round(x0 + (x1 - x0) * part), round(y0 + (y1 - y0) * part))
+
+    def write(self, x: float, y: float, word: str) -> None:
+        """Put a word over the dots, from this one on, if no other word stands there or beside."""
+        row = (self.height - 1 - round(y)) // 4
+        column = min(round(x) // 2, self.width // 2 - len(word))
+        taken = {(row, column + index) for index in range(-1, len(word) + 1)}
+        if column >= 0 and not self._words.keys() & taken:
+            for index, character in enumerate(word):
+                self._words[row, column + index] = character
+
+    def lines(self) -> list[str]:
+        return [
+            "".join(
+                self._words.get((row, column), chr(0x2800 + cell))
+                for column, cell in enumerate(cells)
+            )
+            for row, cells in enumerate(self._cells)
+        ]
+
+
+def _span(values: Iterable[float], at_least: float) -> tuple[float, float]:
+    values = list(values)
+    low, high = min(values), max(values)
+    missing = at_least - (high - low)
+    return (low, high) if missing <= 0 else (low - missing / 2, high + missing / 2)
+
+
+def track_plot(
+    points: Sequence[Point],
+    *,
+    columns: int = 44,
+    rows: int = 16,
+    names: Sequence[str] = (),
+    marks: Sequence[tuple[Point, str]] = (),
+    dots: Sequence[Point] = (),
+) -> list[str]:
+    """A track seen from above, equal scales, north up.
+
+    Args:
+        points: North and east in metres.
+        columns: Width in characters.
+        rows: Height in characters.
+        names: Of the points, in their order; those for which there is no room are left out.
+        marks: Places beside the track, and the word that stands there; likewise.
+        dots: Places that no line joins.
+    """
+    canvas = _Canvas(columns, rows)
+    everything = [*points, *(place for place, _ in marks), *dots]
+    if not everything:
+        return canvas.lines()
+    south, north = _span((p[0] for p in everything), 1.0)
+    west, east = _span((p[1] for p in everything), 1.0)
+    scale = min((canvas.width - 3) / (east - west), (canvas.height - 3) / (north - south))
+    left = (canvas.width - (east - west) * scale) / 2
+    bottom = (canvas.height - (north - south) * scale) / 2
+
+    def dot(place: Point) -> Point:
+        return left + (place[1] - west) * scale, bottom + (place[0] - south) * scale
+
+    corners = [dot(place) for place in points]
+    for (x0, y0), (x1, y1) in pairwise(corners):
+        canvas.line(x0, y0, x1, y1)
+    for x, y in map(dot, dots):
+        canvas.dot(round(x), round(y))
+    named = [*zip(corners, names, strict=False), *((dot(place), word) for place, word in marks)]
+    for (x, y), name in named:
+        canvas.write(x, y, name)
+    pictured = canvas.lines()
+    pictured.append(
+        f"north up; {north - south:.1f} m north to south, {east - west:.1f} m east to west"
+    )
+    return pictured
+
+
+def line_plot(
+    points: Sequence[Point],
+    *,
+    unit: str = "",
+    over: str = "s",
+    columns: int = 44,
+    rows: int = 10,
+) -> list[str]:
+    """A value over time, or over something else.
+
+    Args:
+        points: Time in seconds, and value.
+        unit: Unit of the value, for the scale.
+        over: Unit of the time, likewise.
+        columns: Width in characters, scale not included.
+        rows: Height in characters.
+    """
+    canvas = _Canvas(columns, rows)
+    if not points:
+        return canvas.lines()
+    first, last = _span((p[0] for p in points), 1e-3)
+    low, high = _span((p[1] for p in points), 1e-3)
+    dots = [
+        (
+            (t - first) / (last - first) * (canvas.width - 1),
+            (value - low) / (high - low) * (canvas.height - 1),
+        )
+        for t, value in points
+    ]
+    for (x0, y0), (x1, y1) in pairwise(dots):
+        canvas.line(x0, y0, x1, y1)
+    labels = {0: f"{high:.2f}", rows - 1: f"{low:.2f}"}
+    width = max(map(len, labels.values()))
+    pictured = [
+        f"{labels.get(row, ''):>{width}} ┤{line}" for row, line in enumerate(canvas.lines())
+    ]
+    whole = f"{last - first:.1f} {over}"
+    pictured.append(f"{unit:>{width}}  0{whole:>{columns - 1}}")
+    return pictured
+
+
+# -- how far a log is read: a bar on a terminal, for what takes longer than a second ---------------
+
+
+_PATIENCE_S = 1.0
+
+
+def status(*flights: FlightLog) -> int:
+    """The exit status of a verb that read logs: of a damaged one it did what could be done."""
+    return ExitCode.FAILED if any(flight.damage for flight in flights) else ExitCode.OK
+
+
+@contextlib.contextmanager
+def reading(file: Path, *, passes: int = 1) -> Iterator[FlightLog]:
+    """A log; while the block runs, a terminal shows how far it is read. A pipe shows nothing.
+
+    Args:
+        file: The log.
+        passes: How often it will be read.
+
+    Raises:
+        UsageError: As :func:`m100link.log.read`.
+    """
+    flight = read(file)
+    if not err.is_terminal:
+        yield flight
+        return
+    words = TextColumn("reading [progress.percentage]{task.percentage:>3.0f} %")
+    bar = Progress(words, BarColumn(), TimeRemainingColumn(), console=err, transient=True)
+    try:
+        yield _Watched(flight.path, bar, passes)
+    finally:
+        bar.stop()
+
+
+class _Watched(FlightLog):
+    """A log that shows how far its file is read."""
+
+    def __init__(self, path: Path, bar: Progress, passes: int) -> None:
+        super().__init__(path)
+        self._bar = bar
+        self._began = time.monotonic()
+        self._size = max(1, path.stat().st_size)
+        self._task = bar.add_task("", total=passes * self._size)
+        self._done = 0  # bytes of passes that came to their end
+
+    def _open(self) -> IO[bytes]:
+        return _Shown(self.path, self)
+
+    def show(self, position: int) -> None:
+        """So many bytes of this pass are read."""
+        if time.monotonic() - self._began > _PATIENCE_S:
+            self._bar.start()
+            self._bar.update(self._task, completed=self._done + min(position, self._size))
+
+    def end(self, position: int) -> None:
+        """A pass is over, perhaps before the end."""
+        if position >= self._size:
+            self._done += self._size
+
+
+class _Shown(io.BufferedReader):
+    def __init__(self, path: Path, watched: _Watched) -> None:
+        super().__init__(io.FileIO(path))
+        self._watched = watched
+        self._farthest = 0
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        data = super().read(size)
+        self._farthest = max(self._farthest, self.tell())
+        self._watched.show(self._farthest)
+        return data
+
+    def close(self) -> None:
+        if not self.closed:
+            self._watched.end(self._farthest)
+        super().close()
+
+
+# -- telemetry records as flat rows of named numbers, for JSON, CSV and plots ----------------------
+
+
+def row(record: Any) -> dict[str, Any]:
+    """Fields and views of a record by column name."""
+    item = BY_RECORD[type(record)]
+    values = {field: getattr(record, field) for field in (*record._fields, *item.views)}
+    return {
+        f"{item.name}.{field}": value.name if isinstance(value, Enum) else value
+        for field, value in values.items()
+    }
+
+
+def items_named(names: Iterable[str]) -> list[type[Any]]:
+    """Record classes by the names of items; all of them when no name is given.
+
+    Raises:
+        UsageError: A name that is not an item; the message lists them.
+    """
+    found = []
+    for name in names:
+        if name.lower() not in ITEM_NAMES:
+            near = get_close_matches(name.lower(), ITEM_NAMES, n=2)
+            meant = f"did you mean {' or '.join(near)}? " if near else ""
+            raise UsageError(
+                f"no telemetry item is called {name!r}",
+                remedy=f"{meant}items: {', '.join(BY_NAME)}",
+            )
+        found.append(ITEM_NAMES[name.lower()].record)
+    return found or [item.record for item in ITEMS]

@@ -1,0 +1,634 @@
+"""A station as a command: what every such command is told, how it runs, what it says of itself."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import importlib
+import logging
+import os
+import queue
+import re
+import threading
+import webbrowser
+from collections.abc import AsyncIterator, Callable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, Self
+
+from cyclopts import Parameter
+
+from m100link.apps.cli.common import Told, err, offered, options_of, out, places, run_async
+from m100link.apps.cli.configuration import read_configuration
+from m100link.apps.cli.logs import AS_IT_IS, LogOptions
+from m100link.apps.cli.outcome import ExitCode, print_json
+from m100link.apps.station.config import ENVIRONMENT, ONLY_NAME, Settings, namespace_of, resolve
+from m100link.apps.station.log_output import log_of, tell_elsewhere
+from m100link.errors import UsageError
+
+if TYPE_CHECKING:
+    from m100link.apps.agent.messages import Event
+    from m100link.apps.station.child import Child
+
+__all__ = [
+    "AS_USUAL",
+    "RunOptions",
+    "StationOptions",
+    "Teller",
+    "aircraft_of",
+    "console",
+    "mavlink",
+    "require_packages",
+    "ros2",
+    "run_station",
+    "serve",
+    "settings_of",
+    "show",
+    "warn_of",
+]
+
+
+_MOST_UNTOLD = 200
+_LAST_WORDS = 1.0
+"""Seconds that the end waits for what is still to be told."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class RunOptions:
+    """How a station is run and told of.
+
+    Attributes:
+        config: TOML file with settings.
+        json_output: Print one line of JSON when it runs.
+        show_config: Print the settings and where each came from, and end.
+        single_process: Let one process fly and talk to clients: to look into it, not to fly.
+        log: What is logged; as JSON it has the events, too, which are told as text otherwise.
+    """
+
+    config: Annotated[Path | None, Parameter(env_var="M100LINK_CONFIG")] = None
+    json_output: Annotated[bool, Parameter(name="--json")] = False
+    show_config: bool = False
+    single_process: bool = False
+    log: LogOptions = AS_IT_IS
+
+
+AS_USUAL = RunOptions()
+
+
+def run_station(
+    aircraft: dict[str, Settings],
+    options: RunOptions,
+    *,
+    with_console: bool = False,
+    with_rosbridge: bool = True,
+    open_browser: bool = False,
+    keys: Keys | None = None,
+) -> int:
+    """Run a station until it is told to end.
+
+    Args:
+        aircraft: Settings by name.
+        options: How.
+        with_console: Serve the console.
+        with_rosbridge: Serve rosbridge.
+        open_browser: Open the console.
+        keys: Takes what is pressed at the terminal while it runs.
+
+    Raises:
+        UsageError: Something is missing, or cannot be.
+    """
+    if options.show_config:
+        for name, settings in aircraft.items():
+            if len(aircraft) > 1:
+                out.print(f"[{name}]", markup=False)
+            show(settings)
+        return ExitCode.OK
+    if with_rosbridge or with_console:
+        require_packages()
+    served = _Served(with_console, with_rosbridge)
+    return run_async(_serve(aircraft, options, served, open_browser, keys))
+
+
+def require_packages() -> None:
+    """Look whether what serves pages is installed.
+
+    Raises:
+        UsageError: It is not.
+    """
+    try:
+        for package in ("cbor2", "starlette", "uvicorn", "websockets"):
+            importlib.import_module(package)
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"the ground station needs {error.name}, which is not installed",
+            remedy="pip install '.[station]' in a clone of m100link",
+        ) from None
+
+
+Keys = Callable[[Any, asyncio.Event], contextlib.AbstractContextManager[None]]
+"""With the station that runs, and what ends it."""
+
+
+@dataclass(frozen=True)
+class _Served:
+    """What is served beside MAVLink."""
+
+    with_console: bool
+    with_rosbridge: bool
+
+
+def show(settings: Settings) -> None:
+    """Print the settings and where each came from."""
+    for name in settings.__dataclass_fields__:
+        if name in ("origins", "unused"):
+            continue
+        value = getattr(settings, name)
+        shown = "(set)" if name in ("key", "token") and value else value
+        source = settings.origins.get(name, "default")
+        out.print(f"{name:14} {shown!s:40} {source}", markup=False, soft_wrap=True)
+    _tell_unused(settings)
+
+
+async def _serve(
+    aircraft: dict[str, Settings],
+    options: RunOptions,
+    served: _Served,
+    open_browser: bool,
+    keys: Keys | None,
+) -> int:
+    from m100link.apps.agent.journal import JOURNAL_LOG
+    from m100link.apps.station.child import leave_what_stays
+
+    ended = Told()
+    tell_elsewhere(JOURNAL_LOG)
+    events = logging.getLogger(__name__)
+    log_of(next(iter(aircraft)) if len(aircraft) == 1 else "")
+    with Teller() as teller:
+
+        def tell(name: str, event: Event) -> None:
+            if options.log.log_json:
+                level = logging.getLevelNamesMapping()[event.level.upper()]
+                events.log(level, "%s", event.text, extra={"aircraft": name})
+                return
+            style = {"warning": "yellow", "error": "red"}.get(event.level)
+            text = f"{name}: {event.text}" if len(aircraft) > 1 else event.text
+            teller.do(lambda: err.print(text, style=style, markup=False))
+
+        async with _running(aircraft, options, served, tell) as (station, front):
+            announce = partial(_announce, aircraft, station, as_json=options.json_output)
+            announce()
+            leave_what_stays()
+            settings = next(iter(aircraft.values()))
+            warn_of(settings)
+            if front is not None:
+                # The code in the console's address works once; a front that is new has another.
+                front.on_restart.append(lambda: teller.do(announce))
+            if station.console_port is not None and open_browser:
+                await asyncio.to_thread(webbrowser.open, _console_url(settings, station))
+            with contextlib.nullcontext() if keys is None else keys(station, ended):
+                await ended.wait()
+            end = "ending: control authority goes back, an aircraft that flies hovers"
+            told = end if station.has_authority else "ending"
+            teller.do(lambda: err.print(told))
+    return ExitCode.OK
+
+
+@contextlib.asynccontextmanager
+async def _running(
+    aircraft: dict[str, Settings],
+    options: RunOptions,
+    served: _Served,
+    tell: Callable[[str, Event], None],
+) -> AsyncIterator[tuple[_Station, Child | None]]:
+    """The station, and the process of its fronts."""
+    from m100link.apps.station.apart import RunningApart, running_apart
+    from m100link.apps.station.run import running
+    from m100link.apps.station.several import running_several
+
+    if len(aircraft) > 1:
+        if options.single_process:
+            raise UsageError("one process has one aircraft", remedy="leave out --single-process")
+        async with running_several(aircraft, **asdict(served), tell=tell) as several:
+            yield several, several.front
+        return
+    ((name, settings),) = aircraft.items()
+    run = running if options.single_process else running_apart
+    async with run(settings, **asdict(served)) as one:
+        for event in one.agent.journal.events:
+            tell(name, event)
+        one.agent.journal.on_event.append(partial(tell, name))
+        yield one, one.front if isinstance(one, RunningApart) else None
+
+
+class Teller:
+    """Tells in a thread of its own what happens while an aircraft flies.
+
+    A terminal that was stopped by Ctrl-S and a pipe that nobody reads or that was closed are no
+    reason to hold up setpoints, or to raise where something happened.
+    """
+
+    def __init__(self) -> None:
+        self._work: queue.Queue[Callable[[], object] | None] = queue.Queue(_MOST_UNTOLD)
+        self._thread = threading.Thread(target=self._run, name="m100link: talk", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with contextlib.suppress(queue.Full):
+            self._work.put(None, timeout=_LAST_WORDS)
+            self._thread.join(_LAST_WORDS)
+
+    def do(self, print_it: Callable[[], object]) -> None:
+        """Have something printed; what nobody reads in time is not."""
+        with contextlib.suppress(queue.Full):
+            self._work.put_nowait(print_it)
+
+    def _run(self) -> None:
+        with contextlib.suppress(OSError):  # nobody reads it any more
+            while (print_it := self._work.get()) is not None:
+                print_it()
+
+
+class _Station(Protocol):
+    """What every kind of running station tells of itself."""
+
+    @property
+    def has_authority(self) -> bool: ...
+    @property
+    def ports(self) -> list[int]: ...
+    @property
+    def console_port(self) -> int | None: ...
+    @property
+    def metrics_port(self) -> int | None: ...
+    @property
+    def foxglove_port(self) -> int | None: ...
+    @property
+    def mavlink(self) -> list[str]: ...
+    def console_path(self) -> str: ...
+
+
+def _console_url(settings: Settings, running: _Station) -> str:
+    scheme = "http" if settings.tls_cert is None else "https"
+    assert running.console_port is not None
+    return f"{scheme}://{settings.authority(running.console_port)}{running.console_path()}"
+
+
+def _announce(aircraft: dict[str, Settings], running: _Station, *, as_json: bool) -> None:
+    settings = next(iter(aircraft.values()))
+    scheme = "ws" if settings.tls_cert is None else "wss"
+    addresses = [f"{scheme}://{settings.authority(port)}" for port in running.ports]
+    console_url = None if running.console_port is None else _console_url(settings, running)
+    metrics_url = None
+    if running.metrics_port is not None:
+        http = "http" if settings.tls_cert is None else "https"
+        metrics_url = f"{http}://{settings.authority(running.metrics_port)}/metrics"
+    viewed = running.foxglove_port
+    viewers = [] if viewed is None else [f"{scheme}://{settings.authority(viewed)}"]
+    if as_json:
+        told: dict[str, Any] = {"sim": settings.sim}
+        if addresses:
+            told = {"rosbridge": addresses, "console": console_url} | told
+        if running.mavlink:
+            told |= {"mavlink": running.mavlink}
+        told |= {"ros2": _nodes(aircraft)} if settings.ros2 else {}
+        told |= {} if metrics_url is None else {"metrics": metrics_url}
+        told |= {"foxglove": viewers[0]} if viewers else {}
+        print_json(told | ({"aircraft": list(aircraft)} if len(aircraft) > 1 else {}))
+    else:
+        all_served = {"rosbridge": addresses, "mavlink": running.mavlink, "foxglove": viewers}
+        all_served["ros2"] = _nodes(aircraft) if settings.ros2 else []
+        for name, served in all_served.items():
+            if served:
+                out.print(f"{name + ':':10} {', '.join(served)}", markup=False, soft_wrap=True)
+        if console_url is not None:
+            out.print(f"console:   {console_url}", markup=False, soft_wrap=True)
+        if metrics_url is not None:
+            out.print(f"metrics:   {metrics_url}", markup=False, soft_wrap=True)
+
+
+def _nodes(aircraft: dict[str, Settings]) -> list[str]:
+    from m100link.apps.ros2.graph import NodeName
+    from m100link.apps.station.ros2 import nodes_of
+
+    settings = next(iter(aircraft.values()))
+    names = nodes_of(settings, list(aircraft)).values()
+    return [NodeName(0, "", one.namespace, one.node).full for one in names]
+
+
+def _tell_unused(settings: Settings) -> None:
+    if settings.unused:
+        told = "[yellow]warning:[/] the launch file has parameters that mean nothing here: "
+        err.print(told, end="")
+        err.print(", ".join(settings.unused), markup=False)
+
+
+def warn_of(settings: Settings) -> None:
+    """Say what is dangerous about the settings."""
+    _tell_unused(settings)
+    if settings.is_plain_beyond_loopback():
+        err.print(
+            "[yellow]warning:[/] without TLS everybody on this network can read the token and "
+            "fly the aircraft: give --tls-cert and --tls-key unless you trust the network"
+        )
+    if "null" in settings.allow_origin:
+        err.print(
+            "[yellow]warning:[/] --allow-origin null lets in pages opened from files, and "
+            "sandboxed frames of any web page"
+        )
+
+
+# -- ``m100link serve`` and ``m100link console``: aircraft for many clients, and for browsers ------
+
+
+_ELSEWHERE = ("url", "key", "token", "console_port", "tiles", "no_record", "origins", "unused")
+"""Settings that are not options of both commands, or not of the command line at all."""
+
+_FromSettings: Any = options_of(
+    Settings,
+    [one.name for one in fields(Settings) if one.name not in _ELSEWHERE],
+    environment=ENVIRONMENT,
+    called={
+        "also_ports": "--also-port",
+        "baud_rate": "--baud",
+        "metrics_port": "--metrics",
+        "foxglove_port": "--foxglove",
+        "ros2": "--ros2",
+    },
+    is_layer=True,
+)
+
+
+class SettingsOptions(Protocol):
+    """Options of the command line that are one source of the settings."""
+
+    @property
+    def run(self) -> RunOptions: ...
+
+
+def settings_of(options: SettingsOptions, *, launch: Path | None = None, **more: Any) -> Settings:
+    """The settings from all sources.
+
+    Args:
+        options: From the command line.
+        launch: ROS launch file of DJI's node.
+        more: Other settings from the command line.
+    """
+    known = {one.name for one in fields(Settings)}
+    given = {name: value for name, value in vars(options).items() if name in known}
+    flags = {name: value for name, value in given.items() if value != ()}
+    configuration = read_configuration()
+    settings = resolve(
+        flags | more,
+        os.environ,
+        config=options.run.config,
+        launch=launch,
+        of_aircraft=configuration.sources_of_station,
+    )
+    if settings.record is None and hasattr(options, "no_record") and not settings.no_record:
+        from m100link.log.folder import default_folder  # who decodes a frame needs none
+
+        settings = replace(settings, record=default_folder())
+    return settings
+
+
+def aircraft_of(
+    options: SettingsOptions, words: Sequence[str], *, is_sim: bool = False, **more: Any
+) -> dict[str, Settings]:
+    """The settings by the name of each aircraft, those of the only one without words.
+
+    Args:
+        options: From the command line.
+        words: URLs, names of the configuration file, or ``name=URL``.
+        is_sim: Whether a virtual one was asked for by an option.
+        more: Other settings from the command line.
+
+    Raises:
+        UsageError: Two are called alike or are the same, or something cannot be.
+        BadURL: No transport leads to one.
+    """
+    if len(words) < 2:
+        name, url = _named(words[0]) if words else ("", None)
+        return {name or ONLY_NAME: _in_process(settings_of(options, url=url, **more))}
+    if is_sim:
+        raise UsageError(
+            "aircraft and --sim were given",
+            remedy="write sim:// in the row of aircraft, once for each virtual one",
+        )
+    named = read_configuration().aircraft
+    found: dict[str, Settings] = {}
+    for place, word in enumerate(words, 1):
+        name, url = _named(word)
+        settings = _in_process(settings_of(options, url=url, **more))
+        name = name or (url if url in named else f"m100_{place}")
+        _check_other(name, settings, found)
+        found[name] = settings
+    replays = [name for name, one in found.items() if (one.url or "").startswith("replay://")]
+    if replays and len(replays) < len(found):
+        raise UsageError(
+            f"{', '.join(replays)} would be a recorded flight beside aircraft that fly",
+            cause="whoever looks at a station must never doubt what flies",
+            remedy="show recorded flights by a station of their own: m100link replay FILE",
+        )
+    return found
+
+
+def _in_process(settings: Settings) -> Settings:
+    """``sim://`` is the virtual aircraft that a station brings; for another there is a transport.
+
+    Raises:
+        BadURL: There is none, and waiting for the aircraft would not end.
+    """
+    if settings.url == "sim://":
+        return replace(settings, url=None, sim=True)
+    if settings.url is not None and not settings.url.startswith("replay://"):
+        from m100link.link.transport import find_transport  # who decodes a frame needs none
+        from m100link.link.url import parse_url
+
+        find_transport(parse_url(settings.url))
+    return settings
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class StationOptions(_FromSettings):  # type: ignore[misc] # a class that is made has no type
+    """Where the aircraft is, whose app it is, who may connect.
+
+    Every setting may also come from the environment, a TOML file, a ROS launch file or the user's
+    configuration file, in this order. To the fields of
+    :class:`~m100link.apps.station.config.Settings` come:
+
+    Attributes:
+        launch: ROS launch file of DJI's node, read as it is.
+        no_record: Record nothing.
+        run: How the station is run and told of.
+    """
+
+    launch: Path | None = None
+    no_record: Annotated[bool | None, Parameter(negative=())] = None
+    run: RunOptions = AS_USUAL
+
+
+def _named(word: str) -> tuple[str, str]:
+    """The name in ``name=URL``, empty without one, and the rest."""
+    found = re.fullmatch(r"([A-Za-z][A-Za-z0-9_-]*)=(.+)", word)
+    return ("", word) if found is None else (found[1], found[2])
+
+
+def _check_other(name: str, settings: Settings, found: dict[str, Settings]) -> None:
+    """Refuse an aircraft that another one is taken for.
+
+    Raises:
+        UsageError: It has the name or the line of another.
+    """
+    for other, one in found.items():
+        if namespace_of(name) == namespace_of(other):
+            raise UsageError(
+                f"two aircraft are called {name}", remedy="name them: first=URL second=URL"
+            )
+        is_same = settings.url is not None and settings.url == one.url
+        if is_same and not str(settings.url).startswith("replay://"):
+            raise UsageError(f"{other} and {name} are at the same place: {settings.url}")
+
+
+_Url = Annotated[str, offered(places)]
+
+
+def serve(*url: _Url, options: StationOptions = StationOptions()) -> int:
+    """Own the serial port and share the aircraft: rosbridge v2 for any number of clients.
+
+    Telemetry for all of them, control for one at a time. DJI's web page of 2015 and roslib programs
+    work as they are: `m100link serve --sim --pages dji_keyboard_ctrl`.
+
+    Args:
+        url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for a station
+            with several.
+        options: See below.
+    """
+    aircraft = aircraft_of(options, url, is_sim=options.sim, launch=options.launch)
+    return run_station(aircraft, options.run, with_console=False)
+
+
+def console(
+    *url: _Url,
+    console_port: int | None = None,
+    tiles: Path | None = None,
+    open_browser: bool = True,
+    options: StationOptions = StationOptions(),
+) -> int:
+    """Serve the console for browsers, beside everything that `serve` serves, and open it.
+
+    Args:
+        url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for a station
+            with several.
+        console_port: Port of the console (M100LINK_CONSOLE_PORT).
+        tiles: Folder with map tiles {z}/{x}/{y}.png; without it the track is drawn on a grid.
+        open_browser: Open the console in the browser.
+        options: See below.
+    """
+    more: dict[str, Any] = {"console_port": console_port, "tiles": tiles, "launch": options.launch}
+    aircraft = aircraft_of(options, url, is_sim=options.sim, **more)
+    return run_station(aircraft, options.run, with_console=True, open_browser=open_browser)
+
+
+# -- ``m100link mavlink``: aircraft as vehicles for MAVSDK, QGroundControl and every other prog ----
+
+
+USUAL = ("udp://127.0.0.1:14550", "udp://127.0.0.1:14540")
+"""Where ground stations and programs listen for a vehicle, as PX4's simulator knows them."""
+
+_MavlinkFromSettings: Any = options_of(
+    Settings,
+    (
+        *("baud_rate", "firmware", "timeout", "app_id", "key", "key_file", "level"),
+        *("app_version", "bundle_id", "max_height", "max_radius", "keep_authority"),
+        *("mavlink", "mavlink_to", "sysid", "autopilot", "signing_key_file"),
+    ),
+    environment=ENVIRONMENT,
+    called={"baud_rate": "--baud", "mavlink": "--listen", "mavlink_to": "--to"},
+    is_layer=True,
+)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class MavlinkOptions(_MavlinkFromSettings):  # type: ignore[misc] # a class that is made has no type
+    """Where the aircraft is, who may fly it and how far.
+
+    Attributes:
+        run: How the station is run and told of.
+    """
+
+    run: RunOptions = AS_USUAL
+
+
+def mavlink(
+    *url: Annotated[str, offered(places)], options: MavlinkOptions = MavlinkOptions()
+) -> int:
+    """Let MAVSDK, QGroundControl and other MAVLink programs see and fly the aircraft.
+
+    They take each for a vehicle with PX4's modes, until Ctrl-C. Without --listen and --to those
+    are spoken to that listen on this machine, at the usual ports 14550 and 14540: `m100link mavlink
+    sim://`.
+
+    Args:
+        url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for several.
+        options: See below.
+    """
+    aircraft = aircraft_of(options, url)
+    first = next(iter(aircraft.values()))
+    if not first.mavlink and not first.mavlink_to:
+        aircraft = aircraft_of(options, url, mavlink_to=USUAL)
+    return run_station(aircraft, options.run, with_rosbridge=False)
+
+
+# -- ``m100link ros2``: aircraft as nodes of ROS 2, for RViz, Nav2, rosbag2 and every program ------
+
+
+_Ros2FromSettings: Any = options_of(
+    Settings,
+    (
+        *("baud_rate", "firmware", "timeout", "app_id", "key", "key_file", "level"),
+        *("app_version", "bundle_id", "max_height", "max_radius", "keep_authority"),
+        *("ros2_namespace", "ros2_node", "ros2_domain", "ros2_remap", "ros2_dji_names"),
+    ),
+    environment=ENVIRONMENT,
+    called={
+        "baud_rate": "--baud",
+        "ros2_namespace": "--namespace",
+        "ros2_node": "--node",
+        "ros2_domain": "--domain",
+        "ros2_remap": "--remap",
+        "ros2_dji_names": "--dji-names",
+    },
+    is_layer=True,
+)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Ros2Options(_Ros2FromSettings):  # type: ignore[misc] # a class that is made has no type
+    """Where the aircraft is, what it is called in the graph, and how far it may fly.
+
+    Attributes:
+        run: How the station is run and told of.
+    """
+
+    run: RunOptions = AS_USUAL
+
+
+def ros2(*url: Annotated[str, offered(places)], options: Ros2Options = Ros2Options()) -> int:
+    """Be a node of ROS 2, without a ROS installation, until Ctrl-C.
+
+    Programs that run with RMW_IMPLEMENTATION=rmw_zenoh_cpp see and fly the aircraft, by the router
+    at localhost:7447 or wherever ZENOH_SESSION_CONFIG_URI and ZENOH_CONFIG_OVERRIDE say. Whoever
+    reaches that router can fly: `m100link ros2 sim://`.
+
+    Args:
+        url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for several.
+        options: See below.
+    """
+    return run_station(aircraft_of(options, url, ros2=True), options.run, with_rosbridge=False)

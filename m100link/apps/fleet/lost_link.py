@@ -1,0 +1,300 @@
+"""What happens to an aircraft whose pilot is lost.
+
+First of all it hovers, with no code for it: a setpoint that nobody renews expires in a fifth of a
+second. What this adds is the end of the hovering: when the lease ended because its holder fell
+silent while it flew, and nobody else took it, the aircraft lands or goes home after a while. It
+stands down for everybody who shows that he is there: who takes the lease, who presses STOP, and the
+pilot who moves a stick of the remote control, or its mode switch.
+
+An agent that is killed takes its pilot's lease with it. So that the next one knows whom it lost,
+the ledger has under which lease the aircraft is flown, from when it obeys until somebody lets go.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.lease import LeaseChange, LeaseHeld
+from m100link.apps.agent.messages import Event, LeaseChanged, Topic
+from m100link.apps.fleet.order_log import Ledger, LeftAloft
+from m100link.errors import AuthorityLost, LossReason, M100Error, UsageError
+from m100link.protocol.commands.control import Task
+from m100link.protocol.records import FlightPhase, FlightStatus, RemoteControl
+
+__all__ = [
+    "INHERITED_S",
+    "KEPT_AGAIN_S",
+    "Aloft",
+    "Lost",
+    "LostAction",
+    "LostPlan",
+]
+
+
+INHERITED_S = 300.0
+"""Seconds after which an aircraft in the air is not taken for the one that the agent before flew:
+whoever has the remote control may have flown it since, and nobody here saw him."""
+
+LostAction = Literal["hover", "land", "home"]
+
+_TASKS: dict[LostAction, Task] = {"land": Task.LAND, "home": Task.GO_HOME}
+_WHAT = {Task.LAND: "lands", Task.GO_HOME: "goes home"}
+_GROUND = (FlightPhase.STANDBY, FlightPhase.FINISHING_LANDING)
+_LOST = (LeaseChange.EXPIRED, LeaseChange.FRONT_LOST)
+_AGAIN_S = 5.0
+_LOOK_S = 0.1
+_FRESH_S = 2.5
+_STICK = 1000  # of 10000: more than a stick moves by itself
+_MOST_S = 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class LostPlan:
+    """What is done when whoever flies is lost.
+
+    Attributes:
+        action: ``hover``, and control authority goes back to the pilot with the remote control;
+            ``land`` in place, or go ``home``.
+        after_s: Seconds after the lease has ended.
+    """
+
+    action: LostAction = "hover"
+    after_s: float = 10.0
+
+    def __post_init__(self) -> None:
+        if self.action not in get_args(LostAction):
+            raise UsageError(
+                f"nothing is known about {self.action!r} when the pilot is lost",
+                remedy="choose hover, land or home",
+            )
+        if not 0.0 <= self.after_s <= _MOST_S:
+            raise UsageError(
+                f"the pilot cannot be lost for {self.after_s:g} s",
+                remedy=f"choose 0 to {_MOST_S:g} s",
+            )
+
+
+class Lost:
+    """Watches the lease of one aircraft.
+
+    Args:
+        client: What knows the agent.
+        plan: What to do.
+        descend: Brings it down, for a reason, and takes the lease from nobody.
+        aloft: Keeps who flies for the agent after this one.
+    """
+
+    def __init__(
+        self,
+        client: AgentClient,
+        plan: LostPlan,
+        descend: Callable[[Task, str], Awaitable[None]],
+        aloft: Aloft,
+    ) -> None:
+        self._client = client
+        self._aloft = aloft
+        self._plan = plan
+        self._descend = descend
+        self._waiting: asyncio.Task[None] | None = None
+        self._is_descending = False
+        # Whether the line was lost under this lease: nobody took what was held.
+        self._is_line_lost = False
+        # Who showed that he is there; empty for nobody.
+        self._somebody = ""
+        client.on_lease.append(self._lease_changed)
+        client.on_authority_taken.append(self._authority_taken)
+        client.on_event.append(self._event)
+
+    def _lease_changed(self, change: LeaseChanged) -> None:
+        # The state is still that of the lease before: a lease alone flies nothing.
+        was_flying = self._client.state.has_authority or self._is_line_lost
+        self._is_line_lost = False
+        if change.number:
+            if not self._is_descending:
+                self._stand_down()
+                self._aloft.flown_under(change.number if was_flying else 0)
+            return
+        if change.why in _LOST and was_flying:
+            self._bereave()
+        elif not self._is_waiting:
+            self._aloft.flown_under(0)
+
+    @property
+    def _is_waiting(self) -> bool:
+        return self._waiting is not None and not self._waiting.done()
+
+    def _stand_down(self) -> None:
+        if self._waiting is not None:
+            self._waiting.cancel()
+            self._waiting = None
+
+    def _bereave(self) -> None:
+        """The pilot is lost."""
+        task = _TASKS.get(self._plan.action)
+        if task is None:
+            self._aloft.flown_under(0)
+        elif not self._is_waiting:
+            self._somebody = ""
+            self._waiting = self._client.background.spawn(self._bring_down(task), "pilot lost")
+
+    def _authority_taken(self, error: AuthorityLost) -> None:
+        self._is_line_lost = error.reason == LossReason.LINK
+        if not self._is_line_lost:
+            self._somebody = "control authority was taken"
+            if not self._is_waiting:
+                self._aloft.flown_under(0)  # the pilot flies; back in F it is obtained anew
+
+    def _event(self, event: Event) -> None:
+        if event.topic is Topic.STOPPED:
+            self._somebody = "STOP was pressed"
+        # The state is told before what is told because of it.
+        client = self._client
+        if client.holder.number and client.state.has_authority:
+            self._aloft.flown_under(client.holder.number)
+        elif client.holder.number and client.state.holding == "releasing" and not self._is_waiting:
+            self._aloft.flown_under(0)
+
+    # -- whom the agent before lost --------------------------------------------------------------
+
+    def inherit(self, left: LeftAloft | None) -> None:
+        """Take care of what the agent before left in the air.
+
+        Args:
+            left: What its ledger says; None: nobody of the fleet flew.
+        """
+        if left is not None:
+            self._waiting = self._client.background.spawn(self._inherit(left), "pilot lost before")
+
+    async def _inherit(self, left: LeftAloft) -> None:
+        client, task = self._client, _TASKS.get(self._plan.action)
+        whose = f"the agent before ended while lease {left.fence} flew the aircraft"
+        ago = INHERITED_S if left.ago_s is None else left.ago_s
+        phase = await self._phase_within(INHERITED_S - ago)
+        if phase in _GROUND:
+            client.note(f"{whose}, which is on the ground now")
+        elif phase is None:
+            client.note(
+                f"{whose}, and nobody knows that this was less than {INHERITED_S:g} s ago: if it "
+                "is in the air, it is left to the pilot with the remote control",
+                "error",
+            )
+        elif task is None:
+            client.note(f"{whose}: it is left to the pilot with the remote control", "warning")
+        else:
+            client.note(whose, "warning")
+            self._somebody = ""
+            await self._bring_down(task)
+            return
+        self._aloft.flown_under(0)
+
+    async def _phase_within(self, seconds: float) -> FlightPhase | None:
+        """What the aircraft says of being in the air, as soon as it does; None: not in time."""
+        client = self._client
+        until = client.now + seconds
+        while client.now < until:
+            telemetry = client.telemetry
+            status = None if telemetry is None else telemetry.fresh(FlightStatus, within=_FRESH_S)
+            if status is not None and status.phase is not None:
+                return status.phase
+            await asyncio.sleep(_LOOK_S)
+        return None
+
+    # -- down ------------------------------------------------------------------------------------
+
+    async def _bring_down(self, task: Task) -> None:
+        after = self._plan.after_s
+        text = f"the pilot is lost: it hovers, and {_WHAT[task]} in {after:g} s"
+        self._client.note(text, "warning")
+        while await self._nobody_came(after):
+            self._is_descending = True
+            try:
+                await self._descend(task, f"pilot lost ({self._plan.action})")
+            except LeaseHeld:
+                return  # by somebody who is there
+            except M100Error as error:
+                self._client.note(f"the pilot is lost, and it did not land: {error.seen}", "error")
+            else:
+                self._aloft.flown_under(0)
+                return
+            finally:
+                self._is_descending = False
+            if self._client.holder.number:
+                return
+            after = _AGAIN_S
+        self._client.note(f"the pilot is lost, but {self._somebody}: it is left alone", "warning")
+        self._aloft.flown_under(0)
+
+    async def _nobody_came(self, within: float) -> bool:
+        """Wait; whether nobody showed meanwhile that he is there."""
+        clock = asyncio.get_running_loop().time
+        until = clock() + within
+        while True:
+            self._somebody = self._somebody or self._by_remote()
+            left = until - clock()
+            if self._somebody or left <= 0.0:
+                return not self._somebody
+            await asyncio.sleep(min(_LOOK_S, left))
+
+    def _by_remote(self) -> str:
+        """What the remote control shows of its pilot; empty when he leaves it alone."""
+        telemetry = self._client.telemetry
+        remote = None if telemetry is None else telemetry.fresh(RemoteControl, within=_FRESH_S)
+        if remote is None:
+            return ""
+        if not remote.is_in_f:
+            return "the remote control is not in F"
+        sticks = (remote.roll, remote.pitch, remote.yaw, remote.throttle)
+        return "a stick was moved" if max(map(abs, sticks)) > _STICK else ""
+
+
+# -- under which lease an aircraft flies, kept in the ledger for the agent after this one ----------
+
+
+KEPT_AGAIN_S = 30.0
+"""Seconds after which it is written again while somebody flies, so that its age means something."""
+
+
+class Aloft:
+    """Writes down who flies.
+
+    Args:
+        client: Where a disk that does not take it is told.
+        ledger: Where it is kept.
+    """
+
+    def __init__(self, client: AgentClient, ledger: Ledger) -> None:
+        self._client = client
+        self._ledger = ledger
+        self._number = 0 if ledger.aloft is None else ledger.aloft.fence
+        self._changed = asyncio.Event()
+
+    def flown_under(self, number: int) -> None:
+        """From now on it is flown under the lease of that number; 0: under none."""
+        if number != self._number:
+            self._number = number
+            self._changed.set()
+
+    async def keep(self) -> None:
+        """Write what changes, until this is cancelled.
+
+        What is asked for under a lease after control was obtained is written behind it, so no task
+        begins of which the agent after this one would not know whose it was.
+        """
+        is_kept = True
+        while True:
+            try:
+                async with asyncio.timeout(KEPT_AGAIN_S if self._number or not is_kept else None):
+                    await self._changed.wait()
+            except TimeoutError:
+                pass  # it still flies
+            self._changed.clear()
+            try:
+                await self._ledger.flies(self._number)
+                is_kept = True
+            except M100Error as error:
+                is_kept = False
+                self._client.note(f"who flies is not kept: {error.seen}", "error")

@@ -1,0 +1,618 @@
+"""What an agent must know after it was killed: orders that were begun, its fence, who was flying.
+
+One sealed line for each in a file that grows to some megabytes and is written anew then, through
+to the disk before what it says happens, in a thread: a disk that hangs holds up no setpoint. Ages
+are those of a clock that nobody sets. Of what is from before the computer was started nobody knows
+how old it is: it is kept for as long again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import fcntl
+import json
+import logging
+import math
+import os
+import re
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+from zlib import crc32
+
+from m100link.apps.agent.remote_error import MessageError
+from m100link.apps.fleet.payloads import Reply
+from m100link.errors import UsageError
+from m100link.errors.texts import read_json
+from m100link.link.keyfile import replace_file
+
+__all__ = [
+    "FENCES_AT_ONCE",
+    "KEPT_S",
+    "MOST_KEPT",
+    "FileLedger",
+    "Ledger",
+    "LeftAloft",
+    "Mark",
+    "MemoryLedger",
+    "OrderBook",
+    "Words",
+    "seal",
+    "since_boot",
+    "words",
+]
+
+_logger = logging.getLogger(__name__)
+
+
+MOST_KEPT = 20_000
+"""Orders that are kept at most: more than an agent can begin in the time in which one is young."""
+
+FENCES_AT_ONCE = 1000
+"""Numbers of leases that are reserved at once: an agent that begins anew starts above them."""
+
+_MOST_FENCE = 1 << 53
+_CLOSE_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class LeftAloft:
+    """The agent before ended while somebody of the fleet flew.
+
+    Attributes:
+        fence: Number of the lease that it was flown under.
+        ago_s: Seconds since it said so last; None when no clock tells.
+    """
+
+    fence: int
+    ago_s: float | None
+
+
+class Ledger(Protocol):
+    """What is kept.
+
+    Attributes:
+        begun: Orders that were begun lately, and when, s since the computer was started.
+        leases_before: The greatest number that a lease may have had.
+        aloft: How the agent before ended, if somebody flew then.
+        damaged: Words that were on the disk and cannot be read any more, or are gone: each may be
+            an order that was begun, the number of a lease, or who flew.
+        tell: Called in the event loop with what people should know of the disk.
+    """
+
+    tell: Callable[[str], None]
+    begun: dict[str, float]
+    leases_before: int
+    aloft: LeftAloft | None
+    damaged: int
+
+    async def begin(self, identity: str) -> None:
+        """Keep that an order begins; done when it is kept.
+
+        Raises:
+            UsageError: It cannot be kept.
+        """
+
+    async def granted(self, fence: int) -> None:
+        """Keep that a lease has this number; done when no later agent can grant it again.
+
+        Raises:
+            UsageError: It cannot be kept.
+        """
+
+    async def flies(self, fence: int) -> None:
+        """Keep under which lease the aircraft is flown now; done when it is kept.
+
+        Args:
+            fence: Its number; 0: nobody of the fleet flies.
+
+        Raises:
+            UsageError: It cannot be kept.
+        """
+
+
+def since_boot() -> tuple[str, float]:
+    """Which run of this computer it is, and its age in s: no clock that is set changes that."""
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
+    except OSError:
+        boot = ""  # no two of these are taken for the same
+    return boot, time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+class MemoryLedger:
+    """Kept as long as the process lives: for virtual aircraft and tests.
+
+    Args:
+        before: Of the agent before.
+    """
+
+    def __init__(self, before: MemoryLedger | None = None) -> None:
+        self.tell: Callable[[str], None] = _logger.warning
+        self.begun: dict[str, float] = {} if before is None else before.begun
+        self.leases_before: int = 0 if before is None else before.leases_before + FENCES_AT_ONCE
+        self.damaged = 0
+        self.flown_under: int = 0 if before is None else before.flown_under
+        self.aloft: LeftAloft | None = None
+        if self.flown_under:
+            self.aloft = LeftAloft(self.flown_under, 0.0)
+
+    async def begin(self, identity: str) -> None:
+        """Keep that an order begins."""
+        self.begun[identity] = 0.0
+
+    async def granted(self, fence: int) -> None:
+        """Whoever takes this over begins above what was reserved."""
+
+    async def flies(self, fence: int) -> None:
+        """Keep who flies."""
+        self.flown_under = fence
+
+
+class FileLedger:
+    """Kept in a file, of which one process at a time is the owner.
+
+    Beside it, in the file of the lock, stands the mark of the newest word. A file that is removed,
+    replaced or emptied while the agent runs is made again at the next record, with a report.
+
+    Args:
+        path: The file; its folder is made.
+        utc: POSIX time, s.
+        up: Which run of this computer it is, and for how long, s.
+
+    Raises:
+        UsageError: It cannot be read or written, or another agent has it.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        utc: Callable[[], float],
+        up: Callable[[], tuple[str, float]] = since_boot,
+    ) -> None:
+        self._path = path
+        self._utc, self._up = utc, up
+        # The word that says who flies; whether the disk has it.
+        self._flown: dict[str, object] = {}
+        self._is_flown_kept = True
+        self._is_sure_who_flew = True
+        self.tell: Callable[[str], None] = _logger.warning
+        self.damaged = 0
+        self.aloft: LeftAloft | None = None
+        self._file = self._lock = -1
+        self._lock_path = path.with_suffix(".lock")
+        self._in_thread = threading.Lock()  # one that was cancelled goes on
+        try:
+            self._own()
+            self.begun, self.leases_before = self._read()
+            self.aloft = self._left_aloft()
+            self._reserved = self.leases_before + FENCES_AT_ONCE
+            self._renew()
+        except OSError as error:
+            self.close()
+            raise _failed(path, error) from error
+        self._writing = asyncio.Lock()
+
+    def _own(self) -> None:
+        # By a file of its own: the ledger is replaced as it is read.
+        self._path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        lock = os.open(self._lock_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(lock)
+            raise UsageError(
+                f"{self._path}: another agent has it",
+                cause="two agents of one name run on this computer",
+                remedy="end the other one, or name another folder by --ledger",
+            ) from None
+        self._lock, before = lock, self._lock
+        if before >= 0:
+            os.close(before)
+
+    def _read(self) -> tuple[dict[str, float], int]:
+        begun: dict[str, float] = {}
+        fence = 0
+        boot, now = self._up()
+        data = self._path.read_bytes() if self._path.exists() else b""
+        read = words(data, os.pread(self._lock, 1000, 0))
+        self.damaged, self._newest = read.damaged, read.newest
+        for number, kept in read.kept.items():
+            if _is_fence(kept.get("flies")):
+                self._flown = kept
+                self._is_sure_who_flew = number >= read.sure_from
+            elif _is_fence(kept.get("fence")):
+                fence = max(fence, kept["fence"])
+            elif isinstance(kept.get("id"), str):
+                at = _up_of(kept, boot)
+                begun[kept["id"]] = now if at is None else at
+            else:
+                self.damaged += 1
+                self._is_sure_who_flew = False
+        if self._flown and not self._is_sure_who_flew:
+            # A later word is lost. The next start reads no damage, and must not be surer than this.
+            self._flown = {"flies": self._flown["flies"]}
+        # It rises by a thousand with each start, and so stays behind the calendar.
+        return begun, max(fence, int(self._utc())) if self.damaged else fence
+
+    def _left_aloft(self) -> LeftAloft | None:
+        kept = self._flown
+        fence, at = kept.get("flies"), kept.get("at")
+        if not isinstance(fence, int) or fence <= 0:
+            return None
+        boot, seconds = self._up()
+        up = _up_of(kept, boot)
+        if up is not None:
+            ago = seconds - up
+        elif isinstance(at, int | float):
+            ago = self._utc() - at  # the computer began anew: its calendar is all there is
+        else:
+            return LeftAloft(fence, None)  # nobody is landed for this one
+        return LeftAloft(fence, ago if ago >= 0 else None)
+
+    # -- in the event loop -------------------------------------------------------------------------
+
+    async def begin(self, identity: str) -> None:
+        """Keep that an order begins; done when the disk has it.
+
+        Raises:
+            UsageError: The disk does not take it.
+        """
+        async with self._writing:
+            boot, up = self._up()
+            await self._write(_begun(identity, boot, up))
+            self.begun[identity] = up
+
+    async def granted(self, fence: int) -> None:
+        """Keep that a lease has this number; most need no word, for they are reserved.
+
+        Raises:
+            UsageError: The disk does not take it.
+        """
+        async with self._writing:
+            if fence >= self._reserved:
+                await self._write({"fence": fence + FENCES_AT_ONCE})
+                self._reserved = fence + FENCES_AT_ONCE
+
+    async def flies(self, fence: int) -> None:
+        """Keep who flies; done when the disk has it.
+
+        What it does not take is written with the next word.
+
+        Raises:
+            UsageError: The disk does not take it.
+        """
+        async with self._writing:
+            boot, seconds = self._up()
+            self._flown = {"flies": fence, "at": self._utc(), "boot": boot, "up": seconds}
+            self._is_flown_kept = False
+            await self._write()
+
+    async def _write(self, *contents: dict[str, Any]) -> None:
+        try:
+            told = await asyncio.to_thread(self._keep, *contents)
+        except OSError as error:
+            raise _failed(self._path, error) from error
+        if told:
+            self.tell(told)
+
+    # -- in a thread -------------------------------------------------------------------------------
+
+    def _keep(self, *contents: dict[str, Any]) -> str:
+        """Write words; returns what is to be told of the disk."""
+        with self._in_thread:
+            has_lock = _is_at(self._lock, self._lock_path)
+            # What a full disk took a part of is cut off with the next word.
+            has_all = os.fstat(self._file).st_size >= self._size
+            is_there = has_lock and has_all and _is_at(self._file, self._path)
+            if not has_lock:
+                self._own()
+            if not is_there or self._newest - self._first > 2 * MOST_KEPT:
+                self._renew()
+            if not self._is_flown_kept:
+                contents = (*contents, self._flown)
+            self._append(contents)
+            self._is_flown_kept = True
+        return "" if is_there else f"{self._path} was removed or changed: it was made again"
+
+    def _append(self, contents: tuple[dict[str, Any], ...]) -> None:
+        """Write words to the end, all of them or none: what is refused must not be read later."""
+        numbered = enumerate(contents, self._newest + 1)
+        data = "".join(seal(number, self._first, one) for number, one in numbered).encode()
+        os.ftruncate(self._file, self._size)
+        try:
+            _write_all(self._file, data, self._size)
+            os.fsync(self._file)
+        except OSError:
+            os.ftruncate(self._file, self._size)
+            raise
+        self._size += len(data)
+        self._newest += len(contents)
+        self._put_mark(Mark(self._newest, self._first))
+
+    def _put_mark(self, mark: Mark) -> None:
+        """Without waiting for the disk: an older one notices less, and is as true."""
+        try:
+            _write_all(self._lock, bytes(mark), 0)
+        except OSError as error:
+            _logger.warning("%s: its mark is not written: %s", self._path, error)
+
+    def _renew(self) -> None:
+        """Write the file anew with what is still needed."""
+        if not os.fstat(self._lock).st_size:
+            _write_all(self._lock, bytes(Mark(0, 0)), 0)  # it may be there before the file is
+            os.fsync(self._lock)
+        first = self._newest + 1
+        lines = [seal(number, first, one) for number, one in enumerate(self._needed(), first)]
+        replace_file(self._path, "".join(lines).encode())
+        self._first, self._newest = first, first + len(lines) - 1
+        self._file, before = os.open(self._path, os.O_RDWR | os.O_CLOEXEC), self._file
+        self._size = os.fstat(self._file).st_size
+        if before >= 0:
+            os.close(before)
+        self._put_mark(Mark(self._newest, first))
+        os.fsync(self._lock)
+
+    def _needed(self) -> list[dict[str, Any]]:
+        """What is still needed, and the numbers that this run may give to leases."""
+        boot, now = self._up()
+        young = [(one, at) for one, at in self.begun.items() if now - at < KEPT_S]
+        self.begun = dict(young[-MOST_KEPT:])
+        kept: list[dict[str, Any]] = [{"fence": self._reserved}]
+        kept += [_begun(one, boot, at) for one, at in self.begun.items()]
+        return [*kept, self._flown] if self._flown else kept
+
+    def close(self) -> None:
+        """Close the file; another agent may have it then."""
+        if not self._in_thread.acquire(timeout=_CLOSE_S):
+            return  # a disk that hangs: the end of the process closes it
+        for handle in (self._file, self._lock):
+            if handle >= 0:
+                os.close(handle)
+        self._file = self._lock = -1
+        self._in_thread.release()
+
+
+def _is_at(handle: int, path: Path) -> bool:
+    """Whether an open file is the one that stands there."""
+    own = os.fstat(handle)
+    try:
+        there = path.stat()
+    except FileNotFoundError:
+        return False
+    return (own.st_dev, own.st_ino) == (there.st_dev, there.st_ino)
+
+
+def _write_all(handle: int, data: bytes, at: int) -> None:
+    """Write at a place. A disk that is nearly full takes a part, and then none."""
+    done = 0
+    while done < len(data):
+        done += os.pwrite(handle, data[done:], at + done)
+
+
+def _is_fence(value: object) -> bool:
+    """Whether it can be the number of a lease: one that no message carries is from a bad disk."""
+    return type(value) is int and 0 <= value < _MOST_FENCE
+
+
+def _begun(identity: str, boot: str, up: float) -> dict[str, Any]:
+    return {"id": identity, "boot": boot, "up": up}
+
+
+def _up_of(kept: dict[str, object], boot: str) -> float | None:
+    """When a line was written, s since the computer was started; None: before that, or never."""
+    up = kept.get("up")
+    if not boot or kept.get("boot") != boot or not isinstance(up, int | float):
+        return None
+    return float(up)
+
+
+def _failed(path: Path, error: OSError) -> UsageError:
+    return UsageError(
+        f"{path}: {error.strerror or error}",
+        cause="without it an order could be carried out twice after the agent was killed",
+        remedy="let it be written, or name another folder by --ledger",
+    )
+
+
+# -- which orders were heard, and what became of them (pure logic, ``now`` is an argument) ---------
+# An order that comes twice is carried out once: the second one is answered from here.
+
+
+KEPT_S = 600.0
+"""Seconds that an id is known after what it stands for has ended."""
+
+_MOST = 20_000
+
+
+class OrderBook:
+    """The orders of one agent.
+
+    Args:
+        before: Ids that an agent of this name begun; what became of them nobody knows.
+        unsure_before: Some of them are lost: what was made before that time may be one, s.
+    """
+
+    def __init__(self, before: Iterable[str] = (), *, unsure_before: float = -math.inf) -> None:
+        self._before = frozenset(before)
+        self._unsure_before = unsure_before
+        # The digest of what is under way, by id.
+        self._running: dict[str, bytes] = {}
+        # What became of the others and when, in the order in which they ended.
+        self._ended: dict[str, tuple[float, Reply]] = {}
+
+    def is_known(self, identity: str) -> bool:
+        """Whether this agent heard it."""
+        return identity in self._running or identity in self._ended
+
+    def heard(self, identity: str, digest: bytes) -> bool:
+        """Whether it heard this order.
+
+        Raises:
+            MessageError: It heard another one of that id. A listener who may order anything could
+                else have the answer to its own order told as that to somebody else's.
+        """
+        if not self.is_known(identity):
+            return False
+        ended = self.reply(identity)
+        if digest != (self._running[identity] if ended is None else ended.order):
+            raise MessageError(
+                f"another order came under the id {identity}, and this one was not carried out",
+                cause="a stranger heard the id and used it first",
+                remedy="ask anew: each order has an id of its own",
+            )
+        return True
+
+    def was_begun_before(self, identity: str) -> bool:
+        """Whether an agent before began it."""
+        return identity in self._before
+
+    def is_unsure(self, made_at: float) -> bool:
+        """Whether an agent before may have begun what was made then, and its word of it is lost."""
+        return made_at < self._unsure_before
+
+    def begin(self, identity: str, digest: bytes, now: float) -> None:
+        """It is heard for the first time. Those that ended long ago are forgotten."""
+        self._running[identity] = digest
+        while self._ended:
+            old, (at, _) = next(iter(self._ended.items()))
+            if now - at < KEPT_S and len(self._ended) <= _MOST:
+                break
+            del self._ended[old]
+
+    def end(self, reply: Reply, now: float) -> None:
+        """It is over."""
+        self._running.pop(reply.id, None)
+        self._ended[reply.id] = now, reply
+
+    def reply(self, identity: str) -> Reply | None:
+        """What became of it; None while it runs, or when it is not known."""
+        ended = self._ended.get(identity)
+        return None if ended is None else ended[1]
+
+
+# -- records in a file that reveals when records were changed or are missing -----------------------
+# A line has a checksum, its number, and the number of the first line of its file. Beside the file
+# is a mark: the number of the newest line. So a reader notices a changed line, a missing line, an
+# end that was cut off, and a file that was emptied or removed.
+
+
+_LINE = re.compile(r"([0-9a-f]{8}) ((\d{1,18}) (\d{1,18}) (\{.*\}))", re.DOTALL)
+_MARK = re.compile(r"([0-9a-f]{8}) ((\d{18}) (\d{18}))\n")
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """The mark: which records exist. Its file always has the same length.
+
+    Attributes:
+        newest: Number of the newest record; 0: none was written yet.
+        first: Number of the first record of the file.
+    """
+
+    newest: int
+    first: int
+
+    def __bytes__(self) -> bytes:
+        body = f"{self.newest:018d} {self.first:018d}"
+        return f"{crc32(body.encode()):08x} {body}\n".encode()
+
+    @staticmethod
+    def read(data: bytes) -> Mark | None:
+        """What was written; None when it is not what was."""
+        found = _MARK.fullmatch(data.decode("ascii", "replace"))
+        if found is None or crc32(found[2].encode()) != int(found[1], 16):
+            return None
+        return Mark(int(found[3]), int(found[4]))
+
+
+def seal(number: int, first: int, content: dict[str, Any]) -> str:
+    """Return a line of a file.
+
+    Args:
+        number: Its number; one more than that of the line before.
+        first: Number of the first line of the file.
+        content: Its content.
+    """
+    body = f"{number} {first} {json.dumps(content)}"
+    return f"{crc32(body.encode()):08x} {body}\n"
+
+
+@dataclass
+class Words:
+    """The content of a file.
+
+    Attributes:
+        kept: The readable records by number, in order.
+        damaged: Number of records that are damaged or missing.
+        sure_from: From this number on none is lost.
+        newest: The greatest number that was ever written.
+    """
+
+    kept: dict[int, dict[str, Any]] = field(default_factory=dict)
+    damaged: int = 0
+    sure_from: int = 0
+    newest: int = 0
+
+
+def words(data: bytes, mark: bytes) -> Words:
+    """Read a file and its mark.
+
+    A file of an older version has lines of JSON alone, and no mark.
+
+    Args:
+        data: The file; nothing when there is none.
+        mark: Its mark; nothing when there is none.
+    """
+    # What has no end was cut off by the loss of power as it was written: it had not begun.
+    lines = data.decode("ascii", "replace").split("\n")[:-1]
+    read = [_unsealed(line) for line in lines]
+    known = {number: (first, content) for number, first, content in filter(None, read)}
+    marked = Mark.read(mark)
+    if not known and (not mark or (marked is not None and not marked.newest)):
+        return _of_older_version(lines)
+    first, newest = (0, 0) if marked is None else (marked.first, marked.newest)
+    if known and max(known) >= newest:
+        newest = max(known)
+        first = known[newest][0]
+    missing = [number for number in range(first, newest + 1) if number not in known]
+    # A line of nonsense that stands for none, or a mark that is gone: nobody knows for what.
+    is_odd = None in read or marked is None
+    return Words(
+        {number: known[number][1] for number in sorted(known)},
+        len(missing) or int(is_odd),
+        newest + 1 if is_odd and not missing else max(missing, default=-1) + 1,
+        newest,
+    )
+
+
+def _of_older_version(lines: list[str]) -> Words:
+    found = Words()
+    for number, line in enumerate(lines, 1):
+        content = _json(line)
+        if content is None:
+            found.damaged += 1
+            found.sure_from = number + 1
+        else:
+            found.kept[number] = content
+        found.newest = number
+    return found
+
+
+def _unsealed(line: str) -> tuple[int, int, dict[str, Any]] | None:
+    found = _LINE.fullmatch(line)
+    if found is None or crc32(found[2].encode()) != int(found[1], 16):
+        return None
+    content = _json(found[5])
+    return None if content is None else (int(found[3]), int(found[4]), content)
+
+
+def _json(line: str) -> dict[str, Any] | None:
+    try:
+        content = read_json(line)
+    except ValueError:
+        return None
+    return content if isinstance(content, dict) else None

@@ -1,0 +1,188 @@
+"""What a front of the agent hears, for a front that is elsewhere: a console on the ground.
+
+Telemetry and events have keys of their own. This is the rest, as the agent's own messages: where it
+stands, who has the lease, what was counted on the line. It is sent while somebody listens.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import TypeVar
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.codec import told_of
+from m100link.apps.agent.messages import (
+    VERSION,
+    Activating,
+    AuthorityTaken,
+    Hello,
+    LeaseChanged,
+    Message,
+    PlanTold,
+    Telemetry,
+)
+from m100link.apps.agent.remote_error import Fault, MessageError
+from m100link.apps.bus.network import Bus, Question
+from m100link.apps.fleet.keys import Keys, name_in
+from m100link.apps.fleet.payloads import pack, unpack_message
+from m100link.apps.fleet.thinning import WALL_WITHIN_S
+from m100link.errors import AuthorityLost, LayoutMismatch
+from m100link.missions.plan import WaypointPlan
+from m100link.protocol.codes import ActivationCode
+from m100link.protocol.firmware import PROFILES
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.state import AircraftState
+
+__all__ = [
+    "STATE_S",
+    "AgentTold",
+    "FleetTelemetry",
+]
+
+
+T = TypeVar("T")
+
+STATE_S = 0.25
+"""Seconds between two states, as an agent tells its own fronts."""
+
+_SELDOM = 4
+"""Of so many states one has lease and counters behind it: messages may be lost on the way."""
+
+_PLAN = 20
+"""Of so many one has the plan, which is long."""
+
+
+class AgentTold:
+    """One aircraft's end.
+
+    Args:
+        client: What knows its agent.
+        bus: The network.
+        keys: Its keys.
+        boot: Which run of the agent this is.
+    """
+
+    def __init__(self, client: AgentClient, bus: Bus, keys: Keys, boot: str) -> None:
+        self._client = client
+        self._bus = bus
+        self._keys = keys
+        self._boot = boot
+        self._plan: WaypointPlan | None = None
+
+    async def run(self) -> None:
+        """Tell until this is cancelled."""
+        client = self._client
+        with ExitStack() as stack:
+            self._outlet = self._bus.publish(self._keys.told)
+            stack.callback(self._outlet.close)
+            stack.callback(self._bus.serve(self._keys.told, self._greet).close)
+            _hold(stack, client.on_lease, self._lease_changed)
+            _hold(stack, client.on_authority_taken, self._authority_taken)
+            _hold(stack, client.on_activating, self._activating)
+            _hold(stack, client.on_mission_told, self._put)
+            turn = 0
+            while True:
+                if self._outlet.is_wanted():
+                    self._tell_state(turn)
+                    turn += 1
+                await asyncio.sleep(STATE_S)
+
+    def _greet(self, question: Question) -> None:
+        """Whoever begins to listen learns whom it hears, what time it is there, and the version."""
+        question.answer(self._keys.told, pack(self._hello()))
+
+    def _hello(self) -> Hello:
+        return Hello(VERSION, self._boot, self._client.now)
+
+    def _put(self, message: Message) -> None:
+        self._outlet.put(pack(message))
+
+    def _tell_state(self, turn: int) -> None:
+        client = self._client
+        self._put(client.state)
+        if turn % _SELDOM == 0:
+            self._lease_changed(LeaseChanged(client.holder.number, client.holder.name))
+            if client.link is not None:
+                self._put(client.link)
+        if client.plan is not self._plan or turn % _PLAN == 0:
+            plan = self._plan = client.plan
+            self._put(PlanTold() if plan is None else told_of(plan, client.plan_by))
+
+    def _lease_changed(self, change: LeaseChanged) -> None:
+        self._put(self._hello())  # whose time says how new the word on the lease is
+        self._put(change)
+
+    def _authority_taken(self, error: AuthorityLost) -> None:
+        self._put(AuthorityTaken(Fault.of(error)))
+
+    def _activating(self, code: ActivationCode) -> None:
+        self._put(Activating(int(code)))
+
+
+def _hold(stack: ExitStack, heard: list[Callable[[T], None]], tell: Callable[[T], None]) -> None:
+    heard.append(tell)
+    stack.callback(heard.remove, tell)
+
+
+# -- telemetry of a fleet as a pilot sees it: the newest values of each aircraft -------------------
+
+
+_DEPTH = 20_000
+
+
+class FleetTelemetry:
+    """Hears aircraft until it is closed.
+
+    Args:
+        bus: The network.
+        keys: Of one aircraft, or of all.
+        full: Every package; else what suffices for each item five times a second.
+        on_sample: Called with the name and each package, whose time is that of its arrival here.
+
+    Attributes:
+        states: Newest values by name; ages count from their arrival here.
+        received: Packages by name.
+        unread: Packages that this version cannot read.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        *,
+        full: bool = False,
+        on_sample: Callable[[str, Sample], None] | None = None,
+    ) -> None:
+        self._clock = asyncio.get_running_loop().time
+        self._on_sample = on_sample
+        self.states: dict[str, AircraftState] = {}
+        self.received: Counter[str] = Counter()
+        self.unread = 0
+        key = keys.telemetry if full else keys.thinned
+        # Whoever looks at one aircraft may fly it; a wall of a thousand is looked at by people.
+        within = 0.0 if full else WALL_WITHIN_S
+        self._held = bus.subscribe(key, self._heard, depth=_DEPTH, within=within)
+
+    def close(self) -> None:
+        """Hear no more: what nobody hears is not sent."""
+        self._held.close()
+
+    def _heard(self, key: str, payload: bytes) -> None:
+        name = name_in(key)
+        try:
+            message = unpack_message(payload)
+            if not isinstance(message, Telemetry):
+                raise MessageError(f"{type(message).__name__} is no telemetry")
+            sample = Sample(message.value, PROFILES[message.profile], self._clock())
+        except (MessageError, LayoutMismatch, KeyError):
+            self.unread += 1
+            return
+        self.received[name] += 1
+        if name not in self.states:
+            self.states[name] = AircraftState(self._clock)
+        self.states[name].update(sample)
+        if self._on_sample is not None:
+            self._on_sample(name, sample)

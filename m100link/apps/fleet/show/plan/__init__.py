@@ -1,0 +1,1 @@
+"""A show as values: tracks, documents, conflicts; no I/O, no clock, no chance."""

@@ -1,0 +1,345 @@
+"""Who comes too near to whom in the next ten seconds of a show (pure logic, times are arguments).
+
+What the check of a show found holds for tracks. In the air one may be blown off its track, one may
+have left and hover in another's way, or land through it. So each tells where it will be, and looks
+at what the others tell; whoever would come nearer to another one than the show allows, leaves.
+Nobody counts on the other one to give way. One that is silent may stand anywhere on the way that it
+told last: :mod:`~m100link.apps.fleet.show.plan.conflicts` says why whoever misses it decides soon.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+from m100link.apps.fleet.show.plan.track import BadShow, TimedTrack, Vector, apart
+from m100link.errors.texts import read_json
+
+__all__ = [
+    "AHEAD_S",
+    "SETTLED_S",
+    "SILENT_S",
+    "Ahead",
+    "Near",
+    "Neighbours",
+    "RestOfTrack",
+    "by_speed",
+    "by_track",
+    "nearest",
+]
+
+
+AHEAD_S = 10.0
+"""Seconds that are looked ahead."""
+
+SILENT_S = 1.0
+"""Seconds without a word after which nobody knows whether an aircraft flies on."""
+
+SETTLED_S = 8.0
+"""Seconds without a word after which one has to know whether it flies on: whoever leaves then has
+stopped on the way that it told last, which is as long as :data:`AHEAD_S`."""
+
+_THERE_S = 2.0
+_EVADED_S = 5.0
+"""Seconds before it would come to where a silent one may stand; it stops in two."""
+_STEP_S = 0.5
+_STEPS = round(AHEAD_S / _STEP_S)
+_FINE_S = 0.1
+"""Between two looks: in that time two of 10 m/s come 2 m nearer, which changes 3 m by 0.2 m."""
+_LOOK_S = 0.2
+_MOST = 1000
+_MOST_BYTES = 4096
+_MOST_M = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class Ahead:
+    """Where one aircraft will be.
+
+    Attributes:
+        show: Which show, by its digest.
+        name: Of the aircraft.
+        at: When the first place is, s from the beginning of the show; each half a second later.
+        places: North, east and height, m, from the show's origin.
+        down_from: From when it may be landing, s from the beginning of the show: then it counts as
+            everywhere below its place.
+    """
+
+    show: str
+    name: str
+    at: float
+    places: tuple[Vector, ...]
+    down_from: float
+
+    def place(self, at: float) -> Vector:
+        """Where it will be at a time; behind the last place it stays there."""
+        steps = max(0.0, min(len(self.places) - 1.0, (at - self.at) / _STEP_S))
+        before = int(steps)
+        after, share = min(before + 1, len(self.places) - 1), steps - before
+        a, b = self.places[before], self.places[after]
+        return (
+            a[0] + (b[0] - a[0]) * share,
+            a[1] + (b[1] - a[1]) * share,
+            a[2] + (b[2] - a[2]) * share,
+        )
+
+    def stands(self) -> list[Vector]:
+        """Where it may stand if nobody flies it any more: its way, each tenth of a second."""
+        many = round((len(self.places) - 1) * _STEP_S / _FINE_S)
+        return [self.place(self.at + index * _FINE_S) for index in range(many + 1)]
+
+    @property
+    def way(self) -> float:
+        """How long its way is, m."""
+        return sum(map(math.dist, self.places, self.places[1:]))
+
+    def to_bytes(self) -> bytes:
+        """As it goes over the network."""
+        places = [[round(one, 2) for one in place] for place in self.places]
+        told = [self.show, self.name, round(self.at, 3), round(self.down_from, 3), places]
+        return json.dumps(told, separators=(",", ":")).encode()
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """Read what another aircraft tells.
+
+        Raises:
+            BadShow: It is none.
+        """
+        try:
+            if len(data) > _MOST_BYTES:
+                raise ValueError("too long")
+            show, name, at, down_from, places = read_json(data)
+            found = tuple((float(n), float(e), float(h)) for n, e, h in places)
+            times = float(at), float(down_from)
+        except (ValueError, TypeError, OverflowError) as error:
+            raise BadShow(f"where an aircraft will be cannot be read: {error}") from None
+        numbers = [*times, *(one for place in found for one in place)]
+        if not found or not all(abs(one) <= _MOST_M for one in numbers):  # NaN is no number
+            raise BadShow("where an aircraft will be is nowhere")
+        return cls(str(show), str(name), times[0], found, times[1])
+
+
+def by_track(show: str, track: TimedTrack, at: float, here: Vector) -> Ahead:
+    """Where one will be that flies its track, as far beside it as it is now."""
+    wanted = track.moment(at).place
+    off = [b - a for a, b in zip(wanted, here, strict=True)]
+    places = []
+    for step in range(_STEPS + 1):
+        north, east, height = track.moment(at + step * _STEP_S).place
+        places.append((north + off[0], east + off[1], height + off[2]))
+    return Ahead(show, track.name, at, tuple(places), track.end)
+
+
+def by_speed(show: str, name: str, at: float, here: Vector, speed: Vector) -> Ahead:
+    """Where one will be that has left its track: it hovers, lands, or is flown by somebody."""
+    places = []
+    for step in range(_STEPS + 1):
+        north, east, up = (a + b * step * _STEP_S for a, b in zip(here, speed, strict=True))
+        places.append((north, east, up))
+    return Ahead(show, name, at, tuple(places), at)
+
+
+@dataclass(frozen=True, slots=True)
+class Near:
+    """Another aircraft will come too near.
+
+    Attributes:
+        name: Which one.
+        at: When it first is nearer than allowed, s from the beginning of the show.
+        distance_m: How near it is then.
+        silent_s: For how long it has been silent, if it is one that may stand there; else 0.
+    """
+
+    name: str
+    at: float
+    distance_m: float
+    silent_s: float = 0.0
+
+
+class Neighbours:
+    """What one aircraft of a show hears of the others.
+
+    Args:
+        show: Which show, by its digest.
+        name: Of this aircraft.
+        least_m: How near two may come to each other, m.
+        count: How many others there are; 0 where that was not told.
+
+    Raises:
+        BadShow: That is no distance.
+    """
+
+    def __init__(self, show: str, name: str, least_m: float, count: int = 0) -> None:
+        if not 0 <= least_m <= 1000:
+            raise BadShow(f"two aircraft cannot have {least_m:g} m between them")
+        self.show, self.name, self.least_m, self.count = show, name, least_m, count
+        self._heard: dict[str, tuple[Ahead, float]] = {}
+        # Of silent ones that were decided about: their last word.
+        self._settled: dict[str, float] = {}
+
+    def hear(self, ahead: Ahead, now: float) -> None:
+        """One tells where it will be; those of other shows are not compared."""
+        if ahead.show != self.show or ahead.name == self.name:
+            return
+        known = self._heard.get(ahead.name)
+        if known is None and len(self._heard) >= _MOST:
+            return
+        if known is None or ahead.at >= known[0].at:  # the network may bring an older one later
+            self._heard[ahead.name] = ahead, now
+
+    def missing(self, now: float) -> int:
+        """How many of the others have not told in the last two seconds where they will be."""
+        heard = sum(now - at <= _THERE_S for _, at in self._heard.values())
+        return max(0, self.count - heard)
+
+    def near(self, own: Ahead, now: float, rest: RestOfTrack | None = None) -> Near | None:
+        """The first that comes too near; None for nobody.
+
+        Args:
+            own: Where this one will be.
+            now: s, by the clock of :meth:`hear`.
+            rest: What it has to fly still; None if it flies no track.
+        """
+        found: list[Near] = []
+        for ahead, heard_at in self._heard.values():
+            if own.at < ahead.at + AHEAD_S:
+                found += filter(None, [self._meets(own, ahead)])
+            # What was long on its way is as old as it says.
+            silent = max(now - heard_at, own.at - ahead.at)
+            if silent > SILENT_S:
+                found += filter(None, [self._stands(own, ahead, silent)])
+            if silent > SETTLED_S and rest and self._settled.get(ahead.name) != ahead.at:
+                self._settled[ahead.name] = ahead.at
+                at = rest.meets(ahead.stands(), self.least_m, own.at)
+                if at is not None:
+                    found.append(Near(ahead.name, at, self.least_m, silent))
+        return min(found, key=lambda near: near.at, default=None)
+
+    def _is_far(self, own: Ahead, other: Ahead) -> bool:
+        between = math.dist(own.places[0][:2], other.place(own.at)[:2])
+        return between > self.least_m + own.way + other.way
+
+    def _meets(self, own: Ahead, other: Ahead) -> Near | None:
+        """Whether the two come too near if each flies on as it told."""
+        if self._is_far(own, other):
+            return None
+        for step in range(round(AHEAD_S / _FINE_S) + 1):
+            at = own.at + step * _FINE_S
+            distance = apart(
+                own.place(at),
+                other.place(at),
+                first_ended=at >= own.down_from,
+                second_ended=at >= other.down_from,
+            )
+            if distance < self.least_m:
+                return Near(other.name, at, distance)
+        return None
+
+    def _stands(self, own: Ahead, other: Ahead, silent: float) -> Near | None:
+        """Whether this one comes too near to where the other one may have stopped by then."""
+        if self._is_far(own, other):
+            return None
+        stands = other.stands()
+        for step in range(round(_EVADED_S / _LOOK_S) + 1):
+            at = own.at + step * _LOOK_S
+            # It is not farther on its way than it would be if it flew.
+            by_then = stands[: max(1, round((at - other.at) / _FINE_S) + 1)]
+            distance = nearest(own.place(at), by_then, has_ended=at >= own.down_from)
+            if distance < self.least_m:
+                return Near(other.name, at, distance, silent)
+        return None
+
+
+# -- whether the rest of a track comes near to where one may stand who is not heard any more -------
+# Nobody knows what became of an aircraft that is silent. It may have been killed, and hovers or
+# lands where it was; it may be cut off and fly on, as was checked; and while it finds out that it
+# is cut off, it may stop anywhere on the way that it told last. So whoever misses it decides within
+# that time, too: either the rest of its own track keeps away from that way, and it flies on to the
+# end, or it leaves while it is still on the way that itself told last. Then whatever the silent one
+# does, the two do not meet. Pure logic, no clock.
+
+
+_MOST_MOMENTS = 4096
+_LEAST_STEP_S = 0.25
+_CHUNK = 64
+
+_Box = tuple[float, float, float, float]
+
+
+class RestOfTrack:
+    """What one aircraft has to fly still.
+
+    Args:
+        track: All of it.
+    """
+
+    def __init__(self, track: TimedTrack) -> None:
+        self._track = track
+        self._step = max(_LEAST_STEP_S, track.end / _MOST_MOMENTS)
+
+    @cached_property
+    def _chunks(self) -> list[tuple[float, float, _Box]]:
+        """From when to when, and the box it flies in meanwhile, seen from above."""
+        track, step, found = self._track, self._step, []
+        many = math.ceil(track.end / step)
+        spare = track.fastest[0] * step / 2
+        places = [track.moment(index * step).place for index in range(many + 1)]
+        for first in range(0, many, _CHUNK):
+            last = min(first + _CHUNK, many)
+            found.append((first * step, last * step, _box(places[first : last + 1], spare)))
+        return found
+
+    def meets(self, ways: Sequence[Vector], least_m: float, begin: float) -> float | None:
+        """When it first comes nearer to one of these places, or to the ground below them.
+
+        Args:
+            ways: Where somebody may stand, or land.
+            least_m: How near it may come, m.
+            begin: From when on, s from the beginning of the show.
+
+        Returns:
+            Seconds from the beginning of the show; None if it never does.
+        """
+        box = _box(ways, least_m)
+        for start, end, there in self._chunks:
+            if end < begin or not _overlap(box, there):
+                continue
+            for at in _moments(max(start, begin), end):
+                place = self._track.moment(at).place
+                is_near = _overlap(box, (place[0], place[0], place[1], place[1]))
+                if is_near and nearest(place, ways, has_ended=False) < least_m:
+                    return at
+        last = max(begin, self._track.end)  # it stays there, or lands
+        place = self._track.moment(last).place
+        return last if nearest(place, ways, has_ended=True) < least_m else None
+
+
+def nearest(own: Vector, ways: Sequence[Vector], *, has_ended: bool) -> float:
+    """How near one is to the nearest place where somebody may stand or land, m.
+
+    Args:
+        own: Where it is.
+        ways: The places.
+        has_ended: Whether it may be landing itself.
+    """
+    return min(apart(own, way, first_ended=has_ended, second_ended=True) for way in ways)
+
+
+def _moments(start: float, end: float) -> Iterator[float]:
+    many = max(1, math.ceil((end - start) / _FINE_S))
+    for index in range(many + 1):
+        yield start + (end - start) * index / many
+
+
+def _box(places: Sequence[Vector], spare: float) -> _Box:
+    north, east = [place[0] for place in places], [place[1] for place in places]
+    return min(north) - spare, max(north) + spare, min(east) - spare, max(east) + spare
+
+
+def _overlap(a: _Box, b: _Box) -> bool:
+    return a[0] <= b[1] and b[0] <= a[1] and a[2] <= b[3] and b[2] <= a[3]

@@ -1,0 +1,562 @@
+"""Shows as JSON: who flies where, and when.
+
+What stands in a file and is not read would be flown without being seen, so nothing is passed over:
+a field that does not exist, or stands there twice, is refused by its name.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from itertools import combinations
+from pathlib import Path
+from typing import Any, Self
+
+from m100link.apps.fleet.show.plan.track import (
+    BadShow,
+    TimedPoint,
+    TimedTrack,
+    Vector,
+    apart,
+    closest,
+    under,
+)
+from m100link.errors import BadPlan, GuardRefused
+from m100link.flight.guards import Envelope
+from m100link.geodesy import LocalFrame
+from m100link.missions.document import load_object
+from m100link.missions.files import read as read_file
+
+__all__ = [
+    "ACCELERATION_M_S2",
+    "CLIMB_M_S",
+    "FORMAT",
+    "MAX_AIRCRAFT",
+    "SKEW_S",
+    "VERSION",
+    "Closest",
+    "Report",
+    "Show",
+    "check",
+    "distances",
+    "needed_m",
+    "places",
+    "svg",
+]
+
+
+FORMAT = "m100link show"
+VERSION = 1
+MAX_AIRCRAFT = 200
+"""Every two of them are compared."""
+
+_FIELDS = ("format", "version", "name", "origin", "least_distance_m", "tube_m", "aircraft")
+_AIRCRAFT_FIELDS = ("name", "ground_m", "heading_deg", "waypoints")
+_BY_METRES = ("at", "north", "east", "height")
+_BY_DEGREES = ("at", "latitude_deg", "longitude_deg", "height")
+
+
+@dataclass(frozen=True, slots=True)
+class Show:
+    """What several aircraft fly together.
+
+    Attributes:
+        name: For people.
+        tracks: What each of them flies, in the file's order.
+        least_distance_m: How near two aircraft may come to each other in the air, m, from centre
+            to centre; what GPS is wrong by is not in it.
+    """
+
+    name: str
+    tracks: tuple[TimedTrack, ...]
+    least_distance_m: float = 3.0
+
+    @property
+    def duration(self) -> float:
+        """Seconds from its beginning until the last aircraft is at its last point."""
+        return max(track.end for track in self.tracks)
+
+    @classmethod
+    def read(cls, path: str | Path) -> Self:
+        """Read a file.
+
+        Raises:
+            BadShow: It cannot be read, or is no show.
+        """
+        try:
+            text = read_file(path)
+        except BadPlan as error:
+            raise BadShow(error.seen, cause=error.cause, remedy=error.remedy) from error
+        return cls.parse(text)
+
+    @classmethod
+    def parse(cls, text: str | bytes) -> Self:
+        """Read what such a file holds.
+
+        Raises:
+            BadShow: It is no show: not JSON, a field is missing, unknown or out of its range.
+        """
+        try:
+            found = load_object(text)
+        except BadPlan as error:
+            raise BadShow(error.seen, cause=error.cause, remedy="give a show as JSON") from error
+        return cls(**_values(found))
+
+
+def _values(found: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of :class:`Show`."""
+    kind = found.get("format"), found.get("version")
+    if kind != (FORMAT, VERSION) or isinstance(kind[1], bool):
+        raise BadShow(
+            f"the format is {_short(kind[0])}, version {_short(kind[1])}",
+            cause="the file is something else, or another version of m100link wrote it",
+            remedy=f'"format": "{FORMAT}", "version": {VERSION}',
+        )
+    _refuse_unknown(found, _FIELDS, "the show")
+    listed = found.get("aircraft")
+    if not isinstance(listed, list) or not 1 <= len(listed) <= MAX_AIRCRAFT:
+        raise BadShow(
+            f"aircraft is {_short(listed)}",
+            remedy=f'"aircraft": a list of 1 to {MAX_AIRCRAFT} objects',
+        )
+    least = _number(found, "least_distance_m", "the show", 3.0)
+    if not 0 < least <= 1000:
+        raise BadShow(f"least_distance_m is {least:g}", remedy="more than 0, up to 1000 m")
+    name = found.get("name", "")
+    if not isinstance(name, str):
+        raise BadShow(f"name is {_short(name)}", remedy="a text")
+    origin = _origin(found, listed)
+    tube = _number(found, "tube_m", "the show", 1.5)
+    tracks = tuple(_track(index, one, origin, tube) for index, one in enumerate(listed))
+    names = [track.name for track in tracks]
+    for one in names:
+        if names.count(one) > 1:
+            raise BadShow(
+                f"{one} stands twice among the aircraft",
+                aircraft=(one,),
+                remedy="one track for each aircraft, by its name in the fleet",
+            )
+    return {"name": name, "tracks": tracks, "least_distance_m": least}
+
+
+def _origin(found: Mapping[str, Any], listed: Sequence[Any]) -> tuple[float, float]:
+    """Latitude and longitude where north and east are 0: the file's, else the first waypoint's."""
+    origin = found.get("origin")
+    if origin is None:
+        first = listed[0].get("waypoints") if isinstance(listed[0], dict) else None
+        origin = first[0] if isinstance(first, list) and first else None
+        if not isinstance(origin, dict) or "latitude_deg" not in origin:
+            raise BadShow(
+                "the show has no origin",
+                cause="where on the earth metres north and east count from is not said",
+                remedy='"origin": {"latitude_deg": …, "longitude_deg": …}, or the first waypoint '
+                "of the first aircraft in degrees",
+            )
+        origin = {name: origin.get(name) for name in ("latitude_deg", "longitude_deg")}
+    if not isinstance(origin, dict):
+        raise BadShow(f"origin is {_short(origin)}", remedy="an object of two numbers")
+    _refuse_unknown(origin, ("latitude_deg", "longitude_deg"), "origin")
+    latitude = _number(origin, "latitude_deg", "origin")
+    longitude = _number(origin, "longitude_deg", "origin")
+    if not (abs(latitude) <= 89 and abs(longitude) <= 180):
+        raise BadShow(
+            f"the origin is {latitude:g}° {longitude:g}°",
+            remedy="latitude within ±89°, longitude within ±180°",
+        )
+    return latitude, longitude
+
+
+def _track(index: int, found: Any, origin: tuple[float, float], tube: float) -> TimedTrack:
+    where = f"aircraft {index}"
+    if not isinstance(found, dict) or not isinstance(found.get("name"), str):
+        raise BadShow(f"{where} is {_short(found)}", remedy='an object with "name" and "waypoints"')
+    where = found["name"] or where
+    _refuse_unknown(found, _AIRCRAFT_FIELDS, where)
+    listed = found.get("waypoints")
+    if not isinstance(listed, list):
+        raise BadShow(
+            f"{where}: waypoints is {_short(listed)}", remedy='"waypoints": a list of objects'
+        )
+    frame = LocalFrame(*origin)
+    heading = found.get("heading_deg")
+    return TimedTrack(
+        found["name"],
+        origin,
+        tuple(_point(f"{where}, point {at}", point, frame) for at, point in enumerate(listed)),
+        ground_m=_number(found, "ground_m", where, 0.0),
+        heading_deg=None if heading is None else _number(found, "heading_deg", where),
+        tube_m=tube,
+    )
+
+
+def _point(where: str, found: Any, frame: LocalFrame) -> TimedPoint:
+    if not isinstance(found, dict):
+        raise BadShow(f"{where} is {_short(found)}", remedy=f"an object of {', '.join(_BY_METRES)}")
+    is_by_degrees = "latitude_deg" in found or "longitude_deg" in found
+    _refuse_unknown(found, _BY_DEGREES if is_by_degrees else _BY_METRES, where)
+    at, height = _number(found, "at", where), _number(found, "height", where)
+    if not is_by_degrees:
+        return TimedPoint(at, _number(found, "north", where), _number(found, "east", where), height)
+    latitude = _number(found, "latitude_deg", where)
+    longitude = _number(found, "longitude_deg", where)
+    if not (abs(latitude) <= 89 and abs(longitude) <= 180):
+        raise BadShow(
+            f"{where} is at {latitude:g}° {longitude:g}°",
+            remedy="latitude within ±89°, longitude within ±180°",
+        )
+    return TimedPoint(at, *frame.to_local(latitude, longitude), height)
+
+
+def _number(found: Mapping[str, Any], name: str, where: str, default: float | None = None) -> float:
+    value = found.get(name, default)
+    try:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError
+        number = float(value)
+    except (ValueError, OverflowError):
+        number = math.nan
+    if not math.isfinite(number):
+        missing = "is missing" if name not in found else f"is {_short(value)}"
+        raise BadShow(f"{where}: {name} {missing}", remedy="a number")
+    return number
+
+
+def _refuse_unknown(found: Mapping[str, Any], known: Sequence[str], where: str) -> None:
+    for name in found:
+        if name not in known:
+            raise BadShow(
+                f"{where}: there is no field {_short(name)}", remedy=f"one of {', '.join(known)}"
+            )
+
+
+def _short(value: object) -> str:
+    text = json.dumps(value, ensure_ascii=False, default=repr)
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+# -- what is wrong with a show: limits of each aircraft, and how near any two come to each othe ----
+
+
+SKEW_S = 0.05
+"""By how much the clock of an agent may be wrong in a show; more, and it does not begin."""
+CLIMB_M_S = 2.0
+"""The steepest climb or descent: slower than the aircraft sinks into its own downwash."""
+ACCELERATION_M_S2 = 1.5
+"""A tilt of 9°, as on the rounded corners of a path."""
+_SPARE = 0.8  # of the envelope's speed: with the rest an aircraft that is late catches up
+_SAMPLES = 240
+"""Moments at which the least distance is drawn."""
+
+
+@dataclass(frozen=True, slots=True)
+class Closest:
+    """The nearest that any two come to each other.
+
+    Attributes:
+        at: Seconds from the beginning of the show.
+        first: Name of one of them.
+        second: Of the other one.
+        distance_m: Between their tracks.
+        needed_m: What these two need there.
+    """
+
+    at: float
+    first: str
+    second: str
+    distance_m: float
+    needed_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What the check of a show found.
+
+    Attributes:
+        problems: Why it must not be flown; none if it may be.
+        remarks: What may surprise.
+        closest: The nearest pair; None if there is only one aircraft.
+    """
+
+    problems: tuple[BadShow, ...]
+    remarks: tuple[str, ...]
+    closest: Closest | None
+
+    @property
+    def ok(self) -> bool:
+        """Whether it may be flown."""
+        return not self.problems
+
+
+def needed_m(show: Show, first: TimedTrack, second: TimedTrack) -> float:
+    """How far apart the tracks of two have to be, m.
+
+    What the show wants between aircraft, both tubes, and the way that either flies in the time by
+    which its clock may be wrong.
+    """
+    late = SKEW_S * sum(math.hypot(*track.fastest) for track in (first, second))
+    return show.least_distance_m + first.tube_m + second.tube_m + late
+
+
+def check(show: Show, envelope: Envelope | None = None) -> Report:
+    """Look at each aircraft by itself, and at all of them together.
+
+    Args:
+        show: The show.
+        envelope: Of the agents' guards; by default the guards' own.
+    """
+    problems = [
+        problem for track in show.tracks for problem in _alone(track, envelope or Envelope())
+    ]
+    problems += _together(show)
+    return Report(tuple(problems), tuple(_remarks(show)), _closest(show))
+
+
+# -- one aircraft ---------------------------------------------------------------------------------
+
+
+def _alone(track: TimedTrack, envelope: Envelope) -> Iterator[BadShow]:
+    """What its guards and its autopilot would not fly."""
+    spots = [(point.north, point.east) for point in track.points]
+    far = max(math.dist(spots[0], spot) for spot in spots)  # it takes off below its first point
+    highest = max(point.height for point in track.points) - track.ground_m
+    lowest = min(point.height for point in track.points) - track.ground_m
+    across, upright = track.fastest
+    try:
+        envelope.check(track.name, height=highest, far=far)
+    except GuardRefused as error:
+        yield BadShow(error.seen, aircraft=(track.name,), remedy=error.remedy)
+    if lowest < 1.0:
+        yield BadShow(
+            f"{track.name} flies {lowest:.1f} m above its take-off point",
+            aircraft=(track.name,),
+            measured=lowest,
+            limit=1.0,
+            cause="heights count from the show's origin, ground_m says where it stands",
+            remedy="1 m or more above the ground",
+        )
+    if across > _SPARE * envelope.max_speed_m_s:
+        yield _too_much(track, 0, across, _SPARE * envelope.max_speed_m_s)
+    if upright > CLIMB_M_S:
+        yield _too_much(track, 1, upright, CLIMB_M_S)
+    for leg in track.legs:
+        if leg.hardest_m_s2 > ACCELERATION_M_S2:
+            yield BadShow(
+                f"{track.name} accelerates by {leg.hardest_m_s2:.1f} m/s² between {leg.begin:g} "
+                f"and {leg.end:g} s, {ACCELERATION_M_S2:g} m/s² are flown",
+                aircraft=(track.name,),
+                at=leg.begin,
+                measured=leg.hardest_m_s2,
+                limit=ACCELERATION_M_S2,
+                remedy=f"give it {leg.duration * _slower(leg.hardest_m_s2):.1f} s, or put points "
+                "where it turns",
+            )
+            return  # the others are mostly neighbours of the same corner
+
+
+def _slower(acceleration: float) -> float:
+    """How much longer a leg has to take."""
+    return math.sqrt(acceleration / ACCELERATION_M_S2)
+
+
+def _too_much(track: TimedTrack, which: int, speed: float, limit: float) -> BadShow:
+    """One leg that is too fast, horizontally or vertically: the fastest."""
+    leg = max(track.legs, key=lambda leg: leg.fastest[which])
+    does = "climbs or descends at" if which else "flies"
+    return BadShow(
+        f"{track.name} {does} {speed:.1f} m/s between {leg.begin:g} and {leg.end:g} s, "
+        f"{limit:g} m/s may be flown",
+        aircraft=(track.name,),
+        at=leg.begin,
+        measured=speed,
+        limit=limit,
+        cause="between two points it begins and ends slowly and is 1.5 times as fast in the middle",
+        remedy=f"give it {leg.duration * speed / limit:.1f} s, or a shorter way",
+    )
+
+
+# -- all of them ----------------------------------------------------------------------------------
+
+
+def _together(show: Show) -> Iterator[BadShow]:
+    for first, second in combinations(show.tracks, 2):
+        for which, word in ((0, "take off"), (-1, "end")):
+            a, b = first.points[which], second.points[which]
+            apart = math.dist((a.north, a.east), (b.north, b.east))
+            needed = show.least_distance_m + first.tube_m + second.tube_m
+            if apart < needed:
+                yield BadShow(
+                    f"{first.name} and {second.name} {word} {apart:.1f} m from each other, seen "
+                    f"from above; {needed:.1f} m are needed",
+                    aircraft=(first.name, second.name),
+                    at=0.0 if which == 0 else show.duration,
+                    measured=apart,
+                    limit=needed,
+                    cause="each climbs to its first point, and may land below its last one",
+                    remedy="move one of them aside",
+                )
+    for first, second, distance, at in under(
+        show.tracks, lambda first, second: needed_m(show, first, second)
+    ):
+        needed = needed_m(show, first, second)
+        yield BadShow(
+            f"{first.name} and {second.name} come as near as {distance:.1f} m at {at:.2f} s; "
+            f"{needed:.1f} m are needed",
+            aircraft=(first.name, second.name),
+            at=at,
+            measured=distance,
+            limit=needed,
+            cause=f"{show.least_distance_m:g} m between aircraft, their tubes of "
+            f"{first.tube_m:g} and {second.tube_m:g} m, and clocks that differ by {SKEW_S:g} s",
+            remedy="move a point, or let one pass later",
+        )
+
+
+def _closest(show: Show) -> Closest | None:
+    best: Closest | None = None
+    for first, second in combinations(show.tracks, 2):
+        found = closest(first, second, below=math.inf if best is None else best.distance_m)
+        if found is not None:
+            distance, at = found
+            needed = needed_m(show, first, second)
+            best = Closest(at, first.name, second.name, distance, needed)
+    return best
+
+
+def places(show: Show) -> list[tuple[float, list[Vector]]]:
+    """Where each one is at a few hundred moments: for a picture, and for what may surprise."""
+    return [
+        (at, [track.moment(at).place for track in show.tracks])
+        for at in (show.duration * index / _SAMPLES for index in range(_SAMPLES + 1))
+    ]
+
+
+def distances(show: Show) -> list[tuple[float, float]]:
+    """Time and least distance of any two at a few hundred moments; nothing for one aircraft."""
+    ends = [track.end for track in show.tracks]
+    return [
+        (
+            at,
+            min(
+                apart(first, second, first_ended=at >= ends[i], second_ended=at >= ends[j])
+                for (i, first), (j, second) in combinations(enumerate(there), 2)
+            ),
+        )
+        for at, there in places(show)
+        if len(there) > 1
+    ]
+
+
+def _remarks(show: Show) -> Iterator[str]:
+    """Who flies over whom: what breaks down above somebody comes down there."""
+    told: set[tuple[int, int]] = set()
+    for at, there in places(show):
+        for (i, first), (j, second) in combinations(enumerate(there), 2):
+            upper, lower = (i, j) if first[2] > second[2] else (j, i)
+            is_near = math.dist(first[:2], second[:2]) < show.least_distance_m
+            if is_near and (upper, lower) not in told:
+                told.add((upper, lower))
+                yield (
+                    f"{show.tracks[upper].name} is above {show.tracks[lower].name} at {at:.1f} s: "
+                    "if it has to land there, it comes down on it"
+                )
+
+
+# -- A show as a picture: SVG. It takes the colour of its text from what it stands in --------------
+
+
+Spot = tuple[float, float]
+
+_WIDTH, _MAP, _CURVE, _EDGE = 640.0, 420.0, 150.0, 32.0
+_NAMED = 30
+"""So many aircraft have room for their names."""
+_SCALES_M = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+
+
+def svg(show: Show, report: Report) -> str:
+    """The tracks from above, north up and equal scales; below, the least distance over time."""
+    parts = [*_from_above(show), *_apart(show, report)]
+    height = _MAP + _CURVE
+    label = escape(f"{show.name or 'A show'}: {len(show.tracks)} aircraft, {show.duration:g} s")
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH:g} {height:g}" '
+        f'width="{_WIDTH:g}" style="max-width:100%;height:auto" role="img" aria-label="{label}" '
+        f'font-family="sans-serif" font-size="11" fill="currentColor">{"".join(parts)}</svg>\n'
+    )
+
+
+def _line(spots: Sequence[Spot], colour: str, more: str = "") -> str:
+    points = " ".join(f"{x:.1f},{y:.1f}" for x, y in spots)
+    return f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="1.5"{more}/>'
+
+
+def _text(x: float, y: float, words: str, at: str = "start", colour: str = "currentColor") -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{at}" fill="{colour}">{words}</text>'
+
+
+def _colour(index: int, count: int) -> str:
+    """One that is told from its neighbours, on white and on black."""
+    return f"hsl({360 * index // count},70%,45%)"
+
+
+def _from_above(show: Show) -> Iterator[str]:
+    ways = list(zip(*(there for _, there in places(show)), strict=True))
+    norths = [north for way in ways for north, _, _ in way]
+    easts = [east for way in ways for _, east, _ in way]
+    north, east = max(norths) - min(norths), max(easts) - min(easts)
+    scale = min((_WIDTH - 2 * _EDGE) / max(east, 1.0), (_MAP - 2 * _EDGE) / max(north, 1.0))
+    left, top = (_WIDTH - east * scale) / 2, (_MAP - north * scale) / 2
+
+    def spot(place: tuple[float, float, float]) -> Spot:
+        return left + (place[1] - min(easts)) * scale, top + (max(norths) - place[0]) * scale
+
+    for index, (track, way) in enumerate(zip(show.tracks, ways, strict=True)):
+        colour, spots, name = _colour(index, len(ways)), [*map(spot, way)], escape(track.name)
+        yield f"<g><title>{name}</title>{_line(spots, colour)}"
+        for point in track.points:
+            x, y = spot(point.place)
+            yield (
+                f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.5" fill="{colour}"><title>{name}, '
+                f"{point.at:g} s: {point.height:g} m</title></circle>"
+            )
+        x, y = spots[0]
+        yield f'<circle cx="{x:.1f}" cy="{y:.1f}" r="6" fill="none" stroke="{colour}"/></g>'
+        if len(ways) <= _NAMED:
+            yield _text(x + 8, y - 6, name, colour=colour)
+    metres = next((one for one in _SCALES_M if one * scale >= 40), _SCALES_M[-1])
+    yield f'<path d="M8 {_MAP - 6:g}v4h{metres * scale:.1f}v-4" fill="none" stroke="currentColor"/>'
+    yield _text(14 + metres * scale, _MAP - 2, f"{metres} m")
+    yield _text(_WIDTH - 8, 14, "N ↑", "end")
+
+
+def _apart(show: Show, report: Report) -> Iterator[str]:
+    found, nearest = distances(show), report.closest
+    if nearest is None:
+        return
+    highest = max(nearest.needed_m, *(distance for _, distance in found)) * 1.05
+    top, bottom, first, last = _MAP + 24, _MAP + _CURVE - 22, 44.0, _WIDTH - 12
+
+    def spot(at: float, distance: float) -> Spot:
+        return (
+            first + at / show.duration * (last - first),
+            bottom - distance / highest * (bottom - top),
+        )
+
+    yield _text(8, top - 8, "least distance of any two, m")
+    yield _line([(first, top), (first, bottom), (last, bottom)], "currentColor")
+    needed = [spot(at, nearest.needed_m) for at in (0.0, show.duration)]
+    yield _line(needed, "crimson", ' stroke-dasharray="5 4"')
+    yield _text(last, needed[1][1] - 4, f"{nearest.needed_m:.1f} m needed", "end", "crimson")
+    yield _line([spot(at, distance) for at, distance in found], "currentColor")
+    x, y = spot(nearest.at, nearest.distance_m)
+    words = escape(
+        f"{nearest.first} and {nearest.second}: {nearest.distance_m:.1f} m at {nearest.at:.1f} s"
+    )
+    yield f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="none" stroke="currentColor"/>'
+    at = "start" if x < _WIDTH / 2 else "end"
+    yield _text(x + (8 if at == "start" else -8), min(y + 14, bottom - 4), words, at)
+    yield _text(first - 4, top + 4, f"{highest:.0f}", "end")
+    yield _text(first - 4, bottom, "0", "end")
+    yield _text(last, bottom + 14, f"{show.duration:g} s", "end")

@@ -1,0 +1,652 @@
+"""Messages of MAVLink 2 that the bridge speaks: a row each, as the public definitions have them.
+
+``number NAME: fields``, in the order of the wire; what stands behind ``|`` are extensions, which
+older programs leave out. The extra byte of the checksum follows from names and types
+(``m100link.apps.mavlink.translator.codec``), so a field that is wrong here is a message that nobody
+understands.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import hmac
+import json
+import os
+import re
+import struct
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from struct import Struct
+from typing import Any, NamedTuple
+from zlib import crc32
+
+import crcmod
+
+from m100link.errors.texts import read_json
+
+__all__ = [
+    "AHEAD",
+    "DEFINITIONS",
+    "LAST_SIGNATURE",
+    "LAYOUTS",
+    "NEW_WITHIN",
+    "Layout",
+    "Message",
+    "Reading",
+    "Sender",
+    "SignatureMemory",
+    "Signer",
+    "Snapshot",
+    "read_datagram",
+    "write_frame",
+]
+
+
+DEFINITIONS = """
+0 HEARTBEAT: u32 custom_mode, u8 type, u8 autopilot, u8 base_mode, u8 system_status, u8
+    mavlink_version
+1 SYS_STATUS: u32 onboard_control_sensors_present, u32 onboard_control_sensors_enabled, u32
+    onboard_control_sensors_health, u16 load, u16 voltage_battery, i16 current_battery, u16
+    drop_rate_comm, u16 errors_comm, u16 errors_count1, u16 errors_count2, u16 errors_count3,
+    u16 errors_count4, i8 battery_remaining | u32 onboard_control_sensors_present_extended, u32
+    onboard_control_sensors_enabled_extended, u32 onboard_control_sensors_health_extended
+2 SYSTEM_TIME: u64 time_unix_usec, u32 time_boot_ms
+4 PING: u64 time_usec, u32 seq, u8 target_system, u8 target_component
+11 SET_MODE: u32 custom_mode, u8 target_system, u8 base_mode
+20 PARAM_REQUEST_READ: i16 param_index, u8 target_system, u8 target_component, char[16] param_id
+21 PARAM_REQUEST_LIST: u8 target_system, u8 target_component
+22 PARAM_VALUE: f32 param_value, u16 param_count, u16 param_index, char[16] param_id, u8
+    param_type
+23 PARAM_SET: f32 param_value, u8 target_system, u8 target_component, char[16] param_id, u8
+    param_type
+24 GPS_RAW_INT: u64 time_usec, i32 lat, i32 lon, i32 alt, u16 eph, u16 epv, u16 vel, u16 cog, u8
+    fix_type, u8 satellites_visible | i32 alt_ellipsoid, u32 h_acc, u32 v_acc, u32 vel_acc, u32
+    hdg_acc, u16 yaw
+30 ATTITUDE: u32 time_boot_ms, f32 roll, f32 pitch, f32 yaw, f32 rollspeed, f32 pitchspeed, f32
+    yawspeed
+31 ATTITUDE_QUATERNION: u32 time_boot_ms, f32 q1, f32 q2, f32 q3, f32 q4, f32 rollspeed, f32
+    pitchspeed, f32 yawspeed | f32[4] repr_offset_q
+32 LOCAL_POSITION_NED: u32 time_boot_ms, f32 x, f32 y, f32 z, f32 vx, f32 vy, f32 vz
+33 GLOBAL_POSITION_INT: u32 time_boot_ms, i32 lat, i32 lon, i32 alt, i32 relative_alt, i16 vx,
+    i16 vy, i16 vz, u16 hdg
+40 MISSION_REQUEST: u16 seq, u8 target_system, u8 target_component | u8 mission_type
+41 MISSION_SET_CURRENT: u16 seq, u8 target_system, u8 target_component
+42 MISSION_CURRENT: u16 seq | u16 total, u8 mission_state, u8 mission_mode
+43 MISSION_REQUEST_LIST: u8 target_system, u8 target_component | u8 mission_type
+44 MISSION_COUNT: u16 count, u8 target_system, u8 target_component | u8 mission_type
+45 MISSION_CLEAR_ALL: u8 target_system, u8 target_component | u8 mission_type
+46 MISSION_ITEM_REACHED: u16 seq
+47 MISSION_ACK: u8 target_system, u8 target_component, u8 type | u8 mission_type
+51 MISSION_REQUEST_INT: u16 seq, u8 target_system, u8 target_component | u8 mission_type
+65 RC_CHANNELS: u32 time_boot_ms, u16 chan1_raw, u16 chan2_raw, u16 chan3_raw, u16 chan4_raw,
+    u16 chan5_raw, u16 chan6_raw, u16 chan7_raw, u16 chan8_raw, u16 chan9_raw, u16 chan10_raw,
+    u16 chan11_raw, u16 chan12_raw, u16 chan13_raw, u16 chan14_raw, u16 chan15_raw, u16
+    chan16_raw, u16 chan17_raw, u16 chan18_raw, u8 chancount, u8 rssi
+66 REQUEST_DATA_STREAM: u16 req_message_rate, u8 target_system, u8 target_component, u8
+    req_stream_id, u8 start_stop
+69 MANUAL_CONTROL: i16 x, i16 y, i16 z, i16 r, u16 buttons, u8 target | u16 buttons2, u8
+    enabled_extensions, i16 s, i16 t, i16 aux1, i16 aux2, i16 aux3, i16 aux4, i16 aux5, i16 aux6
+73 MISSION_ITEM_INT: f32 param1, f32 param2, f32 param3, f32 param4, i32 x, i32 y, f32 z, u16
+    seq, u16 command, u8 target_system, u8 target_component, u8 frame, u8 current, u8
+    autocontinue | u8 mission_type
+74 VFR_HUD: f32 airspeed, f32 groundspeed, f32 alt, f32 climb, i16 heading, u16 throttle
+75 COMMAND_INT: f32 param1, f32 param2, f32 param3, f32 param4, i32 x, i32 y, f32 z, u16
+    command, u8 target_system, u8 target_component, u8 frame, u8 current, u8 autocontinue
+76 COMMAND_LONG: f32 param1, f32 param2, f32 param3, f32 param4, f32 param5, f32 param6, f32
+    param7, u16 command, u8 target_system, u8 target_component, u8 confirmation
+77 COMMAND_ACK: u16 command, u8 result | u8 progress, i32 result_param2, u8 target_system, u8
+    target_component
+82 SET_ATTITUDE_TARGET: u32 time_boot_ms, f32[4] q, f32 body_roll_rate, f32 body_pitch_rate, f32
+    body_yaw_rate, f32 thrust, u8 target_system, u8 target_component, u8 type_mask
+84 SET_POSITION_TARGET_LOCAL_NED: u32 time_boot_ms, f32 x, f32 y, f32 z, f32 vx, f32 vy, f32 vz,
+    f32 afx, f32 afy, f32 afz, f32 yaw, f32 yaw_rate, u16 type_mask, u8 target_system, u8
+    target_component, u8 coordinate_frame
+86 SET_POSITION_TARGET_GLOBAL_INT: u32 time_boot_ms, i32 lat_int, i32 lon_int, f32 alt, f32 vx,
+    f32 vy, f32 vz, f32 afx, f32 afy, f32 afz, f32 yaw, f32 yaw_rate, u16 type_mask, u8
+    target_system, u8 target_component, u8 coordinate_frame
+105 HIGHRES_IMU: u64 time_usec, f32 xacc, f32 yacc, f32 zacc, f32 xgyro, f32 ygyro, f32 zgyro,
+    f32 xmag, f32 ymag, f32 zmag, f32 abs_pressure, f32 diff_pressure, f32 pressure_alt, f32
+    temperature, u16 fields_updated | u8 id
+110 FILE_TRANSFER_PROTOCOL: u8 target_network, u8 target_system, u8 target_component, u8[251]
+    payload
+111 TIMESYNC: i64 tc1, i64 ts1
+117 LOG_REQUEST_LIST: u16 start, u16 end, u8 target_system, u8 target_component
+118 LOG_ENTRY: u32 time_utc, u32 size, u16 id, u16 num_logs, u16 last_log_num
+141 ALTITUDE: u64 time_usec, f32 altitude_monotonic, f32 altitude_amsl, f32 altitude_local, f32
+    altitude_relative, f32 altitude_terrain, f32 bottom_clearance
+147 BATTERY_STATUS: i32 current_consumed, i32 energy_consumed, i16 temperature, u16[10]
+    voltages, i16 current_battery, u8 id, u8 battery_function, u8 type, i8 battery_remaining |
+    i32 time_remaining, u8 charge_state, u16[4] voltages_ext, u8 mode, u32 fault_bitmask
+148 AUTOPILOT_VERSION: u64 capabilities, u64 uid, u32 flight_sw_version, u32
+    middleware_sw_version, u32 os_sw_version, u32 board_version, u16 vendor_id, u16 product_id,
+    u8[8] flight_custom_version, u8[8] middleware_custom_version, u8[8] os_custom_version |
+    u8[18] uid2
+230 ESTIMATOR_STATUS: u64 time_usec, f32 vel_ratio, f32 pos_horiz_ratio, f32 pos_vert_ratio, f32
+    mag_ratio, f32 hagl_ratio, f32 tas_ratio, f32 pos_horiz_accuracy, f32 pos_vert_accuracy, u16
+    flags
+242 HOME_POSITION: i32 latitude, i32 longitude, i32 altitude, f32 x, f32 y, f32 z, f32[4] q, f32
+    approach_x, f32 approach_y, f32 approach_z | u64 time_usec
+244 MESSAGE_INTERVAL: i32 interval_us, u16 message_id
+245 EXTENDED_SYS_STATE: u8 vtol_state, u8 landed_state
+253 STATUSTEXT: u8 severity, char[50] text | u16 id, u8 chunk_seq
+435 AVAILABLE_MODES: u32 custom_mode, u32 properties, u8 number_modes, u8 mode_index, u8
+    standard_mode, char[35] mode_name
+436 CURRENT_MODE: u32 custom_mode, u32 intended_custom_mode, u8 standard_mode
+"""
+"""All of them; each row may go on in lines that are indented."""
+
+
+# -- MAVLink 2 as bytes: a datagram into messages, a message into a frame, with signatures ---------
+# A codec of our own because every datagram has to be read by itself: a reader of streams that meets
+# a false start byte swallows the valid command behind it. No I/O and no clock: the time of
+# signatures is an argument.
+
+
+_crc = crcmod.mkCrcFun(0x11021, initCrc=0xFFFF, rev=True, xorOut=0)
+
+_V1, _V2 = 0xFE, 0xFD
+_HEADER_V1, _HEADER_V2 = Struct("<BBBBBB"), Struct("<BBBBBBBHB")
+_START = re.compile(rb"[\xfd\xfe]")
+_CHECKSUM = Struct("<H")
+_SIGNED = 0x01
+_SIGNATURE = 13
+_MOST_SENDERS = 64
+
+NEW_WITHIN = 60_000_00
+"""How old a sender may be that is heard first: one minute in the unit of signatures, 10 us."""
+
+LAST_SIGNATURE = 2**48 - 2**40
+"""Time of a signature that is still taken: its field is not counted to its end by mistake."""
+
+Sender = tuple[int, int, int]
+"""System, component and link of who signs."""
+
+_TYPES = {
+    "u8": ("uint8_t", "B"),
+    "i8": ("int8_t", "b"),
+    "u16": ("uint16_t", "H"),
+    "i16": ("int16_t", "h"),
+    "u32": ("uint32_t", "I"),
+    "i32": ("int32_t", "i"),
+    "u64": ("uint64_t", "Q"),
+    "i64": ("int64_t", "q"),
+    "f32": ("float", "f"),
+    "char": ("char", "s"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One message.
+
+    Attributes:
+        name: As in the definitions.
+        fields: Values by name; a text for characters, a tuple for other arrays.
+        system: Who sent it; 0 for what is to be sent.
+        component: Which part of that system.
+        is_signed: Whether it came with a signature that is right.
+    """
+
+    name: str
+    fields: Mapping[str, Any]
+    system: int = 0
+    component: int = 0
+    is_signed: bool = field(default=False, compare=False)
+
+    def __getitem__(self, name: str) -> Any:
+        return self.fields[name]
+
+
+@dataclass(frozen=True, slots=True)
+class _Field:
+    """A field: name, whether it is text, and how many values it has (0: it is not an array)."""
+
+    name: str
+    is_text: bool
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """How a message lies on the wire.
+
+    Attributes:
+        number: Its number.
+        name: Its name.
+        crc_extra: The byte that its checksum ends with: two ends with different definitions do not
+            understand each other.
+        least: Bytes without extensions: what version 1 of the protocol carries.
+    """
+
+    number: int
+    name: str
+    crc_extra: int
+    least: int
+    _struct: Struct
+    _fields: tuple[_Field, ...]
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Names, in the order of the wire."""
+        return tuple(one.name for one in self._fields)
+
+    @property
+    def size(self) -> int:
+        """Bytes with extensions."""
+        return self._struct.size
+
+    def write(self, values: Mapping[str, Any]) -> bytes:
+        """The payload; what is not named is 0."""
+        flat: list[Any] = []
+        for one in self._fields:
+            value = values.get(one.name)
+            if one.is_text:
+                flat.append(b"" if value is None else value.encode("ascii", "replace"))
+            elif one.count:
+                given = () if value is None else value
+                flat += [*given, *(0,) * (one.count - len(given))]
+            else:
+                flat.append(0 if value is None else value)
+        return self._struct.pack(*flat)
+
+    def read(self, payload: bytes) -> dict[str, Any]:
+        """The fields; zeros at the end may have been left out, and more than we know is ignored."""
+        whole = payload[: self._struct.size].ljust(self._struct.size, b"\0")
+        flat = iter(self._struct.unpack(whole))
+        found: dict[str, Any] = {}
+        for one in self._fields:
+            if one.is_text:
+                found[one.name] = next(flat).split(b"\0", 1)[0].decode("ascii", "replace")
+            elif one.count:
+                found[one.name] = tuple(next(flat) for _ in range(one.count))
+            else:
+                found[one.name] = next(flat)
+        return found
+
+
+def _layout(row: str) -> Layout:
+    number, name, told = re.fullmatch(r"(\d+) (\w+): (.+)", row).groups()  # type: ignore[union-attr]  # a row of ours
+    basic, _, extensions = told.partition(" | ")
+    extra, codes, fields = f"{name} ".encode(), "<", []
+    least = 0
+    for is_extension, part in ((False, basic), (True, extensions)):
+        for one in filter(None, part.split(", ")):
+            kind, called = one.split(" ")
+            base, count = re.fullmatch(r"(\w+?)(?:\[(\d+)\])?", kind).groups()  # type: ignore[union-attr]  # likewise
+            full, code = _TYPES[base]
+            size = int(count or 0)
+            if not is_extension:
+                extra += f"{full} {called} ".encode() + (bytes([size]) if size else b"")
+            codes += f"{size or ''}{code}"
+            fields.append(_Field(called, base == "char", size))
+        if not is_extension:
+            least = Struct(codes).size
+    crc = _crc(extra)
+    return Layout(int(number), name, (crc & 0xFF) ^ (crc >> 8), least, Struct(codes), tuple(fields))
+
+
+LAYOUTS: dict[str, Layout] = {
+    layout.name: layout
+    for layout in map(_layout, DEFINITIONS.replace("\n    ", " ").strip().splitlines())
+}
+"""By name."""
+
+_BY_NUMBER = {layout.number: layout for layout in LAYOUTS.values()}
+
+
+@dataclass
+class Signer:
+    """A secret that both ends know: who has it not is not obeyed.
+
+    A frame is taken once: its time has to be later than that of any frame before it from the same
+    sender, which is noted only when the signature is right.
+
+    Attributes:
+        key: 32 bytes.
+        link: Which of several links signs.
+        refused: Frames that were not taken.
+        sent: Newest time that was signed or taken; later starts begin with it.
+        newest: Newest time that was taken of each sender.
+        oldest: What is not later is not taken from anybody who is heard first.
+    """
+
+    key: bytes = field(repr=False)
+    link: int = 0
+    refused: int = 0
+    sent: int = 0
+    newest: dict[Sender, int] = field(default_factory=dict)
+    oldest: int = 0
+
+    def sign(self, frame: bytes, now: int) -> bytes:
+        """What follows the frame.
+
+        Args:
+            frame: From its first byte to its checksum.
+            now: Time in 10 microseconds since 2015.
+        """
+        self.sent = max(self.sent + 1, now)
+        told = bytes([self.link]) + self.sent.to_bytes(6, "little")
+        return told + self._digest(frame + told)
+
+    def takes(self, frame: bytes, sender: tuple[int, int], now: int) -> bool:
+        """Whether the signature at the end is right, and the frame not an old one."""
+        told = frame[-_SIGNATURE:-6]
+        when = int.from_bytes(told[1:], "little")
+        stream = (*sender, told[0])
+        # A sender that is heard first may not be more than a minute behind.
+        since = max(now, self.sent) - NEW_WITHIN
+        newest = self.newest.get(stream, max(since, self.oldest))
+        is_right = hmac.compare_digest(self._digest(frame[:-6]), frame[-6:])
+        if not is_right or not newest < when <= LAST_SIGNATURE:
+            return False
+        if stream not in self.newest and len(self.newest) >= _MOST_SENDERS:
+            # Who is forgotten is heard first again: what is old enough for that is refused.
+            self.newest = {one: at for one, at in self.newest.items() if at > since}
+            if len(self.newest) >= _MOST_SENDERS:
+                return False
+        self.newest[stream] = when
+        # Who has a later clock would refuse what is signed with ours.
+        self.sent = max(self.sent, when)
+        return True
+
+    def _digest(self, data: bytes) -> bytes:
+        return hashlib.sha256(self.key + data).digest()[:6]
+
+
+def write_frame(
+    message: Message, *, system: int, sequence: int, signer: Signer | None = None, now: int = 0
+) -> bytes:
+    """A frame of version 2 from component 1 of a system.
+
+    Args:
+        message: What to send.
+        system: Whose it is, 1 to 255.
+        sequence: Counts frames of that system; modulo 256 on the wire.
+        signer: Signs it.
+        now: Time for the signature.
+    """
+    layout = LAYOUTS[message.name]
+    payload = layout.write(message.fields).rstrip(b"\0") or b"\0"
+    number = layout.number
+    header = _HEADER_V2.pack(
+        *(_V2, len(payload), 0 if signer is None else _SIGNED, 0, sequence & 0xFF),
+        *(system, message.component or 1, number & 0xFFFF, number >> 16),
+    )
+    body = header + payload
+    frame = body + _CHECKSUM.pack(_crc(body[1:] + bytes([layout.crc_extra])))
+    return frame if signer is None else frame + signer.sign(frame, now)
+
+
+class Reading:
+    """The valid messages of a datagram, each searched from the end of the one before.
+
+    With a signer only HEARTBEAT is taken without a signature: it moves nothing.
+
+    Args:
+        data: The datagram.
+        signer: Refuses what is not signed.
+        now: Time of signatures, 10 microseconds since 2015.
+        most: What :attr:`checked` may become before the rest is left unread: a datagram can be made
+            to look like many overlapping frames, each of which is checked to its end.
+
+    Attributes:
+        checked: Bytes that looked like a frame, so far, counted again where such frames overlap:
+            what reading cost. Bytes between frames are skipped and cost next to nothing.
+    """
+
+    def __init__(
+        self, data: bytes, *, signer: Signer | None = None, now: int = 0, most: int | None = None
+    ) -> None:
+        self.checked = 0
+        self._data = data
+        self._signer = signer
+        self._now = now
+        self._most = most
+
+    def __iter__(self) -> Iterator[Message]:
+        data, signer = self._data, self._signer
+        start = _START.search(data)
+        while start is not None:
+            at = start.start()
+            if data[at] == _V2:
+                found = _frame_v2(data, at, signer, self._now)
+            else:
+                found = _frame_v1(data, at, is_signed=signer is not None)
+            self.checked += found.checked
+            if found.message is not None:
+                yield found.message
+            if self._most is not None and self.checked > self._most:
+                return
+            # What looked like a start and was none: the next byte may be one.
+            start = _START.search(data, found.end or at + 1)
+
+
+def read_datagram(data: bytes, *, signer: Signer | None = None, now: int = 0) -> Iterator[Message]:
+    """The valid messages of a datagram, see :class:`Reading`."""
+    return iter(Reading(data, signer=signer, now=now))
+
+
+class _Found(NamedTuple):
+    """What stands behind a start byte.
+
+    Attributes:
+        message: The message, if it is one for us.
+        end: Where the frame ends; 0 if there is none.
+        checked: Bytes that were looked at.
+    """
+
+    message: Message | None
+    end: int
+    checked: int
+
+
+_NO_FRAME = _Found(None, 0, _HEADER_V2.size)
+
+
+def _frame_v2(data: bytes, at: int, signer: Signer | None, now: int) -> _Found:
+    begin = at + _HEADER_V2.size
+    if begin + 2 > len(data):
+        return _NO_FRAME
+    _, size, incompatible, _, _, system, component, low, high = _HEADER_V2.unpack_from(data, at)
+    layout = _BY_NUMBER.get(low | high << 16)
+    end = begin + size + 2
+    is_signed = bool(incompatible & _SIGNED)
+    whole = end + (_SIGNATURE if is_signed else 0)
+    if incompatible & ~_SIGNED or whole > len(data) or layout is None:
+        return _NO_FRAME
+    if not _is_whole(data, at, end, layout):
+        return _Found(None, 0, end - at)
+    is_owed = signer is not None and (is_signed or layout.name != "HEARTBEAT")
+    if signer is not None and is_owed:
+        sender = system, component
+        if not (is_signed and signer.takes(data[at:whole], sender, now)):
+            signer.refused += 1
+            return _Found(None, whole, whole - at)
+    payload = data[begin : begin + size]
+    is_right = signer is not None and is_signed
+    message = _message(layout, payload, system, component, is_signed=is_right)
+    return _Found(message, whole, whole - at)
+
+
+def _frame_v1(data: bytes, at: int, *, is_signed: bool) -> _Found:
+    begin = at + _HEADER_V1.size
+    if begin + 2 > len(data):
+        return _NO_FRAME
+    _, size, _, system, component, number = _HEADER_V1.unpack_from(data, at)
+    layout = _BY_NUMBER.get(number)
+    end = begin + size + 2
+    if layout is None or end > len(data):
+        return _NO_FRAME
+    if not _is_whole(data, at, end, layout):
+        return _Found(None, 0, end - at)
+    if is_signed and layout.name != "HEARTBEAT":
+        return _Found(None, end, end - at)
+    message = _message(layout, data[begin : begin + size], system, component)
+    return _Found(message, end, end - at)
+
+
+def _is_whole(data: bytes, at: int, end: int, layout: Layout) -> bool:
+    (told,) = _CHECKSUM.unpack_from(data, end - 2)
+    return bool(told == _crc(data[at + 1 : end - 2] + bytes([layout.crc_extra])))
+
+
+def _message(
+    layout: Layout, payload: bytes, system: int, component: int, *, is_signed: bool = False
+) -> Message | None:
+    try:
+        return Message(layout.name, layout.read(payload), system, component, is_signed)
+    except struct.error:
+        return None
+
+
+# -- what was signed and taken, kept on disk: what is recorded now is not obeyed after a restar ----
+# The specification has the time of signatures kept, and started with at the next start. That alone
+# lets a minute pass in which what was recorded is taken again, and on a computer without a clock of
+# its own more. So the newest time of each sender is kept too, a little ahead of what was taken: it
+# holds even if this process is killed before it is written again.
+
+
+AHEAD = 2_000_00
+"""How far ahead times are kept while it runs, in 10 microseconds: 2 s."""
+
+_LONGEST = 65536
+_PARTS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """What is written.
+
+    Attributes:
+        sent: Newest time that was signed or taken.
+        newest: Newest time of each sender; what is not later is not taken.
+    """
+
+    sent: int
+    newest: dict[Sender, int]
+
+
+class SignatureMemory:
+    """The file of one key.
+
+    Args:
+        folder: Where; it is made when it is not there.
+        signer: Whose times are kept.
+
+    Attributes:
+        path: The file. Its name tells which key it belongs to, and nothing of the key.
+    """
+
+    def __init__(self, folder: Path, signer: Signer) -> None:
+        self._signer = signer
+        named = hashlib.sha256(b"m100link MAVLink signatures" + signer.key).hexdigest()[:16]
+        self.path = folder / f"signatures-{named}.json"
+        self._written: dict[Sender, int] = {}
+
+    def recall(self, now: int) -> str:
+        """Give the signer what was kept. Returns why that cannot be, empty where it can.
+
+        Args:
+            now: Time of signatures. What cannot be read may hide anything that was signed up to
+                now, and then nothing of that is taken.
+        """
+        try:
+            found = _read(self.path)
+        except FileNotFoundError:
+            return ""
+        except (OSError, ValueError) as error:
+            self._signer.oldest = now
+            return f"{self.path} cannot be read: {error}"
+        self._signer.sent = max(self._signer.sent, found.sent)
+        for sender, when in found.newest.items():
+            self._signer.newest[sender] = max(self._signer.newest.get(sender, 0), when)
+        self._written = found.newest
+        return ""
+
+    def due(self) -> Snapshot | None:
+        """What has to be written now, so that no frame that was taken is later; None for nothing.
+
+        A sender that does not stop is written for once in two seconds.
+        """
+        newest = self._newest()
+        if all(when <= self._written.get(sender, -1) for sender, when in newest.items()):
+            return None
+        return Snapshot(self._signer.sent, {one: when + AHEAD for one, when in newest.items()})
+
+    def last(self) -> Snapshot | None:
+        """What is written at the end: the times as they are, so that nobody waits for them."""
+        newest = self._newest()
+        return Snapshot(self._signer.sent, newest) if newest else None
+
+    def _newest(self) -> dict[Sender, int]:
+        """Those that count: whoever is further behind is refused for that."""
+        since = self._signer.sent - NEW_WITHIN
+        return {one: when for one, when in self._signer.newest.items() if when > since}
+
+    def write(self, snapshot: Snapshot) -> None:
+        """Write it; takes as long as the disk takes.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        newest, sent = dict(snapshot.newest), snapshot.sent
+        with contextlib.suppress(OSError, ValueError):
+            # Another bridge with this key may keep its senders here.
+            kept = _read(self.path)
+            sent = max(sent, kept.sent)
+            for sender, when in kept.newest.items():
+                is_ours = sender in newest and when == self._written.get(sender)
+                if not is_ours and when > sent - NEW_WITHIN:
+                    newest[sender] = max(when, newest.get(sender, 0))
+        told = {".".join(map(str, one)): when for one, when in newest.items()}
+        handle, name = tempfile.mkstemp(dir=self.path.parent, prefix=self.path.name)
+        try:
+            with os.fdopen(handle, "w", encoding="ascii") as file:
+                json.dump({"sent": sent, "newest": told, "crc32": _checksum(sent, told)}, file)
+            Path(name).replace(self.path)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+        self._written = newest
+
+
+def _checksum(sent: object, newest: dict[str, Any]) -> int:
+    return crc32(json.dumps([sent, newest]).encode())
+
+
+def _read(path: Path) -> Snapshot:
+    """What a file tells.
+
+    Raises:
+        OSError, ValueError: It cannot be read, or is not one of these.
+    """
+    with path.open("rb") as file:
+        data = file.read(_LONGEST + 1)
+    if len(data) > _LONGEST:
+        raise ValueError("it is too long")
+    told: Any = read_json(data)
+    if not (isinstance(told, dict) and isinstance(told.get("newest"), dict)):
+        raise ValueError("it is not a memory of signatures")
+    # A version before this one wrote no checksum; under any other name it is damaged.
+    checksum = _checksum(told.get("sent"), told["newest"])
+    if told.keys() - {"sent", "newest"} and told != told | {"crc32": checksum}:
+        raise ValueError("its checksum is wrong")
+    if told.keys() - {"sent", "newest", "crc32"}:
+        raise ValueError("it holds what is not known")
+    newest: dict[Sender, int] = {}
+    for name, when in told["newest"].items():
+        parts = [int(part) for part in str(name).split(".")]
+        if len(parts) != _PARTS:
+            raise ValueError(f"{name!r} is not a sender")
+        newest[parts[0], parts[1], parts[2]] = _time(when)
+    return Snapshot(_time(told.get("sent")), newest)
+
+
+def _time(value: object) -> int:
+    if not isinstance(value, int) or not 0 <= value <= LAST_SIGNATURE + AHEAD:
+        raise ValueError(f"{value!r} is not a time")
+    return value

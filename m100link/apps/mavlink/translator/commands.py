@@ -1,0 +1,496 @@
+"""MAV_CMD: what each command does, and its answer. One table; the manual is made from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+from m100link.apps.agent.guided import (
+    ChangeHeading,
+    ChangeHeight,
+    FlyAround,
+    FlyTo,
+    GuidedOrder,
+    name_of,
+)
+from m100link.apps.agent.messages import Action
+from m100link.apps.agent.preview import preview, preview_plan
+from m100link.apps.mavlink.translator.codec import LAYOUTS, Message
+from m100link.apps.mavlink.translator.deck import Deck
+from m100link.apps.mavlink.translator.modes import Mode, Phase, mode_of_number, mode_of_standard
+from m100link.apps.mavlink.translator.numbers import BaseMode, Command, Frame, Result, Severity
+from m100link.apps.mavlink.translator.orders import (
+    Do,
+    Flight,
+    GoHome,
+    Halt,
+    Land,
+    Order,
+    TakeOff,
+    Wish,
+)
+from m100link.apps.mavlink.translator.parameters import Parameters
+from m100link.apps.mavlink.translator.peers import Peer
+from m100link.apps.mavlink.translator.telemetry import NUMBERS, STREAMS, Rates
+from m100link.apps.mavlink.translator.world import World
+from m100link.errors import GuardRefused, UsageError
+from m100link.missions.plan import WaypointPlan
+
+__all__ = [
+    "COMMANDS",
+    "Asked",
+    "CommandRow",
+    "Commands",
+    "read_command",
+]
+
+
+_SEA_LEVEL = (Frame.GLOBAL, Frame.GLOBAL_INT)
+_RELATIVE = (Frame.GLOBAL_RELATIVE_ALT, Frame.GLOBAL_RELATIVE_ALT_INT)
+_ORBIT_TURNS = 200.0
+_NO_PLACE = 0x7FFFFFFF
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """A command as it came.
+
+    Attributes:
+        command: Its number.
+        parameters: The first four, NaN where nothing is said.
+        x: Latitude, °, or the fifth parameter.
+        y: Longitude, °, or the sixth.
+        z: Altitude, or the seventh.
+        frame: What the altitude counts from; above sea level where the message does not say it.
+        peer: Who asks.
+    """
+
+    command: int
+    parameters: tuple[float, float, float, float]
+    x: float
+    y: float
+    z: float
+    frame: int
+    peer: Peer
+
+
+def read_command(message: Message, peer: Peer) -> Asked:
+    """COMMAND_LONG or COMMAND_INT."""
+    four = tuple(message[f"param{place}"] for place in range(1, 5))
+    if message.name == "COMMAND_LONG":
+        x, y, z, frame = message["param5"], message["param6"], message["param7"], Frame.GLOBAL
+    else:
+        raw, z, frame = (message["x"], message["y"]), message["z"], message["frame"]
+        x, y = (math.nan if one == _NO_PLACE else one / 1e7 for one in raw)
+    return Asked(message["command"], four, x, y, z, frame, peer)
+
+
+class Commands:
+    """Carries commands out, or says why not.
+
+    Args:
+        world: The aircraft.
+        deck: What decides about flights.
+        parameters: Heights and speeds that commands leave open.
+        rates: How often telemetry is sent, which each peer may ask for.
+        tell: Takes reasons.
+        request: Sends a message by its number to whoever asks; False where there is none.
+        mission: Makes the wish that flies the mission; None where there is none.
+        fence: Why nobody may be at a place, with a radius around it; empty where one may.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        deck: Deck,
+        parameters: Parameters,
+        rates: Rates,
+        *,
+        tell: Callable[[Severity, str], None],
+        request: Callable[[int, float, Peer, float], bool],
+        mission: Callable[[Peer, int | None], Wish | None],
+        fence: Callable[[float, float, float], str],
+    ) -> None:
+        self._world = world
+        self._deck = deck
+        self._parameters = parameters
+        self._rates = rates
+        self._tell = tell
+        self._request = request
+        self._mission = mission
+        self._fence = fence
+        # What DO_CHANGE_SPEED said, until the next flight is over.
+        self._speed: float | None = None
+
+    def carry_out(self, asked: Asked, now: float) -> Result | None:
+        """The answer; None while arming takes time."""
+        row = COMMANDS.get(asked.command)
+        if row is None:
+            return Result.UNSUPPORTED
+        if any(map(math.isinf, (*asked.parameters, asked.x, asked.y, asked.z))):
+            # NaN says that nothing is said; infinity has no meaning in any command.
+            self._tell(Severity.WARNING, f"command {asked.command}: a parameter is not finite")
+            return Result.DENIED
+        try:
+            return row.handler(self, asked, now)
+        except (UsageError, GuardRefused) as error:
+            self._tell(Severity.WARNING, error.seen)
+            return Result.DENIED
+
+    # -- arming and modes ------------------------------------------------------------------------
+
+    def arm(self, asked: Asked, now: float) -> Result | None:
+        """COMPONENT_ARM_DISARM."""
+        if asked.parameters[0] == 1.0:
+            return self._deck.arm(asked.peer, now)
+        if asked.parameters[0] == 0.0:
+            return self._deck.disarm(asked.peer)
+        return Result.DENIED
+
+    def set_mode(self, asked: Asked, now: float) -> Result:
+        """DO_SET_MODE, by the numbers of PX4."""
+        base, main, sub, _ = asked.parameters
+        if not (_is_byte(base) and _is_byte(main)):
+            return Result.DENIED
+        if not int(base) & BaseMode.CUSTOM:
+            return self._no_mode(f"base mode {int(base)}")
+        # Leaving the sub mode out is how ground stations ask for modes that have none.
+        mode = mode_of_number(int(main), int(sub) if _is_byte(sub) else 0)
+        if mode is None:
+            return self._no_mode(f"mode {int(main)}.{int(sub) if _is_byte(sub) else 0}")
+        return self.wish_mode(mode, asked.peer, now)
+
+    def set_standard_mode(self, asked: Asked, now: float) -> Result:
+        """DO_SET_STANDARD_MODE."""
+        number = asked.parameters[0]
+        mode = mode_of_standard(int(number)) if _is_byte(number) else None
+        if mode is None:
+            return self._no_mode(f"standard mode {number:g}")
+        return self.wish_mode(mode, asked.peer, now)
+
+    def _no_mode(self, what: str) -> Result:
+        self._tell(Severity.WARNING, f"{what} is not one of this aircraft, or the RC has it alone")
+        return Result.DENIED
+
+    def wish_mode(self, mode: Mode, peer: Peer, now: float) -> Result:
+        """A mode by its name alone."""
+        if mode is Mode.TAKEOFF:
+            order = TakeOff(self._take_off_height(math.nan))
+            return self._deck.wish(Wish(mode, order, peer), now)
+        if mode is Mode.MISSION:
+            if self._is_others(peer, mode.value):
+                return Result.TEMPORARILY_REJECTED
+            wish = self._mission(peer, None)
+            if wish is None:
+                self._tell(Severity.WARNING, "there is no mission to fly")
+                return Result.DENIED
+            return self._fly_mission(wish, now)
+        is_steered = mode in (Mode.OFFBOARD, Mode.POSCTL, Mode.ALTCTL)
+        if is_steered and not self._deck.has_setpoint(mode, peer, now):
+            self._tell(Severity.WARNING, f"{mode.value}: no setpoint came yet")
+            return Result.DENIED
+        orders: dict[Mode, Order] = {
+            Mode.HOLD: Halt(),
+            Mode.LAND: Land(),
+            Mode.RTL: GoHome(),
+        }
+        return self._deck.wish(Wish(mode, orders.get(mode), peer), now)
+
+    # -- flights ---------------------------------------------------------------------------------
+
+    def take_off(self, asked: Asked, now: float) -> Result:
+        """NAV_TAKEOFF: to an altitude above sea level, or to the height of the parameter."""
+        altitude = math.nan if asked.z == 0.0 else asked.z
+        if asked.frame not in (*_SEA_LEVEL, *_RELATIVE) and math.isfinite(altitude):
+            raise UsageError(f"take-off: an altitude in frame {asked.frame} cannot be flown to")
+        if asked.frame in _RELATIVE and math.isfinite(altitude):
+            altitude += self._ground()
+        order = TakeOff(self._take_off_height(altitude))
+        return self._deck.wish(Wish(Mode.TAKEOFF, order, asked.peer), now)
+
+    def _ground(self) -> float:
+        ground = self._world.ground_altitude
+        if ground is None:
+            raise UsageError("take-off: nobody knows the altitude of the ground")
+        return ground
+
+    def _take_off_height(self, altitude: float) -> float:
+        height = self._parameters["MIS_TAKEOFF_ALT"]
+        if math.isfinite(altitude):
+            height = altitude - self._ground()
+        if height <= 0.0:
+            raise UsageError(f"take-off to {height:.1f} m above the ground")
+        self._check(ChangeHeight(height))
+        return height
+
+    def land(self, asked: Asked, now: float) -> Result:
+        """NAV_LAND, in place."""
+        return self.wish_mode(Mode.LAND, asked.peer, now)
+
+    def go_home(self, asked: Asked, now: float) -> Result:
+        """NAV_RETURN_TO_LAUNCH."""
+        return self.wish_mode(Mode.RTL, asked.peer, now)
+
+    def reposition(self, asked: Asked, now: float) -> Result:
+        """DO_REPOSITION: a place, a height, a heading, or nothing of these, which is a pause."""
+        if not self._is_place(asked) and math.isnan(asked.z):
+            yaw = asked.parameters[3]
+            if math.isnan(yaw):
+                return self.wish_mode(Mode.HOLD, asked.peer, now)
+            return self._fly(ChangeHeading(math.degrees(yaw)), Mode.GOTO, asked.peer, now)
+        height = self._height_of(asked)
+        if not self._is_place(asked):
+            return self._fly(ChangeHeight(height), Mode.GOTO, asked.peer, now)
+        yaw = asked.parameters[3]
+        order = FlyTo(
+            asked.x,
+            asked.y,
+            height,
+            self._speed_of(asked.parameters[0]),
+            None if math.isnan(yaw) else math.remainder(math.degrees(yaw), 360.0),
+        )
+        return self._fly(order, Mode.GOTO, asked.peer, now)
+
+    def orbit(self, asked: Asked, now: float) -> Result:
+        """DO_ORBIT around a place, or around where it is.
+
+        The altitude is above sea level whatever the frame says, as PX4 takes it: MAVSDK leaves the
+        frame at "relative" and means that.
+        """
+        radius, speed = asked.parameters[:2]
+        position = self._world.position
+        if not math.isfinite(radius) or radius == 0.0:
+            self._tell(Severity.WARNING, f"orbit: a radius of {radius:g} m")
+            return Result.DENIED
+        if position is None:
+            self._tell(Severity.WARNING, "orbit: nobody knows where the aircraft is")
+            return Result.TEMPORARILY_REJECTED
+        here = position.latitude_deg, position.longitude_deg
+        place = (asked.x, asked.y) if self._is_place(asked) else here
+        order = FlyAround(
+            *place,
+            self._height_of(replace(asked, frame=Frame.GLOBAL)),
+            abs(radius),
+            speed if math.isfinite(speed) and speed > 0 else 2.0,
+            _ORBIT_TURNS,
+            clockwise=radius > 0,
+        )
+        return self._fly(order, Mode.ORBIT, asked.peer, now)
+
+    def pause(self, asked: Asked, now: float) -> Result:
+        """DO_PAUSE_CONTINUE: hold, or fly the mission on."""
+        is_on = asked.parameters[0] == 1.0
+        return self.wish_mode(Mode.MISSION if is_on else Mode.HOLD, asked.peer, now)
+
+    def start_mission(self, asked: Asked, now: float) -> Result:
+        """MISSION_START, from an item."""
+        first = asked.parameters[0]
+        if self._is_others(asked.peer, "mission"):
+            return Result.TEMPORARILY_REJECTED
+        wish = self._mission(asked.peer, int(first) if math.isfinite(first) and first > 0 else None)
+        if wish is None:
+            self._tell(Severity.WARNING, "there is no mission to fly")
+            return Result.DENIED
+        return self._fly_mission(wish, now)
+
+    def _is_others(self, asked_by: Peer, what: str) -> bool:
+        """Whether somebody else flies; what is asked for then changes nothing of the flight."""
+        other = self._deck.other_operator(asked_by)
+        if other is not None:
+            self._tell(Severity.WARNING, f"{what}: {other.name} flies")
+        return other is not None
+
+    def _fly_mission(self, wish: Wish, now: float) -> Result:
+        """Check each place of it first.
+
+        Raises:
+            GuardRefused, UsageError: See :meth:`_check`.
+        """
+        if isinstance(wish.order, Flight):
+            for leg in wish.order.legs:
+                self._check(leg)
+            if wish.order.plan is not None:
+                self._check_plan(wish.order.plan)
+        return self._deck.wish(wish, now)
+
+    def _check_plan(self, plan: WaypointPlan) -> None:
+        """Refuse on the ground what the agent would refuse when it has taken off.
+
+        Raises:
+            GuardRefused: Outside of the envelope, or the battery does not last.
+        """
+        known = self._world.known
+        for refusal in preview_plan(plan, known.telemetry, known.state.limits):
+            raise refusal
+
+    def set_current(self, asked: Asked, now: float) -> Result:
+        """DO_SET_MISSION_CURRENT: the item to go on from, at once if the mission flies."""
+        number = asked.parameters[0]
+        if not math.isfinite(number) or number < 0:
+            return Result.DENIED
+        if self._is_others(asked.peer, "mission"):
+            return Result.TEMPORARILY_REJECTED
+        wish = self._mission(asked.peer, int(number))
+        if wish is None:
+            return Result.DENIED
+        return self._fly_mission(wish, now) if self._deck.flies_mission else Result.ACCEPTED
+
+    def change_speed(self, asked: Asked, now: float) -> Result:
+        """DO_CHANGE_SPEED: of a mission that the aircraft flies, and of the flights that come."""
+        speed = asked.parameters[1]
+        if asked.parameters[0] not in (0.0, 1.0) or not 0.0 < speed <= 10.0:
+            return Result.DENIED
+        if self._is_others(asked.peer, "speed"):
+            return Result.TEMPORARILY_REJECTED
+        self._speed = speed
+        if self._deck.is_flown_by_aircraft:
+            self._deck.orders.append(Do(Action.MISSION_SPEED, round(speed * 1000)))
+        return Result.ACCEPTED
+
+    def _speed_of(self, wanted: float) -> float:
+        if wanted > 0:  # infinity is refused with its flight
+            return wanted
+        return self._parameters["MPC_XY_CRUISE"] if self._speed is None else self._speed
+
+    def _is_place(self, asked: Asked) -> bool:
+        if math.isnan(asked.x) or math.isnan(asked.y):
+            return False
+        if asked.frame not in (*_SEA_LEVEL, *_RELATIVE):  # elsewhere they are metres
+            raise UsageError(f"a place in frame {asked.frame} cannot be flown to")
+        if not (abs(asked.x) <= 89.0 and abs(asked.y) <= 180.0) or (asked.x, asked.y) == (0, 0):
+            raise UsageError(f"there is no place {asked.x:.6f} {asked.y:.6f}")
+        return True
+
+    def _height_of(self, asked: Asked) -> float:
+        """Metres above the take-off point; the present one where none is said."""
+        height = self._world.height
+        if math.isnan(asked.z):
+            if height is None:
+                raise UsageError("nobody knows the height")
+            return height
+        if asked.frame in _RELATIVE:
+            return asked.z
+        ground = self._world.ground_altitude
+        if asked.frame not in _SEA_LEVEL or ground is None:
+            raise UsageError(f"an altitude in frame {asked.frame} cannot be flown to")
+        return asked.z - ground
+
+    def _fly(self, order: GuidedOrder, mode: Mode, peer: Peer, now: float) -> Result:
+        self._check(order)
+        return self._deck.wish(Wish(mode, Flight((order,)), peer), now)
+
+    def _check(self, order: GuidedOrder) -> None:
+        """Refuse now what the agent would refuse in flight.
+
+        Raises:
+            GuardRefused, UsageError: Outside of the envelope or the fence, or not a flight at all.
+        """
+        if isinstance(order, FlyTo | FlyAround):
+            radius = order.radius if isinstance(order, FlyAround) else 0.0
+            why = self._fence(order.latitude_deg, order.longitude_deg, radius)
+            if why:
+                raise UsageError(f"{name_of(order)}: {why}")
+        known = self._world.known
+        is_standing = self._world.is_on_ground is not False or self._deck.phase is Phase.DISARMED
+        for error in preview(order, known.telemetry, known.state.limits).refusals:
+            if isinstance(error, GuardRefused) and error.guard == "envelope":
+                raise error
+            if isinstance(error, UsageError) and not is_standing:
+                raise error
+
+    # -- messages and rates ----------------------------------------------------------------------
+
+    def set_interval(self, asked: Asked, now: float) -> Result:
+        """SET_MESSAGE_INTERVAL."""
+        number, interval = asked.parameters[:2]
+        name = NUMBERS.get(int(number)) if math.isfinite(number) else None
+        if name is None:
+            return Result.UNSUPPORTED
+        if not math.isfinite(interval):
+            return Result.DENIED
+        hz = None if interval == 0 else 0.0 if interval < 0 else 1e6 / interval
+        self._rates.set_hz(name, hz, asked.peer)
+        return Result.ACCEPTED
+
+    def get_interval(self, asked: Asked, now: float) -> Result:
+        """GET_MESSAGE_INTERVAL: answered by MESSAGE_INTERVAL."""
+        number = asked.parameters[0]
+        is_sent = math.isfinite(number) and int(number) in NUMBERS
+        wanted = LAYOUTS["MESSAGE_INTERVAL"].number
+        if is_sent and self._request(wanted, number, asked.peer, now):
+            return Result.ACCEPTED
+        return Result.UNSUPPORTED
+
+    def request_message(self, asked: Asked, now: float) -> Result:
+        """REQUEST_MESSAGE."""
+        number, parameter = asked.parameters[:2]
+        if not math.isfinite(number):
+            return Result.DENIED
+        if self._request(int(number), parameter, asked.peer, now):
+            return Result.ACCEPTED
+        # One that is known, and says nothing now, may be asked for again.
+        is_known = NUMBERS.get(int(number)) in STREAMS
+        return Result.TEMPORARILY_REJECTED if is_known else Result.UNSUPPORTED
+
+    def request_home(self, asked: Asked, now: float) -> Result:
+        """GET_HOME_POSITION."""
+        wanted = LAYOUTS["HOME_POSITION"].number
+        is_sent = self._request(wanted, 0.0, asked.peer, now)
+        return Result.ACCEPTED if is_sent else Result.TEMPORARILY_REJECTED
+
+    def request_version(self, asked: Asked, now: float) -> Result:
+        """REQUEST_AUTOPILOT_CAPABILITIES."""
+        self._request(LAYOUTS["AUTOPILOT_VERSION"].number, 0.0, asked.peer, now)
+        return Result.ACCEPTED
+
+
+def _is_byte(value: float) -> bool:
+    return math.isfinite(value) and 0 <= value <= 255
+
+
+@dataclass(frozen=True, slots=True)
+class CommandRow:
+    """A command that has a meaning here.
+
+    Attributes:
+        handler: What carries it out.
+        meaning: For the manual.
+    """
+
+    handler: Callable[[Commands, Asked, float], Result | None]
+    meaning: str
+
+
+COMMANDS: Mapping[int, CommandRow] = {
+    Command.COMPONENT_ARM_DISARM: CommandRow(
+        Commands.arm, "control authority; no disarming in the air, forced or not"
+    ),
+    Command.NAV_TAKEOFF: CommandRow(
+        Commands.take_off, "the autopilot's take-off, then a climb; waits for arming up to 10 s"
+    ),
+    Command.NAV_LAND: CommandRow(Commands.land, "lands in place, whatever place is named"),
+    Command.NAV_RETURN_TO_LAUNCH: CommandRow(Commands.go_home, "the autopilot's way home"),
+    Command.DO_SET_MODE: CommandRow(Commands.set_mode, "the modes below, by the numbers of PX4"),
+    Command.DO_SET_STANDARD_MODE: CommandRow(Commands.set_standard_mode, "the same by standard"),
+    Command.DO_REPOSITION: CommandRow(
+        Commands.reposition, "flies to a place, changes height or heading; without any: hold"
+    ),
+    Command.DO_ORBIT: CommandRow(
+        Commands.orbit, "circles a place, looking at it; altitude above sea level in every frame"
+    ),
+    Command.DO_PAUSE_CONTINUE: CommandRow(Commands.pause, "hold, or the mission"),
+    Command.DO_CHANGE_SPEED: CommandRow(
+        Commands.change_speed, "of a mission that the aircraft flies, of later flights to a place"
+    ),
+    Command.MISSION_START: CommandRow(Commands.start_mission, "flies the mission"),
+    Command.DO_SET_MISSION_CURRENT: CommandRow(Commands.set_current, "the item to go on from"),
+    Command.SET_MESSAGE_INTERVAL: CommandRow(Commands.set_interval, "up to 50 Hz, for who asks"),
+    Command.GET_MESSAGE_INTERVAL: CommandRow(Commands.get_interval, "answers MESSAGE_INTERVAL"),
+    Command.REQUEST_MESSAGE: CommandRow(Commands.request_message, "telemetry, version, modes"),
+    Command.GET_HOME_POSITION: CommandRow(Commands.request_home, "answers HOME_POSITION"),
+    Command.REQUEST_AUTOPILOT_CAPABILITIES: CommandRow(
+        Commands.request_version, "answers AUTOPILOT_VERSION"
+    ),
+}
+"""By number; every other one is answered UNSUPPORTED."""

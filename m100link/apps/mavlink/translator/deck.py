@@ -1,0 +1,506 @@
+"""Who flies, and what: wishes of ground stations become orders to the agent, one at a time.
+
+What becomes of a wish stands in the tables of :mod:`m100link.apps.mavlink.translator.modes`. No
+I/O: orders are collected in :attr:`Deck.orders`, the crew carries them out and says how each ended,
+and the time is an argument.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from m100link.apps.mavlink.translator.modes import (
+    ARM_VERDICTS,
+    DISARM_VERDICTS,
+    RUNNING,
+    VERDICTS,
+    Mode,
+    Phase,
+    Running,
+    Step,
+    Verdict,
+)
+from m100link.apps.mavlink.translator.numbers import Result, Severity
+from m100link.apps.mavlink.translator.orders import (
+    Arm,
+    CallOff,
+    Disarm,
+    Drop,
+    Errand,
+    Flight,
+    GoHome,
+    Halt,
+    Land,
+    Order,
+    Pause,
+    Resume,
+    Steer,
+    Stream,
+    TakeOff,
+    Wish,
+    running_of,
+)
+from m100link.apps.mavlink.translator.peers import Peer
+from m100link.apps.mavlink.translator.world import World
+from m100link.errors import GuardRefused, M100Error, TaskRefused
+
+__all__ = [
+    "IDLE_S",
+    "REMEMBERED_S",
+    "STEER_LIFETIME",
+    "Deck",
+]
+
+
+REMEMBERED_S = 10.0
+"""Seconds that a take-off or mission waits for the aircraft to be armed."""
+
+IDLE_S = 10.0
+"""Seconds armed on the ground without a take-off after which it is disarmed."""
+
+STEER_LIFETIME = 0.25
+"""Seconds that a setpoint lasts on its own: the bridge renews it many times in that."""
+
+_TO_THE_GROUND = (Mode.LAND, Mode.RTL)
+_ENDS = (Mode.HOLD, *_TO_THE_GROUND)
+_BEFORE_CONTROL = (Phase.DISARMED, Phase.ARMING, Phase.OBTAINING)
+_TAKEN = (Phase.ARMING, Phase.OBTAINING, Phase.ARMED, Phase.AIRBORNE)
+
+
+class Deck:
+    """The flight deck of one aircraft.
+
+    Args:
+        world: What is known of it.
+        tell: Takes what people have to know: severity and text.
+        streams: Where setpoints come from, by mode.
+
+    Attributes:
+        orders: What the crew has to carry out, oldest first.
+        operator: Who armed the aircraft, or moved it first after that one was lost.
+        steering: Whose setpoints came last.
+        running: What flies.
+        is_unwanted: Whether it was disarmed while authority was asked for: it is given back.
+        on_armed: Called with whether and why not, when a request for authority has ended.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        tell: Callable[[Severity, str], None],
+        streams: dict[Mode, Stream],
+    ) -> None:
+        self._world = world
+        self._tell = tell
+        self._streams = streams
+        self.orders: list[Order | Steer | Errand | Drop] = []
+        self.operator: Peer | None = None
+        self.steering: Peer | None = None
+        self.running = Running.NOTHING
+        self.is_unwanted = False
+        self.on_armed: Callable[[M100Error | None], None] = lambda _: None
+        # What the aircraft was asked for last, while it is in force.
+        self._mode = Mode.HOLD
+        # The order under way; what ends later than the one that replaced it means nothing.
+        self._current: Order | None = None
+        # Begins when the autopilot's take-off is over.
+        self._waiting: Wish | None = None
+        # Begins when the aircraft is armed, until a time.
+        self._remembered: tuple[Wish, float] | None = None
+        self._idle_since: float | None = None
+
+    # -- where it stands -------------------------------------------------------------------------
+
+    @property
+    def phase(self) -> Phase:
+        """Where the flight stands; a take-off that was ordered counts as flown."""
+        phase = self._world.phase
+        if phase is Phase.ARMED and isinstance(self._current, Disarm | CallOff):
+            return Phase.DISARMED  # it was asked for, and holds before it is carried out
+        is_flying = self.running not in (Running.NOTHING, Running.STREAM)
+        return Phase.AIRBORNE if phase is Phase.ARMED and is_flying else phase
+
+    @property
+    def mode(self) -> Mode:
+        """What ground stations are shown."""
+        phase = self.phase
+        if phase is Phase.AIRBORNE and self._is_flown_by_a_stranger:
+            return Mode.MISSION
+        if phase in (Phase.ARMED, Phase.AIRBORNE) or self._is_interrupting:
+            return Mode.HOLD if self._mode is Mode.GOTO else self._mode
+        if self._remembered is not None and phase in _BEFORE_CONTROL:
+            return self._remembered[0].mode
+        return self._world.mode_of_others()
+
+    @property
+    def flight(self) -> Flight | None:
+        """The flight under way, if what is under way is one."""
+        return self._current if isinstance(self._current, Flight) else None
+
+    @property
+    def is_flown_by_aircraft(self) -> bool:
+        """Whether the aircraft has a mission that it flies by itself, or has paused, for us."""
+        return self.running in (Running.MISSION, Running.PAUSED)
+
+    @property
+    def _is_flown_by_a_stranger(self) -> bool:
+        """Whether it tells of a mission where nothing of ours flies: a stop was not heard, say."""
+        return self.running is Running.NOTHING and self._world.flies_mission
+
+    @property
+    def _is_interrupting(self) -> bool:
+        order = self._current
+        is_ending = isinstance(order, Land | GoHome | Halt) and order.is_interrupting
+        return is_ending or isinstance(order, CallOff)
+
+    @property
+    def _can_be_called_off(self) -> bool:
+        """Whether a take-off was ordered, and the motors stand as far as anybody knows."""
+        return self.running is Running.TAKE_OFF and self._world.phase is Phase.ARMED
+
+    def explain(self) -> str:
+        """Why a wish is refused in this phase."""
+        return self._world.explain(self.phase)
+
+    # -- wishes ----------------------------------------------------------------------------------
+
+    def wish(self, wish: Wish, now: float) -> Result:
+        """Somebody wants a mode. Refusals are told to everybody, with the reason."""
+        other = self.other_operator(wish.peer)
+        if other is not None and wish.mode not in _ENDS:
+            return self._refuse(wish.mode, Result.TEMPORARILY_REJECTED, f"{other.name} flies")
+        verdict = VERDICTS[self.phase][wish.mode]
+        if verdict is Verdict.DENY:
+            return self._refuse(wish.mode, Result.DENIED, self.explain())
+        if verdict is Verdict.REJECT:
+            return self._refuse(wish.mode, Result.TEMPORARILY_REJECTED, self.explain())
+        if verdict is Verdict.NOTHING:
+            self._settle()
+        elif verdict is Verdict.START:
+            return self._start(wish, now)
+        else:
+            self._remembered = wish, now + REMEMBERED_S
+            self._take_operator(wish.peer)
+            if verdict is Verdict.OBTAIN:
+                self._arm(wish.peer)
+        return Result.ACCEPTED
+
+    def _refuse(self, mode: Mode, result: Result, why: str) -> Result:
+        self._tell(Severity.WARNING, f"{mode.value}: {why}")
+        return result
+
+    def other_operator(self, peer: Peer | None) -> Peer | None:
+        """Who flies, where that is not whoever asks."""
+        is_taken = self.phase in _TAKEN
+        return self.operator if is_taken and peer not in (None, self.operator) else None
+
+    def _take_operator(self, peer: Peer | None) -> None:
+        if peer is not None and (self.operator is None or self.other_operator(peer) is None):
+            self.operator = peer
+
+    def _settle(self) -> None:
+        """Nothing is wanted on the ground."""
+        self._remembered = self._waiting = None
+        if self.running is Running.STREAM:
+            self.running = Running.NOTHING
+        self._mode = Mode.HOLD
+
+    def _call_off(self, mode: Mode, why: str) -> None:
+        """Whoever wants to be on the ground while it stands there is not flown up first."""
+        self._tell(Severity.WARNING, f"the take-off is called off: {why}")
+        self._settle()
+        self._mode, self.operator = mode, None
+        self._current, self.running = CallOff(), Running.NOTHING
+        self.orders.append(self._current)
+
+    def _start(self, wish: Wish, now: float) -> Result:
+        if wish.mode in _TO_THE_GROUND and self._can_be_called_off:
+            self._call_off(wish.mode, f"{wish.mode.value} was asked for")
+            return Result.ACCEPTED
+        step = RUNNING[self.running][wish.mode]
+        is_later = step is Step.WAIT and self._waiting is not None
+        if is_later and self._waiting is not None and self._waiting.mode in _TO_THE_GROUND:
+            step = step if wish.mode in _TO_THE_GROUND else Step.REFUSE
+        if step is Step.REFUSE:
+            flies = self._waiting.mode if is_later and self._waiting else self._mode
+            return self._refuse(wish.mode, Result.TEMPORARILY_REJECTED, f"{flies.value} goes on")
+        self._take_operator(wish.peer)
+        if step is Step.WAIT:
+            self._waiting, self._mode = wish, wish.mode
+            self._tell(Severity.NOTICE, f"{wish.mode.value}: when the take-off is over")
+        elif step is Step.INTERRUPT and isinstance(wish.order, Land | GoHome | Halt):
+            self._begin(replace(wish, order=replace(wish.order, is_interrupting=True)))
+        elif step is Step.PAUSE and self.flight is not None:
+            self._mode, self.running = wish.mode, Running.PAUSED
+            self.orders.append(Pause(self.flight))
+        elif step is Step.RESUME and self.flight is not None and not wish.is_anew:
+            self._mode, self.running = wish.mode, Running.MISSION
+            self.orders.append(Resume(self.flight))
+        elif step is not Step.KEEP or wish.is_anew:
+            self._begin(wish)
+        return Result.ACCEPTED
+
+    def _begin(self, wish: Wish) -> None:
+        self._waiting, self._mode, self._idle_since = None, wish.mode, None
+        order = wish.order
+        if order is None:
+            # A mission of whoever is gone ignores setpoints, too.
+            flies = self.running is Running.FLIGHT or self.is_flown_by_aircraft
+            if flies or self._is_flown_by_a_stranger:
+                self.orders.append(Halt(why=f"{wish.mode.value} was asked for"))
+            self._current, self.running = None, Running.STREAM
+            return
+        self._current, self.running = order, running_of(order)
+        if isinstance(order, Flight):
+            if order.takes_off:
+                self.running = Running.TAKE_OFF
+            if order.why:
+                self._tell(Severity.NOTICE, f"mission: flown from here, {order.why}")
+        self.orders.append(order)
+
+    # -- arming ----------------------------------------------------------------------------------
+
+    def arm(self, peer: Peer, now: float) -> Result | None:
+        """Obtain authority; None while that takes time, and :attr:`on_armed` is called then."""
+        other = self.other_operator(peer)
+        if other is not None:
+            self._tell(Severity.WARNING, f"arm: {other.name} flies")
+            return Result.TEMPORARILY_REJECTED
+        verdict = ARM_VERDICTS[self.phase]
+        if verdict is Verdict.REJECT:
+            self._tell(Severity.WARNING, f"arm: {self.explain()}")
+            return Result.TEMPORARILY_REJECTED
+        self._take_operator(peer)
+        if verdict is Verdict.NOTHING:
+            return Result.ACCEPTED
+        self._arm(peer)
+        return None
+
+    def _arm(self, peer: Peer | None) -> None:
+        self.is_unwanted = False
+        if not self._world.is_arming:
+            self._world.is_arming = True
+            self._idle_since = None
+            self.orders.append(Arm(peer.name if peer is not None else "MAVLink"))
+
+    def disarm(self, peer: Peer) -> Result:
+        """Give authority back, on the ground."""
+        other = self.other_operator(peer)
+        if other is not None:
+            self._tell(Severity.WARNING, f"disarm: {other.name} flies")
+            return Result.TEMPORARILY_REJECTED
+        # A take-off that was ordered counts as flown for all wishes but this one: whoever stands
+        # beside motors that stand still is obeyed.
+        verdict = DISARM_VERDICTS[self._world.phase]
+        if verdict is Verdict.REJECT:
+            self._tell(Severity.WARNING, f"disarm: {self.explain()}")
+            return Result.TEMPORARILY_REJECTED
+        if verdict is Verdict.DENY:
+            self._tell(
+                Severity.WARNING, "disarm: not in the air, the M100 cannot stop motors there"
+            )
+            return Result.DENIED
+        if isinstance(self._current, CallOff):
+            # It gives control back, and looks whether the aircraft stays on the ground.
+            self._settle()
+            self.is_unwanted = self._world.is_arming
+        elif self._can_be_called_off:
+            self._call_off(Mode.HOLD, "disarmed")
+        elif verdict is Verdict.START:
+            self._disarm()
+        return Result.ACCEPTED
+
+    def _disarm(self) -> None:
+        self._settle()
+        self.is_unwanted = self._world.is_arming
+        self._current, self.running, self.operator = Disarm(), Running.NOTHING, None
+        self.orders.append(self._current)
+
+    # -- what the crew says ----------------------------------------------------------------------
+
+    def armed(self, error: M100Error | None, now: float) -> None:
+        """The request for authority has ended."""
+        self._world.is_arming = False
+        self.is_unwanted = False
+        remembered, self._remembered = self._remembered, None
+        if error is not None:
+            self._tell(Severity.ERROR, f"arm: {error.seen}")
+            self.operator = None
+        else:
+            self._mode, self._current, self.running = Mode.HOLD, None, Running.NOTHING
+            if remembered is not None and now < remembered[1]:
+                self.wish(remembered[0], now)
+            elif self._world.flies_mission and self.phase is Phase.AIRBORNE:
+                self.hold("hold: the mission that was flown when it was armed is stopped")
+        self.on_armed(error)
+
+    def took_off(self, order: Order, now: float) -> None:
+        """The autopilot's take-off is over; the rest of the order can be replaced."""
+        if order is self._current and self.running is Running.TAKE_OFF:
+            self.running = Running.FLIGHT
+            if self._waiting is not None:
+                self._begin(self._waiting)
+
+    def mission_begun(self, flight: Flight) -> bool:
+        """The aircraft flies the mission of a flight; False where nobody wants that any more."""
+        if flight is not self._current or self.running is not Running.FLIGHT:
+            return False
+        self.running = Running.MISSION
+        return True
+
+    def mission_flown(self, flight: Flight) -> None:
+        """The aircraft was at the last place of the mission, and goes home or lands by its plan."""
+        if flight is not self._current or not self.is_flown_by_aircraft or flight.then is None:
+            return
+        is_paused = self.running is Running.PAUSED
+        self.running = running_of(flight.then)
+        self._mode = Mode.LAND if isinstance(flight.then, Land) else Mode.RTL
+        if is_paused:  # it was there before the pause: what it flies now knows none
+            self.interrupt("hold: the mission is over")
+
+    def ended(self, order: Order, error: M100Error | None, now: float) -> None:
+        """An order has ended; what was replaced meanwhile means nothing."""
+        if order is not self._current:
+            if error is not None and isinstance(order, Halt) and self.running is Running.STREAM:
+                self.hold(f"hold: {error.seen}")  # a mission that may fly on ignores setpoints
+            return
+        if error is not None:
+            self._tell(Severity.ERROR, f"{self._mode.value}: {error.seen}")
+        is_refused = isinstance(error, TaskRefused) and self.phase is Phase.AIRBORNE
+        if is_refused and isinstance(order, Land | GoHome) and not order.is_interrupting:
+            # Something flies that nobody here was told of: the end of a mission, say.
+            self._begin(Wish(self._mode, replace(order, is_interrupting=True)))
+            return
+        waiting, self._waiting = self._waiting, None
+        self._current, self.running, self._idle_since = None, Running.NOTHING, None
+        self._mode = Mode.HOLD
+        lands = isinstance(order, Flight) and order.plan is not None and order.then is not None
+        if error is None and (lands or isinstance(order, Land | GoHome)):
+            self._disarm()
+        elif waiting is None and error is None and isinstance(order, Flight) and order.then:
+            mode = Mode.LAND if isinstance(order.then, Land) else Mode.RTL
+            self._begin(Wish(mode, order.then))
+        elif waiting is not None and self._world.phase is Phase.AIRBORNE:
+            self._begin(waiting)
+
+    # -- time passes -----------------------------------------------------------------------------
+
+    def advance(self, now: float) -> None:
+        """Look at what has changed by itself, and steer."""
+        phase = self.phase
+        if self._remembered is not None and now >= self._remembered[1]:
+            self._tell(Severity.NOTICE, f"{self._remembered[0].mode.value}: nobody armed in time")
+            self._remembered = None
+        if phase in (Phase.ARMED, Phase.AIRBORNE):
+            if self.running is Running.STREAM:
+                self._stream(phase, now)
+            self._look_idle(phase, now)
+        elif not (self._is_interrupting or self._world.is_arming):
+            self._forget()
+            if phase in (Phase.DISARMED, Phase.OTHER) and self._remembered is None:
+                self.operator = None
+            is_disarming = isinstance(self._current, Disarm)
+            if phase is Phase.DISARMED and self._world.has_lease and not is_disarming:
+                self._disarm()
+
+    def _forget(self) -> None:
+        """What was wanted before control was lost is not wanted by whoever flies now."""
+        self._waiting, self._mode, self.running = None, Mode.HOLD, Running.NOTHING
+        if self._current is not None and not isinstance(self._current, Disarm):
+            self._current = None
+            self.orders.append(Drop())
+
+    def taken(self) -> None:
+        """Control was lost, even if it comes back before somebody looks."""
+        if not self._is_interrupting:
+            self._forget()
+
+    def stopped(self, why: str) -> None:
+        """Somebody else had it hover: nothing of a flight comes after it.
+
+        A landing or a way home goes on; STOP ends them by giving control back.
+        """
+        if self.running not in (Running.NOTHING, Running.LAND, Running.GO_HOME):
+            self.hold(f"{self._mode.value}: {why}")
+
+    def _look_idle(self, phase: Phase, now: float) -> None:
+        if phase is Phase.AIRBORNE or self.running is Running.STREAM:
+            self._idle_since = None
+        elif self._idle_since is None:
+            self._idle_since = now
+        elif now - self._idle_since >= IDLE_S and not isinstance(self._current, Disarm):
+            self._tell(Severity.NOTICE, f"disarmed: no take-off in {IDLE_S:g} s")
+            self._disarm()
+
+    def _stream(self, phase: Phase, now: float) -> None:
+        stream = self._streams[self._mode]
+        try:
+            # Nobody is flown by setpoints that another one sent before.
+            setpoint = stream.setpoint(now) if self.steering == self.operator else None
+        except M100Error as error:
+            self.hold(f"{self._mode.value}: {error.seen}")
+            return
+        if setpoint is None:
+            self.hold(f"{self._mode.value}: no setpoint any more")
+        elif phase is Phase.AIRBORNE:
+            self.orders.append(Steer(setpoint, STEER_LIFETIME))
+        elif stream.wants_up(now):
+            # Motors stand still: the aircraft ignores movement until it was told to take off.
+            wish = Wish(self._mode, None)
+            self._begin(Wish(self._mode, TakeOff()))
+            self._waiting = wish
+
+    def has_setpoint(self, mode: Mode, peer: Peer, now: float) -> bool:
+        """Whether somebody's setpoints can be flown in a mode of setpoints."""
+        return self.steering == peer and self._streams[mode].is_fresh(now)
+
+    def interrupt(self, why: str) -> None:
+        """Hover, whatever the aircraft flies by itself: authority goes back, which ends it."""
+        self._tell(Severity.WARNING, why)
+        self._begin(Wish(Mode.HOLD, Halt(is_interrupting=True, why=why)))
+
+    def hold(self, why: str) -> None:
+        """The bridge itself wants a hover, and says why."""
+        self._tell(Severity.WARNING, why)
+        if self.phase is Phase.ARMED:
+            self._settle()
+        elif self.running is Running.TAKE_OFF:
+            self._waiting, self._mode = Wish(Mode.HOLD, Halt(why=why)), Mode.HOLD
+        else:
+            self._begin(Wish(Mode.HOLD, Halt(why=why)))
+
+    @property
+    def flies_mission(self) -> bool:
+        """Whether the mission is flown now."""
+        return self._mode is Mode.MISSION and self.phase is Phase.AIRBORNE
+
+    def steer_refused(self, error: M100Error) -> None:
+        """The agent did not fly a setpoint: what the guards refuse ends with its reason.
+
+        After a STOP of somebody else the stream is over; it begins anew with its mode.
+        """
+        if self.running is not Running.STREAM:
+            return
+        if isinstance(error, GuardRefused) and error.guard != "stopped":
+            self._tell(Severity.WARNING, f"{self._mode.value}: {error.seen}")
+        else:
+            self.hold(f"{self._mode.value}: {error.seen}")
+
+    def operator_lost(self) -> None:
+        """Whoever flew is not heard any more: hover, unless it is on its way to the ground."""
+        lost, self.operator = self.operator, None
+        if self._remembered is not None and self._remembered[0].mode not in _TO_THE_GROUND:
+            self._remembered = None
+        phase = self.phase
+        if lost is None:
+            return
+        if self._can_be_called_off:
+            self._call_off(Mode.HOLD, f"{lost.name} is lost")
+        elif phase is Phase.ARMED or phase is Phase.ARMING:
+            self._tell(Severity.WARNING, f"{lost.name} is lost: disarmed")
+            self._disarm()
+        elif phase is Phase.AIRBORNE and self.running not in (Running.LAND, Running.GO_HOME):
+            is_down = self._waiting is not None and self._waiting.mode in _TO_THE_GROUND
+            if not is_down:
+                self.hold(f"{lost.name} is lost: hold")

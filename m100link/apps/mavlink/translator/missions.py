@@ -1,0 +1,456 @@
+"""The mission protocol: upload, download, clear, current item, progress; of missions and fences.
+
+An upload is one transaction of one peer. Until its last item is there what was stored before stays,
+so an upload that breaks off changes nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+from m100link.apps.mavlink.translator.codec import Message
+from m100link.apps.mavlink.translator.numbers import Command, MissionResult, MissionType, Severity
+from m100link.apps.mavlink.translator.peers import Peer
+from m100link.apps.mavlink.translator.route import Refused, Route, read_route
+from m100link.geodesy import LocalFrame
+
+__all__ = [
+    "MOST_ITEMS",
+    "Fence",
+    "Missions",
+    "read_fence",
+]
+
+
+MOST_ITEMS = 1000
+"""Of a mission or a fence."""
+
+_AGAIN_S, _MOST_TRIES = 0.25, 30
+_CURRENT_S = 1.0
+_LATE_S = 5.0
+_NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE, _NONE = 2, 3, 4, 5, 1
+
+
+@dataclass(slots=True)
+class _Upload:
+    """Items on their way in.
+
+    Attributes:
+        peer: Who sends them.
+        kind: Of what.
+        count: How many.
+        items: Those that are there.
+        asked_at: When the next one was asked for last, s.
+        tries: How often.
+    """
+
+    peer: Peer
+    kind: int
+    count: int
+    asked_at: float
+    items: list[Message] = field(default_factory=list)
+    tries: int = 0
+
+
+@dataclass(slots=True)
+class _Stored:
+    """What was uploaded last: missions, and fences."""
+
+    items: dict[int, tuple[Message, ...]] = field(
+        default_factory=lambda: {
+            MissionType.MISSION: (),
+            MissionType.FENCE: (),
+            MissionType.RALLY: (),
+        }
+    )
+
+
+class Missions:
+    """The missions of one aircraft.
+
+    Args:
+        send: Sends a message to a peer, None for everybody.
+        tell: Takes what people have to know.
+        ground: Altitude of the take-off point above sea level, m.
+        speed: Of missions that do not say it, m/s.
+        may_change: Why a peer may not change the mission now; empty where it may.
+
+    Attributes:
+        fence: What was uploaded last.
+        current: Number of the item that is flown to, or would be.
+        edition: Counts what was uploaded, cleared, or told to begin elsewhere.
+    """
+
+    def __init__(
+        self,
+        send: Callable[[Message, Peer | None], None],
+        tell: Callable[[Severity, str], None],
+        *,
+        ground: Callable[[], float | None],
+        speed: Callable[[], float],
+        may_change: Callable[[Peer, int], str],
+    ) -> None:
+        self._send = send
+        self._tell = tell
+        self._ground = ground
+        self._speed = speed
+        self._may_change = may_change
+        self._stored = _Stored()
+        self._upload: _Upload | None = None
+        # The answer to an upload, for whoever did not get it.
+        self._answered: tuple[Peer, int, MissionResult, float] | None = None
+        self.fence = Fence()
+        self.current = 0
+        self.edition = 0
+        self._reached = -1
+        self._told_at = float("-inf")
+
+    @property
+    def items(self) -> tuple[Message, ...]:
+        """The mission."""
+        return self._stored.items[MissionType.MISSION]
+
+    def route(self) -> Route | None:
+        """The mission as it is flown; None without one.
+
+        Raises:
+            Refused: It cannot be flown any more: the ground is another one.
+        """
+        if not self.items:
+            return None
+        return read_route(self.items, ground=self._ground(), speed=self._speed())
+
+    # -- what comes in ---------------------------------------------------------------------------
+
+    def receive(self, message: Message, peer: Peer, now: float) -> None:
+        """A message of the protocol."""
+        kind = message.fields.get("mission_type", MissionType.MISSION)
+        if message.name == "MISSION_COUNT":
+            self._begin(message["count"], kind, peer, now)
+        elif message.name == "MISSION_ITEM_INT":
+            self._take(message, kind, peer, now)
+        elif message.name == "MISSION_REQUEST_LIST":
+            count = len(self._stored.items.get(kind, ()))
+            self._send(Message("MISSION_COUNT", {"count": count} | _to(peer, kind)), peer)
+        elif message.name in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
+            self._give(message["seq"], kind, peer)
+        elif message.name == "MISSION_CLEAR_ALL":
+            self._clear(kind, peer)
+        elif message["type"] != MissionResult.ACCEPTED and self._is_uploading(peer):
+            self._upload = None  # MISSION_ACK: it does not want to go on
+
+    def _is_uploading(self, peer: Peer) -> bool:
+        return self._upload is not None and self._upload.peer == peer
+
+    def _acknowledge(self, result: MissionResult, kind: int, peer: Peer) -> None:
+        self._send(Message("MISSION_ACK", {"type": result} | _to(peer, kind)), peer)
+
+    def _begin(self, count: int, kind: int, peer: Peer, now: float) -> None:
+        upload = self._upload
+        if upload is not None and upload.peer != peer:
+            self._tell(Severity.WARNING, f"mission: {upload.peer.name} uploads one")
+            self._acknowledge(MissionResult.DENIED, kind, peer)
+            return
+        if upload is not None and (upload.kind, upload.count) == (kind, count):
+            self._ask(upload, now)  # the question that came before was lost
+            return
+        why = self._may_change(peer, kind)
+        if why:
+            self._tell(Severity.WARNING, f"mission: {why}")
+            self._acknowledge(MissionResult.DENIED, kind, peer)
+        elif kind not in self._stored.items:
+            self._acknowledge(MissionResult.UNSUPPORTED, kind, peer)
+        elif count > MOST_ITEMS:
+            self._acknowledge(MissionResult.NO_SPACE, kind, peer)
+        elif count == 0:
+            self._clear(kind, peer)
+        else:
+            self._upload = _Upload(peer, kind, count, now)
+            self._ask(self._upload, now)
+
+    def _ask(self, upload: _Upload, now: float) -> None:
+        upload.asked_at = now
+        fields = {"seq": len(upload.items)} | _to(upload.peer, upload.kind)
+        self._send(Message("MISSION_REQUEST_INT", fields), upload.peer)
+
+    def _take(self, item: Message, kind: int, peer: Peer, now: float) -> None:
+        upload = self._upload
+        if upload is None or upload.peer != peer or upload.kind != kind:
+            self._answer_again(peer, kind, now)
+            return
+        if item["seq"] != len(upload.items):
+            return  # one that came twice, or too early: the next one is asked for again
+        upload.items.append(item)
+        upload.tries = 0
+        if len(upload.items) < upload.count:
+            self._ask(upload, now)
+            return
+        self._upload = None
+        result = self._store(kind, tuple(upload.items), peer)
+        self._answered = peer, kind, result, now
+        self._acknowledge(result, kind, peer)
+
+    def _answer_again(self, peer: Peer, kind: int, now: float) -> None:
+        answered = self._answered
+        if answered is not None and answered[:2] == (peer, kind) and now - answered[3] < _LATE_S:
+            self._acknowledge(answered[2], kind, peer)
+
+    def _store(self, kind: int, items: tuple[Message, ...], peer: Peer) -> MissionResult:
+        try:
+            why = self._may_change(peer, kind)
+            if why:
+                raise Refused(MissionResult.DENIED, why)
+            if kind == MissionType.FENCE:
+                self.fence = read_fence(items)
+            elif kind == MissionType.RALLY:
+                # Kept for programs that want them back; nobody may believe in them.
+                self._tell(Severity.WARNING, "rally points are not flown to: return goes home")
+            else:
+                self._tell_left_out(
+                    read_route(items, ground=self._ground() or 0.0, speed=self._speed())
+                )
+        except Refused as refused:
+            self._tell(Severity.WARNING, f"mission refused: {refused.why}")
+            return refused.result
+        self._stored.items[kind] = items
+        if kind == MissionType.MISSION:
+            self.edition += 1
+            self.restart()
+        return MissionResult.ACCEPTED
+
+    def _tell_left_out(self, route: Route) -> None:
+        if route.left_out:
+            named = ", ".join(str(one) for one in dict.fromkeys(route.left_out))
+            self._tell(Severity.NOTICE, f"mission: commands left out: {named}")
+
+    def _give(self, number: int, kind: int, peer: Peer) -> None:
+        items = self._stored.items.get(kind, ())
+        if number >= len(items):
+            self._acknowledge(MissionResult.INVALID_SEQUENCE, kind, peer)
+            return
+        fields = dict(items[number].fields) | _to(peer, kind)
+        fields["current"] = int(kind == MissionType.MISSION and number == self.current)
+        self._send(Message("MISSION_ITEM_INT", fields), peer)
+
+    def _clear(self, kind: int, peer: Peer) -> None:
+        kinds = list(self._stored.items) if kind == MissionType.ALL else [kind]
+        for one in kinds:
+            why = self._may_change(peer, one)
+            if why:
+                self._tell(Severity.WARNING, f"mission: {why}")
+                self._acknowledge(MissionResult.DENIED, kind, peer)
+                return
+        for one in kinds:
+            if one in self._stored.items:
+                self._stored.items[one] = ()
+            if one == MissionType.FENCE:
+                self.fence = Fence()
+            elif one == MissionType.MISSION:
+                self.edition += 1
+                self.restart()
+        self._acknowledge(MissionResult.ACCEPTED, kind, peer)
+
+    # -- progress --------------------------------------------------------------------------------
+
+    def restart(self) -> None:
+        """It begins at its first item."""
+        self.current, self._reached = 0, -1
+        self._told_at = float("-inf")
+
+    def begin_at(self, number: int) -> None:
+        """Somebody wants it flown from that item on."""
+        self.edition += 1
+        self._reached = -1
+        self.flies_to(number)
+
+    def flies_to(self, number: int) -> None:
+        """The item that is flown to."""
+        if number != self.current:
+            self.current = number
+            self._told_at = float("-inf")
+
+    def reached(self, number: int) -> None:
+        """An item is done."""
+        self._reached = number
+        self._send(Message("MISSION_ITEM_REACHED", {"seq": number}), None)
+
+    def over(self) -> None:
+        """The last one is done: items behind it have no place to be reached."""
+        last = len(self.items) - 1
+        if self._reached != last:
+            self.reached(last)
+        self.flies_to(last)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it was flown to its end."""
+        return bool(self.items) and self._reached == len(self.items) - 1
+
+    def due(self, now: float, *, is_flying: bool) -> Iterator[Message]:
+        """What has to be asked again, and MISSION_CURRENT."""
+        upload = self._upload
+        if upload is not None and now - upload.asked_at >= _AGAIN_S:
+            upload.tries += 1
+            if upload.tries > _MOST_TRIES:
+                self._upload = None
+                self._acknowledge(MissionResult.OPERATION_CANCELLED, upload.kind, upload.peer)
+                self._tell(Severity.WARNING, "mission: the upload broke off, nothing was changed")
+            else:
+                self._ask(upload, now)
+        if now - self._told_at >= _CURRENT_S:
+            self._told_at = now
+            yield self.current_message(is_flying=is_flying)
+
+    def current_message(self, *, is_flying: bool) -> Message:
+        """MISSION_CURRENT."""
+        if not self.items:
+            state = _NONE
+        elif is_flying:
+            state = _ACTIVE
+        elif self.is_over:
+            state = _COMPLETE
+        else:
+            state = _PAUSED if self.current else _NOT_STARTED
+        fields = {"seq": self.current, "total": len(self.items), "mission_state": state}
+        return Message("MISSION_CURRENT", fields)
+
+
+def _to(peer: Peer, kind: int) -> dict[str, int]:
+    return {
+        "target_system": peer.system,
+        "target_component": peer.component,
+        "mission_type": kind,
+    }
+
+
+# -- the fence of a ground station: areas to stay in, and areas to stay out of ---------------------
+# It comes on top of the agent's envelope and never widens it. What is flown to has to lie inside;
+# an aircraft that is about to leave is held, and setpoints are not flown while it is outside.
+
+
+_POLYGONS = {
+    Command.NAV_FENCE_POLYGON_VERTEX_INCLUSION: True,
+    Command.NAV_FENCE_POLYGON_VERTEX_EXCLUSION: False,
+}
+_CIRCLES = {
+    Command.NAV_FENCE_CIRCLE_INCLUSION: True,
+    Command.NAV_FENCE_CIRCLE_EXCLUSION: False,
+}
+_AROUND = 8
+
+
+@dataclass(frozen=True, slots=True)
+class _Area:
+    """A polygon, or a circle.
+
+    Attributes:
+        is_inside: Whether to stay in it.
+        frame: Metres from its first corner, or its centre.
+        corners: North and east of that, m; empty for a circle.
+        radius: m.
+    """
+
+    is_inside: bool
+    frame: LocalFrame
+    corners: tuple[tuple[float, float], ...] = ()
+    radius: float = 0.0
+
+    def has(self, latitude_deg: float, longitude_deg: float) -> bool:
+        north, east = self.frame.to_local(latitude_deg, longitude_deg)
+        if not self.corners:
+            return math.hypot(north, east) <= self.radius
+        is_in = False
+        before_north, before_east = self.corners[-1]
+        for corner_north, corner_east in self.corners:
+            if (corner_east > east) != (before_east > east):
+                share = (east - corner_east) / (before_east - corner_east)
+                is_in ^= north < corner_north + share * (before_north - corner_north)
+            before_north, before_east = corner_north, corner_east
+        return is_in
+
+
+@dataclass(frozen=True, slots=True)
+class Fence:
+    """All areas; without any it refuses nothing.
+
+    Attributes:
+        areas: To stay in, or out of.
+    """
+
+    areas: tuple[_Area, ...] = ()
+
+    def refusal(self, latitude_deg: float, longitude_deg: float, radius: float = 0.0) -> str:
+        """Why nobody may be there, empty where one may.
+
+        Args:
+            latitude_deg: WGS 84.
+            longitude_deg: WGS 84.
+            radius: Of a circle around the place, m.
+        """
+        if not self.areas:
+            return ""
+        places = [(latitude_deg, longitude_deg)]
+        if radius:
+            frame = LocalFrame(latitude_deg, longitude_deg)
+            turns = (math.tau * place / _AROUND for place in range(_AROUND))
+            places += [
+                frame.to_geodetic(radius * math.cos(turn), radius * math.sin(turn))
+                for turn in turns
+            ]
+        inside = [area for area in self.areas if area.is_inside]
+        for place in places:
+            if inside and not any(area.has(*place) for area in inside):
+                return "outside of the fence"
+            if any(area.has(*place) for area in self.areas if not area.is_inside):
+                return "inside of an area that the fence excludes"
+        return ""
+
+
+def read_fence(items: Sequence[Message]) -> Fence:
+    """The fence of these items.
+
+    Raises:
+        Refused: It has what is not an area: a fence that is kept in part would be believed in.
+    """
+    areas: list[_Area] = []
+    waiting: list[tuple[float, float]] = []
+    wanted, kind = 0, 0
+    for number, item in enumerate(items):
+        command, place = item["command"], (item["x"] / 1e7, item["y"] / 1e7)
+        if command in _POLYGONS:
+            if not waiting:
+                wanted, kind = _corners(number, item["param1"]), command
+            if command != kind or item["param1"] != wanted:
+                raise Refused(MissionResult.INVALID, f"fence item {number}: another polygon begins")
+            waiting.append(place)
+            if len(waiting) == wanted:
+                frame = _frame(number, waiting[0])
+                corners = tuple(frame.to_local(*corner) for corner in waiting)
+                areas.append(_Area(_POLYGONS[command], frame, corners))
+                waiting = []
+            continue
+        if waiting or command not in _CIRCLES:
+            raise Refused(MissionResult.UNSUPPORTED, f"fence item {number}: command {command}")
+        radius = float(item["param1"])
+        if not math.isfinite(radius) or radius < 0.0:
+            raise Refused(MissionResult.INVALID, f"fence item {number}: radius {radius:g} m")
+        if radius > 0.0:  # how programs write "none"
+            areas.append(_Area(_CIRCLES[command], _frame(number, place), radius=radius))
+    if waiting:
+        raise Refused(MissionResult.INVALID, "a polygon of the fence is not whole")
+    return Fence(tuple(areas))
+
+
+def _corners(number: int, count: float) -> int:
+    if not 3 <= count <= 1000 or count != int(count):
+        raise Refused(MissionResult.INVALID, f"fence item {number}: a polygon of {count:g} corners")
+    return int(count)
+
+
+def _frame(number: int, place: tuple[float, float]) -> LocalFrame:
+    try:
+        return LocalFrame(*place)
+    except ValueError:
+        raise Refused(MissionResult.INVALID, f"fence item {number}: no such place") from None

@@ -1,0 +1,283 @@
+"""Flight modes: what each is called, its numbers, and which wishes a phase of the flight takes.
+
+The numbers of ``custom_mode`` are those of PX4, because ground stations know them; the protocol of
+standard modes names the same modes for programs that ask instead of knowing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from m100link.apps.mavlink.translator.codec import Message
+from m100link.apps.mavlink.translator.numbers import BaseMode
+
+__all__ = [
+    "ARM_VERDICTS",
+    "DISARM_VERDICTS",
+    "MODES",
+    "REMEDIES",
+    "RUNNING",
+    "VERDICTS",
+    "Mode",
+    "ModeRow",
+    "Phase",
+    "Running",
+    "Step",
+    "Verdict",
+    "available",
+    "current",
+    "mode_of_number",
+    "mode_of_standard",
+]
+
+
+class Mode(Enum):
+    """What the aircraft does, as ground stations see it."""
+
+    HOLD = "Hold"
+    TAKEOFF = "Takeoff"
+    MISSION = "Mission"
+    RTL = "Return"
+    LAND = "Land"
+    OFFBOARD = "Offboard"
+    POSCTL = "Position"
+    ALTCTL = "Altitude"
+    ORBIT = "Orbit"
+    # Not a mode of MAVLink: hold, with a place to fly to first.
+    GOTO = "Go to"
+
+
+@dataclass(frozen=True, slots=True)
+class ModeRow:
+    """A mode's numbers.
+
+    Attributes:
+        main: Main mode of PX4.
+        sub: Its sub mode.
+        standard: MAV_STANDARD_MODE; 0 for none.
+        base: What else the heartbeat says of it.
+        is_selectable: Whether a ground station may ask for it by its number.
+        meaning: What the M100 does, for the manual.
+    """
+
+    main: int
+    sub: int
+    standard: int
+    base: BaseMode
+    is_selectable: bool
+    meaning: str
+
+    @property
+    def number(self) -> int:
+        """``custom_mode``."""
+        return self.main << 16 | self.sub << 24
+
+
+_AUTO = BaseMode.AUTO | BaseMode.GUIDED
+
+MODES: dict[Mode, ModeRow] = {
+    Mode.HOLD: ModeRow(4, 3, 0, _AUTO, True, "hovers; also flies to where it was sent"),
+    Mode.TAKEOFF: ModeRow(4, 2, 8, _AUTO, True, "the autopilot's take-off, then a climb"),
+    Mode.MISSION: ModeRow(4, 4, 6, _AUTO, True, "flies the mission that was uploaded"),
+    Mode.RTL: ModeRow(4, 5, 5, _AUTO, True, "the autopilot's way home, and landing"),
+    Mode.LAND: ModeRow(4, 6, 7, _AUTO, True, "the autopilot's landing in place"),
+    Mode.OFFBOARD: ModeRow(6, 0, 0, BaseMode.GUIDED, True, "setpoints of a program"),
+    Mode.POSCTL: ModeRow(3, 0, 1, BaseMode.MANUAL, True, "sticks are velocities; the pilot in P"),
+    Mode.ALTCTL: ModeRow(2, 0, 4, BaseMode.MANUAL, True, "sticks are tilts; the pilot in A"),
+    Mode.ORBIT: ModeRow(3, 1, 2, _AUTO, False, "circles a place, looking at it"),
+}
+
+
+class Phase(Enum):
+    """Where the flight stands, from what the aircraft and the agent tell; never from a wish."""
+
+    AWAY = "no aircraft is heard"
+    OTHER = "another client of the station has control"
+    DISARMED = "on the ground, control authority is not held"
+    ARMING = "on the ground, control authority is being obtained"
+    OBTAINING = "in the air, control authority is being obtained"
+    ARMED = "on the ground, control authority is held"
+    AIRBORNE = "in the air, control authority is held"
+    FREE = "in the air, the mode switch is in F, and nobody asked for control authority"
+    PILOT = "the pilot flies"
+
+
+REMEDIES: dict[Phase, str] = {
+    Phase.DISARMED: "on the ground: arm, and take off first",
+    Phase.ARMING: "on the ground: arm, and take off first",
+    Phase.ARMED: "on the ground: take off first",
+    Phase.FREE: "control authority is not held: arm first",
+    Phase.OBTAINING: "control authority is not held: arm first",
+}
+"""Why a wish is refused in a phase that a ground station can change."""
+
+
+class Verdict(Enum):
+    """What becomes of a wish."""
+
+    START = "it begins"
+    OBTAIN = "control authority is obtained, then it begins"
+    REMEMBER = "it begins when the aircraft is armed, if that is soon"
+    NOTHING = "it is so already"
+    DENY = "it cannot be: asking again changes nothing"
+    REJECT = "not now"
+
+
+_V, _M = Verdict, Mode
+
+_FROM_THE_AIR = (_M.POSCTL, _M.ALTCTL, _M.ORBIT, _M.GOTO)
+_REMEMBERED = (_M.TAKEOFF, _M.MISSION, _M.OFFBOARD)
+_ENDS = (_M.HOLD, _M.LAND, _M.RTL)
+
+VERDICTS: dict[Phase, dict[Mode, Verdict]] = {
+    Phase.AWAY: dict.fromkeys(_M, _V.REJECT),
+    Phase.OTHER: dict.fromkeys(_M, _V.REJECT),
+    # QGroundControl asks for a take-off or a mission first, and arms when that was accepted.
+    Phase.DISARMED: dict.fromkeys(_REMEMBERED, _V.REMEMBER)
+    | dict.fromkeys(_ENDS, _V.NOTHING)
+    | dict.fromkeys(_FROM_THE_AIR, _V.DENY),
+    Phase.ARMING: dict.fromkeys(_REMEMBERED, _V.REMEMBER)
+    | dict.fromkeys(_ENDS, _V.NOTHING)
+    | dict.fromkeys(_FROM_THE_AIR, _V.DENY),
+    Phase.ARMED: dict.fromkeys(_REMEMBERED, _V.START)
+    | dict.fromkeys(_ENDS, _V.NOTHING)
+    | dict.fromkeys(_FROM_THE_AIR, _V.DENY),
+    Phase.AIRBORNE: dict.fromkeys(_M, _V.START) | {_M.TAKEOFF: _V.DENY},
+    # Whoever wants more than an end of the flight says so by arming.
+    Phase.FREE: dict.fromkeys(_M, _V.REJECT) | dict.fromkeys(_ENDS, _V.OBTAIN),
+    Phase.OBTAINING: dict.fromkeys(_M, _V.REJECT) | dict.fromkeys(_ENDS, _V.REMEMBER),
+    Phase.PILOT: dict.fromkeys(_M, _V.REJECT),
+}
+"""Phase of the flight, wish, what becomes of it."""
+
+
+class Running(Enum):
+    """What flies the aircraft for the bridge."""
+
+    NOTHING = "nothing"
+    TAKE_OFF = "the autopilot's take-off"
+    LAND = "the autopilot's landing"
+    GO_HOME = "the autopilot's way home"
+    FLIGHT = "a flight of the agent: a place, a height, a circle, a mission"
+    MISSION = "a mission that the aircraft flies by itself"
+    PAUSED = "a mission of the aircraft that hovers until it goes on"
+    STREAM = "setpoints of a program or of sticks"
+
+
+class Step(Enum):
+    """How a wish that begins takes over from what flies."""
+
+    REPLACE = "what flies ends at once, the wish begins"
+    WAIT = "it begins when what flies has ended; the newest waits, but a way to the ground stays"
+    INTERRUPT = "authority goes back and is obtained again, which ends what flies; then it begins"
+    KEEP = "it is what flies; a mission that was changed is stopped, and begins anew"
+    PAUSE = "the aircraft hovers and keeps its mission"
+    RESUME = "the aircraft goes on with its mission; one that was changed is stopped, and begins"
+    STOP = "the aircraft is told to stop its mission, which ends it; then the wish begins"
+    REFUSE = "what flies goes on"
+
+
+_S, _R = Step, Running
+_LANDING = dict.fromkeys(_M, _S.REFUSE) | {_M.HOLD: _S.INTERRUPT}
+
+RUNNING: dict[Running, dict[Mode, Step]] = {
+    _R.NOTHING: dict.fromkeys(_M, _S.REPLACE),
+    # The aircraft ignores setpoints until its take-off is over, and refuses a landing.
+    _R.TAKE_OFF: dict.fromkeys(_M, _S.WAIT) | {_M.TAKEOFF: _S.KEEP},
+    _R.LAND: _LANDING | {_M.LAND: _S.KEEP, _M.RTL: _S.INTERRUPT},
+    _R.GO_HOME: _LANDING | {_M.RTL: _S.KEEP, _M.LAND: _S.INTERRUPT},
+    _R.FLIGHT: dict.fromkeys(_M, _S.REPLACE),
+    # The aircraft ignores setpoints and tasks as long as it has a mission.
+    _R.MISSION: dict.fromkeys(_M, _S.STOP) | {_M.HOLD: _S.PAUSE, _M.MISSION: _S.KEEP},
+    _R.PAUSED: dict.fromkeys(_M, _S.STOP) | {_M.HOLD: _S.KEEP, _M.MISSION: _S.RESUME},
+    _R.STREAM: dict.fromkeys(_M, _S.REPLACE),
+}
+"""What flies, wish, how the wish takes over."""
+
+ARM_VERDICTS: dict[Phase, Verdict] = {
+    Phase.AWAY: _V.REJECT,
+    Phase.OTHER: _V.REJECT,
+    Phase.DISARMED: _V.START,
+    Phase.ARMING: _V.START,  # the same request: whoever asks again is answered with it
+    Phase.ARMED: _V.NOTHING,
+    Phase.AIRBORNE: _V.NOTHING,
+    Phase.FREE: _V.START,
+    Phase.OBTAINING: _V.START,
+    Phase.PILOT: _V.REJECT,
+}
+"""What becomes of the wish to arm: to obtain control authority."""
+
+DISARM_VERDICTS: dict[Phase, Verdict] = {
+    Phase.AWAY: _V.REJECT,
+    Phase.OTHER: _V.REJECT,
+    Phase.DISARMED: _V.NOTHING,
+    Phase.ARMING: _V.START,
+    Phase.ARMED: _V.START,
+    # The M100 has no command that stops motors in the air, forced or not.
+    Phase.AIRBORNE: _V.DENY,
+    Phase.FREE: _V.DENY,
+    Phase.OBTAINING: _V.DENY,
+    Phase.PILOT: _V.DENY,
+}
+"""What becomes of the wish to disarm: to give control authority back."""
+
+
+# -- the modes for programs that ask instead of knowing: AVAILABLE_MODES and CURRENT_MODE ----------
+
+
+_ADVANCED, _NOT_SELECTABLE = 1, 2
+
+_SHOWN = tuple(MODES)
+
+
+def mode_of_number(main: int, sub: int) -> Mode | None:
+    """The mode of that ``custom_mode``; None where the M100 has none, or it is not asked for so."""
+    for mode, row in MODES.items():
+        if row.main == main and row.sub == sub:
+            return mode if row.is_selectable else None
+    return None
+
+
+def mode_of_standard(number: int) -> Mode | None:
+    """The mode of that MAV_STANDARD_MODE."""
+    for mode, row in MODES.items():
+        if number and row.standard == number:
+            return mode if row.is_selectable else None
+    return None
+
+
+def available(index: int) -> list[Message]:
+    """AVAILABLE_MODES: one by its number from 1, all of them for 0; empty where there is none."""
+    wanted = range(1, len(_SHOWN) + 1) if index == 0 else [index]
+    return [_available(one) for one in wanted if 1 <= one <= len(_SHOWN)]
+
+
+def _available(index: int) -> Message:
+    mode = _SHOWN[index - 1]
+    row = MODES[mode]
+    properties = 0 if row.is_selectable else _NOT_SELECTABLE
+    if mode is Mode.OFFBOARD:
+        properties |= _ADVANCED
+    return Message(
+        "AVAILABLE_MODES",
+        {
+            "number_modes": len(_SHOWN),
+            "mode_index": index,
+            "standard_mode": row.standard,
+            "custom_mode": row.number,
+            "properties": properties,
+            "mode_name": mode.value,
+        },
+    )
+
+
+def current(mode: Mode) -> Message:
+    """CURRENT_MODE."""
+    row = MODES[mode]
+    fields = {
+        "standard_mode": row.standard,
+        "custom_mode": row.number,
+        "intended_custom_mode": row.number,
+    }
+    return Message("CURRENT_MODE", fields)

@@ -1,0 +1,178 @@
+"""Numbers of MAVLink that the bridge uses, by their names in the public definitions."""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+
+__all__ = [
+    "AUTOPILOT_GENERIC",
+    "AUTOPILOT_PX4",
+    "BaseMode",
+    "Capability",
+    "Command",
+    "Estimator",
+    "Frame",
+    "LandedState",
+    "MissionResult",
+    "MissionType",
+    "Result",
+    "Sensor",
+    "Severity",
+    "SystemStatus",
+]
+
+
+AUTOPILOT_GENERIC, AUTOPILOT_PX4 = 0, 12
+"""MAV_AUTOPILOT."""
+
+
+class Result(IntEnum):
+    """MAV_RESULT: what becomes of a command."""
+
+    ACCEPTED = 0
+    TEMPORARILY_REJECTED = 1
+    DENIED = 2
+    UNSUPPORTED = 3
+    FAILED = 4
+    IN_PROGRESS = 5
+
+
+class Severity(IntEnum):
+    """MAV_SEVERITY: of texts."""
+
+    CRITICAL = 2
+    ERROR = 3
+    WARNING = 4
+    NOTICE = 5
+    INFO = 6
+
+
+class SystemStatus(IntEnum):
+    """MAV_STATE."""
+
+    STANDBY = 3
+    ACTIVE = 4
+    CRITICAL = 5
+
+
+class BaseMode(IntFlag):
+    """MAV_MODE_FLAG."""
+
+    CUSTOM = 1
+    AUTO = 4
+    GUIDED = 8
+    MANUAL = 64
+    ARMED = 128
+
+
+class LandedState(IntEnum):
+    """MAV_LANDED_STATE."""
+
+    UNDEFINED = 0
+    ON_GROUND = 1
+    IN_AIR = 2
+    TAKEOFF = 3
+    LANDING = 4
+
+
+class Sensor(IntFlag):
+    """MAV_SYS_STATUS_SENSOR: those that the aircraft tells of."""
+
+    GYRO = 0x01
+    ACCELEROMETER = 0x02
+    MAGNETOMETER = 0x04
+    GPS = 0x20
+    RC = 0x10000
+    PREARM = 0x10000000
+
+
+class Estimator(IntFlag):
+    """ESTIMATOR_STATUS_FLAGS: those that are ever set here."""
+
+    ATTITUDE = 0x1
+    VELOCITY_HORIZ = 0x2
+    VELOCITY_VERT = 0x4
+    POS_HORIZ_ABS = 0x10
+    POS_VERT_ABS = 0x20
+    GPS_GLITCH = 0x400
+
+
+class Capability(IntFlag):
+    """MAV_PROTOCOL_CAPABILITY: those that are there."""
+
+    MISSION_INT = 0x4
+    COMMAND_INT = 0x8
+    PARAM_ENCODE_BYTEWISE = 0x10
+    SET_ATTITUDE_TARGET = 0x40
+    SET_POSITION_TARGET_LOCAL_NED = 0x80
+    MAVLINK2 = 0x2000
+    MISSION_FENCE = 0x4000
+
+
+class Frame(IntEnum):
+    """MAV_FRAME: what coordinates count from."""
+
+    GLOBAL = 0
+    LOCAL_NED = 1
+    MISSION = 2
+    GLOBAL_RELATIVE_ALT = 3
+    GLOBAL_INT = 5
+    GLOBAL_RELATIVE_ALT_INT = 6
+    BODY_NED = 8
+    BODY_OFFSET_NED = 9
+    BODY_FRD = 12
+
+
+class MissionType(IntEnum):
+    """MAV_MISSION_TYPE."""
+
+    MISSION = 0
+    FENCE = 1
+    RALLY = 2
+    ALL = 255
+
+
+class MissionResult(IntEnum):
+    """MAV_MISSION_RESULT."""
+
+    ACCEPTED = 0
+    ERROR = 1
+    UNSUPPORTED_FRAME = 2
+    UNSUPPORTED = 3
+    NO_SPACE = 4
+    INVALID = 5
+    INVALID_SEQUENCE = 13
+    DENIED = 14
+    OPERATION_CANCELLED = 15
+
+
+class Command(IntEnum):
+    """MAV_CMD: what the bridge has an answer of its own for."""
+
+    NAV_WAYPOINT = 16
+    NAV_LOITER_UNLIM = 17
+    NAV_LOITER_TIME = 19
+    NAV_RETURN_TO_LAUNCH = 20
+    NAV_LAND = 21
+    NAV_TAKEOFF = 22
+    DO_ORBIT = 34
+    NAV_DELAY = 93
+    DO_SET_MODE = 176
+    DO_CHANGE_SPEED = 178
+    DO_SET_HOME = 179
+    DO_REPOSITION = 192
+    DO_PAUSE_CONTINUE = 193
+    DO_SET_MISSION_CURRENT = 224
+    DO_SET_STANDARD_MODE = 262
+    MISSION_START = 300
+    COMPONENT_ARM_DISARM = 400
+    GET_HOME_POSITION = 410
+    GET_MESSAGE_INTERVAL = 510
+    SET_MESSAGE_INTERVAL = 511
+    REQUEST_MESSAGE = 512
+    REQUEST_PROTOCOL_VERSION = 519
+    REQUEST_AUTOPILOT_CAPABILITIES = 520
+    NAV_FENCE_POLYGON_VERTEX_INCLUSION = 5001
+    NAV_FENCE_POLYGON_VERTEX_EXCLUSION = 5002
+    NAV_FENCE_CIRCLE_INCLUSION = 5003
+    NAV_FENCE_CIRCLE_EXCLUSION = 5004

@@ -1,0 +1,295 @@
+"""Setpoints of a program: SET_POSITION_TARGET_LOCAL_NED and SET_ATTITUDE_TARGET.
+
+The newest one is flown for as long as COM_OF_LOSS_T. A place is flown to by velocities that are
+worked out anew at each step, so nothing that was sent long ago goes on moving the aircraft.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from m100link.apps.mavlink.translator.codec import Message
+from m100link.apps.mavlink.translator.numbers import Frame
+from m100link.apps.mavlink.translator.parameters import Parameters
+from m100link.apps.mavlink.translator.world import World
+from m100link.protocol.setpoint import Setpoint
+
+__all__ = [
+    "STICKS_LIFETIME",
+    "Manual",
+    "Offboard",
+    "Target",
+]
+
+
+_PLACE, _HEIGHT = 0b11, 0b100
+_SPEED, _CLIMB = 0b11000, 0b100000
+_NO_FORCE, _YAW, _YAW_RATE = 0x1C0, 0x400, 0x800
+_NO_ATTITUDE, _NO_THRUST = 0x80, 0x40
+_BODY_RATES = ((1, "body_roll_rate"), (2, "body_pitch_rate"), (4, "body_yaw_rate"))
+
+_GAIN = 0.8
+"""Metres per second for each metre that is missing."""
+
+_HOVER, _FULL = 0.5, 0.5
+"""Thrust that hovers, and what is above it: PX4's thrust is read as a climb rate."""
+
+_MOST_TILT, _MOST_TURN = 30.0, 100.0
+_UP_M = 0.5
+_CLIMB_M_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What a program wants; None where it says nothing.
+
+    Attributes:
+        at: When it came, s.
+        place: North and east of home, m.
+        height: Above home, m.
+        velocity: North and east, or forward and right, m/s.
+        climb: Up, m/s.
+        is_body: Velocities are forward and right.
+        tilt: Roll and pitch, °.
+        yaw_deg: Heading, °.
+        yaw_rate: Turn, °/s, clockwise.
+    """
+
+    at: float
+    place: tuple[float, float] | None = None
+    height: float | None = None
+    velocity: tuple[float, float] | None = None
+    climb: float | None = None
+    is_body: bool = False
+    tilt: tuple[float, float] | None = None
+    yaw_deg: float | None = None
+    yaw_rate: float | None = None
+
+
+def _limited(value: float, limit: float) -> float:
+    return max(-limit, min(limit, value))
+
+
+def _turn(yaw: float) -> float:
+    return math.remainder(math.degrees(yaw), 360.0)
+
+
+class Offboard:
+    """The newest setpoint of the operator.
+
+    Args:
+        world: The aircraft.
+        parameters: Speeds and times.
+
+    Attributes:
+        target: The newest one; None before the first.
+    """
+
+    def __init__(self, world: World, parameters: Parameters) -> None:
+        self._world = world
+        self._parameters = parameters
+        self.target: Target | None = None
+
+    def receive(self, message: Message, now: float) -> str:
+        """Take a setpoint over. Returns why it cannot be flown, empty where it can."""
+        numbers = [one for one in message.fields.values() if isinstance(one, float)]
+        if message.name == "SET_ATTITUDE_TARGET":
+            return self._attitude(message, now)
+        mask, frame = message["type_mask"], message["coordinate_frame"]
+        if any(map(math.isinf, numbers)):
+            return "a setpoint that is not finite"
+        # The bit that makes a force of an acceleration means nothing where there is none.
+        if mask & _NO_FORCE != _NO_FORCE and any(message[f"af{axis}"] for axis in "xyz"):
+            return "the M100 takes no acceleration and no force"
+        is_body = frame in (Frame.BODY_NED, Frame.BODY_OFFSET_NED, Frame.BODY_FRD)
+        if not is_body and frame != Frame.LOCAL_NED:
+            return f"frame {frame} of setpoints is not known"
+        # What is flown in part is another flight than the one that is asked for.
+        if mask & _PLACE not in (0, _PLACE) or mask & _SPEED not in (0, _SPEED):
+            return "one of two coordinates: say both, or ignore both"
+        has_place, has_height = not mask & _PLACE, not mask & _HEIGHT
+        has_speed, has_climb = not mask & _SPEED, not mask & _CLIMB
+        if is_body and (has_place or has_height):
+            return f"a place in frame {frame}: places count from home, in LOCAL_NED"
+        target = Target(
+            now,
+            place=(message["x"], message["y"]) if has_place else None,
+            height=-message["z"] if has_height else None,
+            velocity=(message["vx"], message["vy"]) if has_speed else None,
+            climb=-message["vz"] if has_climb else None,
+            is_body=is_body,
+            yaw_deg=None if mask & _YAW else _turn(message["yaw"]),
+            yaw_rate=None if mask & _YAW_RATE else math.degrees(message["yaw_rate"]),
+        )
+        return self._take(target)
+
+    def _attitude(self, message: Message, now: float) -> str:
+        mask, thrust = message["type_mask"], message["thrust"]
+        if mask & (_NO_ATTITUDE | _NO_THRUST) or not 0.0 <= thrust <= 1.0:
+            return "the M100 takes attitudes with a thrust of 0 to 1, no body rates"
+        if any(message[name] for bit, name in _BODY_RATES if not mask & bit):
+            return "the M100 takes no body rates beside an attitude"
+        q0, q1, q2, q3 = message["q"]
+        size = math.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
+        if not 0.5 < size < 2.0:
+            return "a setpoint that is not an attitude"
+        q0, q1, q2, q3 = (one / size for one in (q0, q1, q2, q3))
+        roll = math.atan2(2 * (q0 * q1 + q2 * q3), 1 - 2 * (q1 * q1 + q2 * q2))
+        pitch = math.asin(max(-1.0, min(1.0, 2 * (q0 * q2 - q1 * q3))))
+        yaw = math.atan2(2 * (q0 * q3 + q1 * q2), 1 - 2 * (q2 * q2 + q3 * q3))
+        up = (thrust - _HOVER) / _FULL * self._parameters["MPC_Z_VEL_MAX_UP"]
+        if thrust == 0.0:
+            up = 0.0  # "no thrust" while a program begins; the M100 does not fall
+        tilt = (math.degrees(roll), math.degrees(pitch))
+        return self._take(Target(now, tilt=tilt, climb=up, yaw_deg=math.degrees(yaw)))
+
+    def _take(self, target: Target) -> str:
+        parts = (target.place, target.velocity, target.tilt)
+        flat = [one for part in parts if part is not None for one in part]
+        flat += [
+            one
+            for one in (target.height, target.climb, target.yaw_deg, target.yaw_rate)
+            if one is not None
+        ]
+        if not flat or any(not math.isfinite(one) for one in flat):
+            return "a setpoint that says nothing, or is not a number"
+        self.target = target
+        return ""
+
+    def is_fresh(self, now: float) -> bool:
+        """Whether a setpoint came lately."""
+        return self.target is not None and now - self.target.at <= self._parameters["COM_OF_LOSS_T"]
+
+    # -- what is flown ---------------------------------------------------------------------------
+
+    def wants_up(self, now: float) -> bool:
+        """Whether it asks to leave the ground."""
+        target = self.target
+        if target is None or not self.is_fresh(now):
+            return False
+        if target.height is not None:
+            return target.height > _UP_M
+        return target.climb is not None and target.climb > _CLIMB_M_S
+
+    def setpoint(self, now: float) -> Setpoint | None:
+        """What to fly now; None when nobody says it any more, or it cannot be told where to."""
+        target = self.target
+        if target is None or not self.is_fresh(now):
+            return None
+        climb = self._climb(target)
+        yaw_deg, yaw_rate = target.yaw_deg, target.yaw_rate
+        yaw_rate = _limited(yaw_rate or 0.0, _MOST_TURN) if yaw_deg is None else None
+        if target.tilt is not None:
+            roll, pitch = (_limited(one, _MOST_TILT) for one in target.tilt)
+            return Setpoint.tilt(
+                roll_deg=roll, pitch_deg=pitch, up=climb, yaw_deg=yaw_deg, yaw_rate_deg_s=yaw_rate
+            )
+        first, second = self._speed(target)
+        if target.is_body:
+            return Setpoint.velocity(
+                forward=first, right=second, up=climb, yaw_deg=yaw_deg, yaw_rate_deg_s=yaw_rate
+            )
+        return Setpoint.velocity(
+            north=first, east=second, up=climb, yaw_deg=yaw_deg, yaw_rate_deg_s=yaw_rate
+        )
+
+    def _climb(self, target: Target) -> float:
+        height = self._world.height
+        climb = target.climb or 0.0
+        if target.height is not None:
+            climb = 0.0 if height is None else climb + _GAIN * (target.height - height)
+        return max(
+            -self._parameters["MPC_Z_VEL_MAX_DN"],
+            min(self._parameters["MPC_Z_VEL_MAX_UP"], climb),
+        )
+
+    def _speed(self, target: Target) -> tuple[float, float]:
+        first, second = target.velocity or (0.0, 0.0)
+        if target.place is not None:
+            here = self._world.local
+            if here is None:
+                return 0.0, 0.0  # without a place of its own nothing leads there
+            first += _GAIN * (target.place[0] - here[0])
+            second += _GAIN * (target.place[1] - here[1])
+        fastest = self._fastest()
+        scale = max(1.0, math.hypot(first, second) / fastest)
+        return first / scale, second / scale
+
+    def _fastest(self) -> float:
+        limit = self._world.known.state.limits.max_speed_m_s
+        return min(self._parameters["MPC_XY_VEL_MAX"], 10.0 if limit is None else limit)
+
+
+# -- sticks of a ground station: MANUAL_CONTROL, as velocities (POSCTL) or as tilts (ALTCTL) -------
+
+
+STICKS_LIFETIME = 0.5
+"""Seconds after which sticks that are not told any more are let go."""
+
+_FULL_STICK = 1000.0
+_DEAD = 0.03
+
+
+def _stick(value: float) -> float:
+    """-1 to 1, with nothing around the middle, and where there is no such axis.
+
+    What is out of range is no axis, as PX4 has it: INT16_MAX, by which the definitions say so, and
+    nonsense, which nobody means as a full stick.
+    """
+    found = value / _FULL_STICK
+    return found if _DEAD <= abs(found) <= 1.0 else 0.0
+
+
+class Manual:
+    """The newest sticks of the operator.
+
+    Args:
+        world: The aircraft.
+        parameters: Speeds.
+        is_tilt: Whether sticks are tilts.
+    """
+
+    def __init__(self, world: World, parameters: Parameters, *, is_tilt: bool) -> None:
+        self._world = world
+        self._parameters = parameters
+        self._is_tilt = is_tilt
+        self._sticks = (0.0, 0.0, 0.0, 0.0)
+        self._at = float("-inf")
+
+    def receive(self, message: Message, now: float) -> None:
+        """Take sticks over: pitch, roll, climb (0 to 1000, 500 stays), turn."""
+        x, y, z, r = (message[axis] for axis in "xyzr")
+        first, second, third, fourth = map(_stick, (x, y, (z - _FULL_STICK / 2) * 2, r))
+        self._sticks, self._at = (first, second, third, fourth), now
+
+    def is_fresh(self, now: float) -> bool:
+        """Whether sticks came lately."""
+        return now - self._at <= STICKS_LIFETIME
+
+    def wants_up(self, now: float) -> bool:
+        """Sticks do not leave the ground: a take-off is asked for."""
+        return False
+
+    def setpoint(self, now: float) -> Setpoint | None:
+        """What to fly now; None when nobody holds the sticks."""
+        if not self.is_fresh(now):
+            return None
+        pitch, roll, climb, turn = self._sticks
+        values = self._parameters
+        up = climb * values["MPC_Z_VEL_MAX_UP" if climb > 0 else "MPC_Z_VEL_MAX_DN"]
+        yaw_rate = turn * values["MPC_MAN_Y_MAX"]
+        if self._is_tilt:
+            tilt = values["MPC_MAN_TILT_MAX"]
+            return Setpoint.tilt(
+                roll_deg=roll * tilt, pitch_deg=-pitch * tilt, up=up, yaw_rate_deg_s=yaw_rate
+            )
+        limit = self._world.known.state.limits.max_speed_m_s
+        speed = min(values["MPC_XY_VEL_MAX"], 10.0 if limit is None else limit)
+        scale = max(1.0, (pitch * pitch + roll * roll) ** 0.5)
+        return Setpoint.velocity(
+            forward=pitch * speed / scale,
+            right=roll * speed / scale,
+            up=up,
+            yaw_rate_deg_s=yaw_rate,
+        )

@@ -1,0 +1,254 @@
+"""What the bridge asks of the agent: values that the deck decides and the crew carries out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from m100link.apps.agent.guided import FlyTo, GuidedOrder
+from m100link.apps.agent.messages import Action
+from m100link.apps.mavlink.translator.modes import Mode, Running
+from m100link.apps.mavlink.translator.peers import Peer
+from m100link.missions.plan import WaypointPlan
+from m100link.protocol.setpoint import Setpoint
+
+__all__ = [
+    "Arm",
+    "CallOff",
+    "Disarm",
+    "Do",
+    "Drop",
+    "Errand",
+    "Flight",
+    "GoHome",
+    "Halt",
+    "Land",
+    "Order",
+    "Pause",
+    "Resume",
+    "Steer",
+    "Stream",
+    "TakeOff",
+    "Wish",
+    "running_of",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """Take the lease and obtain control authority.
+
+    Attributes:
+        name: For whom, for people.
+    """
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Disarm:
+    """Give lease and authority back: motion ends, the pilot flies."""
+
+
+@dataclass(frozen=True, slots=True)
+class TakeOff:
+    """Let the autopilot take off, then climb.
+
+    Attributes:
+        height: To climb to, m above the take-off point; None stays where the autopilot ends.
+    """
+
+    height: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CallOff:
+    """Keep a take-off that was ordered from being flown, and give lease and authority back.
+
+    Giving back is all that can be done on the ground: a landing is refused there, and nothing stops
+    the motors (document, 2.2.2). Whether it ends a take-off that the aircraft has accepted is not
+    told anywhere, so it is watched; an aircraft that takes off all the same is landed.
+    """
+
+
+@dataclass(frozen=True, slots=True)
+class Land:
+    """Let the autopilot land in place.
+
+    Attributes:
+        is_interrupting: End the autopilot's task first, by giving authority back and asking anew.
+    """
+
+    is_interrupting: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class GoHome:
+    """Let the autopilot fly home and land.
+
+    Attributes:
+        is_interrupting: As in :class:`Land`.
+    """
+
+    is_interrupting: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Halt:
+    """Hover.
+
+    Attributes:
+        is_interrupting: As in :class:`Land`.
+        why: For people.
+    """
+
+    is_interrupting: bool = False
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """Flights of the agent, one after the other.
+
+    Attributes:
+        legs: Each an order of the agent.
+        waits: Seconds to hover after each.
+        takes_off: Take off first.
+        then: The way to the ground that follows them; None hovers.
+        items: Number of the mission's item of each leg, None for a leg of none; empty where no
+            mission is flown.
+        edition: Of the mission.
+        plan: What the aircraft flies by itself in place of the last legs; None where the agent
+            flies them all.
+        why: Why it does, of a mission.
+    """
+
+    legs: tuple[GuidedOrder, ...]
+    waits: tuple[float, ...] = ()
+    takes_off: bool = False
+    then: Land | GoHome | None = None
+    items: tuple[int | None, ...] = ()
+    edition: int = 0
+    plan: WaypointPlan | None = None
+    why: str = ""
+
+    @property
+    def by_agent(self) -> int:
+        """How many legs the agent flies."""
+        return len(self.legs) - (0 if self.plan is None else len(self.plan.waypoints))
+
+    def speed_of(self, number: int) -> float:
+        """Of a leg to a place, m/s; 0 of others."""
+        leg = self.legs[number]
+        return leg.speed if isinstance(leg, FlyTo) else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Pause:
+    """Let the aircraft hover, and keep the mission that it flies.
+
+    Attributes:
+        flight: Of which that is the mission.
+    """
+
+    flight: Flight
+
+
+@dataclass(frozen=True, slots=True)
+class Resume:
+    """Let the aircraft fly on what it has paused.
+
+    Attributes:
+        flight: As in :class:`Pause`.
+    """
+
+    flight: Flight
+
+
+@dataclass(frozen=True, slots=True)
+class Do:
+    """Something that is asked of the agent and moves nothing by itself.
+
+    Attributes:
+        action: What.
+        number: Of the question.
+    """
+
+    action: Action
+    number: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Drop:
+    """Leave the order under way as it is: control was lost, and what was to come is not flown."""
+
+
+@dataclass(frozen=True, slots=True)
+class Steer:
+    """A setpoint for as long as its lifetime.
+
+    Attributes:
+        setpoint: What to fly.
+        lifetime: s.
+    """
+
+    setpoint: Setpoint
+    lifetime: float
+
+
+Order = Arm | Disarm | CallOff | TakeOff | Land | GoHome | Halt | Flight
+"""What takes time and has an end; the newest one replaces what was ordered before it."""
+
+Errand = Pause | Resume | Do
+"""What is told to the mission that the aircraft flies, and replaces nothing."""
+
+_RUNNING: dict[type[Order], Running] = {
+    Arm: Running.NOTHING,
+    Disarm: Running.NOTHING,
+    CallOff: Running.NOTHING,
+    TakeOff: Running.TAKE_OFF,
+    Land: Running.LAND,
+    GoHome: Running.GO_HOME,
+    Halt: Running.NOTHING,
+    Flight: Running.FLIGHT,
+}
+
+
+def running_of(order: Order) -> Running:
+    """What flies while it is carried out."""
+    return _RUNNING[type(order)]
+
+
+# -- what ground stations want to be flown, and where setpoints come from: values for the deck -----
+
+
+class Stream(Protocol):
+    """Where setpoints of a mode come from."""
+
+    def setpoint(self, now: float) -> Setpoint | None:
+        """What to fly now; None when nobody says it any more."""
+
+    def is_fresh(self, now: float) -> bool:
+        """Whether somebody says it."""
+        ...
+
+    def wants_up(self, now: float) -> bool:
+        """Whether it asks to leave the ground."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What somebody wants to be flown.
+
+    Attributes:
+        mode: In which mode.
+        order: What the agent is asked for; None where setpoints fly.
+        peer: Who wants it; None for the bridge itself.
+        is_anew: Whether it is another mission than the one that flies or is paused.
+    """
+
+    mode: Mode
+    order: Order | None
+    peer: Peer | None = None
+    is_anew: bool = False

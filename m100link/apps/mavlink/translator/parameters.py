@@ -1,0 +1,154 @@
+"""Parameters: what a ground station may look up and set, under the names that it knows from PX4.
+
+The M100 has no parameters on its wire. These are the settings of the bridge, and what it knows of
+the aircraft's limits; what cannot be set here is read-only, and answered with its value.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from m100link.apps.mavlink.translator.codec import Message
+from m100link.apps.mavlink.translator.world import World
+
+__all__ = [
+    "PARAMETERS",
+    "Parameter",
+    "Parameters",
+]
+
+
+_REAL32, _INT32 = 9, 6
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One of them.
+
+    Attributes:
+        value: At first; of one that tells of the aircraft, None.
+        meaning: For the manual.
+        least: What it may be set to.
+        most: Likewise; where both are the same it is read-only.
+        told: What the aircraft or the agent tells, for those that tell of it.
+        is_whole: Whether it is an integer.
+    """
+
+    value: float | None
+    meaning: str
+    least: float = 0.0
+    most: float = 0.0
+    told: Callable[[World, int], float | None] | None = None
+    is_whole: bool = False
+
+    @property
+    def is_settable(self) -> bool:
+        """Whether it can be set."""
+        return self.most > self.least
+
+
+PARAMETERS: Mapping[str, Parameter] = {
+    "MAV_SYS_ID": Parameter(
+        None, "system id of this aircraft", told=lambda _, system: system, is_whole=True
+    ),
+    "MIS_TAKEOFF_ALT": Parameter(2.5, "height of a take-off without one, m", 1.5, 100.0),
+    "RTL_RETURN_ALT": Parameter(-1.0, "DJI's own setting, which the wire does not tell: -1"),
+    "COM_OF_LOSS_T": Parameter(0.5, "s without a setpoint until OFFBOARD holds", 0.1, 2.0),
+    "MPC_XY_CRUISE": Parameter(5.0, "speed of flights to a place and of missions, m/s", 0.5, 10.0),
+    "MPC_XY_VEL_MAX": Parameter(5.0, "greatest speed of OFFBOARD and of sticks, m/s", 0.5, 10.0),
+    "MPC_Z_VEL_MAX_UP": Parameter(2.0, "greatest climb of OFFBOARD and of sticks, m/s", 0.2, 4.0),
+    "MPC_Z_VEL_MAX_DN": Parameter(1.5, "greatest descent of them, m/s", 0.2, 3.0),
+    "MPC_MAN_Y_MAX": Parameter(60.0, "greatest turn of sticks, degrees/s", 5.0, 100.0),
+    "MPC_MAN_TILT_MAX": Parameter(15.0, "greatest tilt of sticks in ALTCTL, degrees", 1.0, 30.0),
+    "GF_MAX_HOR_DIST": Parameter(
+        None,
+        "the agent's envelope: m from where control was obtained; 0 without",
+        told=lambda world, _: world.known.state.limits.max_radius_m,
+    ),
+    "GF_MAX_VER_DIST": Parameter(
+        None,
+        "the agent's envelope: m above the take-off point; 0 without",
+        told=lambda world, _: world.known.state.limits.max_height_m,
+    ),
+    "COM_ARM_BAT_MIN": Parameter(
+        None,
+        "the agent's floor of the battery, 0 to 1",
+        told=lambda world, _: (world.known.state.limits.battery_floor_percent or 0) / 100,
+    ),
+}
+"""By name."""
+
+_NAMES = tuple(PARAMETERS)
+
+
+class Parameters:
+    """The parameters of one aircraft.
+
+    Args:
+        world: The aircraft.
+        system: Its system id.
+    """
+
+    def __init__(self, world: World, system: int) -> None:
+        self._world = world
+        self._system = system
+        self._values = {name: one.value for name, one in PARAMETERS.items()}
+
+    def __getitem__(self, name: str) -> float:
+        one = PARAMETERS[name]
+        value = self._values[name] if one.told is None else one.told(self._world, self._system)
+        return 0.0 if value is None else value
+
+    def message(self, name: str) -> Message:
+        """PARAM_VALUE."""
+        one, value = PARAMETERS[name], self[name]
+        if one.is_whole:  # an integer travels as its bits
+            (value,) = struct.unpack("<f", struct.pack("<i", int(value)))
+        fields = {
+            "param_value": value,
+            "param_count": len(_NAMES),
+            "param_index": _NAMES.index(name),
+            "param_id": name,
+            "param_type": _INT32 if one.is_whole else _REAL32,
+        }
+        return Message("PARAM_VALUE", fields)
+
+    def receive(self, message: Message) -> list[Message]:
+        """The answers to a question."""
+        if message.name == "PARAM_REQUEST_LIST":
+            return [self.message(name) for name in _NAMES]
+        name = str(message["param_id"])
+        if message.name == "PARAM_REQUEST_READ":
+            index = message["param_index"]
+            if index >= 0:
+                name = _NAMES[index] if index < len(_NAMES) else ""
+            return [self.message(name)] if name in PARAMETERS else []
+        return self._set(name, message["param_value"])
+
+    def _set(self, name: str, value: float) -> list[Message]:
+        """Set it, if it can be; the answer has the value in force either way."""
+        one = PARAMETERS.get(name)
+        if one is None:
+            return []
+        if one.is_settable and math.isfinite(value) and one.least <= value <= one.most:
+            self._values[name] = value
+        return [self.message(name)]
+
+    def refusal(self, message: Message) -> str:
+        """Why a value was not taken; empty where it was."""
+        name, value = str(message["param_id"]), message["param_value"]
+        one = PARAMETERS.get(name)
+        if one is None:
+            return f"there is no parameter {name}"
+        if not one.is_settable:
+            return "" if self._is_same(one, name, value) else f"{name} is read-only"
+        if not (math.isfinite(value) and one.least <= value <= one.most):
+            return f"{name} is {one.least:g} to {one.most:g}"
+        return ""
+
+    def _is_same(self, one: Parameter, name: str, value: float) -> bool:
+        given = struct.unpack("<i", struct.pack("<f", value))[0] if one.is_whole else value
+        return bool(given == self[name])

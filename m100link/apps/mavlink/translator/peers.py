@@ -1,0 +1,121 @@
+"""Who is at the other end of the datagrams: known by a heartbeat, few, and forgotten soon."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+__all__ = [
+    "FORGOTTEN_AFTER",
+    "LOST_AFTER",
+    "MOST_PEERS",
+    "Address",
+    "Peer",
+    "Peers",
+]
+
+
+Address = tuple[str, int]
+"""Host and port."""
+
+LOST_AFTER = 3.0
+"""Seconds without a heartbeat after which a ground station counts as lost."""
+
+FORGOTTEN_AFTER = 10.0
+"""Seconds after which nothing is sent to it any more."""
+
+MOST_PEERS = 16
+"""Ground stations and programs at once: each costs the telemetry of every aircraft."""
+
+
+@dataclass(frozen=True, slots=True)
+class Peer:
+    """A ground station or program.
+
+    Attributes:
+        address: Where its datagrams come from.
+        system: Its system id.
+        component: Its component id.
+    """
+
+    address: Address
+    system: int
+    component: int
+
+    @property
+    def name(self) -> str:
+        """What it is called for people."""
+        return f"MAVLink {self.system} at {self.address[0]}:{self.address[1]}"
+
+
+class Peers:
+    """Those that have been heard, by address and system id.
+
+    Args:
+        always: Addresses that are sent telemetry before they say anything.
+    """
+
+    def __init__(self, always: tuple[Address, ...] = ()) -> None:
+        self._always = always
+        self._heard: dict[Peer, float] = {}
+        # Those whose heartbeat nobody else can have sent, and when.
+        self._trusted: dict[Peer, float] = {}
+        self.refused = 0
+
+    def heartbeat(self, peer: Peer, now: float, *, is_trusted: bool = True) -> bool:
+        """It is there. Returns whether it is one of the peers: there may be too many.
+
+        Args:
+            peer: Who says it.
+            now: s.
+            is_trusted: Whether it keeps a flight going: with a key only what is signed with it.
+        """
+        if peer not in self._heard and len(self._heard) >= MOST_PEERS:
+            self.forget(now)
+            if len(self._heard) >= MOST_PEERS and not (is_trusted and self._make_room()):
+                self.refused += 1
+                return False
+        self._heard[peer] = now
+        if is_trusted:
+            self._trusted[peer] = now
+        return True
+
+    def _make_room(self) -> bool:
+        """Who cannot be trusted makes way for who can: without a key anybody sends heartbeats."""
+        found = next((one for one in self._heard if one not in self._trusted), None)
+        if found is not None:
+            del self._heard[found]
+        return found is not None
+
+    def knows(self, peer: Peer, now: float) -> bool:
+        """Whether it has been heard lately: others are not obeyed, and not answered."""
+        return now - self._heard.get(peer, -FORGOTTEN_AFTER) < FORGOTTEN_AFTER
+
+    def is_lost(self, peer: Peer, now: float) -> bool:
+        """Whether its heartbeat fails to come."""
+        return now - self._trusted.get(peer, -LOST_AFTER) >= LOST_AFTER
+
+    def is_known(self, address: Address) -> bool:
+        """Whether somebody there has been heard, and was not forgotten."""
+        return any(one.address == address for one in self._heard)
+
+    def forget(self, now: float) -> None:
+        """Leave out those that are silent."""
+        for peer in [one for one, at in self._heard.items() if now - at >= FORGOTTEN_AFTER]:
+            del self._heard[peer]
+            self._trusted.pop(peer, None)
+
+    def addresses(self, now: float) -> set[Address]:
+        """Where telemetry goes."""
+        self.forget(now)
+        return {*self._always, *(one.address for one in self._heard)}
+
+    def audience(self, now: float) -> dict[Address, tuple[Peer, ...]]:
+        """The same, with the peers that are there."""
+        found: dict[Address, tuple[Peer, ...]] = dict.fromkeys(self.addresses(now), ())
+        for peer in self._heard:
+            found[peer.address] += (peer,)
+        return found
+
+    def __iter__(self) -> Iterator[Peer]:
+        return iter(tuple(self._heard))

@@ -1,0 +1,337 @@
+"""What a mission means: its items as flights of the agent, and what of them is not flown.
+
+An item that changes the way and that the M100 cannot fly refuses the mission; one of a payload that
+is not there is left out, and named. Both lists are here, and the manual is made from them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from m100link.apps.agent.guided import FlyTo
+from m100link.apps.mavlink.translator.codec import Message
+from m100link.apps.mavlink.translator.modes import Mode
+from m100link.apps.mavlink.translator.numbers import Command, Frame, MissionResult
+from m100link.errors import BadPlan
+from m100link.geodesy import normalize_degrees
+from m100link.missions.checks import MOST_ACTIONS
+from m100link.missions.plan import AtEnd, Heading, Stay, Waypoint, WaypointPlan
+from m100link.protocol.commands.waypoint import WaypointMission
+from m100link.protocol.firmware import PROFILES
+
+__all__ = [
+    "FASTEST_M_S",
+    "ITEMS",
+    "Leg",
+    "Refused",
+    "Route",
+    "Unfit",
+    "flies_missions",
+    "plan_of",
+    "read_route",
+]
+
+
+_SEA_LEVEL = (Frame.GLOBAL, Frame.GLOBAL_INT)
+_RELATIVE = (Frame.GLOBAL_RELATIVE_ALT, Frame.GLOBAL_RELATIVE_ALT_INT)
+_LONGEST_WAIT = 600.0
+FASTEST_M_S = 10.0
+"""Of a leg, and what the pilot's stick adds to a mission that the aircraft flies included."""
+
+_LAST_NAV, _LAST_CONDITION = 95, 114
+_CHANGES_THE_WAY = {177, 192, 3000}
+"""DO_JUMP, DO_REPOSITION, VTOL transition: what is not a NAV item and moves all the same."""
+
+
+class Refused(Exception):
+    """The mission cannot be flown.
+
+    Attributes:
+        result: For the ground station.
+        why: For people.
+    """
+
+    def __init__(self, result: MissionResult, why: str) -> None:
+        super().__init__(why)
+        self.result = result
+        self.why = why
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """A place that the mission flies to.
+
+    Attributes:
+        item: Number of the item.
+        order: Where to.
+        wait: Seconds to hover there.
+    """
+
+    item: int
+    order: FlyTo
+    wait: float = 0.0
+
+
+@dataclass(slots=True)
+class Route:
+    """A mission that can be flown.
+
+    Attributes:
+        legs: In order.
+        height: To climb to after a take-off, m above the ground; None without such an item.
+        then: How it ends: RTL, LAND, or hovering.
+        left_out: Commands of items that are not carried out.
+        speed: Of the legs that follow, m/s.
+    """
+
+    legs: list[Leg] = field(default_factory=list)
+    height: float | None = None
+    then: Mode = Mode.HOLD
+    left_out: list[int] = field(default_factory=list)
+    speed: float = 5.0
+
+
+class _Reader:
+    """Reads item after item.
+
+    Args:
+        ground: Altitude of the take-off point above sea level, m; None while nobody knows.
+        speed: Until an item says another one.
+    """
+
+    def __init__(self, ground: float | None, speed: float) -> None:
+        self._ground = ground
+        self.route = Route(speed=speed)
+        self._is_over = False
+
+    def read(self, number: int, item: Message) -> None:
+        """The next item."""
+        command = item["command"]
+        row = ITEMS.get(command)
+        if row is not None:
+            if self._is_over:
+                raise Refused(MissionResult.INVALID, f"item {number} comes after the end")
+            row.reader(self, number, item)
+        elif command <= _LAST_CONDITION or command in _CHANGES_THE_WAY:
+            raise Refused(
+                MissionResult.UNSUPPORTED, f"item {number}: the M100 does not fly command {command}"
+            )
+        else:
+            self.route.left_out.append(command)
+
+    def _height(self, number: int, item: Message) -> float:
+        frame, height = item["frame"], float(item["z"])
+        if frame in _SEA_LEVEL:
+            if self._ground is None:
+                raise Refused(MissionResult.ERROR, "nobody knows the altitude of the ground")
+            height -= self._ground
+        elif frame not in _RELATIVE:
+            raise Refused(
+                MissionResult.UNSUPPORTED_FRAME, f"item {number}: frame {frame} is not flown"
+            )
+        if not 0.0 <= height < 1000.0:
+            raise Refused(MissionResult.INVALID, f"item {number}: a height of {height:.1f} m")
+        return height
+
+    def take_off(self, number: int, item: Message) -> None:
+        """NAV_TAKEOFF."""
+        if self.route.legs:
+            raise Refused(MissionResult.INVALID, f"item {number}: a take-off in the air")
+        self.route.height = self._height(number, item)
+
+    def waypoint(self, number: int, item: Message) -> None:
+        """NAV_WAYPOINT, with its time."""
+        self._fly(number, item, _seconds(number, item["param1"]))
+
+    def loiter(self, number: int, item: Message) -> None:
+        """NAV_LOITER_UNLIM: the end."""
+        self._fly(number, item, 0.0)
+        self._is_over = True
+
+    def _fly(self, number: int, item: Message, wait: float) -> None:
+        latitude, longitude = _place(number, item)
+        yaw = item["param4"]
+        heading = math.remainder(yaw, 360.0) if math.isfinite(yaw) else None
+        height = self._height(number, item)
+        order = FlyTo(latitude, longitude, height, self.route.speed, heading)
+        self.route.legs.append(Leg(number, order, wait))
+
+    def delay(self, number: int, item: Message) -> None:
+        """NAV_DELAY by seconds."""
+        wait = _seconds(number, item["param1"])
+        if not wait or not self.route.legs:
+            raise Refused(MissionResult.INVALID, f"item {number}: a delay by seconds, in the air")
+        last = self.route.legs[-1]
+        self.route.legs[-1] = Leg(last.item, last.order, min(_LONGEST_WAIT, last.wait + wait))
+
+    def speed(self, number: int, item: Message) -> None:
+        """DO_CHANGE_SPEED of the legs that follow."""
+        speed = item["param2"]
+        if math.isfinite(speed) and speed > 0.0:
+            if speed > FASTEST_M_S:
+                raise Refused(MissionResult.INVALID, f"item {number}: {speed:g} m/s is too fast")
+            self.route.speed = speed
+
+    def go_home(self, number: int, item: Message) -> None:
+        """NAV_RETURN_TO_LAUNCH: the end."""
+        self.route.then, self._is_over = Mode.RTL, True
+
+    def land(self, number: int, item: Message) -> None:
+        """NAV_LAND: the end, at a place if one is named."""
+        if (item["x"] or item["y"]) and self.route.legs:
+            height = self.route.legs[-1].order.height
+            place = _place(number, item)
+            self.route.legs.append(Leg(number, FlyTo(*place, height, self.route.speed)))
+        self.route.then, self._is_over = Mode.LAND, True
+
+
+def _place(number: int, item: Message) -> tuple[float, float]:
+    latitude, longitude = item["x"] / 1e7, item["y"] / 1e7
+    if not (abs(latitude) <= 89.0 and abs(longitude) <= 180.0) or not (latitude or longitude):
+        raise Refused(MissionResult.INVALID, f"item {number}: there is no such place")
+    return latitude, longitude
+
+
+def _seconds(number: int, value: float) -> float:
+    if not math.isfinite(value):
+        return 0.0
+    if not 0.0 <= value <= _LONGEST_WAIT:
+        raise Refused(MissionResult.INVALID, f"item {number}: {value:g} s of hovering")
+    return float(value)
+
+
+@dataclass(frozen=True, slots=True)
+class ItemRow:
+    """An item that is flown.
+
+    Attributes:
+        reader: What reads it.
+        meaning: For the manual.
+    """
+
+    reader: Callable[[_Reader, int, Message], None]
+    meaning: str
+
+
+ITEMS: Mapping[int, ItemRow] = {
+    Command.NAV_TAKEOFF: ItemRow(_Reader.take_off, "height of the climb after the take-off"),
+    Command.NAV_WAYPOINT: ItemRow(_Reader.waypoint, "straight there; hold time, heading if named"),
+    Command.NAV_LOITER_TIME: ItemRow(_Reader.waypoint, "the same, with its time"),
+    Command.NAV_LOITER_UNLIM: ItemRow(_Reader.loiter, "straight there, and the end"),
+    Command.NAV_DELAY: ItemRow(_Reader.delay, "seconds, at the waypoint before"),
+    Command.DO_CHANGE_SPEED: ItemRow(_Reader.speed, "of what follows, up to 10 m/s"),
+    Command.NAV_RETURN_TO_LAUNCH: ItemRow(_Reader.go_home, "the autopilot's way home at the end"),
+    Command.NAV_LAND: ItemRow(_Reader.land, "the autopilot's landing at the end"),
+}
+"""By number. Other NAV and CONDITION items refuse the mission; all else is left out by name."""
+
+
+def read_route(items: Sequence[Message], *, ground: float | None, speed: float) -> Route:
+    """The mission as it is flown.
+
+    Args:
+        items: MISSION_ITEM_INT, in order.
+        ground: Altitude of the take-off point above sea level, m; None while nobody knows.
+        speed: Until an item says another one, m/s.
+
+    Raises:
+        Refused: It cannot be flown; with the item and the reason.
+    """
+    reader = _Reader(ground, speed)
+    for number, item in enumerate(items):
+        reader.read(number, item)
+    if items and not reader.route.legs:
+        raise Refused(MissionResult.INVALID, "the mission has no place to fly to")
+    return reader.route
+
+
+# -- A mission as the aircraft flies it by itself: a plan of waypoints, or why there is none -------
+# What a plan of the aircraft cannot say is flown by the agent instead. Two things that MAVLink says
+# for a leg and the plan for the whole are made up for: the speed, which is changed on the way, and
+# the heading, which stays what it was where an item names none.
+
+
+_LONGEST_STAY = 32.767
+_ENDS = {Mode.HOLD: AtEnd.HOVER, Mode.RTL: AtEnd.GO_HOME, Mode.LAND: AtEnd.LAND}
+
+
+class Unfit(Exception):
+    """The aircraft cannot fly this mission by itself; the text says why."""
+
+
+def flies_missions(firmware: str) -> bool:
+    """Whether an aircraft of that firmware knows waypoint missions."""
+    profile = PROFILES.get(firmware)
+    return profile is not None and WaypointMission.is_known_to(profile)
+
+
+def plan_of(legs: Sequence[Leg], then: Mode, *, yaw_deg: float | None) -> WaypointPlan:
+    """The plan that flies these legs.
+
+    Args:
+        legs: Places, in order.
+        then: How the mission ends: RTL, LAND, or hovering.
+        yaw_deg: Heading at its start; None while nobody knows.
+
+    Raises:
+        Unfit: There is none.
+    """
+    if not legs:
+        raise Unfit("no place is left to fly to")
+    headings = _headings(legs, yaw_deg)
+    points = []
+    before = headings[0]
+    for leg, heading in zip(legs, headings, strict=True):
+        order = leg.order
+        points.append(
+            Waypoint(
+                order.latitude_deg,
+                order.longitude_deg,
+                order.height,
+                heading_deg=heading,
+                turn_clockwise=normalize_degrees(heading - before) >= 0.0,
+                actions=_stays(leg),
+            )
+        )
+        before = heading
+    is_named = any(leg.order.yaw_deg is not None for leg in legs)
+    try:
+        return WaypointPlan(
+            points,
+            speed=legs[0].order.speed,
+            max_speed=FASTEST_M_S,
+            heading=Heading.BY_WAYPOINT if is_named else Heading.AS_AT_START,
+            at_end=_ENDS[then],
+        )
+    except BadPlan as problem:
+        raise Unfit(_seen(problem, legs)) from None
+
+
+def _headings(legs: Sequence[Leg], yaw_deg: float | None) -> list[float]:
+    """Of each leg: what its item names, or what it was before."""
+    named = [leg.order.yaw_deg for leg in legs]
+    if all(one is None for one in named):
+        return [0.0] * len(legs)  # the plan says that the heading stays
+    if named[0] is None and yaw_deg is None:
+        raise Unfit("nobody knows the heading that it begins with")
+    heading, found = yaw_deg or 0.0, []
+    for one in named:
+        heading = heading if one is None else one
+        found.append(heading)
+    return found
+
+
+def _stays(leg: Leg) -> list[Stay]:
+    parts = math.ceil(leg.wait / _LONGEST_STAY)
+    if parts > MOST_ACTIONS:
+        raise Unfit(f"item {leg.item}: it hovers for {leg.wait:g} s")
+    return [Stay(leg.wait / max(1, parts))] * parts
+
+
+def _seen(problem: BadPlan, legs: Sequence[Leg]) -> str:
+    """What is wrong, by the number of the item."""
+    if problem.point is None:
+        return problem.seen
+    return problem.seen.replace(f"waypoint {problem.point}", f"item {legs[problem.point].item}", 1)

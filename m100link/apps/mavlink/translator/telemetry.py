@@ -1,0 +1,536 @@
+"""What is told of the aircraft: one function for each message, and how often each is sent.
+
+A value that nobody knows is the definition's "unknown", and where there is none the message is not
+sent. Nothing here makes a number up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from m100link.apps.mavlink.translator.codec import LAYOUTS, Message
+from m100link.apps.mavlink.translator.modes import MODES, Mode
+from m100link.apps.mavlink.translator.numbers import (
+    BaseMode,
+    Estimator,
+    LandedState,
+    Sensor,
+    Severity,
+    SystemStatus,
+)
+from m100link.apps.mavlink.translator.peers import MOST_PEERS, Address, Peer
+from m100link.apps.mavlink.translator.world import GPS_NEEDED, World
+from m100link.protocol.records import (
+    Acceleration,
+    AngularVelocity,
+    Attitude,
+    Battery,
+    FlightPhase,
+    FlightStatus,
+    Magnetometer,
+    Position,
+    RemoteControl,
+)
+
+__all__ = [
+    "LOWEST_BATTERY",
+    "MOST_HZ",
+    "NUMBERS",
+    "STREAMS",
+    "Rates",
+    "Stream",
+    "Texts",
+    "heartbeat",
+    "severity_of",
+]
+
+
+LOWEST_BATTERY = 20
+"""Percent below which the agent refuses to take off: not ready to arm."""
+
+Fields = dict[str, Any]
+
+_U16, _U8, _U32 = 0xFFFF, 0xFF, 0xFFFFFFFF
+_LANDED = {
+    FlightPhase.STANDBY: LandedState.ON_GROUND,
+    FlightPhase.TAKING_OFF: LandedState.TAKEOFF,
+    FlightPhase.IN_AIR: LandedState.IN_AIR,
+    FlightPhase.LANDING: LandedState.LANDING,
+    FlightPhase.FINISHING_LANDING: LandedState.LANDING,
+}
+
+
+def _ms(now: float) -> int:
+    return int(now * 1000) & _U32
+
+
+def _cm(value: float) -> int:
+    return max(-0x7FFF, min(0x7FFF, round(value * 100)))
+
+
+def heartbeat(world: World, mode: Mode, autopilot: int) -> Fields:
+    """HEARTBEAT."""
+    row, is_armed = MODES[mode], world.is_armed
+    battery = world.fresh(Battery)
+    is_low = battery is not None and battery.percent < LOWEST_BATTERY and is_armed
+    status = SystemStatus.ACTIVE if is_armed else SystemStatus.STANDBY
+    return {
+        "custom_mode": row.number,
+        "type": 2,
+        "autopilot": autopilot,
+        "base_mode": BaseMode.CUSTOM | row.base | (BaseMode.ARMED if is_armed else 0),
+        "system_status": SystemStatus.CRITICAL if is_low else status,
+        "mavlink_version": 3,
+    }
+
+
+def _sys_status(world: World, now: float) -> Fields:
+    present = health = 0
+    for record, bit in (
+        (AngularVelocity, Sensor.GYRO),
+        (Acceleration, Sensor.ACCELEROMETER),
+        (Magnetometer, Sensor.MAGNETOMETER),
+        (Position, Sensor.GPS),
+        (RemoteControl, Sensor.RC),
+    ):
+        telemetry = world.known.telemetry
+        if telemetry is not None and telemetry.get(record) is not None:
+            present |= bit
+        is_true = bit is not Sensor.GPS or (world.position and world.integrity.is_plausible)
+        if world.fresh(record) is not None and is_true:
+            health |= bit
+    battery = world.fresh(Battery)
+    percent = battery.percent if battery is not None and battery.is_possible else -1
+    remote = world.fresh(RemoteControl)
+    if world.position and remote is not None and remote.is_in_f and percent >= LOWEST_BATTERY:
+        health |= Sensor.PREARM
+    present |= Sensor.PREARM
+    return {
+        "onboard_control_sensors_present": present,
+        "onboard_control_sensors_enabled": present,
+        "onboard_control_sensors_health": health,
+        "voltage_battery": _U16,
+        "current_battery": -1,
+        "battery_remaining": percent,
+        "drop_rate_comm": 0,
+        "errors_comm": min(_U16, world.known.state.discards),
+    }
+
+
+def _extended(world: World, now: float) -> Fields:
+    status = world.fresh(FlightStatus)
+    phase = None if status is None else status.phase
+    landed = LandedState.UNDEFINED if phase is None else _LANDED[phase]
+    return {"vtol_state": 0, "landed_state": landed}
+
+
+def _attitude(world: World, now: float) -> Fields | None:
+    attitude, rates = world.fresh(Attitude), world.fresh(AngularVelocity)
+    if attitude is None:
+        return None
+    return {
+        "time_boot_ms": _ms(now),
+        "roll": math.radians(attitude.roll_deg),
+        "pitch": math.radians(attitude.pitch_deg),
+        "yaw": math.radians(attitude.yaw_deg),
+    } | _rates(rates)
+
+
+def _rates(rates: AngularVelocity | None) -> Fields:
+    given = rates or (math.nan,) * 3
+    return dict(zip(("rollspeed", "pitchspeed", "yawspeed"), given, strict=True))
+
+
+def _quaternion(world: World, now: float) -> Fields | None:
+    attitude, rates = world.fresh(Attitude), world.fresh(AngularVelocity)
+    if attitude is None:
+        return None
+    parts = zip(("q1", "q2", "q3", "q4"), attitude, strict=True)
+    return {"time_boot_ms": _ms(now)} | dict(parts) | _rates(rates)
+
+
+def _global(world: World, now: float) -> Fields | None:
+    position, velocity, yaw = world.position, world.velocity, world.yaw_deg
+    if position is None or velocity is None or (world.home is None and world.is_on_ground):
+        return None
+    return {
+        "time_boot_ms": _ms(now),
+        "lat": round(position.latitude_deg * 1e7),
+        "lon": round(position.longitude_deg * 1e7),
+        "alt": round(position.altitude_m * 1000),
+        "relative_alt": round((world.height or 0.0) * 1000),
+        "vx": _cm(velocity.north_m_s),
+        "vy": _cm(velocity.east_m_s),
+        "vz": _cm(-velocity.up_m_s),
+        "hdg": _U16 if yaw is None else round((yaw % 360.0) * 100) % 36000,
+    }
+
+
+def _local(world: World, now: float) -> Fields | None:
+    place, velocity = world.local, world.velocity
+    if place is None or velocity is None:
+        return None
+    north, east, up = place
+    return {
+        "time_boot_ms": _ms(now),
+        **{"x": north, "y": east, "z": -up},
+        **{"vx": velocity.north_m_s, "vy": velocity.east_m_s, "vz": -velocity.up_m_s},
+    }
+
+
+def _home(world: World, now: float) -> Fields | None:
+    home = world.home
+    if home is None:
+        return None
+    return {
+        "latitude": round(home.latitude_deg * 1e7),
+        "longitude": round(home.longitude_deg * 1e7),
+        "altitude": round(home.altitude_m * 1000),
+        "q": (math.nan,) * 4,
+        **dict.fromkeys(("approach_x", "approach_y", "approach_z"), math.nan),
+        "time_usec": int(now * 1e6),
+    }
+
+
+def _gps(world: World, now: float) -> Fields | None:
+    position, velocity = world.fresh(Position), world.velocity
+    if position is None or not position.is_possible or position.gps_health is None:
+        return None
+    health = position.gps_health
+    fields: Fields = {
+        "time_usec": int(now * 1e6),
+        "fix_type": 3 if health >= GPS_NEEDED else 2 if health else 0,
+        "eph": _U16,
+        "epv": _U16,
+        "vel": _U16,
+        "cog": _U16,
+        "satellites_visible": _U8,
+        "lat": round(position.latitude_deg * 1e7),
+        "lon": round(position.longitude_deg * 1e7),
+        "alt": round(position.altitude_m * 1000),
+    }
+    if velocity is not None:
+        fields["vel"] = min(_U16 - 1, round(velocity.ground_speed_m_s * 100))
+    return fields
+
+
+def _battery(world: World, now: float) -> Fields | None:
+    battery = world.fresh(Battery)
+    if battery is None or not battery.is_possible:
+        return None
+    return {
+        "temperature": 0x7FFF,
+        "voltages": (_U16,) * 10,
+        "current_battery": -1,
+        "current_consumed": -1,
+        "energy_consumed": -1,
+        "battery_remaining": battery.percent,
+        "voltages_ext": (0,) * 4,
+    }
+
+
+def _rc(world: World, now: float) -> Fields | None:
+    remote = world.fresh(RemoteControl)
+    if remote is None:
+        return None
+    given = (remote.roll, remote.pitch, remote.throttle, remote.yaw, remote.mode, remote.gear)
+    known = [one for one in given if one is not None]
+    channels = {f"chan{place}_raw": _U16 for place in range(1, 19)}
+    for place, value in enumerate(known, 1):
+        channels[f"chan{place}_raw"] = round(1500 + max(-10000, min(10000, value)) / 20)
+    return {"time_boot_ms": _ms(now), "chancount": len(known), "rssi": _U8, **channels}
+
+
+def _vfr(world: World, now: float) -> Fields | None:
+    position, velocity, yaw = world.position, world.velocity, world.yaw_deg
+    if position is None or velocity is None or yaw is None:
+        return None
+    return {
+        "airspeed": math.nan,
+        "groundspeed": velocity.ground_speed_m_s,
+        "alt": position.altitude_m,
+        "climb": velocity.up_m_s,
+        "heading": round(yaw % 360.0) % 360,
+        "throttle": _U16,  # nobody tells it
+    }
+
+
+def _altitude(world: World, now: float) -> Fields | None:
+    position, height = world.fresh(Position), world.height
+    if position is None or height is None:
+        return None
+    return {
+        "time_usec": int(now * 1e6),
+        "altitude_monotonic": math.nan,
+        "altitude_amsl": position.altitude_m,
+        "altitude_local": height,
+        "altitude_relative": height,
+        "altitude_terrain": math.nan,
+        "bottom_clearance": math.nan,
+    }
+
+
+def _estimator(world: World, now: float) -> Fields | None:
+    integrity, velocity = world.integrity, world.velocity
+    flags = Estimator.ATTITUDE if world.fresh(Attitude) is not None else Estimator(0)
+    if not integrity.is_plausible:
+        flags |= Estimator.GPS_GLITCH
+    elif integrity.is_timely:
+        if world.position is not None:
+            flags |= Estimator.POS_HORIZ_ABS | Estimator.POS_VERT_ABS
+        if velocity is not None:
+            flags |= Estimator.VELOCITY_HORIZ | Estimator.VELOCITY_VERT
+    unknown = ("vel_ratio", "mag_ratio", "hagl_ratio", "tas_ratio")
+    return {
+        "time_usec": int(now * 1e6),
+        **dict.fromkeys((*unknown, "pos_horiz_accuracy", "pos_vert_accuracy"), math.nan),
+        "pos_horiz_ratio": integrity.test_ratio,
+        "pos_vert_ratio": integrity.height_test_ratio,
+        "flags": int(flags),
+    }
+
+
+def _imu(world: World, now: float) -> Fields | None:
+    rates, attitude = world.fresh(AngularVelocity), world.fresh(Attitude)
+    acceleration = world.fresh(Acceleration)
+    if rates is None:
+        return None
+    names = ("zacc", "yacc", "xacc", "xmag", "ymag", "zmag", "abs_pressure", "diff_pressure")
+    fields: Fields = dict.fromkeys((*names, "pressure_alt", "temperature"), math.nan)
+    fields |= {"time_usec": int(now * 1e6), "fields_updated": 0b111_000}
+    fields |= dict(zip(("xgyro", "ygyro", "zgyro"), rates, strict=True))
+    if acceleration is not None and attitude is not None:
+        fields |= dict(zip(("xacc", "yacc", "zacc"), _felt(acceleration, attitude), strict=True))
+        fields["fields_updated"] |= 0b111
+    return fields
+
+
+def _felt(acceleration: Acceleration, attitude: Attitude) -> tuple[float, float, float]:
+    """What an accelerometer in the body would say: without gravity nobody takes it for one."""
+    north, east, down = acceleration.ned
+    down -= 9.80665
+    q0, q1, q2, q3 = attitude
+    return (
+        (1 - 2 * (q2 * q2 + q3 * q3)) * north
+        + 2 * (q1 * q2 + q0 * q3) * east
+        + 2 * (q1 * q3 - q0 * q2) * down,
+        2 * (q1 * q2 - q0 * q3) * north
+        + (1 - 2 * (q1 * q1 + q3 * q3)) * east
+        + 2 * (q2 * q3 + q0 * q1) * down,
+        2 * (q1 * q3 + q0 * q2) * north
+        + 2 * (q2 * q3 - q0 * q1) * east
+        + (1 - 2 * (q1 * q1 + q2 * q2)) * down,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """A message of telemetry.
+
+    Attributes:
+        hz: How often it is sent; 0 until somebody asks.
+        group: MAV_DATA_STREAM of REQUEST_DATA_STREAM.
+        fields: Makes it; None where what it says is not known.
+        source: What it is made of, for the manual.
+    """
+
+    hz: float
+    group: int
+    fields: Callable[[World, float], Fields | None]
+    source: str
+
+
+_SENSORS, _STATUS, _STICKS, _PLACE, _EXTRA1, _EXTRA2, _EXTRA3 = 1, 2, 3, 6, 10, 11, 12
+
+STREAMS: Mapping[str, Stream] = {
+    "SYS_STATUS": Stream(2, _STATUS, _sys_status, "which items come, GPS health, battery"),
+    "EXTENDED_SYS_STATE": Stream(2, _STATUS, _extended, "flight status"),
+    "GLOBAL_POSITION_INT": Stream(20, _PLACE, _global, "position, velocity, heading"),
+    "LOCAL_POSITION_NED": Stream(20, _PLACE, _local, "the same, from home"),
+    "ATTITUDE": Stream(20, _EXTRA1, _attitude, "attitude, angular velocity"),
+    "ATTITUDE_QUATERNION": Stream(20, _EXTRA1, _quaternion, "attitude, angular velocity"),
+    "HOME_POSITION": Stream(1, _PLACE, _home, "where it stood last with GPS health 3"),
+    "GPS_RAW_INT": Stream(5, _SENSORS, _gps, "GPS health; no satellites, no accuracy"),
+    "BATTERY_STATUS": Stream(1, _STATUS, _battery, "percent; no voltage, no current"),
+    "ESTIMATOR_STATUS": Stream(1, _STATUS, _estimator, "whether the position can be true"),
+    "RC_CHANNELS": Stream(5, _STICKS, _rc, "sticks, mode switch, gear"),
+    "VFR_HUD": Stream(0, _EXTRA2, _vfr, "velocity, altitude; no airspeed"),
+    "ALTITUDE": Stream(0, _EXTRA3, _altitude, "barometric altitude, height"),
+    "HIGHRES_IMU": Stream(0, _SENSORS, _imu, "angular velocity, acceleration"),
+    "SYSTEM_TIME": Stream(
+        0, _EXTRA3, lambda _, now: {"time_boot_ms": _ms(now)}, "time of the bridge"
+    ),
+}
+"""By the name of the message."""
+
+
+NUMBERS = {LAYOUTS[name].number: name for name in STREAMS}
+"""Names by the number of the message."""
+
+
+# -- who is sent which message of telemetry, and how often: each peer what it asked for ------------
+# Rates belong to whoever asked. Peers behind one address share a way: each message goes there as
+# often as the one of them wants that wants it most. What many want at once is made once.
+
+
+MOST_HZ = 50.0
+"""How often a message is sent at most; who asks for more gets this."""
+
+_MOST_ASKED = 2 * MOST_PEERS
+"""Peers whose rates are known, those included that are silent and may come back."""
+
+_ALL = 0
+"""The group of REQUEST_DATA_STREAM that has all others."""
+
+_USUAL = {name: stream.hz for name, stream in STREAMS.items()}
+
+Audience = Mapping[Address, tuple[Peer, ...]]
+"""Where telemetry goes, and which peers are there; none are where nobody was heard yet."""
+
+
+class Rates:
+    """How often each is sent to whom.
+
+    Args:
+        world: The aircraft.
+
+    Attributes:
+        is_often: Whether anything is sent more often than usual telemetry ever is.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._asked: dict[Peer, dict[str, float]] = {}
+        # What follows for each address: made anew, once a step, when rates or addresses changed.
+        self._audience: Audience | None = None
+        self._present: set[Peer] = set()
+        self._tables: dict[Address, dict[str, float]] = {}
+        self.is_often = False
+        self._due: dict[Address, dict[str, float]] = {}
+
+    def hz(self, name: str, peer: Peer) -> float:
+        """How often a peer is sent a message."""
+        return self._asked.get(peer, {}).get(name, _USUAL[name])
+
+    def set_hz(self, name: str, hz: float | None, peer: Peer) -> None:
+        """Send it to a peer so often; None as often as to everybody."""
+        asked = self._asked.pop(peer, {})
+        asked.pop(name, None)
+        if hz is not None:
+            asked[name] = min(MOST_HZ, max(0.0, hz))
+        self._asked[peer] = asked  # the newest is the last that is forgotten
+        if len(self._asked) > _MOST_ASKED:
+            del self._asked[next(one for one in self._asked if one not in self._present)]
+        self._due.get(peer.address, {}).pop(name, None)  # at once, then at its rate
+        self._audience = None
+
+    def set_group(self, group: int, hz: float, peer: Peer) -> None:
+        """Send the messages of a group of REQUEST_DATA_STREAM so often."""
+        for name, stream in STREAMS.items():
+            if group in (_ALL, stream.group):
+                self.set_hz(name, hz, peer)
+
+    def _arrange(self, audience: Audience, now: float) -> None:
+        self._audience = audience
+        self._present = {peer for peers in audience.values() for peer in peers}
+        self._tables = {
+            address: {
+                name: max((self.hz(name, peer) for peer in peers), default=usual)
+                for name, usual in _USUAL.items()
+            }
+            for address, peers in audience.items()
+        }
+        fastest = max((hz for table in self._tables.values() for hz in table.values()), default=0.0)
+        self.is_often = fastest > max(_USUAL.values())
+        # Nobody waits for the end of an interval that somebody wanted who has gone.
+        self._due = {
+            address: {
+                name: min(at, now + 1 / table[name])
+                for name, at in self._due.get(address, {}).items()
+                if table[name] > 0.0
+            }
+            for address, table in self._tables.items()
+        }
+
+    def message(self, name: str, now: float) -> Message | None:
+        """One of them as it is now."""
+        fields = STREAMS[name].fields(self._world, now)
+        return None if fields is None else Message(name, fields)
+
+    def due(self, now: float, audience: Audience) -> Iterator[tuple[Message, tuple[Address, ...]]]:
+        """Those whose time has come, and where they go."""
+        if audience != self._audience:
+            self._arrange(audience, now)
+        wanted: dict[str, list[Address]] = {}
+        for address, table in self._tables.items():
+            due = self._due[address]
+            for name, hz in table.items():
+                if hz <= 0.0 or now < due.get(name, now):
+                    continue
+                # From when it was due, so that the rate holds; not from long ago.
+                due[name] = max(due.get(name, now) + 1 / hz, now)
+                wanted.setdefault(name, []).append(address)
+        for name, addresses in wanted.items():
+            message = self.message(name, now)
+            if message is not None:
+                yield message, tuple(addresses)
+
+
+# -- texts for people: why something was refused, and what happened by itself ----------------------
+
+
+_SIZE = 50
+_MOST_PARTS = 4
+_PER_S, _AT_ONCE = 10.0, 20.0
+_AGAIN_S = 2.0
+
+_SEVERITIES = {"info": Severity.INFO, "warning": Severity.WARNING, "error": Severity.ERROR}
+
+
+def severity_of(level: str) -> Severity:
+    """Of an event of the agent."""
+    return _SEVERITIES.get(level, Severity.INFO)
+
+
+class Texts:
+    """Texts on their way out: few at once, and none twice in two seconds."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[tuple[Severity, str]] = deque(maxlen=int(_AT_ONCE))
+        self._told: dict[str, float] = {}
+        self._count = 0
+        self._allowed, self._at = _AT_ONCE, 0.0
+
+    def tell(self, severity: Severity, text: str) -> None:
+        """Send it to everybody."""
+        self._waiting.append((severity, text))
+
+    def due(self, now: float) -> Iterator[Message]:
+        """The messages; a long text comes in parts of 50 characters, four at most."""
+        self._allowed = min(_AT_ONCE, self._allowed + (now - self._at) * _PER_S)
+        self._at = now
+        self._told = {text: at for text, at in self._told.items() if now - at < _AGAIN_S}
+        while self._waiting and self._allowed >= 1.0:
+            severity, text = self._waiting.popleft()
+            if text in self._told:
+                continue
+            self._told[text] = now
+            self._allowed -= 1.0
+            yield from self._parts(severity, text)
+
+    def _parts(self, severity: Severity, text: str) -> Iterator[Message]:
+        plain = " ".join(text.encode("ascii", "replace").decode().split())
+        if len(plain) <= _SIZE:
+            yield Message("STATUSTEXT", {"severity": severity, "text": plain})
+            return
+        self._count = self._count % 0xFFFF + 1  # 0 is a text in one part
+        for number in range(_MOST_PARTS):
+            part = plain[number * _SIZE : (number + 1) * _SIZE]
+            fields = {"severity": severity, "text": part, "id": self._count, "chunk_seq": number}
+            yield Message("STATUSTEXT", fields)
+            if len(part) < _SIZE:
+                return  # a part that is not full is the last one

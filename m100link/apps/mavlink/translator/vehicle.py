@@ -1,0 +1,415 @@
+"""One aircraft as a MAVLink vehicle: messages in, messages out, the time as an argument."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from m100link import __version__
+from m100link.apps.agent.messages import Event, Topic
+from m100link.apps.mavlink.crew import MissionFlights
+from m100link.apps.mavlink.translator.codec import LAYOUTS, Message
+from m100link.apps.mavlink.translator.commands import Asked, Commands, read_command
+from m100link.apps.mavlink.translator.deck import Deck
+from m100link.apps.mavlink.translator.missions import Missions
+from m100link.apps.mavlink.translator.modes import (
+    Mode,
+    Phase,
+    Running,
+    available,
+    current,
+    mode_of_number,
+)
+from m100link.apps.mavlink.translator.numbers import (
+    AUTOPILOT_PX4,
+    BaseMode,
+    Capability,
+    Command,
+    MissionType,
+    Result,
+    Severity,
+)
+from m100link.apps.mavlink.translator.offboard import Manual, Offboard
+from m100link.apps.mavlink.translator.orders import Stream
+from m100link.apps.mavlink.translator.parameters import Parameters
+from m100link.apps.mavlink.translator.peers import Address, Peer
+from m100link.apps.mavlink.translator.telemetry import (
+    NUMBERS,
+    Audience,
+    Rates,
+    Texts,
+    heartbeat,
+    severity_of,
+)
+from m100link.apps.mavlink.translator.world import Known, World
+from m100link.errors import M100Error
+from m100link.geodesy import LocalFrame
+
+__all__ = [
+    "COMPONENT",
+    "Vehicle",
+]
+
+
+COMPONENT = 1
+"""MAV_COMP_ID_AUTOPILOT1."""
+
+_HEARTBEAT_S = 1.0
+_PROGRESS_S = 0.3
+_UNKNOWN_PROGRESS = 255
+_VENDOR, _PRODUCT = 0x2CA3, 0x0100  # DJI's number at the USB forum; the product is ours
+_TO_ALL = (0, COMPONENT)
+_AHEAD_S = 1.0
+"""Seconds ahead that the fence is looked at: what the aircraft needs to stop."""
+
+_FLIGHTS = (Running.FLIGHT, Running.MISSION)
+"""What leads back into the fence by itself, if it leads there."""
+
+_MISSION_MESSAGES = (
+    *("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_LIST", "MISSION_REQUEST_INT"),
+    *("MISSION_REQUEST", "MISSION_CLEAR_ALL", "MISSION_ACK"),
+)
+
+
+class Vehicle:
+    """The vehicle.
+
+    Args:
+        known: What the agent tells of the aircraft.
+        system: Its system id, 1 to 250.
+        autopilot: MAV_AUTOPILOT of the heartbeat.
+
+    Attributes:
+        world: What is known of the aircraft.
+        deck: What flies.
+        flights: The mission, and how far it is.
+        outbox: What has to be sent: to which peer, to which addresses, or None for everybody.
+    """
+
+    def __init__(self, known: Known, system: int, *, autopilot: int = AUTOPILOT_PX4) -> None:
+        self.system = system
+        self._autopilot = autopilot
+        self.outbox: list[tuple[Message, Peer | tuple[Address, ...] | None]] = []
+        self.world = World(known)
+        self._texts = Texts()
+        self._parameters = Parameters(self.world, system)
+        self._offboard = Offboard(self.world, self._parameters)
+        self._manual = {
+            mode: Manual(self.world, self._parameters, is_tilt=mode is Mode.ALTCTL)
+            for mode in (Mode.POSCTL, Mode.ALTCTL)
+        }
+        streams: dict[Mode, Stream] = {Mode.OFFBOARD: self._offboard, **self._manual}
+        self.deck = Deck(self.world, self._texts.tell, streams)
+        self.deck.on_armed = self._armed
+        self._rates = Rates(self.world)
+        self._commands = Commands(
+            self.world,
+            self.deck,
+            self._parameters,
+            self._rates,
+            tell=self._texts.tell,
+            request=self._request,
+            mission=lambda peer, first: self.flights.wish(peer, first),
+            fence=lambda *place: self._missions.fence.refusal(*place),
+        )
+        self._missions = Missions(
+            self._send,
+            self._texts.tell,
+            ground=lambda: self.world.ground_altitude,
+            speed=lambda: self._parameters["MPC_XY_CRUISE"],
+            may_change=self._may_change,
+        )
+        self.flights = MissionFlights(self.world, self.deck, self._missions, self._texts.tell)
+        self._was_inside = True
+        # Who waits for the answer to arming, and when they were told last that it takes time.
+        self._arming: dict[Peer, float] = {}
+        self._beaten_at = -math.inf
+        self._beaten: tuple[object, ...] = ()
+        self._handlers: dict[str, Callable[[Message, Peer, float], None]] = {
+            "COMMAND_LONG": self._command,
+            "COMMAND_INT": self._command,
+            "SET_MODE": self._set_mode,
+            "PARAM_REQUEST_LIST": self._parameter,
+            "PARAM_REQUEST_READ": self._parameter,
+            "PARAM_SET": self._parameter,
+            "SET_POSITION_TARGET_LOCAL_NED": self._setpoint,
+            "SET_ATTITUDE_TARGET": self._setpoint,
+            "MANUAL_CONTROL": self._sticks,
+            **dict.fromkeys(_MISSION_MESSAGES, self._mission_message),
+            "MISSION_SET_CURRENT": self._set_current,
+            "REQUEST_DATA_STREAM": self._data_stream,
+            "PING": self._ping,
+            "TIMESYNC": self._timesync,
+            "LOG_REQUEST_LIST": self._no_logs,
+            "FILE_TRANSFER_PROTOCOL": self._no_files,
+        }
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether it cannot wait: orders, setpoints, or telemetry that comes often."""
+        deck = self.deck
+        return bool(deck.orders) or deck.running is Running.STREAM or self._rates.is_often
+
+    # -- what comes in ---------------------------------------------------------------------------
+
+    def receive(self, message: Message, peer: Peer, now: float) -> None:
+        """A message of a peer that is known by its heartbeat."""
+        handler = self._handlers.get(message.name)
+        if handler is not None and self._is_for_us(message):
+            handler(message, peer, now)
+
+    def _is_for_us(self, message: Message) -> bool:
+        system = message.fields.get("target_system", message.fields.get("target", 0))
+        component = message.fields.get("target_component", 0)
+        return system in (0, self.system) and component in _TO_ALL
+
+    def _send(self, message: Message, peer: Peer | None = None) -> None:
+        self.outbox.append((message, peer))
+
+    def _command(self, message: Message, peer: Peer, now: float) -> None:
+        asked = read_command(message, peer)
+        result = self._commands.carry_out(asked, now)
+        if result is None and peer in self._arming:
+            self._acknowledge(asked.command, Result.IN_PROGRESS, peer)
+        elif result is None:
+            self._arming[peer] = now
+        else:
+            self._acknowledge(asked.command, result, peer)
+
+    def _acknowledge(self, command: int, result: Result, peer: Peer) -> None:
+        fields = {
+            "command": command,
+            "result": result,
+            "progress": _UNKNOWN_PROGRESS if result is Result.IN_PROGRESS else 0,
+            "target_system": peer.system,
+            "target_component": peer.component,
+        }
+        self._send(Message("COMMAND_ACK", fields), peer)
+
+    def _armed(self, error: M100Error | None) -> None:
+        result = Result.ACCEPTED if error is None else Result.TEMPORARILY_REJECTED
+        waiting, self._arming = self._arming, {}
+        for peer in waiting:
+            self._acknowledge(Command.COMPONENT_ARM_DISARM, result, peer)
+
+    def _set_mode(self, message: Message, peer: Peer, now: float) -> None:
+        """SET_MODE, which older programs send; it has no answer but the heartbeat."""
+        number = message["custom_mode"]
+        mode = mode_of_number(number >> 16 & 0xFF, number >> 24)
+        if mode is None or not message["base_mode"] & BaseMode.CUSTOM:
+            self._texts.tell(Severity.WARNING, f"mode 0x{number:08x} is not one of this aircraft")
+            return
+        result = self._commands.carry_out(_as_command(number, peer), now)
+        self._acknowledge(LAYOUTS["SET_MODE"].number, result or Result.ACCEPTED, peer)
+
+    def _parameter(self, message: Message, peer: Peer, now: float) -> None:
+        if message.name == "PARAM_SET":
+            refusal = self._parameters.refusal(message)
+            if not refusal and self.deck.other_operator(peer) is not None:
+                refusal, message = "a parameter: somebody else flies", _read_of(message)
+            if refusal:
+                self._texts.tell(Severity.WARNING, refusal)
+        for answer in self._parameters.receive(message):
+            self._send(answer, peer)
+
+    def _may_steer(self, peer: Peer) -> bool:
+        return self.deck.operator in (None, peer)
+
+    def _setpoint(self, message: Message, peer: Peer, now: float) -> None:
+        if self._may_steer(peer):
+            self.deck.steering = peer
+            refusal = self._offboard.receive(message, now)
+            if refusal:
+                self._texts.tell(Severity.WARNING, f"setpoint: {refusal}")
+
+    def _sticks(self, message: Message, peer: Peer, now: float) -> None:
+        if self._may_steer(peer):
+            self.deck.steering = peer
+            for manual in self._manual.values():
+                manual.receive(message, now)
+
+    def _data_stream(self, message: Message, peer: Peer, now: float) -> None:
+        """What older programs ask for: it has no answer."""
+        hz = message["req_message_rate"] if message["start_stop"] else 0
+        self._rates.set_group(message["req_stream_id"], hz, peer)
+
+    def _ping(self, message: Message, peer: Peer, now: float) -> None:
+        if message["target_system"] == 0:
+            to = {"target_system": peer.system, "target_component": peer.component}
+            self._send(Message("PING", dict(message.fields) | to), peer)
+
+    def _timesync(self, message: Message, peer: Peer, now: float) -> None:
+        if message["tc1"] == 0:
+            self._send(Message("TIMESYNC", {"tc1": int(now * 1e9), "ts1": message["ts1"]}), peer)
+
+    def _no_logs(self, message: Message, peer: Peer, now: float) -> None:
+        """There are none here: without an answer programs wait for ever."""
+        self._send(Message("LOG_ENTRY", {}), peer)
+
+    def _no_files(self, message: Message, peer: Peer, now: float) -> None:
+        """There are none here: NAK, "unknown command", to the question of that number."""
+        payload = message["payload"]
+        sequence = (payload[0] | payload[1] << 8) + 1 & 0xFFFF
+        answer = [sequence & 0xFF, sequence >> 8, payload[2], 129, 1, payload[3]]
+        answer += [0] * (12 - len(answer)) + [7]
+        to = {"target_system": peer.system, "target_component": peer.component}
+        self._send(Message("FILE_TRANSFER_PROTOCOL", {"payload": tuple(answer)} | to), peer)
+
+    # -- missions --------------------------------------------------------------------------------
+
+    def _mission_message(self, message: Message, peer: Peer, now: float) -> None:
+        self._missions.receive(message, peer, now)
+
+    def _set_current(self, message: Message, peer: Peer, now: float) -> None:
+        number = (float(message["seq"]), math.nan, math.nan, math.nan)
+        nowhere = math.nan
+        asked = Asked(Command.DO_SET_MISSION_CURRENT, number, nowhere, nowhere, nowhere, 0, peer)
+        self._commands.carry_out(asked, now)
+        self._send(self._missions.current_message(is_flying=self.deck.flies_mission))
+
+    def _may_change(self, peer: Peer, kind: int) -> str:
+        if kind == MissionType.FENCE and not self.world.is_armed:
+            return ""
+        if self.deck.flies_mission and kind == MissionType.MISSION:
+            return "it is flown: hold first"
+        if self.world.is_armed and self.deck.operator not in (None, peer):
+            return f"{self.deck.operator.name} flies" if self.deck.operator else ""
+        return ""
+
+    def _watch_fence(self) -> None:
+        """Hold whoever leaves the fence; from outside only flights lead back, not setpoints."""
+        position, velocity = self.world.position, self.world.velocity
+        if position is None or self.deck.phase is not Phase.AIRBORNE:
+            self._was_inside = True
+            return
+        place = position.latitude_deg, position.longitude_deg
+        why = self._missions.fence.refusal(*place)
+        if not why and velocity is not None and self.deck.running in (*_FLIGHTS, Running.STREAM):
+            frame = LocalFrame(*place)
+            ahead = velocity.north_m_s * _AHEAD_S, velocity.east_m_s * _AHEAD_S
+            why = self._missions.fence.refusal(*frame.to_geodetic(*ahead))
+        is_moving = self.deck.running is Running.STREAM or (
+            self._was_inside and self.deck.running in _FLIGHTS
+        )
+        if why and is_moving:
+            self.deck.hold(f"hold: {why}")
+        self._was_inside = not why
+
+    # -- what is asked for -----------------------------------------------------------------------
+
+    def _request(self, number: int, parameter: float, peer: Peer, now: float) -> bool:
+        """Send a message by its number; False where there is none."""
+        name = NUMBERS.get(number)
+        if name is not None:
+            message = self._rates.message(name, now)
+            if message is not None:
+                self._send(message, peer)
+            return message is not None
+        made = {
+            LAYOUTS["AUTOPILOT_VERSION"].number: lambda: [self._version()],
+            LAYOUTS["AVAILABLE_MODES"].number: lambda: available(_whole(parameter)),
+            LAYOUTS["MISSION_CURRENT"].number: lambda: [
+                self._missions.current_message(is_flying=self.deck.flies_mission)
+            ],
+            LAYOUTS["CURRENT_MODE"].number: lambda: [current(self.deck.mode)],
+            LAYOUTS["HEARTBEAT"].number: lambda: [self._heartbeat()],
+            LAYOUTS["MESSAGE_INTERVAL"].number: lambda: [self._interval(_whole(parameter), peer)],
+        }.get(number)
+        messages = [] if made is None else made()
+        for one in messages:
+            self._send(one, peer)
+        return bool(messages)
+
+    def _version(self) -> Message:
+        major, minor, patch = (int(part) for part in (__version__.split(".") + ["0"] * 3)[:3])
+        capabilities = (
+            Capability.COMMAND_INT
+            | Capability.PARAM_ENCODE_BYTEWISE
+            | Capability.SET_ATTITUDE_TARGET
+            | Capability.SET_POSITION_TARGET_LOCAL_NED
+            | Capability.MAVLINK2
+            | Capability.MISSION_INT
+            | Capability.MISSION_FENCE
+        )
+        # Ground stations warn of a PX4 below 1.4.1: the version of m100link is the vendor's.
+        fields = {
+            "capabilities": capabilities,
+            "flight_sw_version": 0x010F_00FF,
+            "vendor_id": _VENDOR,
+            "product_id": _PRODUCT,
+            "flight_custom_version": (0, 0, 0, 0, 0, patch & 0xFF, minor & 0xFF, major & 0xFF),
+        }
+        return Message("AUTOPILOT_VERSION", fields)
+
+    def _interval(self, number: int, peer: Peer) -> Message:
+        interval = 0  # of what is not there, by the definition; -1 of what nobody asked for
+        if number in NUMBERS:
+            hz = self._rates.hz(NUMBERS[number], peer)
+            interval = round(1e6 / hz) if hz > 0 else -1
+        return Message("MESSAGE_INTERVAL", {"message_id": number, "interval_us": interval})
+
+    # -- time passes -----------------------------------------------------------------------------
+
+    def event(self, event: Event) -> None:
+        """Something happened at the agent: people are told."""
+        self._texts.tell(severity_of(event.level), event.text)
+        if event.topic in (Topic.STOPPED, Topic.HALTED):
+            is_stop = event.topic is Topic.STOPPED
+            self.deck.stopped("STOP was pressed" if is_stop else event.text)
+
+    def tell(self, text: str) -> None:
+        """Warn everybody."""
+        self._texts.tell(Severity.WARNING, text)
+
+    def advance(self, now: float, audience: Audience, lost: Callable[[Peer], bool]) -> None:
+        """Let time pass: steer, and send what is due.
+
+        Args:
+            now: s.
+            audience: Where telemetry goes, and which peers are there.
+            lost: Whether a peer is not heard any more.
+        """
+        self.world.look()
+        operator = self.deck.operator
+        if operator is not None and lost(operator):
+            self.deck.operator_lost()
+        self._watch_fence()
+        self.deck.advance(now)
+        for peer, told_at in self._arming.items():
+            if now - told_at >= _PROGRESS_S:
+                self._arming[peer] = now
+                self._acknowledge(Command.COMPONENT_ARM_DISARM, Result.IN_PROGRESS, peer)
+        for text in self._texts.due(now):
+            self._send(text)
+        # A vehicle that nobody hears is silent: whoever looks at it has to see that it is lost.
+        if self.world.is_heard:
+            self._tell_state(now, audience)
+
+    def _heartbeat(self) -> Message:
+        return Message("HEARTBEAT", heartbeat(self.world, self.deck.mode, self._autopilot))
+
+    def _tell_state(self, now: float, audience: Audience) -> None:
+        beat = self._heartbeat()
+        told = tuple(beat.fields.values())
+        if told != self._beaten or now - self._beaten_at >= _HEARTBEAT_S:
+            if told[:1] != self._beaten[:1]:
+                self._send(current(self.deck.mode))
+            self._beaten, self._beaten_at = told, now
+            self._send(beat)
+        self.outbox += self._rates.due(now, audience)
+        for message in self._missions.due(now, is_flying=self.deck.flies_mission):
+            self._send(message)
+
+
+def _read_of(message: Message) -> Message:
+    """The question for the value, instead of a new one."""
+    return Message("PARAM_REQUEST_READ", dict(message.fields) | {"param_index": -1})
+
+
+def _whole(value: float) -> int:
+    return int(value) if math.isfinite(value) else 0
+
+
+def _as_command(number: int, peer: Peer) -> Asked:
+    mode = (float(BaseMode.CUSTOM), float(number >> 16 & 0xFF), float(number >> 24), math.nan)
+    return Asked(Command.DO_SET_MODE, mode, math.nan, math.nan, math.nan, 0, peer)

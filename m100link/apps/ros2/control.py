@@ -1,0 +1,498 @@
+"""Whose setpoints are flown, of all who send some (pure logic, ``now`` is an argument).
+
+One publisher has the stick at a time. It gets it by beginning to send while nobody has it, or by
+being the only one that sends when control is obtained; it loses it by silence, and when control
+ends. Whoever is refused has to be silent first: nobody's setpoints begin to fly because another
+publisher has died.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.latency import MAX_LATE, WayTime
+from m100link.apps.agent.lease import Lease
+from m100link.apps.agent.messages import Action, Event, Topic
+from m100link.errors import (
+    BadSetpoint,
+    GuardRefused,
+    M100Error,
+    MissionRunning,
+    NoAuthority,
+    UsageError,
+)
+from m100link.protocol.commands.control import Task
+from m100link.protocol.records import FlightStatus
+from m100link.protocol.setpoint import Setpoint
+
+__all__ = [
+    "IDLE_S",
+    "LIFETIME",
+    "SILENCE_S",
+    "Frames",
+    "Helm",
+    "Stick",
+    "speed",
+    "toward",
+]
+
+
+SILENCE_S = 0.5
+"""Seconds without a setpoint after which a publisher has let go."""
+
+_JITTER_S = 0.1
+"""By how much a pause may be shorter where it is made than where it is heard."""
+
+_MOST_SENDERS = 32
+
+
+@dataclass(slots=True)
+class _Sender:
+    """A publisher of setpoints.
+
+    Attributes:
+        heard_at: When it was heard last, s.
+        sent_at: When that was sent, s, by the clock of its sender.
+        sequence: How many it had sent by then, as it counts.
+        way: How long its setpoints are on their way.
+    """
+
+    heard_at: float = -math.inf
+    sent_at: float = -math.inf
+    sequence: int = 0
+    way: WayTime = field(default_factory=WayTime)
+
+
+class Stick:
+    """Who has it.
+
+    Attributes:
+        holder: Id of who has it; None for nobody.
+        is_open: Whether anybody may have it: control is held.
+        refused: Setpoints that were not flown, by the reason.
+    """
+
+    def __init__(self) -> None:
+        self.holder: bytes | None = None
+        self.is_open = False
+        self.refused = {"late": 0, "other": 0, "closed": 0}
+        self._senders: dict[bytes, _Sender] = {}  # who was heard last stands last
+        # More of them send than are known: until then nobody counts as beginning.
+        self._crowded_until = -math.inf
+
+    def begin(self, now: float) -> None:
+        """Control was obtained: who sends alone has the stick."""
+        self.is_open = True
+        sending = [one for one, sender in self._senders.items() if self._sends(sender, now)]
+        is_alone = len(sending) == 1 and now >= self._crowded_until
+        self.holder = sending[0] if is_alone else None
+
+    def end(self) -> None:
+        """Control has ended, or somebody pressed STOP."""
+        self.is_open, self.holder = False, None
+
+    def hear(self, sender: bytes, sent_at: float, now: float, sequence: int = 0) -> str:
+        """A setpoint came. Returns why it is not flown, empty where it is.
+
+        Args:
+            sender: Id of its publisher.
+            sent_at: When it was sent, s, by the clock of its sender.
+            now: s.
+            sequence: Its number, as its sender counts.
+        """
+        known = self._senders.pop(sender, None)
+        if known is None:
+            if not self._has_room(now):
+                self._crowded_until = now + SILENCE_S
+                return self._refuse("other" if self.is_open else "closed")
+            known = _Sender()
+        self._senders[sender] = known
+        self.look(now)
+        begins = self._begins(known, sent_at, now, sequence) and now >= self._crowded_until
+        known.heard_at, known.sent_at, known.sequence = now, sent_at, sequence
+        late = known.way.late(sent_at, now)
+        if not self.is_open:
+            return self._refuse("closed")
+        if self.holder is None and begins:
+            self.holder = sender
+        if self.holder != sender:
+            return self._refuse("other")
+        return self._refuse("late") if late > MAX_LATE else ""
+
+    def _begins(self, known: _Sender, sent_at: float, now: float, sequence: int) -> bool:
+        """Whether it was silent by its own account, too.
+
+        Who went on sending while its way was cut does not fly on when that is whole again: then
+        numbers are missing, or what waited was sent without a pause.
+        """
+        if self._sends(known, now):
+            return False
+        was_silent = sent_at - known.sent_at >= SILENCE_S - _JITTER_S
+        return known.heard_at == -math.inf or (was_silent and sequence <= known.sequence + 1)
+
+    def _has_room(self, now: float) -> bool:
+        """Whether one more can be known, once those who fell silent are forgotten."""
+        while len(self._senders) >= _MOST_SENDERS:
+            oldest, sender = next(iter(self._senders.items()))
+            if self._sends(sender, now):
+                return False
+            del self._senders[oldest]
+        return True
+
+    def look(self, now: float) -> None:
+        """Let time pass: who is silent lets go."""
+        if self.holder is not None:
+            holder = self._senders.get(self.holder)
+            if holder is None or not self._sends(holder, now):
+                self.holder = None
+
+    def _refuse(self, why: str) -> str:
+        self.refused[why] += 1
+        return why
+
+    @staticmethod
+    def _sends(sender: _Sender, now: float) -> bool:
+        return now - sender.heard_at < SILENCE_S
+
+
+# -- setpoints of ROS programs in the words of the aircraft: speeds, and places to be flown to -----
+
+
+_GAIN = 0.8
+"""Metres per second for each metre that is missing."""
+
+_FASTEST, _CLIMB = 5.0, 2.0
+_NO_ROTATION, _NOT_UNIT = 1e-6, 0.01
+
+
+class Frames:
+    """Which frames mean the ground, and which the body.
+
+    Args:
+        ground: East, north, up.
+        body: Forward, left, up.
+    """
+
+    def __init__(self, ground: Collection[str], body: Collection[str]) -> None:
+        self._ground, self._body = set(ground), {"", *body}
+
+    def is_body(self, name: str, kind: str) -> bool:
+        """Whether a frame turns with the aircraft.
+
+        Args:
+            name: Of the frame.
+            kind: What has it, for people.
+
+        Raises:
+            UsageError: Nobody knows the frame.
+        """
+        if name in self._body:
+            return True
+        if name in self._ground:
+            return False
+        known = ", ".join(sorted((self._ground | self._body) - {""}))
+        raise UsageError(f"{kind} in the frame {name!r}", remedy=f"frames are {known}")
+
+
+def speed(twist: Mapping[str, Any], *, is_body: bool) -> Setpoint:
+    """A geometry_msgs/Twist as a setpoint: m/s, and rad/s about the axis that points up.
+
+    Raises:
+        BadSetpoint: A number that the aircraft does not take.
+    """
+    linear, angular = twist["linear"], twist["angular"]
+    turn = -math.degrees(angular["z"])
+    if is_body:
+        return Setpoint.velocity(
+            forward=linear["x"], right=-linear["y"], up=linear["z"], yaw_rate_deg_s=turn
+        )
+    return Setpoint.velocity(
+        north=linear["y"], east=linear["x"], up=linear["z"], yaw_rate_deg_s=turn
+    )
+
+
+def toward(
+    pose: Mapping[str, Any], here: tuple[float, float, float], *, fastest: float | None
+) -> Setpoint:
+    """A velocity that leads to a geometry_msgs/Pose: the slower, the nearer.
+
+    Args:
+        pose: East, north, up of the origin, m, and the heading; no rotation keeps the present one.
+        here: East, north, up of the aircraft, m.
+        fastest: Horizontal speed that the guards allow, m/s.
+
+    Raises:
+        BadSetpoint: A number that is not finite, or an orientation that is none.
+    """
+    place, turned = pose["position"], pose["orientation"]
+    east, north, up = (_GAIN * (place[axis] - at) for axis, at in zip("xyz", here, strict=True))
+    limit = _FASTEST if fastest is None else min(_FASTEST, fastest)
+    scale = max(1.0, math.hypot(east, north) / limit)
+    x, y, z, w = (turned[axis] for axis in "xyzw")
+    climb = max(-_CLIMB, min(_CLIMB, up)) if math.isfinite(up) else up
+    motion = {"north": north / scale, "east": east / scale, "up": climb}
+    size = math.hypot(x, y, z, w)
+    if size < _NO_ROTATION:
+        return Setpoint.velocity(**motion, yaw_rate_deg_s=0.0)
+    if not abs(size - 1.0) < _NOT_UNIT:
+        raise BadSetpoint(
+            f"an orientation that is no rotation: a quaternion of length {size:g}",
+            remedy="give one of length 1, or zeros to keep the heading",
+        )
+    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return Setpoint.velocity(**motion, yaw_deg=math.remainder(90.0 - math.degrees(yaw), 360.0))
+
+
+# -- what ROS programs want of the aircraft, asked of its agent: one lease for all of them ---------
+# Control is asked for and given back by services, whoever calls them: a call from a shell is over
+# before anything flies. What keeps programs apart is the stick for setpoints, and the goal for what
+# flies by itself.
+
+
+LIFETIME = 0.3
+"""Seconds that a setpoint flies when no other one comes: after that the aircraft brakes."""
+
+IDLE_S = 60.0
+"""Seconds on the ground without an order after which control is given back."""
+
+_RENEWAL_S = 0.5
+_STATUS_S = 2.5
+
+
+class Helm:
+    """The lease, and what is asked under it.
+
+    Args:
+        agent: The agent of the aircraft.
+
+    Attributes:
+        stick: Whose setpoints fly.
+        goal: What flies by itself for a program; empty for nothing.
+    """
+
+    def __init__(self, agent: AgentClient) -> None:
+        self._agent = agent
+        self.stick = Stick()
+        self.goal = ""
+        self._lease: Lease | None = None
+        # One request for control, or its end, at a time: they would cross.
+        self._changing = asyncio.Lock()
+        self._renewed_at = self._ordered_at = agent.now
+        agent.on_authority_taken.append(lambda _: self._lost())
+        agent.on_steer_refused.append(self._steer_refused)
+        agent.on_event.append(self._hear)
+
+    # -- where it stands -------------------------------------------------------------------------
+
+    @property
+    def lease(self) -> Lease | None:
+        """The lease, if it is in force."""
+        return self._lease if self._agent.holds(self._lease) else None
+
+    @property
+    def has_control(self) -> bool:
+        """Whether the aircraft obeys ROS programs."""
+        return self.lease is not None and self._agent.has_authority
+
+    @property
+    def is_airborne(self) -> bool:
+        """Whether it is seen to be off the ground."""
+        telemetry = self._agent.telemetry
+        status = None if telemetry is None else telemetry.fresh(FlightStatus, within=_STATUS_S)
+        return status is not None and status.is_airborne
+
+    def held(self) -> Lease:
+        """The lease under which something can be asked.
+
+        Raises:
+            NoAuthority: Control is not held by ROS programs.
+        """
+        lease = self.lease
+        if lease is None or not self._agent.has_authority:
+            holder = self._agent.holder
+            other = f": {holder.name} has control" if holder.number and lease is None else ""
+            raise NoAuthority(
+                f"ROS has no control{other}",
+                cause="nobody called ~/obtain_control, or control was lost since",
+                remedy="call ~/obtain_control first",
+            )
+        return lease
+
+    # -- control ---------------------------------------------------------------------------------
+
+    async def obtain(self, who: str) -> None:
+        """Take the lease and obtain control authority.
+
+        Args:
+            who: For people.
+
+        Raises:
+            LeaseHeld: Somebody else has control.
+            M100Error: As :meth:`m100link.apps.agent.client.AgentClient.obtain`.
+        """
+        agent = self._agent
+        async with self._changing:
+            if self.lease is None:
+                self._lease = await agent.acquire(who)
+            try:
+                if not agent.state.is_activated:
+                    await agent.activate(self._lease)
+                await agent.obtain(self._lease)
+            except BaseException:
+                self._let_go()
+                raise
+            self._ordered_at = agent.now
+            self.stick.begin(agent.now)
+
+    async def release(self) -> None:
+        """Give control back: motion ends, the pilot flies."""
+        async with self._changing:
+            self._let_go()
+
+    def _let_go(self) -> None:
+        lease, self._lease = self.lease, None
+        self.stick.end()
+        if lease is not None:
+            self._agent.let_go(lease)
+
+    def _lost(self) -> None:
+        """The pilot, or the aircraft, took control: nothing goes on by itself when it is back."""
+        self._let_go()
+
+    # -- orders ----------------------------------------------------------------------------------
+
+    async def fly(self, task: Task) -> None:
+        """Let the autopilot take off, land or go home; returns when it has begun.
+
+        After a landing control is given back. What fails later is in the events.
+
+        Raises:
+            M100Error: As :meth:`m100link.apps.agent.client.AgentClient.fly`.
+        """
+        lease = self.held()
+        if task is Task.TAKE_OFF:
+            self.require_free("take-off")
+        else:
+            self._agent.halt(f"{task.name.lower()} was asked for")
+        self._ordered_at = self._agent.now
+        begun = asyncio.Event()
+        flying = self._agent.background.spawn(self._flown(lease, task, begun), task.name)
+        waiting = asyncio.ensure_future(begun.wait())
+        await asyncio.wait((flying, waiting), return_when=asyncio.FIRST_COMPLETED)
+        waiting.cancel()
+        if flying.done():
+            flying.result()
+
+    async def _begin(self, lease: Lease, task: Task, begun: asyncio.Event) -> None:
+        """Fly a task. A mission of the aircraft's own has to be over before a landing."""
+        try:
+            await self._agent.fly(lease, task, begun.set)
+        except MissionRunning:
+            if task is Task.TAKE_OFF:
+                raise
+        else:
+            return
+        try:
+            await self._agent.ask(Action.MISSION_STOP, lease)
+        except M100Error as error:  # it may be over by now, and landing matters more
+            self._agent.note(f"the mission before {task.name.lower()}: {error.seen}")
+        await self._agent.fly(lease, task, begun.set)
+
+    async def _flown(self, lease: Lease, task: Task, begun: asyncio.Event) -> None:
+        try:
+            await self._begin(lease, task, begun)
+        except M100Error as error:
+            if not begun.is_set():
+                raise
+            self._agent.note(f"{task.name.lower()}: {error.seen}", "error")
+            return
+        if task is not Task.TAKE_OFF and not self.is_airborne:
+            await self.release()
+        self._ordered_at = self._agent.now
+
+    def require_free(self, what: str) -> None:
+        """Nothing else flies for a program.
+
+        Raises:
+            UsageError: Something does.
+        """
+        if self.goal:
+            raise UsageError(f"{what}: {self.goal} flies", remedy="cancel that goal first")
+
+    async def do(self, action: Action, *, number: int = 0, data: bytes = b"") -> None:
+        """Something that needs the lease and is done when it is answered.
+
+        Args:
+            action: What.
+            number: As in :class:`m100link.apps.agent.messages.Ask`.
+            data: Likewise.
+
+        Raises:
+            M100Error: As :meth:`m100link.apps.agent.client.AgentClient.ask`.
+        """
+        lease = self.held()
+        self._ordered_at = self._agent.now
+        await self._agent.ask(action, lease, number=number, data=data)
+
+    async def stop(self) -> None:
+        """Stop whatever happens; anybody may. Setpoints fly after the next ~/obtain_control."""
+        self.stick.end()
+        await self._agent.stop()
+
+    # -- setpoints -------------------------------------------------------------------------------
+
+    def refusal(self) -> str:
+        """Why no setpoint can be flown now, empty where one can."""
+        state = self._agent.state
+        if not self.has_control:
+            return "ROS has no control: call ~/obtain_control"
+        if not self.stick.is_open:
+            return "it was stopped: call ~/obtain_control"
+        if self.goal:
+            return f"{self.goal} flies: cancel it first"
+        if state.task or (state.mission and state.mission != "no mission"):
+            return f"{state.task or state.mission} flies"
+        return "" if self.is_airborne else "on the ground: call ~/takeoff first"
+
+    def steer(self, setpoint: Setpoint) -> None:
+        """Fly this until the next one, for :data:`LIFETIME` at most."""
+        self._ordered_at = self._agent.now
+        self._agent.steer(self.held(), setpoint, LIFETIME)
+
+    def _hear(self, event: Event) -> None:
+        """STOP, by whomever, is for those who send setpoints, too."""
+        if event.topic is Topic.STOPPED:
+            self.stick.end()
+
+    def _steer_refused(self, fence: int, error: M100Error) -> None:
+        lease = self._lease
+        if lease is None or lease.number != fence:
+            return
+        if isinstance(error, GuardRefused) and error.guard == "stopped":
+            self.stick.end()
+
+    # -- time passes -----------------------------------------------------------------------------
+
+    def advance(self) -> None:
+        """Keep the lease; give it back when nobody has use for it."""
+        now = self._agent.now
+        self.stick.look(now)
+        lease = self.lease
+        if lease is None:
+            if self._lease is not None and not self._changing.locked():
+                self._lease = None
+                self.stick.end()
+            return
+        if now - self._renewed_at >= _RENEWAL_S:
+            self._renewed_at = now
+            self._agent.keep(lease)
+        if self.is_airborne or self.goal or self._agent.state.task:
+            self._ordered_at = now
+        elif now - self._ordered_at >= IDLE_S and not self._changing.locked():
+            self._agent.note(f"ROS gives control back: no order in {IDLE_S:g} s on the ground")
+            self._let_go()

@@ -1,0 +1,423 @@
+"""The ends of a node: what it publishes, hears and serves, each with its token.
+
+Payloads are read and written here, so that what is behind has mappings. What cannot be read is
+counted, and nothing else happens.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Awaitable, Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.bus.network import Held, Inbox, Outlet, PolledBus, Question, Received
+from m100link.apps.ros2.graph import (
+    GID_SIZE,
+    Attachment,
+    End,
+    Names,
+    NodeName,
+    Qos,
+    data_key,
+    read_attachment,
+    write_attachment,
+)
+from m100link.errors import M100Error
+from m100link.log.cdr import DEFINITIONS, SERVICES, decode, describe, encode, full_name, type_hash
+
+__all__ = [
+    "ASK_S",
+    "SILENCE_S",
+    "Call",
+    "Ends",
+    "Heartbeat",
+    "Input",
+    "Topic",
+    "answering",
+    "serve_descriptions",
+    "trigger",
+]
+
+
+_DEPTH = 8
+"""Messages of a topic, and requests to a service, that wait for a step."""
+
+_AT_ONCE = 8
+"""Requests to one service that are carried out at once: nobody is kept from landing by those who
+wait for something else."""
+
+Call = Callable[[dict[str, Any]], Awaitable[Mapping[str, Any]]]
+"""Answers a request; one of which it raises an M100Error has no answer."""
+
+
+class Topic:
+    """A topic that is published.
+
+    Args:
+        outlet: Where it goes.
+        kind: Its type.
+        utc: POSIX time, s.
+
+    Attributes:
+        is_wanted: Whether anybody listens, as of the last look.
+    """
+
+    __slots__ = ("_gid", "_kind", "_outlet", "_sequence", "_utc", "is_wanted")
+
+    def __init__(self, outlet: Outlet, kind: str, utc: Callable[[], float]) -> None:
+        self._outlet, self._kind, self._utc = outlet, kind, utc
+        self._gid = os.urandom(GID_SIZE)
+        self._sequence = 0
+        self.is_wanted = outlet.is_wanted()
+
+    def put(self, payload: bytes) -> None:
+        """Send a message that is CDR already."""
+        self._sequence += 1
+        at_ns = round(self._utc() * 1e9)
+        self._outlet.put(payload, write_attachment(self._sequence, at_ns, self._gid))
+
+    def say(self, message: Mapping[str, Any]) -> None:
+        """Send a message."""
+        self.put(encode(self._kind, message))
+
+    def look(self) -> None:
+        """See whether anybody listens."""
+        self.is_wanted = self._outlet.is_wanted()
+
+
+class Input:
+    """A topic that is listened to.
+
+    Args:
+        inbox: Where its messages wait.
+        kind: Its type.
+    """
+
+    def __init__(self, inbox: Inbox[Received], kind: str) -> None:
+        self._inbox, self._kind = inbox, kind
+        self.refused = 0
+
+    def take(self) -> Iterator[tuple[Attachment, dict[str, Any]]]:
+        """What has come since, oldest first."""
+        for one in self._inbox.take():
+            try:
+                found = read_attachment(one.attachment), decode(self._kind, one.payload)
+            except ValueError:
+                self.refused += 1
+                continue
+            yield found
+
+
+@dataclass(slots=True)
+class _Service:
+    """A service that is offered.
+
+    Attributes:
+        topic: Its full name.
+        kind: Its type.
+        key: Where it is asked.
+        requests: What was asked.
+        call: Answers.
+        at_once: How many requests are carried out at once.
+        calls: How many are.
+    """
+
+    topic: str
+    kind: str
+    key: str
+    requests: Inbox[Question]
+    call: Call
+    at_once: int
+    calls: int = 0
+
+
+class Ends:
+    """All ends of a node.
+
+    Args:
+        bus: Where they are.
+        name: Of the node.
+        background: Where requests are answered.
+        utc: POSIX time, s.
+
+    Attributes:
+        topics: What is published, by full name.
+        inputs: What is listened to, by full name.
+        refused: Requests that could not be read, or were too many.
+    """
+
+    def __init__(
+        self, bus: PolledBus, name: NodeName, background: BackgroundTasks, utc: Callable[[], float]
+    ) -> None:
+        self._bus, self._name, self._background, self._utc = bus, name, background, utc
+        self._count = name.number * 1000  # an end has a number of its own in the session
+        self.topics: dict[str, Topic] = {}
+        self.inputs: dict[str, Input] = {}
+        self._services: list[_Service] = []
+        self.refused = 0
+        # Tokens end when nobody holds them.
+        self._tokens: list[Held] = [bus.declare(name.token)]
+
+    def _show(self, end: End, topic: str, kind: str, qos: Qos) -> None:
+        self._count += 1
+        token = self._name.token_of(self._count, end, topic, kind, qos)
+        self._tokens.append(self._bus.declare(token))
+
+    def publish(self, topic: str, kind: str, qos: Qos) -> Topic:
+        """Offer a topic.
+
+        Args:
+            topic: Its full name.
+            kind: Its type.
+            qos: Its quality of service.
+        """
+        kept = qos.depth if qos.is_latched else 0
+        outlet = self._bus.publish(data_key(self._name.domain, topic, kind), kept=kept)
+        made = self.topics[topic] = Topic(outlet, kind, self._utc)
+        self._show(End.PUBLISHER, topic, kind, qos)
+        return made
+
+    def subscribe(self, topic: str, kind: str) -> Input:
+        """Listen to a topic."""
+        inbox = self._bus.inbox(data_key(self._name.domain, topic, kind), _DEPTH)
+        made = Input(inbox, kind)
+        self.inputs[f"{topic} {kind}"] = made
+        self._show(End.SUBSCRIBER, topic, kind, Qos())
+        return made
+
+    def serve(self, topic: str, kind: str, call: Call, *, at_once: int = _AT_ONCE) -> None:
+        """Offer a service.
+
+        Args:
+            topic: Its full name.
+            kind: Its type.
+            call: Answers a request.
+            at_once: How many requests are carried out at once; what is more is not answered.
+        """
+        key = data_key(self._name.domain, topic, kind)
+        requests = self._bus.questions(key, _DEPTH)
+        self._services.append(_Service(topic, kind, key, requests, call, at_once))
+        self._show(End.SERVER, topic, kind, Qos())
+
+    @property
+    def junk(self) -> int:
+        """Payloads that could not be read."""
+        return self.refused + sum(one.refused for one in self.inputs.values())
+
+    def look(self) -> None:
+        """See who listens."""
+        for topic in self.topics.values():
+            topic.look()
+
+    def take_requests(self, *, is_deaf: bool) -> None:
+        """Begin to answer what was asked since.
+
+        Args:
+            is_deaf: What comes now is old, and is not answered.
+        """
+        for service in self._services:
+            for request in service.requests.take():
+                self._take(service, request, is_deaf)
+
+    def _take(self, service: _Service, request: Question, is_deaf: bool) -> None:
+        try:
+            if request.key != service.key:
+                raise ValueError("a wildcard would take off, land and disarm at once")
+            attachment = read_attachment(request.attachment)
+            message = decode(f"{service.kind}_Request", request.payload)
+            if is_deaf or service.calls >= service.at_once:
+                raise ValueError("too late, or too many")
+        except ValueError:
+            self.refused += 1
+            request.drop()
+            return
+        service.calls += 1
+        work = self._answer(service, message, attachment, request)
+        self._background.spawn(work, f"ROS {service.topic}")
+
+    async def _answer(
+        self,
+        service: _Service,
+        message: dict[str, Any],
+        attachment: Attachment,
+        request: Question,
+    ) -> None:
+        try:
+            answer = encode(f"{service.kind}_Response", await service.call(message))
+        except M100Error:
+            self.refused += 1
+            request.drop()
+            return
+        except BaseException:
+            request.drop()
+            raise
+        finally:
+            service.calls -= 1
+        at_ns = round(self._utc() * 1e9)
+        ours = Attachment(attachment.sequence, at_ns, attachment.gid)
+        request.answer(request.key, answer, bytes(ours))
+
+
+# -- services that do something: done, or why not, with cause and remedy ---------------------------
+
+
+def answering(doing: Callable[[Mapping[str, Any]], Awaitable[None]], done: str) -> Call:
+    """A service whose answer is ``success`` and ``message``.
+
+    Args:
+        doing: Does what is asked for; its errors are the refusal.
+        done: What is told when it is done.
+    """
+
+    async def call(request: dict[str, Any]) -> Mapping[str, Any]:
+        try:
+            await doing(request)
+        except M100Error as error:
+            return {"success": False, "message": str(error)}
+        return {"success": True, "message": done}
+
+    return call
+
+
+def trigger(doing: Callable[[], Awaitable[None]], done: str) -> Call:
+    """The same without a question."""
+    return answering(lambda _: doing(), done)
+
+
+# -- what the types of the node are, for who asks: the service of each node of rclcpp (REP 2016 ----
+
+
+_KIND = "type_description_interfaces/srv/GetTypeDescription"
+_NOTHING: Mapping[str, Any] = {
+    "type_description": {
+        "type_description": {"type_name": "", "fields": []},
+        "referenced_type_descriptions": [],
+    },
+    "type_sources": [],
+    "extra_information": [],
+}
+_NAMES = {full_name(one): one for one in DEFINITIONS}
+
+
+def serve_descriptions(ends: Ends, names: Names) -> None:
+    """Offer the service.
+
+    Args:
+        ends: Where it is offered.
+        names: Names of the node.
+    """
+    ends.serve(names.full("~/get_type_description"), _KIND, _answer)
+
+
+async def _answer(asked: dict[str, Any]) -> Mapping[str, Any]:
+    name, known = asked["type_name"], _NAMES.get(asked["type_name"])
+    if known is None:
+        return _refused(f"this node has no type {name!r}")
+    if asked["type_hash"] not in ("", type_hash(known)):
+        return _refused(f"{name} has the hash {type_hash(known)} here")
+    described = describe(known)
+    types = [described["type_description"], *described["referenced_type_descriptions"]]
+    for one in types:
+        for each in one["fields"]:
+            each["default_value"] = ""
+    sources = [_source(one["type_name"]) for one in types] if asked["include_type_sources"] else []
+    return {
+        "successful": True,
+        "failure_reason": "",
+        "type_description": described,
+        "type_sources": sources,
+        "extra_information": [],
+    }
+
+
+def _source(name: str) -> Mapping[str, str]:
+    """The text that a type is made of; parts of services and actions have none of their own."""
+    known = _NAMES[name]
+    if known in SERVICES:
+        request, response = SERVICES[known]
+        text, encoding = f"{request}\n---\n{response}\n", "srv"
+    elif name.split("/")[1] == "msg":
+        text, encoding = f"{DEFINITIONS[known]}\n", "msg"
+    else:
+        text, encoding = "", "implicit"
+    return {"type_name": name, "encoding": encoding, "raw_file_contents": text}
+
+
+def _refused(why: str) -> Mapping[str, Any]:
+    return {"successful": False, "failure_reason": why, **_NOTHING}
+
+
+# -- whether programs of others still run: a frozen one keeps its tokens for as long as its lea ----
+# That is 10 s by zenoh's default and 60 s by rmw_zenoh's. Both have an answer at their admin space
+# though (rmw_zenoh's sessions by default), given by threads of zenoh's however busy the program is.
+# Who has answered once and does so no more is gone; of who never does, the lease tells.
+
+
+ASK_S = 0.5
+"""Seconds between two questions."""
+
+SILENCE_S = 1.5
+"""Seconds without an answer after which a session that had answered counts as gone."""
+
+_ANSWER_S = 2.0
+"""Seconds for which an answer of a session is waited for."""
+
+_WAITING = 3
+"""Questions whose answers are still looked for, beside the newest."""
+
+_SESSION = re.compile(r"[0-9a-f]{1,32}")
+_MOST = 16
+"""Sessions that are asked."""
+
+
+@dataclass(slots=True)
+class _Session:
+    """A session that is asked.
+
+    Attributes:
+        answered_at: When it answered last, s; infinitely long ago before it did.
+        asked: Where its answers come.
+    """
+
+    answered_at: float = -math.inf
+    asked: list[Inbox[bool]] = field(default_factory=list)
+
+
+class Heartbeat:
+    """Asks those sessions that something depends on.
+
+    Args:
+        bus: Where they are.
+    """
+
+    def __init__(self, bus: PolledBus) -> None:
+        self._bus = bus
+        self._sessions: dict[str, _Session] = {}
+        self._asks_at = -math.inf
+
+    def follow(self, sessions: Collection[str]) -> None:
+        """Ask these from now on, and no others. What is no session's id is not asked."""
+        known = [one for one in sorted(set(sessions)) if _SESSION.fullmatch(one)][:_MOST]
+        self._sessions = {one: _Session() for one in known}
+        self._asks_at = -math.inf
+
+    def is_missing(self, now: float) -> bool:
+        """Whether any of them has answered and does so no more. To be called at each step.
+
+        Args:
+            now: s.
+        """
+        for one in self._sessions.values():
+            for inbox in one.asked:
+                if any(inbox.take()):
+                    one.answered_at = now
+        if now >= self._asks_at:
+            self._asks_at = now + ASK_S
+            for name, one in self._sessions.items():
+                asked = self._bus.probe(f"@/{name}/*", timeout=_ANSWER_S)  # its admin space
+                one.asked = [*one.asked[-_WAITING:], asked]
+        return any(-math.inf < one.answered_at < now - SILENCE_S for one in self._sessions.values())

@@ -1,0 +1,539 @@
+"""What the node publishes: made of what the agent tells, for as long as somebody listens."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any, TypeVar
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.messages import Event, MissionTold
+from m100link.apps.ros2.endpoints import Topic
+from m100link.apps.ros2.graph import Names
+from m100link.apps.ros2.topics import DJI_OUTPUTS, OUTPUTS, dji_makers
+from m100link.geodesy import LocalFrame
+from m100link.log.cdr import encode
+from m100link.log.ros2 import Messages, Stamp
+from m100link.protocol.records import (
+    AngularVelocity,
+    Attitude,
+    Battery,
+    FlightStatus,
+    Gimbal,
+    Magnetometer,
+    Position,
+    RemoteControl,
+    Time,
+    Velocity,
+)
+from m100link.telemetry.device_clock import DeviceClock
+from m100link.telemetry.integrity import has_fix
+from m100link.telemetry.sample import Sample
+
+__all__ = [
+    "ALL_OUTPUTS",
+    "Level",
+    "Places",
+    "Stamps",
+    "Status",
+    "Teller",
+    "diagnostics",
+]
+
+
+R = TypeVar("R", bound=tuple[Any, ...])
+
+ALL_OUTPUTS = {**OUTPUTS, **DJI_OUTPUTS}
+"""With those that are there when they are asked for."""
+
+Place = tuple[float, float, float]
+"""East, north, up, m."""
+
+_Make = Callable[[Sample, Stamp], bytes | None]
+
+_FRESH_S = 0.3
+"""Seconds for which an item of another package belongs to this one."""
+
+_EARLY = 0.2
+"""Part of the time between two messages by which a package may be early."""
+
+_STATE_S, _LOOK_S, _OLD_S = 1.0, 0.1, 2.5
+_LEVELS = {"info": 20, "warning": 30, "error": 40}
+_UNKNOWN = 255
+_UNREAD: Any = object()
+_HERE = (0.0, 0.0, 0.0)
+_EAST = Attitude(math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))  # turned by nothing from east, north, up
+
+
+class Places:
+    """Where the aircraft is, from where its GPS was good first.
+
+    Attributes:
+        origin: That place; None before.
+    """
+
+    def __init__(self) -> None:
+        self.origin: LocalFrame | None = None
+
+    def local(self, position: Position) -> Place | None:
+        """East, north, up in metres; up from the take-off point. None before the first fix."""
+        if not position.is_possible:
+            return None
+        if self.origin is None:
+            if not has_fix(position):
+                return None
+            self.origin = LocalFrame(position.latitude_deg, position.longitude_deg)
+        north, east = self.origin.to_local(position.latitude_deg, position.longitude_deg)
+        return east, north, position.height_m
+
+
+class _Source:
+    """A topic that is made of packages of telemetry.
+
+    Args:
+        name: In the table.
+        topic: Where it goes.
+        make: Makes a message of a package; None where that has nothing for it.
+        hz: Messages per second at most.
+
+    Attributes:
+        pause: Seconds between two messages.
+        due_at: From when on the next one is sent, s.
+    """
+
+    __slots__ = ("due_at", "make", "name", "pause", "topic")
+
+    def __init__(self, name: str, topic: Topic, make: _Make, hz: float) -> None:
+        self.name, self.topic, self.make = name, topic, make
+        self.pause = 1.0 / hz
+        self.due_at = 0.0
+
+    def told(self, now: float) -> None:
+        """From when it was due, so that the rate holds; not from long ago, and a little early."""
+        self.due_at = max(self.due_at + self.pause, now + (1.0 - _EARLY) * self.pause)
+
+
+class Teller:
+    """Makes the messages.
+
+    Args:
+        agent: What tells.
+        names: Frames of the node, and its own name.
+        topics: Where the topics of the table go; those that are missing are not told.
+        utc: POSIX time, s.
+        counted: What the node did not do, by the reason.
+
+    Attributes:
+        places: Where it is.
+        hz: Messages per second at most, by topic; 0 for each that there is.
+    """
+
+    def __init__(
+        self,
+        agent: AgentClient,
+        names: Names,
+        topics: Mapping[str, Topic],
+        utc: Callable[[], float],
+        counted: Callable[[], Mapping[str, int]],
+    ) -> None:
+        self._agent, self._names = agent, names
+        self._topics, self._counted = topics, counted
+        self._stamps = Stamps(lambda: agent.now, utc)
+        self.places = Places()
+        self.hz = {name: row.hz for name, row in OUTPUTS.items()}
+        self._placed: tuple[Sample, Place | None] | None = None
+        self._read_of: Sample | None = None
+        self._records: dict[type[Any], Any] = {}
+        self._messages = Messages(names.frame("odom"), names.frame("base_link"))
+        self._due: dict[str, float] = {}
+        self._status: dict[str, Any] = {}
+        self._looks_at = agent.now
+        makers: dict[str, _Make] = {
+            "~/imu": self._imu,
+            "~/fix": _of(Position, self._messages.fix),
+            "~/odom": self._odometry,
+            "~/pose": self._pose,
+            "~/velocity": _of(Velocity, self._messages.velocity),
+            "~/battery": _of(Battery, self._messages.battery),
+            "~/magnetic_field": _of(Magnetometer, self._messages.magnetometer),
+            "~/joy": _of(RemoteControl, self._messages.joy),
+            "~/gimbal": _of(Gimbal, self._messages.gimbal),
+            "/tf": self._transform,
+            "/clock": lambda _, stamp: encode("rosgraph_msgs/Clock", {"clock": _time(stamp)}),
+        }
+        makers |= dji_makers()
+        self._sources = [
+            _Source(name, topics[name], make, ALL_OUTPUTS[name].hz)
+            for name, make in makers.items()
+            if name in topics
+        ]
+        agent.on_event.append(self._event)
+        agent.on_mission_told.append(self._mission)
+
+    # -- times -----------------------------------------------------------------------------------
+
+    def time_now(self) -> dict[str, int]:
+        """Now, as builtin_interfaces/Time."""
+        return _time(self._stamps.at(self._agent.now))
+
+    # -- with each package -----------------------------------------------------------------------
+
+    def hear(self, sample: Sample) -> None:
+        """A package of telemetry came."""
+        now = sample.received_at
+        self._stamps.hear(sample)
+        due = [one for one in self._sources if one.topic.is_wanted and now >= one.due_at]
+        if not due:
+            return
+        stamp = self._stamps.of(sample)
+        made = [(one, one.make(sample, stamp)) for one in due]
+        # All at once: the first one wakes a thread of zenoh's, which sends the others with it.
+        # Each with its own work before it woke that thread anew, at five times the cost.
+        for source, message in made:
+            if message is not None:
+                source.told(now)
+                source.topic.put(message)
+
+    def set_hz(self, name: str, hz: float) -> None:
+        """Let a topic have so many messages per second at most; 0 for each that there is."""
+        self.hz[name] = hz
+        for source in self._sources:
+            if source.name == name:
+                source.pause = 1.0 / hz if hz else 0.0
+
+    def _read(self, record: type[R], sample: Sample) -> R | None:
+        """An item of this package; several topics ask for the same."""
+        if self._read_of is not sample:
+            self._read_of, self._records = sample, {}
+        found: R | None = self._records.get(record, _UNREAD)
+        if found is _UNREAD:
+            found = self._records[record] = sample.get(record)
+        return found
+
+    def _near(self, record: type[R], sample: Sample) -> R | None:
+        """An item of this package, or of one just before."""
+        found = self._read(record, sample)
+        if found is not None or self._agent.telemetry is None:
+            return found
+        return self._agent.telemetry.fresh(record, within=_FRESH_S)
+
+    def _imu(self, sample: Sample, stamp: Stamp) -> bytes | None:
+        attitude, rates = self._read(Attitude, sample), self._read(AngularVelocity, sample)
+        if attitude is None and rates is None:
+            return None
+        return self._messages.imu(stamp, attitude, rates, sample.acceleration)
+
+    def _place(self, sample: Sample) -> Place | None:
+        """Where it is; three topics ask for the same package."""
+        if self._placed is None or self._placed[0] is not sample:
+            position = self._near(Position, sample)
+            found = None if position is None else self.places.local(position)
+            self._placed = sample, found
+        return self._placed[1]
+
+    def _odometry(self, sample: Sample, stamp: Stamp) -> bytes | None:
+        attitude, place = self._read(Attitude, sample), self._place(sample)
+        velocity, rates = self._near(Velocity, sample), self._near(AngularVelocity, sample)
+        if attitude is None or place is None or velocity is None or rates is None:
+            return None
+        return self._messages.odometry(stamp, place, attitude, velocity, rates)
+
+    def _pose(self, sample: Sample, stamp: Stamp) -> bytes | None:
+        attitude, place = self._read(Attitude, sample), self._place(sample)
+        if attitude is None or place is None:
+            return None
+        return self._messages.pose(stamp, place, attitude)
+
+    def _transform(self, sample: Sample, stamp: Stamp) -> bytes | None:
+        attitude, place = self._read(Attitude, sample), self._place(sample)
+        if attitude is None or place is None:
+            return None
+        return self._messages.transform(stamp, place, attitude)
+
+    # -- with time -------------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        """Say what does not change, and what has happened."""
+        ground = Messages(self._names.frame("map"), self._names.frame("odom"))
+        still = ground.transform(self._stamps.at(self._agent.now), _HERE, _EAST)
+        self._topics["/tf_static"].put(still)
+        for event in self._agent.events:
+            self._event(event)
+
+    def advance(self) -> None:
+        """Say how it stands, if that has changed or was not said for a while."""
+        now = self._agent.now
+        if now < self._looks_at:
+            return
+        self._looks_at = now + _LOOK_S
+        status = self._flight_status()
+        if status != self._status or now >= self._due.get("~/flight_status", now):
+            self._status = status
+            self._due["~/flight_status"] = now + _STATE_S
+            told = {"header": self._header(self._stamps.at(now)), **status}
+            self._topics["~/flight_status"].say(told)
+        is_wanted = self._topics["/diagnostics"].is_wanted
+        if is_wanted and now >= self._due.get("/diagnostics", now):
+            self._due["/diagnostics"] = now + _STATE_S
+            told = {"stamp": _time(self._stamps.at(now)), "frame_id": ""}
+            named = self._names.full("~/x")[1:-2]
+            status_of = diagnostics(self._agent, self._stamps.clock, self._counted())
+            self._topics["/diagnostics"].say(
+                {"header": told, "status": [one.told(named) for one in status_of]}
+            )
+
+    def _header(self, stamp: Stamp) -> dict[str, Any]:
+        return {"stamp": _time(stamp), "frame_id": self._names.frame("base_link")}
+
+    def _flight_status(self) -> dict[str, Any]:
+        agent = self._agent
+
+        def known(record: type[R]) -> R | None:
+            telemetry = agent.telemetry
+            return None if telemetry is None else telemetry.fresh(record, within=_OLD_S)
+
+        status, remote = known(FlightStatus), known(RemoteControl)
+        position, battery = known(Position), known(Battery)
+        health = None if position is None else position.gps_health
+        return {
+            "phase": _UNKNOWN if status is None else status.status,
+            "has_authority": agent.has_authority,
+            "holder": agent.holder.name,
+            "task": agent.state.task,
+            "mode_switch": "" if remote is None else remote.mode_switch.name,
+            "gps_health": _UNKNOWN if health is None else health,
+            "battery_percent": battery.percent if battery and battery.is_possible else _UNKNOWN,
+            "firmware": agent.state.firmware,
+            "connection": "silent" if agent.is_silent else agent.state.connection,
+        }
+
+    def _event(self, event: Event) -> None:
+        said = {
+            "stamp": _time(self._stamps.at(event.at)),
+            "level": _LEVELS.get(event.level, 20),
+            "name": self._names.full("~/x")[1:-2].replace("/", "."),
+            "msg": event.text,
+            "file": "",
+            "function": "",
+            "line": 0,
+        }
+        self._topics["/rosout"].say(said)
+
+    def _mission(self, told: MissionTold) -> None:
+        header = self._header(self._stamps.at(self._agent.now))
+        data = list(told.data[:5].ljust(5, b"\0"))
+        self._topics["~/mission_event"].say({"header": header, "event": told.event, "data": data})
+
+
+def _time(stamp: Stamp) -> dict[str, int]:
+    return {"sec": stamp[0], "nanosec": stamp[1]}
+
+
+def _of(
+    record: type[R], make: Callable[[Stamp, R], bytes]
+) -> Callable[[Sample, Stamp], bytes | None]:
+    """What is made of one item, where a package has it."""
+
+    def made(sample: Sample, stamp: Stamp) -> bytes | None:
+        found = sample.get(record)
+        return None if found is None else make(stamp, found)
+
+    return made
+
+
+# -- what is wrong, for /diagnostics: line, clock, place, control, battery, and the node itself ----
+
+
+_LOW_PERCENT = 30
+_BOUND_S = 0.05
+_DIAGNOSTICS_OLD_S = 5.0
+
+
+class Level(IntEnum):
+    """As diagnostic_msgs/msg/DiagnosticStatus numbers them."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """How one thing is.
+
+    Attributes:
+        name: What.
+        level: How bad.
+        message: In a few words.
+        values: Numbers, by name.
+    """
+
+    name: str
+    level: Level
+    message: str
+    values: Mapping[str, object] = field(default_factory=dict)
+
+    def told(self, node: str) -> dict[str, Any]:
+        """As diagnostic_msgs/msg/DiagnosticStatus."""
+        return {
+            "level": self.level,
+            "name": f"{node}: {self.name}",
+            "message": self.message,
+            "hardware_id": "DJI Matrice 100",
+            "values": [{"key": key, "value": str(one)} for key, one in self.values.items()],
+        }
+
+
+def diagnostics(
+    agent: AgentClient, clock: DeviceClock | None, counted: Mapping[str, int]
+) -> list[Status]:
+    """How everything is.
+
+    Args:
+        agent: What is known of the aircraft.
+        clock: Its clock; None before its first tick.
+        counted: What the node did not do, by the reason.
+    """
+    return [
+        _line(agent),
+        _clock(clock),
+        _navigation(agent),
+        _control(agent),
+        _battery(agent),
+        _node(counted),
+    ]
+
+
+def _line(agent: AgentClient) -> Status:
+    state = agent.state
+    values = {
+        "firmware": state.firmware,
+        "round trip ms": "" if state.round_trip is None else round(1000 * state.round_trip, 2),
+        "damaged frames": state.discards,
+        "late acks": state.late_acks,
+        "dropped writes": state.dropped_writes,
+        "packages that do not fit": state.mismatches,
+    }
+    if not agent.is_connected:
+        message = "the agent is silent" if agent.is_silent else state.connection
+        return Status("line", Level.ERROR, message, values)
+    age = None if agent.telemetry is None else agent.telemetry.newest_age
+    if age is None or age > _DIAGNOSTICS_OLD_S:
+        return Status("line", Level.STALE, "no telemetry", values)
+    return Status("line", Level.OK, "connected", values)
+
+
+def _clock(clock: DeviceClock | None) -> Status:
+    if clock is None:
+        return Status("clock", Level.STALE, "no tick of the aircraft yet")
+    bound = clock.uncertainty_s
+    values = {
+        "bound of stamps ms": round(1000 * bound, 2) if math.isfinite(bound) else "unknown",
+        "skew ppm": round(clock.skew_ppm, 2),
+        "jumps": clock.resets,
+    }
+    if not bound <= _BOUND_S:
+        return Status("clock", Level.WARN, "stamps are uncertain", values)
+    return Status("clock", Level.OK, "stamps are by the clock of the aircraft", values)
+
+
+def _navigation(agent: AgentClient) -> Status:
+    """Whether what comes can be true; on the ground there is nothing to judge."""
+    if agent.telemetry is None:
+        return Status("navigation", Level.STALE, "unknown")
+    found = agent.telemetry.integrity
+    values = {
+        "position test ratio": round(found.test_ratio, 2),
+        "height test ratio": round(found.height_test_ratio, 2),
+        "delay ms": round(1000 * found.delay_s, 1),
+    }
+    if found.is_plausible and found.is_timely:
+        return Status("navigation", Level.OK, found.state.name.lower(), values)
+    return Status("navigation", Level.ERROR, found.seen, values)
+
+
+def _control(agent: AgentClient) -> Status:
+    values = {"lease": agent.holder.name, "task": agent.state.task}
+    held = "programs have control" if agent.has_authority else "the pilot flies"
+    return Status("control", Level.OK, held, values)
+
+
+def _battery(agent: AgentClient) -> Status:
+    telemetry = agent.telemetry
+    battery = None if telemetry is None else telemetry.fresh(Battery, within=_DIAGNOSTICS_OLD_S)
+    if battery is None or not battery.is_possible:
+        return Status("battery", Level.STALE, "unknown")
+    values = {"percent": battery.percent}
+    if battery.percent <= _LOW_PERCENT:
+        return Status("battery", Level.WARN, "low", values)
+    return Status("battery", Level.OK, "charged", values)
+
+
+def _node(counted: Mapping[str, int]) -> Status:
+    return Status("node", Level.OK, "what was not done since it began", counted)
+
+
+# -- when packages were made, for the headers of messages: by the clock of the aircraft ------------
+# The clock is asked a few times a second and not for each package: in between, time goes on as its
+# ticks do.
+
+
+_ASKED_S = 0.25
+"""Seconds for which one answer of the clock holds: its skew makes 50 µs of them at most."""
+
+
+class Stamps:
+    """Times of packages as POSIX time.
+
+    Args:
+        now: Time of the event loop, s.
+        utc: POSIX time, s.
+
+    Attributes:
+        clock: Of the aircraft; None before its first tick.
+    """
+
+    def __init__(self, now: Callable[[], float], utc: Callable[[], float]) -> None:
+        self._now, self._utc = now, utc
+        self.clock: DeviceClock | None = None
+        # A tick, and when that was on the event loop's clock; None while nobody knows.
+        self._known: tuple[int, float] | None = None
+
+    def at(self, at: float) -> Stamp:
+        """POSIX time of a time of the event loop."""
+        nanoseconds = max(0, round((at - self._now() + self._utc()) * 1e9))
+        return divmod(nanoseconds, 10**9)
+
+    def hear(self, sample: Sample) -> None:
+        """Let the clock know of a package; each has to come by here."""
+        time = sample.get(Time)
+        if time is None:
+            return
+        tick_hz = sample.profile.tick_hz
+        if self.clock is None or self.clock.tick_hz != tick_hz:
+            self.clock, self._known = DeviceClock(tick_hz), None
+        self.clock.update(time.tick, sample.received_at)
+
+    def of(self, sample: Sample) -> Stamp:
+        """When the newest package was made: never later than it came."""
+        return self.at(min(self._taken_at(sample), sample.received_at))
+
+    def _taken_at(self, sample: Sample) -> float:
+        time, clock = sample.get(Time), self.clock
+        if time is None or clock is None:
+            return sample.received_at
+        tick_hz = clock.tick_hz
+        if self._known is not None:
+            tick, at = self._known
+            # Ticks that went back, or far ahead, are asked about at once.
+            if 0 <= time.tick - tick < _ASKED_S * tick_hz:
+                return at + (time.tick - tick) / tick_hz
+        found = clock.host_time(time.tick)
+        if found is None or not math.isfinite(found.uncertainty_s):
+            self._known = None
+            return sample.received_at
+        self._known = time.tick, found.time
+        return found.time

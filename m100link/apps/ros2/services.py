@@ -1,0 +1,228 @@
+"""Missions that the aircraft flies by itself (firmware 3.1): a plan, its start, and the mission.
+
+The plan is checked as a whole when it is uploaded, and lies with the agent until it is started:
+nothing is in the aircraft that nobody watches.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from enum import IntEnum
+from typing import Any, TypeVar
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.messages import TAKE_OFF_FIRST, Action
+from m100link.apps.ros2.control import Helm
+from m100link.apps.ros2.endpoints import Call, Input, answering, trigger
+from m100link.errors import M100Error, UsageError
+from m100link.missions.plan import WaypointPlan
+from m100link.missions.waypoint import (
+    AtEnd,
+    GimbalPitch,
+    Heading,
+    OnRCLoss,
+    StartVideo,
+    Stay,
+    StopVideo,
+    TakePhoto,
+    Trace,
+    TurnTo,
+    Waypoint,
+    WaypointAction,
+)
+from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
+from m100link.protocol.firmware import FIRMWARE_3_1
+
+__all__ = [
+    "ACTIONS",
+    "Missions",
+    "Payload",
+    "angles_of",
+    "plan_of",
+    "rates_of",
+]
+
+
+E = TypeVar("E", bound=IntEnum)
+
+_SPEED, _MAX_SPEED = 5.0, 10.0
+
+ACTIONS: Mapping[str, Callable[[float], WaypointAction]] = {
+    "STAY": Stay,
+    "TAKE_PHOTO": lambda _: TakePhoto(),
+    "START_VIDEO": lambda _: StartVideo(),
+    "STOP_VIDEO": lambda _: StopVideo(),
+    "TURN_TO": TurnTo,
+    "GIMBAL_PITCH": GimbalPitch,
+}
+"""What can be done at a point, in the order of the numbers of m100_msgs/msg/MissionAction."""
+
+
+class Missions:
+    """What the services of missions do.
+
+    Args:
+        helm: Has the lease.
+    """
+
+    def __init__(self, helm: Helm) -> None:
+        self._helm = helm
+
+    def calls(self) -> dict[str, Call]:
+        """The services, by the names of the table."""
+        return {
+            "~/mission/upload": answering(self._upload, "it waits for its start"),
+            "~/mission/start": answering(self._start, "it flies"),
+            "~/mission/pause": self._order(Action.MISSION_PAUSE, "it hovers"),
+            "~/mission/resume": self._order(Action.MISSION_RESUME, "it flies on"),
+            "~/mission/stop": self._order(Action.MISSION_STOP, "it is over: the aircraft hovers"),
+        }
+
+    def _order(self, action: Action, done: str) -> Call:
+        return trigger(lambda: self._helm.do(action), done)
+
+    async def _upload(self, request: Mapping[str, Any]) -> None:
+        self._helm.held()
+        mission, points = plan_of(request).to_wire()
+        await self._helm.do(Action.MISSION_PLAN, data=mission.value(FIRMWARE_3_1))
+        for point in points:
+            await self._helm.do(Action.MISSION_POINT, data=point.value(FIRMWARE_3_1))
+
+    async def _start(self, request: Mapping[str, Any]) -> None:
+        self._helm.held()
+        self._helm.require_free("a mission")
+        how = TAKE_OFF_FIRST if request["take_off"] else 0
+        await self._helm.do(Action.MISSION_START, number=how)
+
+
+def plan_of(request: Mapping[str, Any]) -> WaypointPlan:
+    """The plan of m100_msgs/srv/UploadMission.
+
+    Raises:
+        UsageError: A number that stands for nothing.
+        BadPlan: It cannot be flown: point, value, limit.
+    """
+    return WaypointPlan(
+        [_point(one) for one in request["points"]],
+        speed=request["speed"] or _SPEED,
+        max_speed=request["max_speed"] or _MAX_SPEED,
+        heading=_one_of(Heading, "heading", request),
+        trace=_one_of(Trace, "trace", request),
+        at_end=_one_of(AtEnd, "at_end", request),
+        on_rc_loss=_one_of(OnRCLoss, "on_rc_loss", request),
+        gimbal_by_waypoint=request["gimbal_by_point"],
+        repeat=request["repeat"] or 1,
+    )
+
+
+def _point(given: Mapping[str, Any]) -> Waypoint:
+    return Waypoint(
+        given["latitude"],
+        given["longitude"],
+        height=given["height"],
+        heading_deg=given["heading"],
+        damping=given["damping"],
+        gimbal_pitch_deg=given["gimbal_pitch"],
+        turn_clockwise=not given["turn_counterclockwise"],
+        actions=[_action(one) for one in given["actions"]],
+    )
+
+
+def _action(given: Mapping[str, Any]) -> WaypointAction:
+    number: int = given["kind"]
+    makers = list(ACTIONS.values())
+    if number >= len(makers):
+        raise UsageError(
+            f"an action {number}", remedy=f"0 to {len(makers) - 1}: {', '.join(ACTIONS)}"
+        )
+    return makers[number](given["value"])
+
+
+def _one_of(kind: type[E], field: str, request: Mapping[str, Any]) -> E:
+    try:
+        return kind(request[field])
+    except ValueError:
+        there = ", ".join(f"{one.value} {one.name}" for one in kind)
+        raise UsageError(f"{field} {request[field]}", remedy=f"choose one of {there}") from None
+
+
+# -- the gimbal: where the camera points, and how fast it turns. Nobody confirms what is sent ------
+
+
+_SECONDS = 1.0
+_PAUSE_S = 0.05
+"""Seconds between two rates that are sent: one turns it for half a second."""
+
+
+class Payload:
+    """What ROS programs want of the gimbal.
+
+    Args:
+        agent: The agent of the aircraft.
+        helm: Has the lease.
+        rates: Where rates come in.
+        tell: Says why something is not done: text and level.
+    """
+
+    def __init__(
+        self, agent: AgentClient, helm: Helm, rates: Input, tell: Callable[[str, str], None]
+    ) -> None:
+        self._agent, self._helm, self._rates, self._tell = agent, helm, rates, tell
+        self._due_at = agent.now
+        self._is_busy = False
+
+    async def point(self, request: Mapping[str, Any]) -> None:
+        """m100_msgs/srv/PointGimbal.
+
+        Raises:
+            M100Error: An angle that it does not have, or nothing may be sent.
+        """
+        data = angles_of(request).value(FIRMWARE_3_1)
+        await self._helm.do(Action.GIMBAL_ANGLES, data=data)
+
+    def advance(self, *, is_deaf: bool) -> None:
+        """Send the newest rates.
+
+        Args:
+            is_deaf: What comes now is old.
+        """
+        waiting, now = [message for _, message in self._rates.take()], self._agent.now
+        if not waiting or is_deaf or self._is_busy or now < self._due_at:
+            return
+        self._due_at = now + _PAUSE_S
+        self._is_busy = True
+        self._agent.background.spawn(self._turn(waiting[-1]), "ROS gimbal")
+
+    async def _turn(self, message: Mapping[str, Any]) -> None:
+        try:
+            data = rates_of(message["vector"]).value(FIRMWARE_3_1)
+            await self._helm.do(Action.GIMBAL_RATES, data=data)
+        except M100Error as error:
+            self._tell(f"~/gimbal_speed: {error.seen}", "warning")
+        finally:
+            self._is_busy = False
+
+
+def angles_of(request: Mapping[str, Any]) -> GimbalAngle:
+    """The command of m100_msgs/srv/PointGimbal."""
+    mode = GimbalAngleMode(0) if request["is_relative"] else GimbalAngleMode.ABSOLUTE
+    for axis in ("yaw", "roll", "pitch"):
+        if request[f"keep_{axis}"]:
+            mode |= GimbalAngleMode[f"KEEP_{axis.upper()}"]
+    return GimbalAngle(
+        yaw_deg=request["yaw"],
+        roll_deg=request["roll"],
+        pitch_deg=request["pitch"],
+        mode=mode,
+        duration_s=request["duration"] or _SECONDS,
+    )
+
+
+def rates_of(vector: Mapping[str, float]) -> GimbalSpeed:
+    """The command of rad/s about the axes forward, left, up (REP 103)."""
+    return GimbalSpeed(
+        roll_deg_s=math.degrees(vector["x"]),
+        pitch_deg_s=-math.degrees(vector["y"]),
+        yaw_deg_s=-math.degrees(vector["z"]),
+    )

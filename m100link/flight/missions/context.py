@@ -1,0 +1,404 @@
+"""What a mission stands on, and what its kind has to know."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+from m100link.errors import GuardRefused, M100Error, TelemetryStalled, UsageError
+from m100link.flight.guards import known
+from m100link.flight.lifecycle import StopCause
+from m100link.flight.mission_state import MissionWatch
+from m100link.flight.missions.events import (
+    Aborted,
+    ActionsDone,
+    Finished,
+    MissionEvent,
+    MissionProgress,
+    Reached,
+)
+from m100link.flight.tasks import describe_situation
+from m100link.geodesy import LocalFrame
+from m100link.missions.plan import AtEnd, WaypointPlan
+from m100link.protocol.codes import MissionCode
+from m100link.protocol.command import Request
+from m100link.protocol.commands import missions as wire
+from m100link.protocol.commands.missions import MissionStatus, WaypointEvent
+from m100link.protocol.commands.waypoint import WaypointDownloadMission, WaypointMissionAnswer
+from m100link.protocol.records import Battery, FlightPhase, FlightStatus, Position
+
+if TYPE_CHECKING:
+    from m100link.flight.guards import Envelope, GuardKeeper
+    from m100link.flight.tasks import Commander
+    from m100link.missions.plan import WaypointPlan
+    from m100link.telemetry.state import AircraftState
+
+__all__ = [
+    "FAR_M",
+    "Block",
+    "Deck",
+    "Over",
+    "Track",
+    "WaypointTrack",
+    "broken_off",
+    "check_battery",
+    "check_envelope",
+    "check_plan",
+    "check_way",
+    "require_airborne",
+]
+
+
+class Over(NamedTuple):
+    """The aircraft says that it does not fly the mission any more."""
+
+
+class Track(Protocol):
+    """What is known of one kind of mission: reads its pushes, and what the aircraft is asked."""
+
+    @property
+    def poll(self) -> Request[Any] | None:
+        """What is asked when nothing is pushed; None: nothing can be."""
+        ...
+
+    @property
+    def ends_by_landing(self) -> bool:
+        """Whether the aircraft goes home or lands behind :class:`Finished`."""
+        ...
+
+    def take(self, push: MissionStatus | WaypointEvent) -> Sequence[MissionEvent | Over]:
+        """A push came."""
+        ...
+
+    def polled(self, answer: Any) -> Sequence[MissionEvent | Over]:
+        """The answer to ``poll`` came."""
+        ...
+
+    def progress(self, elapsed: float, state: AircraftState) -> MissionProgress:
+        """How far it is."""
+        ...
+
+
+class Block(Protocol):
+    """What a mission needs of the control block around it."""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the program is in it, and nothing has ended it."""
+        ...
+
+    def require_flying(self, what: str) -> None:
+        """Raise unless it may send."""
+        ...
+
+    def waiting(self, what: str) -> AbstractContextManager[None]:
+        """What waits in here ends with it."""
+        ...
+
+    def end(self, cause: StopCause, failure: M100Error | None = None) -> None:
+        """End it: its stop path begins."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Deck:
+    """What a mission stands on.
+
+    Attributes:
+        commander: The aircraft.
+        guards: Asked before it begins and while it flies.
+        block: The control block around it.
+    """
+
+    commander: Commander
+    guards: GuardKeeper
+    block: Block
+
+    @property
+    def watch(self) -> MissionWatch:
+        """Where pushes arrive."""
+        return self.commander.missions
+
+
+# -- what the guards say to a mission before its first byte is sent --------------------------------
+
+
+FAR_M = 500.0
+"""Horizontal metres to the first waypoint, centre or target from which a mission must be allowed by
+name: a plan of another place is a mistake that is made."""
+
+_WHAT = "the waypoint mission"
+
+
+async def require_airborne(deck: Deck, what: str, *, may_take_off: bool = False) -> bool:
+    """Wait for what the guards compare, and see that the aircraft flies, or may take off.
+
+    A mission that is started on the ground may take off by itself (facts W9): nobody is to be
+    surprised by that.
+
+    Returns:
+        Whether it stands on the ground.
+
+    Raises:
+        UsageError: It stands on the ground, and nobody said that it may take off.
+        TelemetryStalled: Nobody knows whether it flies.
+        GuardRefused: Battery below its floor or unknown, position unknown, GPS too weak.
+    """
+    await deck.guards.admit_mission(what)
+    state = deck.commander.state
+    status = known(state, FlightStatus)
+    if status is None:
+        raise TelemetryStalled(
+            f"{what} was asked for, and the flight status does not arrive",
+            cause="the item is not sent, or the line is broken",
+            remedy="set the item to 1 Hz or more in the PC assistant",
+        )
+    is_on_ground = status.status == FlightPhase.STANDBY
+    if is_on_ground and not may_take_off:
+        raise UsageError(
+            f"{what} was asked for on the ground ({describe_situation(state.situation())})",
+            cause="the aircraft may take off by itself when a mission starts",
+            remedy="await control.take_off() first; a waypoint mission takes take_off=True",
+        )
+    return is_on_ground
+
+
+def check_envelope(envelope: Envelope, plan: WaypointPlan) -> None:
+    """Whether heights and speed of a plan lie inside, wherever the aircraft is.
+
+    Raises:
+        GuardRefused: One does not.
+    """
+    for index, point in enumerate(plan.waypoints):
+        envelope.check(f"waypoint {index} of {_WHAT}", height=point.height)
+    envelope.check(_WHAT, speed=abs(plan.speed))
+
+
+def check_plan(
+    guards: GuardKeeper, state: AircraftState, plan: WaypointPlan, *, allow_far: bool
+) -> None:
+    """Whether a plan may be flown from here, within the envelope.
+
+    Raises:
+        GuardRefused: With the guard, the waypoint, the measured value and the limit.
+    """
+    envelope = guards.guards.envelope
+    if envelope is not None:
+        check_envelope(envelope, plan)
+    for index, point in enumerate(plan.waypoints):
+        place = point.latitude_deg, point.longitude_deg
+        guards.check_target(f"waypoint {index} of {_WHAT}", place)
+    first = plan.waypoints[0]
+    check_way(state, _WHAT, (first.latitude_deg, first.longitude_deg), allow_far=allow_far)
+
+
+def check_battery(guards: GuardKeeper, state: AircraftState, plan: WaypointPlan) -> None:
+    """Whether the charge lasts for the plan and what the floor wants to be left, by estimate.
+
+    A plan that only the pilot's stick moves has no estimate; the floor ends it in flight.
+
+    Raises:
+        GuardRefused: It does not.
+    """
+    floor = guards.guards.battery_floor_percent
+    battery, position = known(state, Battery), known(state, Position)
+    if floor is None or battery is None:
+        return  # without a charge and with a floor nothing comes here
+    home = None if position is None else (position.latitude_deg, position.longitude_deg)
+    needed = plan.estimate(home=home).battery_percent
+    if math.isfinite(needed) and battery.percent - needed < floor:
+        raise GuardRefused(
+            f"the waypoint mission was refused: it takes about {needed:.0f} % of a battery, which "
+            f"has {battery.percent} %, and {floor} % are to be left",
+            guard="battery_floor_percent",
+            measured=battery.percent,
+            limit=floor + needed,
+            cause="the estimate reckons with a TB47D and 500 g; nothing of it was measured",
+            remedy="a full battery, a shorter plan, or Guards(battery_floor_percent=…)",
+        )
+
+
+def check_way(
+    state: AircraftState, what: str, place: tuple[float, float], *, allow_far: bool
+) -> float:
+    """How far it is to where a mission begins, m; 0 while the position is unknown.
+
+    Raises:
+        GuardRefused: Farther than 500 m, and nobody allowed it.
+    """
+    position = known(state, Position)
+    if position is None:
+        return 0.0
+    here = LocalFrame(position.latitude_deg, position.longitude_deg)
+    distance = math.hypot(*here.to_local(*place))
+    if distance > FAR_M and not allow_far:
+        raise GuardRefused(
+            f"{what} was refused: it begins {distance:.0f} m from here, the limit is {FAR_M:g} m",
+            guard="allow_far",
+            measured=distance,
+            limit=FAR_M,
+            cause="a plan of another place, or latitude and longitude in the wrong order",
+            remedy="fly nearer, or say allow_far=True",
+        )
+    return distance
+
+
+# -- how far a waypoint mission is, read from its pushes. No clock and no line: values in, news ----
+# Pushes are not acknowledged. An event that was lost is made up for by what the status says later,
+# so that a program is told of each waypoint once and in order.
+
+
+_BEFORE_ACTIONS, _AFTER_ACTIONS = 4, 6  # status of the event "reached" (facts W19)
+
+News = list[MissionEvent | Over]
+
+
+def broken_off(status: wire.IdleStatus | wire.IocStatus, index: int | None = None) -> Aborted:
+    """What the push says that follows a mission which the aircraft broke off."""
+    if not status.reason:
+        return Aborted(None, "it gives no reason: the remote controller was lost, perhaps", index)
+    return Aborted(status.reason, MissionCode(status.reason).meaning, index)
+
+
+class WaypointTrack:
+    """Reads the pushes of one waypoint mission.
+
+    Args:
+        plan: What is flown.
+
+    Attributes:
+        estimated_time: Seconds that the aircraft expects it to take; None until it says so.
+        index: Waypoint that it flies to; None until a push tells.
+        poll: What is asked when nothing is pushed.
+    """
+
+    poll = WaypointDownloadMission()
+
+    def __init__(self, plan: WaypointPlan) -> None:
+        self._plan = plan
+        self._last = len(plan.waypoints) - 1
+        self.estimated_time: float | None = None
+        self.index: int | None = None
+        self._status: int | None = None
+        self._is_seen = False  # whether a push told of this mission: what is older says nothing
+        self._reached = -1  # the newest waypoint of this run of which the program was told
+        self._acted = -1  # the newest whose actions were told to have ended
+        self._runs_left = plan.repeat - 1
+        self._is_finished = False
+
+    @property
+    def ends_by_landing(self) -> bool:
+        """Whether the plan ends with going home or landing."""
+        return self._plan.at_end in (AtEnd.GO_HOME, AtEnd.LAND)
+
+    def take(self, push: wire.MissionStatus | wire.WaypointEvent) -> News:
+        """A push came."""
+        told = push.status if isinstance(push, wire.MissionStatus) else push.event
+        return list(self._read(told))
+
+    def _read(self, told: object) -> Iterator[MissionEvent | Over]:
+        match told:
+            case wire.WaypointStatus():
+                self._is_seen = True
+                yield from self._fly_to(told.index)
+                self._status = told.status
+            case wire.IdleStatus() | wire.IocStatus() if self._is_seen:
+                yield from self._idle(told)
+            case wire.HotpointStatus() | wire.FollowStatus() if self._is_seen:
+                yield Aborted(None, "another mission flies the aircraft", self.index)
+            case wire.Uploaded() if told.valid:
+                self.estimated_time = float(told.estimated_time)
+            case wire.Reached():
+                yield from self._reach(told.index, told.status)
+            case wire.Finished():
+                yield from self._finish()
+
+    def _fly_to(self, index: int) -> Iterator[MissionEvent]:
+        """It flies to that waypoint: those before it were reached."""
+        if not 0 <= index <= self._last:
+            return
+        before, self.index = self.index, index
+        if before is not None and index > before:
+            yield from self._pass(index - 1)
+        elif before is not None and index == 0 and before == self._last and self._runs_left:
+            yield from self._begin_again()
+
+    def _pass(self, index: int) -> Iterator[MissionEvent]:
+        """Every waypoint up to that one was reached, whether events told it or not."""
+        while self._reached < index:
+            self._reached += 1
+            yield Reached(self._reached, is_inferred=True)
+
+    def _reach(self, index: int, status: int) -> Iterator[MissionEvent]:
+        if not 0 <= index <= self._last:
+            return
+        if index == 0 and self._reached == self._last and self._runs_left:
+            yield from self._begin_again()
+        yield from self._pass(index - 1)
+        if self._reached < index:
+            self._reached = index
+            yield Reached(index)
+        if status == _AFTER_ACTIONS and self._acted < index:
+            self._acted = index
+            yield ActionsDone(index)
+
+    def _begin_again(self) -> Iterator[MissionEvent]:
+        """The way is flown once more, from the first waypoint."""
+        yield from self._pass(self._last)
+        self._runs_left -= 1
+        self._reached = self._acted = -1
+
+    def _finish(self) -> Iterator[MissionEvent | Over]:
+        """The event "finished". It may come at the end of each run (facts W18, inferred).
+
+        One run too many believed would leave an aircraft in flight that nobody stops: so it counts
+        on the last waypoint, when no run is to come by our own count; otherwise the status tells.
+        """
+        if self.index != self._last and self._reached < self._last:
+            return  # repeated or late: that of a mission before
+        if self._runs_left:
+            yield from self._pass(self._last)
+            return
+        yield from self._finished()
+        if self._plan.at_end is AtEnd.HOVER:  # behind the others something goes on
+            yield Over()
+
+    def _finished(self) -> Iterator[MissionEvent]:
+        if not self._is_finished:
+            self._is_finished = True
+            yield from self._pass(self._last)
+            yield Finished()
+
+    def _idle(self, told: wire.IdleStatus | wire.IocStatus) -> Iterator[MissionEvent | Over]:
+        """No mission flies any more."""
+        if not self._is_finished and (told.is_broken_off or told.reason):
+            yield broken_off(told, self.index)
+            return
+        yield from self._finished()
+        yield Over()
+
+    def polled(self, answer: WaypointMissionAnswer) -> News:
+        """What the aircraft has stored: nothing, when the mission has ended (facts K14)."""
+        is_gone = answer.code in (MissionCode.NO_MISSION, MissionCode.NOT_STARTED)
+        if is_gone or (answer.code is MissionCode.SUCCESS and answer.mission.count == 0):
+            return [*self._finished(), Over()]
+        return []
+
+    def progress(self, elapsed: float, state: AircraftState) -> MissionProgress:
+        """Where it is on its way."""
+        position = known(state, Position)
+        distance = None
+        if position is not None and self.index is not None:
+            target = self._plan.waypoints[self.index]
+            here = LocalFrame(position.latitude_deg, position.longitude_deg)
+            distance = math.hypot(*here.to_local(target.latitude_deg, target.longitude_deg))
+        return MissionProgress(
+            elapsed,
+            index=self.index,
+            status=self._status,
+            distance_m=distance,
+            height_m=None if position is None else position.height_m,
+        )
