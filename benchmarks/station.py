@@ -95,7 +95,7 @@ async def busy(clients: int, burners: int, seconds: float) -> dict[str, float]:
     """What ten clients and busy cores do to the station."""
     async with contextlib.AsyncExitStack() as stack:
         station = await stack.enter_async_context(running(Settings(sim=True, port=0)))
-        url = f"ws://127.0.0.1:{station.ports[0]}"
+        url = f"ws://127.0.0.1:{station.sockets.port('rosbridge')}"
         listeners = await stack.enter_async_context(process(LISTENER, url, str(clients)))
         assert listeners.stdout is not None
         await until_connected(listeners.stdout, clients)

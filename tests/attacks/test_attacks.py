@@ -89,7 +89,12 @@ async def test_the_pilot_flies_on_through_every_attack() -> None:
         for name in ATTACKS:
             before = notes[-1].number
             attacker = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", f"tests.attacks.{name}", str(one.ports[0])),
+                *(
+                    sys.executable,
+                    "-m",
+                    f"tests.attacks.{name}",
+                    str(one.sockets.port("rosbridge")),
+                ),
                 *("--seconds", str(SECONDS)),
             )
             gap = await fly(one, pilot, attacker)
@@ -132,7 +137,7 @@ async def gets_in(one: Running) -> bool:
 async def test_whoever_is_welcome_gets_in(name: str) -> None:
     async with station(max_clients=8) as one:
         attacker = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", f"tests.attacks.{name}", str(one.ports[0])),
+            *(sys.executable, "-m", f"tests.attacks.{name}", str(one.sockets.port("rosbridge"))),
             *("--seconds", str(PATIENCE)),
         )
         try:
@@ -148,7 +153,14 @@ async def test_whoever_is_welcome_gets_in(name: str) -> None:
 async def test_an_operator_takes_over_from_whoever_while_a_spammer_asks() -> None:
     async with flying() as (one, _):
         attacker = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "tests.attacks.orders", str(one.ports[0]), "--seconds", "20")
+            *(
+                sys.executable,
+                "-m",
+                "tests.attacks.orders",
+                str(one.sockets.port("rosbridge")),
+                "--seconds",
+                "20",
+            )
         )
         try:
             await asyncio.sleep(2.0)

@@ -77,10 +77,9 @@ from m100link.apps.mavlink.translator.codec import (
 from m100link.apps.ros2.graph import Attachment, read_attachment
 from m100link.apps.ros2.graph import read_token as read_ros2_token
 from m100link.apps.station.config import resolve
-from m100link.apps.station.console.view.settings import Settings
-from m100link.apps.station.foxglove.session import Channel, Viewer
-from m100link.apps.station.web.access import Access
-from m100link.apps.station.web.gate import Gate
+from m100link.apps.station.console.view.texts import Settings
+from m100link.apps.station.foxglove import Channel, Viewer
+from m100link.apps.station.web.access_control import Access, AccessControl
 from m100link.errors import M100Error, UsageError
 from m100link.link.keyfile import read_key, read_token
 from m100link.log import read, recover
@@ -519,8 +518,8 @@ def gate(data: bytes) -> None:
     first, *lines = printable.split(b"\n")
     path, _, query = first.partition(b"?")
     headers = [tuple(line.partition(b": ")[::2]) for line in lines if b": " in line]
-    asked = Gate(_nowhere, hosts=["station"], access=Access("0123456789abcdefXY"))
-    open_to_all = Gate(_nowhere, hosts=["station"])
+    asked = AccessControl(_nowhere, hosts=["station"], access=Access("0123456789abcdefXY"))
+    open_to_all = AccessControl(_nowhere, hosts=["station"])
     for kind, scheme in (("http", "http"), ("websocket", "wss")):
         scope = {
             "type": kind,
@@ -553,15 +552,15 @@ async def _sent(message: Mapping[str, Any]) -> None:
 
 def events(data: bytes) -> None:
     """What the page's script emits, by everything that hears it."""
-    from m100link.apps.station.console.parts import buttons
-    from m100link.apps.station.console.parts.click import ClickPart
-    from m100link.apps.station.console.parts.plan import PlanPart
-    from m100link.apps.station.console.parts.replay import ReplayPart
+    from m100link.apps.station.console.components import component
+    from m100link.apps.station.console.components.header import ReplayPart
+    from m100link.apps.station.console.components.map import ClickPart
+    from m100link.apps.station.console.components.plan import PlanPart
 
     Settings.from_text(data.decode("utf-8", "replace"))
     event = Mock(args=json.loads(data))
-    with patch.object(buttons, "ui"):
-        buttons.answer(event)
+    with patch.object(component, "ui"):
+        component.answer(event)
     for hear_it in (
         *(ClickPart._clicked, ClickPart._dragged, ReplayPart._held),
         *(PlanPart._clicked, PlanPart._moved, PlanPart._picked, PlanPart._opened),

@@ -22,10 +22,9 @@ from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.cli.decode import decode_stream
 from m100link.apps.fleet.identity import Rights
-from m100link.apps.station.launch import read_launch
+from m100link.apps.station.config import read_launch
 from m100link.apps.station.ros.client import Client
-from m100link.apps.station.ros.graph import Graph
-from m100link.apps.station.ros.rosapi import add_rosapi
+from m100link.apps.station.ros.graph import Graph, add_rosapi
 from m100link.errors import BadPlan, BadURL, LayoutMismatch, M100Error, UsageError
 from m100link.link.url import parse_url
 from m100link.missions.plan import WaypointPlan

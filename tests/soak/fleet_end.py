@@ -30,9 +30,9 @@ from m100link.apps.fleet.order_log import MemoryLedger
 from m100link.apps.fleet.publisher import FleetTelemetry
 from m100link.apps.fleet.session import open_fleet
 from m100link.apps.fleet.thinning import WALL_HZ, Thinner
-from m100link.apps.station.child import leave_what_stays
 from m100link.apps.station.config import Settings
 from m100link.apps.station.run import owning
+from m100link.apps.station.supervisor import leave_what_stays
 from m100link.sim import VirtualClockEventLoop
 from m100link.testing import ConnectableAircraft
 

@@ -48,16 +48,16 @@ from m100link.apps.fleet.pki import router_config
 from m100link.apps.fleet.revocations import Revocations
 from m100link.apps.fleet.session import open_fleet
 from m100link.apps.fleet.signing import tls_options, verifying
-from m100link.apps.station.child import leave_what_stays
 from m100link.apps.station.config import ENVIRONMENT, ONLY_NAME, Settings, resolve
 from m100link.apps.station.fleet import (
     FleetSettings,
     default_ledgers,
     recorded_apart,
     serving_fleet,
+    serving_fleet_console,
 )
-from m100link.apps.station.fleet_console import serving_fleet_console
 from m100link.apps.station.log_output import tell_elsewhere
+from m100link.apps.station.supervisor import leave_what_stays
 from m100link.errors import UsageError
 
 __all__ = [

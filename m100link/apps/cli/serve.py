@@ -29,7 +29,8 @@ from m100link.errors import UsageError
 
 if TYPE_CHECKING:
     from m100link.apps.agent.messages import Event
-    from m100link.apps.station.child import Child
+    from m100link.apps.station.listeners import Sockets
+    from m100link.apps.station.supervisor import Child
 
 __all__ = [
     "AS_USUAL",
@@ -159,7 +160,7 @@ async def _serve(
     keys: Keys | None,
 ) -> int:
     from m100link.apps.agent.journal import JOURNAL_LOG
-    from m100link.apps.station.child import leave_what_stays
+    from m100link.apps.station.supervisor import leave_what_stays
 
     ended = Told()
     tell_elsewhere(JOURNAL_LOG)
@@ -185,7 +186,7 @@ async def _serve(
             if front is not None:
                 # The code in the console's address works once; a front that is new has another.
                 front.on_restart.append(lambda: teller.do(announce))
-            if station.console_port is not None and open_browser:
+            if station.sockets.ports("console") and open_browser:
                 await asyncio.to_thread(webbrowser.open, _console_url(settings, station))
             with contextlib.nullcontext() if keys is None else keys(station, ended):
                 await ended.wait()
@@ -203,9 +204,7 @@ async def _running(
     tell: Callable[[str, Event], None],
 ) -> AsyncIterator[tuple[_Station, Child | None]]:
     """The station, and the process of its fronts."""
-    from m100link.apps.station.apart import RunningApart, running_apart
-    from m100link.apps.station.run import running
-    from m100link.apps.station.several import running_several
+    from m100link.apps.station.run import RunningApart, running, running_apart, running_several
 
     if len(aircraft) > 1:
         if options.single_process:
@@ -259,47 +258,38 @@ class _Station(Protocol):
     @property
     def has_authority(self) -> bool: ...
     @property
-    def ports(self) -> list[int]: ...
-    @property
-    def console_port(self) -> int | None: ...
-    @property
-    def metrics_port(self) -> int | None: ...
-    @property
-    def foxglove_port(self) -> int | None: ...
-    @property
-    def mavlink(self) -> list[str]: ...
+    def sockets(self) -> Sockets: ...
     def console_path(self) -> str: ...
 
 
 def _console_url(settings: Settings, running: _Station) -> str:
     scheme = "http" if settings.tls_cert is None else "https"
-    assert running.console_port is not None
-    return f"{scheme}://{settings.authority(running.console_port)}{running.console_path()}"
+    (port,) = running.sockets.ports("console")
+    return f"{scheme}://{settings.authority(port)}{running.console_path()}"
 
 
 def _announce(aircraft: dict[str, Settings], running: _Station, *, as_json: bool) -> None:
-    settings = next(iter(aircraft.values()))
-    scheme = "ws" if settings.tls_cert is None else "wss"
-    addresses = [f"{scheme}://{settings.authority(port)}" for port in running.ports]
-    console_url = None if running.console_port is None else _console_url(settings, running)
+    settings, sockets = next(iter(aircraft.values())), running.sockets
+    http, scheme = ("http", "ws") if settings.tls_cert is None else ("https", "wss")
+    addresses = [f"{scheme}://{settings.authority(port)}" for port in sockets.ports("rosbridge")]
+    console_url = _console_url(settings, running) if sockets.ports("console") else None
     metrics_url = None
-    if running.metrics_port is not None:
-        http = "http" if settings.tls_cert is None else "https"
-        metrics_url = f"{http}://{settings.authority(running.metrics_port)}/metrics"
-    viewed = running.foxglove_port
-    viewers = [] if viewed is None else [f"{scheme}://{settings.authority(viewed)}"]
+    for port in sockets.ports("metrics"):
+        metrics_url = f"{http}://{settings.authority(port)}/metrics"
+    viewers = [f"{scheme}://{settings.authority(port)}" for port in sockets.ports("foxglove")]
+    mavlink = sockets.datagram_urls("mavlink")
     if as_json:
         told: dict[str, Any] = {"sim": settings.sim}
         if addresses:
             told = {"rosbridge": addresses, "console": console_url} | told
-        if running.mavlink:
-            told |= {"mavlink": running.mavlink}
+        if mavlink:
+            told |= {"mavlink": mavlink}
         told |= {"ros2": _nodes(aircraft)} if settings.ros2 else {}
         told |= {} if metrics_url is None else {"metrics": metrics_url}
         told |= {"foxglove": viewers[0]} if viewers else {}
         print_json(told | ({"aircraft": list(aircraft)} if len(aircraft) > 1 else {}))
     else:
-        all_served = {"rosbridge": addresses, "mavlink": running.mavlink, "foxglove": viewers}
+        all_served = {"rosbridge": addresses, "mavlink": mavlink, "foxglove": viewers}
         all_served["ros2"] = _nodes(aircraft) if settings.ros2 else []
         for name, served in all_served.items():
             if served:

@@ -1,22 +1,26 @@
-"""Agents of a fleet: each owns an aircraft and serves it under keys of its own, in one process."""
+"""Both ends of a fleet: agents that own aircraft, and the console over them."""
 
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event
-from m100link.apps.agent.transports import memory_channels
+from m100link.apps.agent.transports import Channel, memory_channels
 from m100link.apps.bus.network import Bus
 from m100link.apps.fleet.agent import FleetAgent, Verify
+from m100link.apps.fleet.carrier import FleetChannel
+from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.identity import nobody
-from m100link.apps.fleet.keys import DEFAULT_SITE, Keys, check_name
+from m100link.apps.fleet.keys import DEFAULT_SITE, Keys, check_name, in_order
 from m100link.apps.fleet.logs.service import RATE, LogService
 from m100link.apps.fleet.lost_link import LostPlan
 from m100link.apps.fleet.missions.board import MissionTeller
@@ -26,10 +30,20 @@ from m100link.apps.fleet.revocations import Revocations, RevocationService
 from m100link.apps.fleet.session import open_fleet
 from m100link.apps.fleet.show.service import Beside, ShowService
 from m100link.apps.station.config import Settings
+from m100link.apps.station.listeners import (
+    Fronts,
+    Sockets,
+    keep_reached,
+    open_sockets,
+    serving_fronts,
+)
 from m100link.apps.station.run import owning
+from m100link.errors import LinkError, Unreachable, UsageError
 from m100link.log.folder import state_folder
 
-__all__ = ["FleetSettings", "default_ledgers", "recorded_apart", "serving_fleet"]
+# -- agents of a fleet, in one process -------------------------------------------------------------
+
+_logger = logging.getLogger(__name__)
 
 
 def default_ledgers() -> Path:
@@ -49,41 +63,26 @@ def recorded_apart(settings: Settings, name: str) -> Settings:
 
 @dataclass(frozen=True)
 class FleetSettings:
-    """How agents are part of a fleet.
+    """How agents are part of a fleet."""
 
-    Attributes:
-        connect: Endpoints of routers.
-        site: Which site.
-        lost: What happens when whoever flies is lost.
-        ledgers: Folder of what outlives an agent; None: nothing does, as for virtual aircraft.
-        options: More options of zenoh, by name, as JSON.
-        verify: Looks at each order; None: the router alone decides who may ask.
-        revocations: Who is shut out, whatever the file of rights says.
-        log_rate: Bytes of flight logs a second that each aircraft gives away at most.
-    """
-
-    connect: tuple[str, ...] = ()
+    connect: tuple[str, ...] = ()  # endpoints of routers
     site: str = DEFAULT_SITE
-    lost: LostPlan = field(default_factory=LostPlan)
+    lost: LostPlan = field(default_factory=LostPlan)  # what happens when whoever flies is lost
+    # Folder of what outlives an agent; None: nothing does, as for virtual aircraft.
     ledgers: Path | None = None
-    options: dict[str, str] = field(default_factory=dict)
-    verify: Verify | None = None
-    revocations: Revocations | None = None
-    log_rate: float = RATE
+    options: dict[str, str] = field(default_factory=dict)  # more options of zenoh, by name, as JSON
+    verify: Verify | None = None  # looks at each order; None: the router alone decides who may ask
+    revocations: Revocations | None = None  # who is shut out, whatever the file of rights says
+    log_rate: float = RATE  # bytes of flight logs a second that each aircraft gives away at most
 
 
 @asynccontextmanager
 async def serving_fleet(
     aircraft: Mapping[str, Settings],
     fleet: FleetSettings,
-    tell: Callable[[str, Event], None],
+    tell: Callable[[str, Event], None],  # called with the name and each event
 ) -> AsyncIterator[dict[str, FleetAgent]]:
     """Own aircraft and be part of a fleet while the block runs.
-
-    Args:
-        aircraft: Settings by name.
-        fleet: Which fleet.
-        tell: Called with the name and each event.
 
     Raises:
         UsageError: A name is taken or cannot be, a ledger cannot be written, no session can be.
@@ -183,3 +182,164 @@ async def _agent(
     return FleetAgent(
         client, bus, keys, ledger, lost=fleet.lost, verify=fleet.verify, revoked=revoked
     )
+
+
+# -- the console over a fleet ----------------------------------------------------------------------
+# It owns no aircraft. Each is reached over the network, and what is steered here flies there, under
+# the lease and the guards of its own agent: a page that hangs, this process killed or a network cut
+# are a hover on board.
+
+MOST_SHIPS = 60  # aircraft of one console; a wall of more is ``m100link fleet monitor``
+
+_LOOK_S = 0.5
+_COME_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class FleetConsole:
+    """A console that serves."""
+
+    fronts: Fronts  # what browsers reach
+    sockets: Sockets
+
+    @property
+    def names(self) -> list[str]:
+        """Aircraft that it shows."""
+        return list(self.fronts.agents)
+
+    @property
+    def console_port(self) -> int:
+        """Where browsers reach it."""
+        return self.sockets.port("console")
+
+
+class Ships:
+    """The aircraft of a console, each by the newest way to it."""
+
+    def __init__(self, fleet: Fleet, stack: AsyncExitStack) -> None:
+        self._fleet, self._stack = fleet, stack
+        # What is known of each, by name; another one may stand there from the beginning.
+        self.agents: dict[str, AgentClient] = {}
+        self._channels: dict[str, FleetChannel] = {}
+        self._unused: dict[str, FleetChannel] = {}
+
+    async def first(self, names: Sequence[str]) -> str:
+        """The first of these that answers.
+
+        Raises:
+            LinkError: None does.
+        """
+        for name in names:
+            try:
+                self._unused[name] = await self._fleet.reach(name)
+            except LinkError as error:
+                if name == names[-1]:
+                    raise
+                _logger.warning("%s", error.seen)
+            else:
+                break
+        return name
+
+    async def reach(self, name: str) -> Channel:
+        """A way to one.
+
+        Raises:
+            LinkError: It does not answer.
+        """
+        channel = self._unused.pop(name, None) or await self._fleet.reach(name)
+        self._channels[name] = channel
+        return channel
+
+    async def show(self, name: str) -> None:
+        """Show one more, if it answers; one that does not may be tried again."""
+        if name in self.agents or len(self.agents) >= MOST_SHIPS:
+            return
+        try:
+            agent = AgentClient(await self.reach(name), "console")
+        except LinkError as error:
+            _logger.warning("not shown: %s", error.seen)
+            return
+        self.agents[name] = await self._stack.enter_async_context(agent)
+        agent.background.spawn(keep_reached(agent, partial(self.reach, name)), f"way to {name}")
+
+    def look(self, shown: Collection[str]) -> None:
+        """These are looked at: they come at their full rate, the rest as for a wall."""
+        for name, channel in self._channels.items():
+            channel.watch(full=name in shown)
+
+    async def let_go(self) -> None:
+        """Give back whatever was granted here."""
+        await asyncio.gather(*(one.let_go() for one in self._channels.values()))
+
+
+async def names_of(fleet: Fleet, names: Sequence[str] = ()) -> list[str]:
+    """Whom a console is to show.
+
+    Raises:
+        Unreachable: One that was named is not there.
+        UsageError: Nobody is there, or there are too many.
+    """
+    there = await fleet.names()
+    missing = [name for name in names if name not in there]
+    if missing:
+        raise Unreachable(
+            f"no agent named {', '.join(missing)} is there",
+            remedy=f"there are: {', '.join(there) or 'none'}",
+        )
+    if not there:
+        raise UsageError(
+            f"no agent is there at site {fleet.keys.site}",
+            remedy="start one: m100link fleet agent sim:// --name a1",
+        )
+    shown = list(dict.fromkeys(names or there))
+    if len(shown) > MOST_SHIPS:
+        raise UsageError(
+            f"{len(shown)} aircraft are too many for one console",
+            remedy=f"name up to {MOST_SHIPS}, or look at all by: m100link fleet monitor",
+        )
+    return shown
+
+
+@asynccontextmanager
+async def serving_fleet_console(
+    fleet: Fleet, settings: Settings, names: Sequence[str] = ()
+) -> AsyncIterator[FleetConsole]:
+    """Serve while the block runs.
+
+    Raises:
+        Unreachable, UsageError: As :func:`names_of`; something in the settings cannot be.
+        PortBusy, PortFailed: The port is taken, or the address cannot be bound.
+        LinkError: None of them answers.
+    """
+    there = await names_of(fleet, names)
+    settings.access_token()  # before anything is bound
+    async with AsyncExitStack() as stack:
+        ships = Ships(fleet, stack)
+        sockets = open_sockets(stack, settings, with_console=True, with_rosbridge=False)
+        first = await ships.first(there)
+        fronts = await stack.enter_async_context(
+            serving_fronts(settings, sockets, {first: partial(ships.reach, first)}, {}, is_far=True)
+        )
+        ships.agents = fronts.agents
+        for name in there:
+            await ships.show(name)
+
+        async def come() -> None:
+            while True:
+                for name in in_order(names or fleet.present):
+                    await ships.show(name)
+                await asyncio.sleep(_COME_S)
+
+        async def look() -> None:
+            while True:
+                ships.look(fronts.shown())
+                await asyncio.sleep(_LOOK_S)
+
+        async with asyncio.TaskGroup() as group:
+            working = [group.create_task(come()), group.create_task(look())]
+            try:
+                yield FleetConsole(fronts, sockets)
+            finally:
+                for one in working:
+                    one.cancel()
+                await ships.let_go()  # while there are ways

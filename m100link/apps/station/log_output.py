@@ -20,26 +20,18 @@ from typing import Any
 
 from m100link.errors import M100Error
 
-__all__ = ["LEVELS", "LogOutput", "in_force", "log_of", "tell_elsewhere", "writing_log"]
-
 LEVELS = ("debug", "info", "warning", "error")
 
 _MOST_UNREAD = 2000
-_LAST_WORDS = 1.0
-"""Seconds that the end waits for lines that are still to be read."""
+_LAST_WORDS = 1.0  # seconds that the end waits for lines that are still to be read
 
 
 @dataclass(frozen=True, slots=True)
 class LogOutput:
-    """What is shown of the log of a process, and how.
+    """What is shown of the log of a process, and how."""
 
-    Attributes:
-        level: The lowest level that is shown, one of :data:`LEVELS`.
-        as_json: One JSON object per line.
-    """
-
-    level: str = "warning"
-    as_json: bool = False
+    level: str = "warning"  # the lowest level that is shown, one of :data:`LEVELS`
+    as_json: bool = False  # one JSON object per line
 
 
 _in_force: LogOutput | None = None
@@ -98,11 +90,7 @@ class JsonLines(logging.Formatter):
 
 
 class LinesInThread(QueueHandler):
-    """Formats where it is called, which must not wait, and writes in a thread.
-
-    Args:
-        lines: How a record becomes a line.
-    """
+    """Formats where it is called, which must not wait, and writes in a thread."""
 
     def __init__(self, lines: logging.Formatter) -> None:
         self._lines: queue.Queue[str | None] = queue.Queue(_MOST_UNREAD)

@@ -21,16 +21,14 @@ from m100link.apps.mavlink.translator.codec import SignatureMemory, Signer, Snap
 from m100link.apps.mavlink.translator.numbers import AUTOPILOT_GENERIC, AUTOPILOT_PX4
 from m100link.apps.mavlink.translator.peers import Address
 from m100link.apps.station.config import Settings
+from m100link.apps.station.listeners import Fronts
 from m100link.errors import UsageError
 from m100link.link.keyfile import read_key
 from m100link.log.folder import state_folder
 
-__all__ = ["AUTOPILOTS", "open_mavlink", "serving_mavlink"]
-
 _logger = logging.getLogger(__name__)
 
-AUTOPILOTS = {"px4": AUTOPILOT_PX4, "generic": AUTOPILOT_GENERIC}
-"""What the heartbeat may say."""
+AUTOPILOTS = {"px4": AUTOPILOT_PX4, "generic": AUTOPILOT_GENERIC}  # what the heartbeat may say
 
 _MOST_WAYS = 64
 _MOST_WAITING = 100_000
@@ -39,7 +37,7 @@ _REMEMBERED_S = 0.1
 _ANY: Address = ("127.0.0.1", 0)
 
 
-def open_mavlink(stack: AsyncExitStack, settings: Settings) -> list[socket.socket]:
+def prepare(stack: AsyncExitStack, settings: Settings) -> list[socket.socket]:
     """The sockets that the settings ask for; closed with the stack.
 
     Raises:
@@ -74,16 +72,18 @@ def _signer(settings: Settings) -> Signer | None:
     return None if path is None else Signer(read_key(path).reveal())
 
 
+async def serve(fronts: Fronts) -> None:
+    """Serve MAVLink."""
+    agents = await fronts.reached("mavlink")
+    bridge = serving_mavlink(agents, fronts.settings, fronts.take("mavlink"))
+    await fronts.stack.enter_async_context(bridge)
+
+
 @asynccontextmanager
 async def serving_mavlink(
     agents: Mapping[str, AgentClient], settings: Settings, sockets: Sequence[socket.socket]
 ) -> AsyncIterator[Bridge]:
     """Serve while the block runs.
-
-    Args:
-        agents: The agents of the aircraft; the first has the system id of the settings.
-        settings: Who is spoken to, and how.
-        sockets: Where; what is sent first goes out by the first.
 
     Raises:
         UsageError: There are more aircraft than system ids.

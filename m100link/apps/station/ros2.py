@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 from collections.abc import AsyncIterator, Mapping, Sequence
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from importlib.util import find_spec
 
 from m100link.apps.agent.client import AgentClient
@@ -13,12 +14,10 @@ from m100link.apps.ros2.graph import Names
 from m100link.apps.ros2.node import Node, open_ros2
 from m100link.apps.ros2.topics import INPUTS, SERVICES
 from m100link.apps.station.config import Settings, namespace_of
+from m100link.apps.station.listeners import Fronts
 from m100link.errors import UsageError
 
-__all__ = ["MOST_DOMAIN", "check_ros2", "nodes_of", "serving_ros2"]
-
-MOST_DOMAIN = 232
-"""The greatest domain that every middleware of ROS 2 knows."""
+MOST_DOMAIN = 232  # the greatest domain that every middleware of ROS 2 knows
 
 
 def nodes_of(settings: Settings, aircraft: list[str]) -> dict[str, Names]:
@@ -49,10 +48,6 @@ def nodes_of(settings: Settings, aircraft: list[str]) -> dict[str, Names]:
 def check_ros2(settings: Settings, aircraft: Sequence[str] = ("",)) -> None:
     """Look whether nodes can be served, before anything is opened.
 
-    Args:
-        settings: What they are called.
-        aircraft: The names of the aircraft.
-
     Raises:
         UsageError: It cannot.
     """
@@ -70,15 +65,27 @@ def check_ros2(settings: Settings, aircraft: Sequence[str] = ("",)) -> None:
     nodes_of(settings, list(aircraft))
 
 
+def prepare(stack: AsyncExitStack, settings: Settings) -> list[socket.socket]:
+    """Look whether one node can be served; zenoh opens what it needs when it is.
+
+    Raises:
+        UsageError: It cannot.
+    """
+    check_ros2(settings)
+    return []
+
+
+async def serve(fronts: Fronts) -> None:
+    """Serve a node for each aircraft."""
+    agents = await fronts.reached("ROS 2")
+    await fronts.stack.enter_async_context(serving_ros2(agents, fronts.settings))
+
+
 @asynccontextmanager
 async def serving_ros2(
     agents: Mapping[str, AgentClient], settings: Settings
 ) -> AsyncIterator[list[Node]]:
     """Serve while the block runs.
-
-    Args:
-        agents: The agents of the aircraft, by name.
-        settings: What the nodes are called.
 
     Raises:
         UsageError: The session cannot be.

@@ -1,30 +1,51 @@
-"""The station for as long as a block runs: the agent that owns the aircraft, and its fronts.
+"""A station for as long as a block runs: the agents that own aircraft, and their fronts.
 
-:func:`running` has both in one event loop, for tests and for looking into it. What ``m100link
-serve`` does is in :mod:`m100link.apps.station.apart`: the fronts in a process of their own.
+What ``m100link serve`` runs is :func:`running_apart`, or :func:`running_several` for more than one
+aircraft: who flies and who talks to strangers are two processes. :func:`running` has both in one
+event loop, for tests and for looking into it.
 """
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable
+import asyncio
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
 
+from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.connect import by_driver, by_url, envelope_of
+from m100link.apps.agent.messages import Event
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.connection import Connect
 from m100link.apps.agent.server.replays import Replays
 from m100link.apps.agent.server.server import Service
-from m100link.apps.agent.transports import Channel, memory_channels
-from m100link.apps.station.config import ONLY_NAME, Settings
+from m100link.apps.agent.transports import (
+    Channel,
+    connect_unix,
+    memory_channels,
+    private_directory,
+    serve_unix,
+)
+from m100link.apps.station.config import MOST_AIRCRAFT, ONLY_NAME, Settings
 from m100link.apps.station.console.orders import orders_in_process
-from m100link.apps.station.fronts import Fronts, Sockets, open_sockets, serving_fronts
+from m100link.apps.station.listeners import (
+    FRONTS,
+    Fronts,
+    Sockets,
+    keep_reached,
+    open_sockets,
+    serving_fronts,
+)
+from m100link.apps.station.supervisor import Child, supervised
 from m100link.errors import UsageError
 from m100link.geodesy import LocalFrame
 from m100link.log.folder import Flights, default_folder
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.firmware import FIRMWARE_1_0
+from m100link.sim.orders.ctl import CtlServer
 from m100link.sim.ports.driver import Driver
 from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.vehicle.settings import AircraftSettings
@@ -33,90 +54,28 @@ from m100link.sim.virtual import VirtualAircraft
 if TYPE_CHECKING:
     from m100link.apps.station.web.server import Bridge
 
-__all__ = ["BESIDE", "Owner", "Running", "owning", "running"]
 
-BESIDE = 10.0
-"""Metres to the east from one virtual aircraft of a station to the next."""
+END_TIMEOUT = 15.0  # seconds that an agent has to give control authority back and end
+
+_NOT_FOR_FRONTS = ("url", "key", "key_file", "app_id", "token_file", "record", "origins", "unused")
+_FOR_AGENTS = (
+    *("url", "baud_rate", "firmware", "timeout", "sim", "app_id", "key", "key_file", "level"),
+    *("app_version", "bundle_id", "keep_authority", "max_height", "max_radius"),
+    *("record", "no_record", "record_keep", "record_keep_mb"),
+)
+
+Tell = Callable[[str, Event], None]
+
+BESIDE = 10.0  # metres to the east from one virtual aircraft of a station to the next
 
 
 @dataclass(frozen=True, slots=True)
 class Owner:
-    """What owns the aircraft.
+    """What owns the aircraft."""
 
-    Attributes:
-        agent: The aircraft and its lease.
-        service: What serves fronts.
-        virtual: The virtual aircraft that it brought, or None.
-    """
-
-    agent: Agent
-    service: Service
-    virtual: VirtualAircraft | None
-
-
-@dataclass(frozen=True, slots=True)
-class Running:
-    """A station that runs in one event loop.
-
-    Attributes:
-        owner: What owns the aircraft.
-        fronts: What strangers reach.
-        sockets: Where.
-    """
-
-    owner: Owner
-    fronts: Fronts
-    sockets: Sockets
-
-    @property
-    def agent(self) -> Agent:
-        """The aircraft and its lease."""
-        return self.owner.agent
-
-    @property
-    def has_authority(self) -> bool:
-        """Whether an aircraft obeys this station."""
-        return self.agent.holding.has_authority
-
-    @property
-    def bridge(self) -> Bridge:
-        """What rosbridge clients reach."""
-        assert self.fronts.bridge is not None
-        return self.fronts.bridge
-
-    @property
-    def virtual(self) -> VirtualAircraft | None:
-        """The virtual aircraft that it brought, or None."""
-        return self.owner.virtual
-
-    @property
-    def ports(self) -> list[int]:
-        """Ports of rosbridge, in the order of the settings."""
-        return self.sockets.ports
-
-    @property
-    def console_port(self) -> int | None:
-        """Port of the console, None without it."""
-        return self.sockets.console_port
-
-    @property
-    def metrics_port(self) -> int | None:
-        """Port of the numbers for Prometheus, None without them."""
-        return self.sockets.metrics_port
-
-    @property
-    def foxglove_port(self) -> int | None:
-        """Port of Foxglove's viewers, None without them."""
-        return self.sockets.foxglove_port
-
-    @property
-    def mavlink(self) -> list[str]:
-        """Where MAVLink is served."""
-        return self.sockets.mavlink_addresses
-
-    def console_path(self) -> str:
-        """Path that opens the console in a browser, with a code that works once where needed."""
-        return self.fronts.console_path()
+    agent: Agent  # the aircraft and its lease
+    service: Service  # what serves fronts
+    virtual: VirtualAircraft | None  # the virtual aircraft that it brought, or None
 
 
 def _virtual(credentials: Credentials | None, firmware: str | None, place: int) -> VirtualAircraft:
@@ -152,16 +111,10 @@ async def owning(
     settings: Settings,
     virtual: VirtualAircraft | None = None,
     *,
-    place: int = 0,
-    leases_before: int = 0,
+    place: int = 0,  # where a virtual aircraft stands in the row of several
+    leases_before: int = 0,  # number of the last lease that another process may have granted
 ) -> AsyncIterator[Owner]:
     """Own the aircraft while the block runs.
-
-    Args:
-        settings: Which aircraft, and whose app.
-        virtual: The virtual aircraft to use with ``sim``; by default one that stands ready.
-        place: Where a virtual aircraft stands in the row of several.
-        leases_before: Number of the last lease that another process may have granted.
 
     Raises:
         UsageError, BadKey: Something in the settings cannot be.
@@ -216,6 +169,42 @@ async def owning(
         yield Owner(agent, service, virtual)
 
 
+# -- in one event loop -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """A station that runs in one event loop: to look into it, not to fly."""
+
+    owner: Owner  # what owns the aircraft
+    fronts: Fronts  # what strangers reach
+    sockets: Sockets  # where
+
+    @property
+    def agent(self) -> Agent:
+        """The aircraft and its lease."""
+        return self.owner.agent
+
+    @property
+    def has_authority(self) -> bool:
+        """Whether an aircraft obeys this station."""
+        return self.agent.holding.has_authority
+
+    @property
+    def bridge(self) -> Bridge:
+        """What rosbridge clients reach."""
+        return cast("Bridge", self.fronts.made["rosbridge"])
+
+    @property
+    def virtual(self) -> VirtualAircraft | None:
+        """The virtual aircraft that it brought, or None."""
+        return self.owner.virtual
+
+    def console_path(self) -> str:
+        """Path that opens the console in a browser, with a code that works once where needed."""
+        return self.fronts.console_path()
+
+
 @asynccontextmanager
 async def running(
     settings: Settings,
@@ -226,12 +215,6 @@ async def running(
 ) -> AsyncIterator[Running]:
     """Run a station in this event loop while the block runs.
 
-    Args:
-        settings: What it needs to know.
-        with_console: Serve the console, too.
-        with_rosbridge: Serve rosbridge.
-        virtual: The virtual aircraft to use with ``sim``; by default one that stands ready.
-
     Raises:
         UsageError, PortBusy, PortFailed: Something in the settings cannot be, or a port is taken.
     """
@@ -240,6 +223,8 @@ async def running(
         sockets = open_sockets(
             stack, settings, with_console=with_console, with_rosbridge=with_rosbridge
         )
+        for name in sockets.of:
+            FRONTS[name].load()  # takes a second, in which a connected aircraft hears nothing
         owner = await stack.enter_async_context(owning(settings, virtual))
 
         async def reach() -> Channel:
@@ -253,3 +238,229 @@ async def running(
             serving_fronts(settings, sockets, {ONLY_NAME: reach}, orders)
         )
         yield Running(owner, fronts, sockets)
+
+
+# -- in two processes ------------------------------------------------------------------------------
+# This process owns the port, control authority, the lease and the log, and listens to nobody but
+# its fronts, behind a Unix socket in a private directory. The fronts run in a child at a lower
+# priority. A child that hangs or dies costs a hover.
+
+
+@dataclass(frozen=True, slots=True)
+class RunningApart:
+    """A station in two processes."""
+
+    owner: Owner  # what owns the aircraft, in this process
+    front: Child  # the other process
+    sockets: Sockets  # where the fronts listen
+
+    @property
+    def agent(self) -> Agent:
+        """The aircraft and its lease."""
+        return self.owner.agent
+
+    @property
+    def has_authority(self) -> bool:
+        """Whether an aircraft obeys this station."""
+        return self.agent.holding.has_authority
+
+    def console_path(self) -> str:
+        """Path that opens the console in a browser, with a code that works once where needed."""
+        return str(self.front.answer["console_path"])
+
+
+def front_settings(settings: Settings) -> dict[str, Any]:
+    """What the fronts have to know, as JSON takes it: nothing of the app and its key.
+
+    Raises:
+        UsageError: The token cannot be one.
+    """
+    given = {
+        one.name: getattr(settings, one.name)
+        for one in fields(settings)
+        if one.name not in _NOT_FOR_FRONTS
+    }
+    given["token"] = settings.access_token()
+    return _as_json(given)
+
+
+def _as_json(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings by name, as JSON takes them and :mod:`m100link.apps.station.config` reads them."""
+    return {
+        name: str(value) if isinstance(value, Path) else value
+        for name, value in given.items()
+        if value is not None
+    }
+
+
+def _front_process(
+    settings: Settings,  # who may connect, and what is served
+    sockets: Sockets,
+    agents: Mapping[str, Path],  # where each agent serves, by the name of its aircraft
+    orders: Mapping[str, Path],  # where each virtual aircraft takes orders
+    note: Callable[[str, str], None],  # takes what happens to the process, and its level
+) -> Child:
+    descriptors = sockets.descriptors()
+    request = {
+        "settings": front_settings(settings),
+        "sockets": descriptors,
+        "agents": _as_json(agents),
+        "orders": _as_json(orders),
+    }
+    return Child(
+        "fronts",
+        "the fronts",
+        request,
+        note,
+        inherited=[number for row in descriptors.values() for number in row],
+    )
+
+
+@asynccontextmanager
+async def running_apart(
+    settings: Settings,
+    *,
+    with_console: bool = False,
+    with_rosbridge: bool = True,
+    virtual: VirtualAircraft | None = None,
+) -> AsyncIterator[RunningApart]:
+    """Run a station while the block runs, with its fronts in a process of their own.
+
+    Raises:
+        UsageError, PortBusy, PortFailed: Something in the settings cannot be, or a port is taken.
+    """
+    front_settings(settings)
+    settings.niceness()  # both before anything is bound
+    async with AsyncExitStack() as stack:
+        sockets = open_sockets(
+            stack, settings, with_console=with_console, with_rosbridge=with_rosbridge
+        )
+        owner = await stack.enter_async_context(owning(settings, virtual))
+        directory = stack.enter_context(private_directory())
+        agent_path = directory / "agent.sock"
+        await stack.enter_async_context(serve_unix(agent_path, owner.service.attach))
+        orders = {}
+        if owner.virtual is not None and with_console:
+            server = CtlServer([owner.virtual], directory / "orders.sock")
+            await server.start()
+            stack.push_async_callback(server.stop)
+            orders[ONLY_NAME] = server.path
+        note = owner.agent.journal.note
+        front = _front_process(settings, sockets, {ONLY_NAME: agent_path}, orders, note)
+        await stack.enter_async_context(supervised(front))
+        # Before the child is waited for: one that hangs must not fly on until its lease ends.
+        stack.callback(owner.service.close)
+        yield RunningApart(owner, front, sockets)
+
+
+# -- several aircraft ------------------------------------------------------------------------------
+# A process for each, one for all fronts, and this one over them, which owns no aircraft and serves
+# nobody. It starts again whichever ends, and tells what happens. An agent that dies or hangs costs
+# its own aircraft a hover, and the others nothing; the fronts find the next one by themselves.
+
+
+@dataclass(frozen=True, slots=True)
+class RunningSeveral:
+    """A station that runs."""
+
+    owners: Mapping[str, Child]  # the process that owns an aircraft, by its name
+    agents: Mapping[str, AgentClient]  # what is known here of each agent
+    front: Child  # the process of the fronts
+    sockets: Sockets  # where the fronts listen
+
+    @property
+    def has_authority(self) -> bool:
+        """Whether one of the aircraft obeys this station, as far as is known here."""
+        return any(agent.has_authority for agent in self.agents.values())
+
+    def console_path(self) -> str:
+        """Path that opens the console in a browser, with a code that works once where needed."""
+        return str(self.front.answer["console_path"])
+
+
+def agent_settings(settings: Settings) -> dict[str, Any]:
+    """What an agent has to know, as JSON takes it: nothing of who may connect."""
+    found = {one.name: getattr(settings, one.name) for one in fields(settings)}
+    return _as_json({name: found[name] for name in _FOR_AGENTS})
+
+
+@asynccontextmanager
+async def running_several(
+    aircraft: Mapping[str, Settings],
+    *,
+    with_console: bool = False,
+    with_rosbridge: bool = True,
+    tell: Tell = lambda *_: None,  # called with the name of an aircraft and each of its events
+) -> AsyncIterator[RunningSeveral]:
+    """Run a station while the block runs.
+
+    Raises:
+        UsageError, PortBusy, PortFailed: Something in the settings cannot be, or a port is taken.
+    """
+    if not 1 <= len(aircraft) <= MOST_AIRCRAFT:
+        raise UsageError(
+            f"{len(aircraft)} aircraft are too many for one station",
+            remedy=f"one station has at most {MOST_AIRCRAFT}: start another one beside it",
+        )
+    settings = next(iter(aircraft.values()))
+    front_settings(settings)
+    settings.niceness()
+    if settings.ros2:
+        FRONTS["ros2"].load().check_ros2(settings, list(aircraft))  # all before anything is bound
+    async with AsyncExitStack() as stack:
+        sockets = open_sockets(
+            stack, settings, with_console=with_console, with_rosbridge=with_rosbridge
+        )
+        directory = stack.enter_context(private_directory())
+        agents: dict[str, AgentClient] = {}
+
+        def note(name: str, text: str, level: str) -> None:
+            # Without an agent there is nobody to keep it: told here alone.
+            agent = agents.get(name)
+            if agent is None or agent.is_gone:
+                tell(name, Event(0, asyncio.get_running_loop().time(), level, text))
+            else:
+                agent.note(text, level)
+
+        owners = {
+            name: _owner(name, place, one, directory, partial(note, name))
+            for place, (name, one) in enumerate(aircraft.items())
+        }
+        await stack.enter_async_context(supervised(*owners.values(), timeout=END_TIMEOUT))
+        paths = {name: _path(directory, place) for place, name in enumerate(aircraft)}
+        for name, path in paths.items():
+            reach = partial(connect_unix, path)
+            agent = AgentClient(await reach(), "the station")
+            agent.on_event.append(partial(tell, name))
+            agents[name] = await stack.enter_async_context(agent)
+            agent.background.spawn(keep_reached(agent, reach), "agent")
+        virtual = {
+            name: _path(directory, place, "orders")
+            for place, name in enumerate(aircraft)
+            if owners[name].answer["is_virtual"]
+        }
+
+        def note_all(text: str, level: str) -> None:
+            for name in agents:
+                note(name, text, level)
+
+        front = _front_process(settings, sockets, paths, virtual if with_console else {}, note_all)
+        await stack.enter_async_context(supervised(front))
+        yield RunningSeveral(owners, agents, front, sockets)
+
+
+def _path(directory: Path, place: int, kind: str = "agent") -> Path:
+    return directory / f"{kind}{place}.sock"
+
+
+def _owner(
+    name: str, place: int, settings: Settings, directory: Path, note: Callable[[str, str], None]
+) -> Child:
+    request = {
+        "name": name,
+        "settings": agent_settings(settings),
+        "place": place,
+        "agent": str(_path(directory, place)),
+        "orders": str(_path(directory, place, "orders")),
+    }
+    return Child("agent", f"the agent of {name}", request, note)

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("cyclopts")
-from m100link.apps.cli.configuration import _EXAMPLE, read_configuration
+from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.cli.outcome import ExitCode
+from m100link.apps.cli.settings import _EXAMPLE
 from tests.apps.cli.conftest import CommandLine
 from tests.apps.cli.test_configuration import FILE
 

@@ -29,7 +29,7 @@ from websockets.asyncio.client import connect
 
 from m100link.apps.cli.serve import StationOptions, aircraft_of
 from m100link.errors import M100Error
-from tests.apps.station.test_apart import Pilot
+from tests.apps.station.test_run import Pilot
 
 COMMAND = (sys.executable, "-c", "from m100link.apps.cli import main; main()")
 pytestmark = pytest.mark.anyio
@@ -160,7 +160,7 @@ def test_without_the_package_it_says_what_to_install() -> None:
         check=False,
     )
     assert done.returncode == 2
-    assert "the metrics need prometheus_client" in done.stderr
+    assert "metrics needs prometheus_client" in done.stderr
     assert "pip install '.[station]'" in done.stderr
 
 
@@ -325,8 +325,8 @@ async def test_tls(tmp_path: Path) -> None:
     cert, key = certificate(tmp_path)
     trust = ssl.create_default_context(cafile=str(cert))
     async with running(Settings(sim=True, port=0, tls_cert=cert, tls_key=key)) as one:
-        url = f"wss://localhost:{one.ports[0]}"
-        origin = f"https://localhost:{one.ports[0]}"
+        url = f"wss://localhost:{one.sockets.port('rosbridge')}"
+        origin = f"https://localhost:{one.sockets.port('rosbridge')}"
         async with connect(url, ssl=trust, additional_headers={"Origin": origin}) as client:
             await client.send('{"op":"subscribe","topic":"/flight_status"}')
             assert json.loads(await client.recv())["op"] == "publish"

@@ -17,11 +17,9 @@ from m100link.apps.agent.server.server import Service
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.station.ros.client import Client
 from m100link.apps.station.ros.dji_sdk import DjiSdk
-from m100link.apps.station.ros.graph import Graph
+from m100link.apps.station.ros.graph import Graph, Rosout, add_rosapi
 from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.node_2015 import Node
-from m100link.apps.station.ros.rosapi import add_rosapi
-from m100link.apps.station.ros.rosout import Rosout
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft

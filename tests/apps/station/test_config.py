@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from m100link.apps.station.config import Settings, resolve
-from m100link.apps.station.launch import LAUNCH_NAMES, read_launch
+from m100link.apps.station.config import LAUNCH_NAMES, Settings, read_launch, resolve
 from m100link.errors import BadKey, UsageError
 
 KEY = "00112233445566778899aabbccddeeff" * 2

@@ -15,7 +15,7 @@ import pytest
 from m100link.apps.mavlink.bridge import signature_time
 from m100link.apps.mavlink.translator.codec import Message, Signer, write_frame
 from m100link.apps.station.config import Settings
-from m100link.apps.station.mavlink import open_mavlink, serving_mavlink
+from m100link.apps.station.mavlink import prepare, serving_mavlink
 from tests.waiting import PATIENCE
 
 KEY = bytes(range(32))
@@ -34,7 +34,7 @@ def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Settings:
 async def served(settings: Settings, *frames: bytes) -> int:
     """Serve, send, and end. Returns how many were refused."""
     async with AsyncExitStack() as stack:
-        [bound] = sockets = open_mavlink(stack, settings)
+        [bound] = sockets = prepare(stack, settings)
         bridge = await stack.enter_async_context(serving_mavlink({}, settings, sockets))
         signer: Any = bridge._signer
         before = dict(signer.newest)

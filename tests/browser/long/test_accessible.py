@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from m100link.apps.station.console.page import VIEWS
-from m100link.apps.station.console.view.settings import Theme
+from m100link.apps.station.console.view.texts import Theme
 from tests.browser.conftest import Console
 from tests.browser.operator import airborne, look_at, press, shows
 from tests.browser.test_accessible import violations

@@ -106,7 +106,7 @@ class Flight:
     @property
     def front(self) -> int:
         """Process of the fronts."""
-        named = b"m100link.apps.station.front"  # a guardian is a child, too
+        named = b"m100link.apps.station.process\0fronts"  # a guardian is a child, too
         (front,) = (
             one
             for one in children(self.station.pid)

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from m100link.apps.station.console.view.actions import HELD
+from m100link.apps.station.console.view.fly import HELD
 from tests.browser.conftest import Console
 from tests.browser.operator import airborne, hold, look_around, look_at, press, shows
 

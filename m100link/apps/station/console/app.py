@@ -5,36 +5,36 @@ NiceGUI keeps its pages in one place per process, so a process serves one consol
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import re
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fastapi import FastAPI
 from nicegui import Client, core, ui
 from nicegui import app as nicegui_app
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import WebSocketRoute
 from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from m100link.apps.station.console import installable
-from m100link.apps.station.console.history import History
+from m100link.apps.station.console.kept import History
 from m100link.apps.station.console.orders import Orders
-from m100link.apps.station.console.page import Page
-from m100link.apps.station.console.policy import Policy
+from m100link.apps.station.console.page import STATIC, Page, worker_routes
 from m100link.apps.station.console.tabs import Tabs
-from m100link.apps.station.web.files import PublicFiles
-from m100link.apps.station.web.gate import Gate
-from m100link.apps.station.web.turnstile import Turnstile
+from m100link.apps.station.listeners import Fronts
+from m100link.apps.station.web.access_control import AccessControl
+from m100link.apps.station.web.limits import PageRateLimit
+from m100link.apps.station.web.server import PublicFiles, serve_http
 from m100link.errors import UsageError
 
 if TYPE_CHECKING:
     from m100link.apps.agent.client import AgentClient
     from m100link.apps.station.config import Settings
 
-__all__ = ["console_app"]
-
-STATIC = Path(__file__).parent / "static"
 
 # A keyboard on the screen makes the page smaller; the bar with STOP stays above it.
 _VIEWPORT = (
@@ -57,17 +57,11 @@ browser opens its socket within seconds.
 
 def console_app(
     agents: Mapping[str, AgentClient],
-    settings: Settings,
+    settings: Settings,  # who may connect, and the folder with tiles
     orders: Mapping[str, Orders],
-    tabs: Tabs | None = None,
-) -> Gate:
+    tabs: Tabs | None = None,  # where its tabs are kept; of its own by default
+) -> AccessControl:
     """The application behind its gate.
-
-    Args:
-        agents: The agent that owns an aircraft, by its name; more may come.
-        settings: Who may connect, and the folder with tiles.
-        orders: What the panel does that plays pilot and weather of virtual aircraft.
-        tabs: Where its tabs are kept; of its own by default.
 
     Raises:
         UsageError: The folder with tiles does not exist.
@@ -86,7 +80,7 @@ def console_app(
     for name in agents:
         history_of(name)
     app.router.routes.append(WebSocketRoute("/steer/{key}", tabs.serve))
-    app.router.routes.extend(installable.routes())
+    app.router.routes.extend(worker_routes())
     app.mount("/console", Policy(StaticFiles(directory=STATIC)))
     if settings.tiles is not None:
         if not settings.tiles.is_dir():
@@ -119,12 +113,21 @@ def console_app(
         show_welcome_message=False,
         reconnect_timeout=_RECONNECT_S,
     )
-    return Gate(
-        Turnstile(app, "/"),
+    return AccessControl(
+        PageRateLimit(app, "/"),
         hosts=settings.host_names(),
         origins=settings.allow_origin,
         access=settings.access(),
     )
+
+
+async def serve(fronts: Fronts) -> None:
+    """Serve the console."""
+    agents = await fronts.reached("console")
+    tabs = Tabs(agents, fronts.dropped.get("rosbridge", dict))
+    app = console_app(agents, fronts.settings, fronts.orders, tabs)
+    fronts.access, fronts.shown, fronts.dropped["console"] = app.access, tabs.shown, tabs.dropped
+    await serve_http(fronts, "console", app, lifespan="on")
 
 
 class _Unheard:
@@ -157,3 +160,67 @@ async def _not_found(request: Request, error: Exception) -> Response:
 
 async def _forget(sender: str, message: object) -> None:
     """What a page wants logged is the affair of its browser."""
+
+
+# -- content security policy -----------------------------------------------------------------------
+# The browser runs scripts of the station's own files, and those in the page as the station sent it:
+# the header has the hash of each. It does not run scripts that get into a page later, such as a
+# handler in an attribute or a ``<script>`` in a text.
+# NiceGUI and Vue build functions from texts that come over the page's own socket, so
+# ``'unsafe-eval'`` has to stay. The policy does not stop an attacker that writes into that socket.
+
+_INLINE = re.compile(rb"<script\b(?![^>]*\ssrc\s*=)[^>]*>(.*?)</script>", re.DOTALL | re.IGNORECASE)
+
+_RULES = (
+    "default-src 'self'; base-uri 'none'; form-action 'none'; frame-src 'none'; object-src 'none'; "
+    "frame-ancestors 'none'; img-src 'self' data: blob:; media-src 'self' data: blob:; "
+    # Looks alone: attributes of style are everywhere in it.
+    "font-src 'self' data:; style-src 'self' 'unsafe-inline'; "
+    "connect-src 'self'{sockets}; script-src 'self' 'unsafe-eval'{hashes}"
+)
+
+
+class Policy:
+    """An ASGI application whose pages carry the policy."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on; keep a page until it is whole."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        start: Message = {}
+        body = bytearray()
+
+        async def keep_pages(message: Message) -> None:
+            nonlocal start
+            if message["type"] == "http.response.start":
+                start = message
+                if _is_page(message):
+                    return
+            elif _is_page(start):
+                body.extend(message.get("body", b""))
+                if message.get("more_body", False):
+                    return
+                headers = MutableHeaders(raw=start["headers"])
+                headers["content-security-policy"] = _rules(bytes(body), Headers(scope=scope))
+                await send(start)
+                message = {"type": "http.response.body", "body": bytes(body)}
+            await send(message)
+
+        await self._app(scope, receive, keep_pages)
+
+
+def _is_page(start: Message) -> bool:
+    kind = Headers(raw=start.get("headers", [])).get("content-type", "")
+    return kind.startswith("text/html")
+
+
+def _rules(page: bytes, asked: Headers) -> str:
+    found = (hashlib.sha256(script).digest() for script in _INLINE.findall(page))
+    hashes = "".join(f" 'sha256-{base64.b64encode(one).decode()}'" for one in found)
+    # Not every browser takes 'self' for a socket of the same host. The gate has checked the name.
+    host = asked.get("host", "")
+    return _RULES.format(sockets=f" ws://{host} wss://{host}", hashes=hashes)

@@ -1,21 +1,38 @@
-"""Control of aircraft that an operator keeps while the page shows another one.
-
-A page shows and steers one aircraft: whoever turns to another gets another page. The leases go
-along, so that what hovers or flies a mission stays in the same hand.
-"""
+"""What outlives a page: control of other aircraft, words before take-off, the last minutes."""
 
 from __future__ import annotations
 
+import asyncio
+import csv
+import io
+import math
+import secrets
+import time
+from array import array
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import pairwise
+from operator import attrgetter
+from typing import Any
+
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease
+from m100link.apps.agent.messages import State
+from m100link.apps.station.console.view.fly import FREE_FOR_S
+from m100link.protocol.items import ITEMS
+from m100link.protocol.records import FlightPhase
+from m100link.telemetry.columns import columns_of
+from m100link.telemetry.state import AircraftState
 
-__all__ = ["KeptLeases"]
+# -- control of aircraft that are not shown --------------------------------------------------------
+# A page shows and steers one aircraft: whoever turns to another gets another page. The leases go
+# along, so that what hovers or flies a mission stays in the same hand.
 
-RENEWAL = 0.5
-"""Seconds between two renewals: a lease lasts 3 s."""
+RENEWAL = 0.5  # seconds between two renewals: a lease lasts 3 s
 
 
-class KeptLeases:
+class LeaseKeeper:
     """Leases by the name of their aircraft."""
 
     def __init__(self) -> None:
@@ -58,3 +75,188 @@ class KeptLeases:
         for agent, lease in leases.values():
             if agent.holds(lease):
                 agent.let_go(lease)
+
+
+# -- what operators said of the place before take-off ----------------------------------------------
+# A word counts for one person, one aircraft and one connection, for as long as it would have
+# without the reload, and only while the aircraft was seen to stand on the ground all the time: in a
+# flight, or in a gap of the telemetry, it may have come to another place. The person is the
+# browser's tab: it keeps a secret that no other tab has, so nobody takes off on what somebody else
+# has seen.
+
+MOST = 256  # persons that are remembered
+
+_STATUS = "flight_status.status"
+_LONGEST_GAP_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """One word."""
+
+    at: float  # when it was said, on the agent's clock, s
+    connection: AircraftState  # the telemetry of the connection then: each connection has another
+
+
+class Looks:
+    """Words that places are free, by person and aircraft."""
+
+    def __init__(self) -> None:
+        self._persons: dict[str, dict[str, _Look]] = {}
+
+    def person(self, secret: object) -> str:
+        """The person of whom a tab kept this secret; another one if nobody here knows it."""
+        known = secret if isinstance(secret, str) and secret in self._persons else ""
+        person = known or secrets.token_urlsafe(16)
+        self._persons[person] = self._persons.pop(person, {})  # the newest is the last to go
+        while len(self._persons) > MOST:
+            del self._persons[next(iter(self._persons))]
+        return person
+
+    def say(self, person: str, aircraft: str, agent: AgentClient, *, is_free: bool) -> None:
+        """A person looked around now, or takes that back."""
+        words = self._persons.get(person)
+        if words is None:
+            return
+        words.pop(aircraft, None)
+        if is_free and agent.telemetry is not None:
+            words[aircraft] = _Look(agent.now, agent.telemetry)
+
+    def said_at(
+        self, person: str, aircraft: str, agent: AgentClient, history: History
+    ) -> float | None:
+        """When that person looked around, on the agent's clock, s; None: look again."""
+        look = self._persons.get(person, {}).get(aircraft)
+        if look is None or agent.is_gone or agent.telemetry is not look.connection:
+            return None
+        age = agent.now - look.at
+        if age > FREE_FOR_S:
+            return None
+        rows = history.rows([_STATUS], last_s=age)
+        times = [utc for utc, _ in rows]
+        stood = all(status == FlightPhase.STANDBY for _, status in rows)
+        longest = max((after - before for before, after in pairwise(times)), default=0.0)
+        is_whole = math.isfinite(longest) and longest <= _LONGEST_GAP_S
+        return look.at if rows and stood and is_whole else None
+
+
+# -- the last minutes of every number of the telemetry and of the link -----------------------------
+# One for each aircraft, kept by the front whether somebody looks or not: a page that is opened, or
+# loaded again, has what went before. Values are taken ten times a second; what was too old then is
+# not a number, so that a gap stays a gap.
+
+INTERVAL = 0.1  # seconds between two rows
+KEPT_S = 600.0  # seconds that are kept
+
+_STALE_AFTER = 2.0  # items at 1 Hz are drawn as a line, not as points
+
+LINE_COLUMNS = (
+    *("line.packages_per_s", "line.round_trip_ms", "line.discards", "line.late_acks"),
+    *("line.dropped_writes", "line.front_lag_ms"),
+)
+"""Numbers of the way to the aircraft, beside those of the telemetry."""
+
+COLUMNS = (*columns_of(item.record for item in ITEMS), *LINE_COLUMNS)
+"""What can be drawn, as ``item.field``."""
+
+_READERS = [
+    (item.record, [attrgetter(name) for name in (*item.record._fields, *item.views)])
+    for item in ITEMS
+]
+
+
+class History:
+    """Rows of numbers, the newest :data:`KEPT_S` seconds of them."""
+
+    def __init__(self) -> None:
+        self._size = round(KEPT_S / INTERVAL)
+        self._count = 0  # of rows ever added
+        self._times = array("d", [math.nan]) * self._size
+        self._columns = {name: array("d", [math.nan]) * self._size for name in COLUMNS}
+        self._lags: list[float] = []
+        # Seconds that the event loop of this process was late, at worst in the last second.
+        self.lag = 0.0
+
+    @property
+    def count(self) -> int:
+        """Rows that were ever added; a reader begins with what it has not seen."""
+        return self._count
+
+    async def keep(self, agent: AgentClient) -> None:
+        """Add a row ten times a second, until cancelled."""
+        # The clock of the event loop stands still for nobody, and shows no date.
+        to_utc = time.time() - agent.now
+        while True:
+            due = agent.now + INTERVAL
+            await asyncio.sleep(INTERVAL)
+            self._note_lag(agent.now - due)
+            telemetry = agent.telemetry if not agent.is_gone else None
+            self.add(agent.now + to_utc, telemetry, agent.state)
+
+    def _note_lag(self, lag: float) -> None:
+        self._lags.append(max(0.0, lag))
+        if len(self._lags) >= 1.0 / INTERVAL:
+            self.lag = max(self._lags)
+            self._lags.clear()
+
+    def add(self, utc: float, telemetry: AircraftState | None, state: State) -> None:
+        """Add a row.
+
+        ``utc``: seconds since 1970. ``telemetry``: newest values and their ages; None while there
+        are none.
+        """
+        place = self._count % self._size
+        self._times[place] = utc
+        for name, value in zip(COLUMNS, self._row(telemetry, state), strict=True):
+            self._columns[name][place] = math.nan if value is None else float(value)
+        self._count += 1
+
+    def _row(self, telemetry: AircraftState | None, state: State) -> Iterator[Any]:
+        for record, readers in _READERS:
+            found = None if telemetry is None else telemetry.fresh(record, within=_STALE_AFTER)
+            for read in readers:
+                yield None if found is None else read(found)
+        if telemetry is None:
+            yield from [None] * (len(LINE_COLUMNS) - 1)
+        else:
+            rates = (telemetry.statistics(record).rate_hz for record, _ in _READERS)
+            yield max((rate for rate in rates if rate is not None), default=0.0)
+            yield None if state.round_trip is None else 1000.0 * state.round_trip
+            yield from (state.discards, state.late_acks, state.dropped_writes)
+        yield 1000.0 * self.lag
+
+    def rows(
+        self,
+        names: Sequence[str],
+        *,
+        since: int = 0,  # rows that were seen before, see :attr:`count`
+        until: int | None = None,
+        last_s: float = KEPT_S,  # only the newest seconds
+        step: int = 1,
+    ) -> list[tuple[float, ...]]:
+        """Rows as ``(utc, value, …)``, oldest first; NaN where there was no value."""
+        end = self._count if until is None else min(until, self._count)
+        first = max(since, end - round(last_s / INTERVAL), self._count - self._size, 0)
+        columns = [self._times, *(self._columns[name] for name in names)]
+        return [
+            tuple(column[number % self._size] for column in columns)
+            for number in range(first + -first % step, end, step)
+        ]
+
+    def csv(self, names: Sequence[str], *, last_s: float = KEPT_S, until: int | None = None) -> str:
+        """The same as text for a spreadsheet: times as ISO 8601 in UTC, empty for no value.
+
+        ``last_s``: only the newest seconds.
+        """
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(["utc", *names])
+        for utc, *values in self.rows(names, last_s=last_s, until=until):
+            stamp = datetime.fromtimestamp(utc, UTC).isoformat(timespec="milliseconds")
+            writer.writerow(
+                [
+                    stamp.replace("+00:00", "Z"),
+                    *(f"{v:.9g}" if math.isfinite(v) else "" for v in values),
+                ]
+            )
+        return text.getvalue()

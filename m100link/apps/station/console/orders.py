@@ -13,24 +13,15 @@ from m100link.sim.orders.actions import perform, status
 from m100link.sim.orders.ctl import send_order
 from m100link.sim.virtual import VirtualAircraft
 
-__all__ = ["Orders", "orders_by_socket", "orders_in_process"]
-
 
 class Orders:
-    """Gives orders to a virtual aircraft, and keeps what it last showed.
-
-    Args:
-        give: Carries out one order of words and returns the status.
-        shown: The status at the beginning.
-
-    Attributes:
-        status: As :func:`m100link.sim.orders.actions.status` has it, after the last order.
-    """
+    """Gives orders to a virtual aircraft, and keeps what it last showed."""
 
     def __init__(
         self, give: Callable[[list[str]], Awaitable[dict[str, Any]]], shown: dict[str, Any]
     ) -> None:
         self._give = give
+        # As :func:`m100link.sim.orders.actions.status` has it, after the last order.
         self.status = shown
 
     async def give(self, *lines: str) -> None:

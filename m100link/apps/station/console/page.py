@@ -10,41 +10,49 @@ import json
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 from nicegui import ui
+from starlette.responses import FileResponse, Response
+from starlette.routing import BaseRoute, Route
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.station.console import installable
-from m100link.apps.station.console.history import History
+from m100link.apps.station.console.components.component import (
+    Buttons,
+    Component,
+    PageContext,
+    Wording,
+    attribute,
+)
+from m100link.apps.station.console.components.data import (
+    EventsPart,
+    LinkPart,
+    PlotsPart,
+    TelemetryPart,
+)
+from m100link.apps.station.console.components.fly import ChecklistPart, Fly
+from m100link.apps.station.console.components.header import (
+    AlarmsPart,
+    FleetPart,
+    ReplayPart,
+    StatusPart,
+)
+from m100link.apps.station.console.components.map import MapPart
+from m100link.apps.station.console.components.plan import PlanPart
+from m100link.apps.station.console.components.settings import SettingsPart, load_settings
+from m100link.apps.station.console.kept import History
 from m100link.apps.station.console.orders import Orders
-from m100link.apps.station.console.parts.alarms import AlarmsPart
-from m100link.apps.station.console.parts.buttons import Buttons
-from m100link.apps.station.console.parts.checklist import ChecklistPart
-from m100link.apps.station.console.parts.events import EventsPart
-from m100link.apps.station.console.parts.fleet import FleetPart
-from m100link.apps.station.console.parts.fly import Fly
-from m100link.apps.station.console.parts.link import LinkPart
-from m100link.apps.station.console.parts.map import MapPart
-from m100link.apps.station.console.parts.part import Deck, Part
-from m100link.apps.station.console.parts.plan import PlanPart
-from m100link.apps.station.console.parts.plots import PlotsPart
-from m100link.apps.station.console.parts.replay import ReplayPart
-from m100link.apps.station.console.parts.settings import SettingsPart, load_settings
-from m100link.apps.station.console.parts.status import StatusPart
-from m100link.apps.station.console.parts.telemetry import TelemetryPart
-from m100link.apps.station.console.parts.wording import Wording, attribute
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.tabs import Tabs
-from m100link.apps.station.console.view.inputs import Inputs, Ship
-from m100link.apps.station.console.view.memory import Memory
-from m100link.apps.station.console.view.view import View, view_of
-from m100link.apps.station.console.view.words import for_browser
+from m100link.apps.station.console.view.situation import Inputs, Ship
+from m100link.apps.station.console.view.texts import for_browser
+from m100link.apps.station.console.view.view import Memory, View, view_of
 
-__all__ = ["VIEWS", "Page"]
+STATIC = Path(__file__).parent / "static"
 
 UPDATE_INTERVAL = 0.25
 
-VIEWS: dict[str, tuple[str, tuple[Callable[[Deck], Part], ...]]] = {
+VIEWS: dict[str, tuple[str, tuple[Callable[[PageContext], Component], ...]]] = {
     "fly": ("flight", (Fly,)),
     "plan": ("route", (PlanPart,)),
     "check": ("checklist", (ChecklistPart,)),
@@ -60,30 +68,21 @@ _MAP_VIEWS = ("fly", "plan")
 
 
 class Page:
-    """One tab's page.
-
-    Args:
-        agent: The agent that owns the aircraft.
-        tab: Who looks at it.
-        orders: What the panel does to a virtual aircraft, or None.
-        has_tiles: Whether there are map tiles.
-        history: The last minutes of every number.
-        tabs: Who looks at this and at other aircraft.
-    """
+    """One tab's page."""
 
     def __init__(
         self,
-        agent: AgentClient,
-        tab: Tab,
-        orders: Orders | None,
+        agent: AgentClient,  # the agent that owns the aircraft
+        tab: Tab,  # who looks at it
+        orders: Orders | None,  # what the panel does to a virtual aircraft, or None
         *,
-        has_tiles: bool,
-        history: History,
-        tabs: Tabs,
+        has_tiles: bool,  # whether there are map tiles
+        history: History,  # the last minutes of every number
+        tabs: Tabs,  # who looks at this and at other aircraft
     ) -> None:
         self._agent, self._tab = agent, tab
         wording = Wording()
-        self._deck = Deck(
+        self._context = PageContext(
             agent,
             tab,
             orders,
@@ -96,21 +95,21 @@ class Page:
             history,
             tabs,
         )
-        self._header: tuple[Part, ...] = (
-            FleetPart(self._deck),
-            StatusPart(self._deck),
-            AlarmsPart(self._deck),
-            ReplayPart(self._deck),
+        self._header: tuple[Component, ...] = (
+            FleetPart(self._context),
+            StatusPart(self._context),
+            AlarmsPart(self._context),
+            ReplayPart(self._context),
         )
-        self._map = MapPart(self._deck)
+        self._map = MapPart(self._context)
         self._sections: dict[str, ui.element] = {}
-        self._parts: dict[str, list[Part]] = {}  # of the views that were built
+        self._parts: dict[str, list[Component]] = {}  # of the views that were built
         self._shown = "fly"
 
     def build(self, key: str) -> None:
         """Lay the page out and start its updates."""
-        ui.add_head_html(f'<link rel="stylesheet" href="/console/console.css">{installable.HEAD}')
-        told = json.dumps(for_browser(self._deck.wording.settings.speaker))
+        ui.add_head_html(f'<link rel="stylesheet" href="/console/console.css">{_HEAD}')
+        told = json.dumps(for_browser(self._context.wording.settings.speaker))
         ui.add_body_html(
             '<script type="module">'
             f'import {{choose}} from "/console/said.js"; choose({told});'
@@ -119,14 +118,14 @@ class Page:
         with ui.element("header").props("id=header"):
             for part in self._header:
                 part.build()
-        self._deck.buttons.add("stop", "actions.stop", self._tab.stop, kind="stop")
+        self._context.buttons.add("stop", "actions.stop", self._tab.stop, kind="stop")
         self._build_bar()
         with ui.element("main").props("id=stage"):
             with ui.element("div").props("id=map-view"):
                 self._map.build()
             for name in VIEWS:
                 section = ui.element("section").props(f"data-view={name}")
-                self._deck.wording.put(attribute(section), f"page.view.{name}")
+                self._context.wording.put(attribute(section), f"page.view.{name}")
                 self._sections[name] = section
         self._show("fly")
         ui.timer(0.0, self._go_on, once=True)
@@ -134,8 +133,8 @@ class Page:
 
     async def _go_on(self) -> None:
         """Look and speak as it was chosen, and go on where the page was before a reload."""
-        await load_settings(self._deck)
-        deck, tab = self._deck, self._tab
+        await load_settings(self._context)
+        deck, tab = self._context, self._tab
         try:
             name, secret = await ui.run_javascript(_SHELL + "m100.kept())", timeout=_PATIENCE)
         except TimeoutError:
@@ -150,7 +149,7 @@ class Page:
             self._show(name)
 
     def _build_bar(self) -> None:
-        put = self._deck.wording.put
+        put = self._context.wording.put
         with ui.element("nav").props("id=bar") as bar:
             put(attribute(bar), "page.views")
             for name, (icon, _) in VIEWS.items():
@@ -165,7 +164,7 @@ class Page:
         self._shown = name
         if name not in self._parts:
             with self._sections[name]:
-                self._parts[name] = [make(self._deck) for make in VIEWS[name][1]]
+                self._parts[name] = [make(self._context) for make in VIEWS[name][1]]
                 for part in self._parts[name]:
                     part.build()
         self._update()
@@ -176,7 +175,7 @@ class Page:
             part.update(view)
         if self._shown in _MAP_VIEWS:
             self._map.update(view)
-        self._deck.buttons.update(view.actions)
+        self._context.buttons.update(view.actions)
 
     def _fleet(self) -> tuple[Ship, ...]:
         tab = self._tab
@@ -190,11 +189,11 @@ class Page:
                 is_shown=name == tab.aircraft,
                 is_ours=tab.has_lease if name == tab.aircraft else name in tab.kept,
             )
-            for name, agent in self._deck.tabs.agents.items()
+            for name, agent in self._context.tabs.agents.items()
         )
 
     def _dropped(self) -> tuple[tuple[str, int], ...]:
-        tabs = self._deck.tabs
+        tabs = self._context.tabs
         return (*tabs.dropped().items(), *tabs.dropped_by_clients().items())
 
     def _view(self) -> View:
@@ -213,7 +212,7 @@ class Page:
                 plan=agent.plan,
                 events=tuple(agent.events),
                 link=agent.link,
-                front_lag=self._deck.history.lag,
+                front_lag=self._context.history.lag,
                 page_trip=tab.round_trip,
                 fleet=self._fleet(),
                 dropped=self._dropped() if self._shown == "data" else (),
@@ -221,7 +220,39 @@ class Page:
                 loss=tab.loss,
                 heard_at=now - (agent.now - agent.heard_at),
                 wall=time.time(),
-                is_virtual=self._deck.orders is not None,
+                is_virtual=self._context.orders is not None,
             ),
-            self._deck.memory,
+            self._context.memory,
         )
+
+
+# -- what makes the console a program that can be installed ----------------------------------------
+# A browser keeps one page of it, which says that the station is not reached, and nothing else: no
+# telemetry, no answer of the station, no script of the console. Whatever shows a value was sent by
+# a station that runs.
+
+# With credentials: behind a token nothing is sent to whoever has no cookie.
+_HEAD = (
+    '<link rel="manifest" href="/console/manifest.webmanifest" crossorigin="use-credentials">'
+    '<link rel="icon" type="image/svg+xml" href="/console/icon.svg">'
+    '<meta name="theme-color" content="#12202f">'
+    '<meta name="mobile-web-app-capable" content="yes">'
+    # What shell.js imports, asked for with it and not after it.
+    + "".join(
+        f'<link rel="modulepreload" href="/console/{name}.js">'
+        for name in ("shell", "press", "orders", "said", "socket", "steer", "instruments", "map")
+    )
+    + "<script>navigator.serviceWorker?.register('/sw.js').catch(() => {})</script>"
+)
+"""What the page has in its head. Beyond this machine workers need TLS; without, there is none."""
+
+
+def worker_routes() -> list[BaseRoute]:
+    """The worker, from where it may stand before the whole console."""
+    return [Route("/sw.js", _worker)]
+
+
+async def _worker(request: object) -> Response:
+    return FileResponse(
+        STATIC / "sw.js", media_type="text/javascript", headers={"cache-control": "no-cache"}
+    )

@@ -15,6 +15,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Awaitable, Callable
+from enum import StrEnum
 from typing import Any, TypeGuard
 
 from m100link.apps.agent.client import AgentClient
@@ -29,18 +30,15 @@ from m100link.apps.agent.latency import (
 from m100link.apps.agent.lease import Lease, TakeOver
 from m100link.apps.agent.messages import Action, Event, LeaseChanged, Topic
 from m100link.apps.station.config import ONLY_NAME
-from m100link.apps.station.console.fate import Press
-from m100link.apps.station.console.kept import KeptLeases
+from m100link.apps.station.console.kept import LeaseKeeper
 from m100link.errors import AuthorityLost, GuardRefused, LossReason, M100Error, NotObserved
 from m100link.errors.texts import read_json
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.control import Task
 from m100link.protocol.firmware import FIRMWARE_3_1
+from m100link.protocol.records import FlightPhase, FlightStatus
 
-__all__ = ["BEAT_LIFETIME", "Tab"]
-
-BEAT_LIFETIME = 0.3
-"""Seconds that a beat lasts."""
+BEAT_LIFETIME = 0.3  # seconds that a beat lasts
 
 SPENT_AFTER = 1.0
 """Seconds of the page without a beat after which it has let go of everything by itself."""
@@ -52,43 +50,25 @@ _COMPLAINT_PAUSE = 1.0
 
 
 class Tab:
-    """What one tab may do, and has.
-
-    Args:
-        agent: The agent that owns the aircraft.
-        name: Who it is, for the banner.
-        aircraft: What the aircraft is called.
-
-    Attributes:
-        agent: As given.
-        aircraft: As given.
-        kept: Control of other aircraft, kept as long as this tab is heard.
-        name: As given; the operator may change it.
-        person: Who looks at it, past a reload: see :mod:`~m100link.apps.station.console.looks`.
-        lease: Its lease, in force or not.
-        refusal: What was refused last; None for nothing.
-        plan: What was uploaded last, None before.
-        beats: Beats that were sent on.
-        refused: Messages that could not be used.
-        dropped: Pictures of telemetry that its page did not get because it is slow.
-        lease_end: How the lease was lost, and to whom; None while the tab has it, gave it back or
-            never had it.
-        loss: Who or what took authority while the tab had the lease; None when it is held again.
-    """
+    """What one tab may do, and has."""
 
     def __init__(self, agent: AgentClient, name: str, aircraft: str = ONLY_NAME) -> None:
         self._agent = self.agent = agent
         self.aircraft = aircraft
-        self.kept = KeptLeases()
-        self.name = name
+        self.kept = LeaseKeeper()  # control of other aircraft, kept as long as this tab is heard
+        self.name = name  # as given; the operator may change it
+        # Who looks at it, past a reload: see :mod:`~m100link.apps.station.console.kept`.
         self.person = ""
-        self.lease: Lease | None = None
-        self.refusal: M100Error | None = None
-        self.plan: WaypointPlan | None = None
-        self.beats = 0
-        self.refused = 0
-        self.dropped = 0
+        self.lease: Lease | None = None  # its lease, in force or not
+        self.refusal: M100Error | None = None  # what was refused last; None for nothing
+        self.plan: WaypointPlan | None = None  # what was uploaded last, None before
+        self.beats = 0  # beats that were sent on
+        self.refused = 0  # messages that could not be used
+        self.dropped = 0  # pictures of telemetry that its page did not get because it is slow
+        # How the lease was lost, and to whom; None while the tab has it, gave it back or never had
+        # it.
         self.lease_end: LeaseChanged | None = None
+        # Who or what took authority while the tab had the lease; None when it is held again.
         self.loss: LossReason | None = None
         self._last_number = -1
         self._way = WayTime()
@@ -227,11 +207,7 @@ class Tab:
         await self._agent.ask(action, self.lease)
 
     async def stop(self, press: object = None) -> None:
-        """Stop. Any tab may.
-
-        Args:
-            press: Which press of the page it was: it comes by two ways, and is done once.
-        """
+        """Stop. Any tab may."""
         if self._is_done(press):
             return
         self._stop_now(press)
@@ -253,8 +229,7 @@ class Tab:
     def check_order(self, said_at: object) -> None:
         """Refuse a button that was pressed too long ago, or nobody knows when.
 
-        Args:
-            said_at: The station's time at the press, s, as the page reckoned it.
+        ``said_at``: the station's time at the press, s, as the page reckoned it.
 
         Raises:
             GuardRefused: It waited on its way for more than 2 s.
@@ -356,10 +331,8 @@ class Tab:
     def _heard_beat(self, lease: Lease, at: float) -> None:
         """Note a beat; after a gap of the page's own it is a new press.
 
-        Args:
-            lease: Of this tab.
-            at: When the beat was sent, s of the page's clock: beats that wait on their way leave a
-                gap here as well, with the key held all the time.
+        ``at``: when the beat was sent, s of the page's clock: beats that wait on their way leave a
+        gap here as well, with the key held all the time.
         """
         if at - self._beat_at > SPENT_AFTER:
             if self._has_to_let_go == _STOPPED:
@@ -492,3 +465,71 @@ def _is_number(value: Any) -> TypeGuard[float]:
     if not isinstance(value, int | float) or isinstance(value, bool):
         return False
     return abs(value) < 1e15  # neither NaN nor what overflows when it is reckoned with
+
+
+# -- the fate of the beats of a press --------------------------------------------------------------
+# The page shows this fate instead of what it sent. A beat counts as flown once the agent took it.
+# The agent answers only beats that it refuses, and reports its state all the time. So when it has
+# reported since, and no refusal of a beat older than :data:`CERTAIN_AFTER` seconds came, that beat
+# was flown.
+
+CERTAIN_AFTER = 0.1  # seconds in which the agent would have refused
+
+_TOLD_FOR = 0.3  # as long as a beat lasts: it was refused just now
+_STATUS_AGE_S = 2.5
+
+
+class Fate(StrEnum):
+    """What the page shows of a held key, stick or gamepad."""
+
+    SENT = "sent"  # nobody knows yet
+    FLOWN = "flown"
+    NO_CONTROL = "no_control"  # this tab has none, or the aircraft obeys somebody else
+    ON_GROUND = "on_ground"  # it stands: setpoints move nothing
+    SLOW = "slow"
+    LET_GO = "let_go_first"
+    REFUSED = "refused"  # the line of problems says why
+
+
+_GUARDS = {
+    "way_late": Fate.SLOW,
+    "way_unheard": Fate.SLOW,
+    "way_round_trip": Fate.SLOW,
+    "setpoint_age": Fate.SLOW,
+    "let_go": Fate.LET_GO,
+}
+
+
+class Press:
+    """One press of keys, sticks or a gamepad, and how much of it was carried out."""
+
+    def __init__(self) -> None:
+        # When it began to go on to the agent, when it last did, and when it was last refused.
+        self._since = self._passed_at = self._refused_at = -math.inf
+        self._why = Fate.REFUSED
+
+    def passed(self, now: float) -> None:
+        """Note that a beat went on to the agent."""
+        if now - self._passed_at > _TOLD_FOR:
+            self._since = now
+        self._passed_at = now
+
+    def refused(self, error: M100Error, now: float) -> None:
+        """Note that a beat was refused, here or by the agent."""
+        guard = error.guard if isinstance(error, GuardRefused) else ""
+        self._why, self._refused_at = _GUARDS.get(guard, Fate.REFUSED), now
+        self._passed_at = -math.inf  # what comes after it is another press
+
+    def fate(self, agent: AgentClient, now: float, *, has_lease: bool) -> Fate:
+        """Return its fate until now."""
+        if not has_lease or not agent.has_authority:
+            return Fate.NO_CONTROL
+        if now - self._refused_at <= _TOLD_FOR:
+            return self._why
+        telemetry = agent.telemetry
+        status = None if telemetry is None else telemetry.fresh(FlightStatus, within=_STATUS_AGE_S)
+        if status is not None and status.status == FlightPhase.STANDBY:
+            return Fate.ON_GROUND
+        if self._passed_at < self._since or agent.heard_at - self._since < CERTAIN_AFTER:
+            return Fate.SENT
+        return Fate.FLOWN

@@ -12,85 +12,54 @@ from urllib.parse import urlencode
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.station.console.kept import RENEWAL, KeptLeases
-from m100link.apps.station.console.looks import Looks
+from m100link.apps.station.console.kept import RENEWAL, LeaseKeeper, Looks
 from m100link.apps.station.console.tab import Tab
-from m100link.apps.station.console.view.instruments import live, seen_from_afar
-from m100link.apps.station.web.places import who_makes_room
+from m100link.apps.station.console.view.fly import live, seen_from_afar
+from m100link.apps.station.web.limits import to_evict
 from m100link.apps.station.web.protocol import WebSocketConnection
 
-__all__ = ["LIVE_INTERVAL", "PLACES", "UNHEARD_INTERVAL", "Tabs"]
-
-LIVE_INTERVAL = 0.05
-"""Seconds between two updates of the instruments."""
-
-OTHERS_INTERVAL = 0.5
-"""Seconds between two places of the aircraft that the page does not show."""
+LIVE_INTERVAL = 0.05  # seconds between two updates of the instruments
+OTHERS_INTERVAL = 0.5  # seconds between two places of the aircraft that the page does not show
 
 MOVE_PATIENCE = 8.0
 """Seconds for which control goes along to the page of another aircraft; then it is given back."""
 UNHEARD_INTERVAL = 0.25
 """Seconds between two words that the station is there while the agent is not heard."""
 
-PLACES = 32
-"""Tabs that may have a socket."""
+PLACES = 32  # tabs that may have a socket
 
 _POLICY_VIOLATION = 1008
 
 
 @dataclass(slots=True, eq=False)
 class _Place:
-    """A tab with its socket, as whoever gives places away sees it.
-
-    Attributes:
-        tab: The tab.
-        peer: Address that it comes from.
-        heard_at: When it last said anything; when it came, if it never did.
-        leaving: Set when another one gets the place.
-        has_spoken: Whether it ever said anything.
-        subscribes: Whether it gets anything: every tab does.
-    """
+    """A tab with its socket, as whoever gives places away sees it."""
 
     tab: Tab
-    peer: str
-    heard_at: float
-    leaving: asyncio.Event
-    has_spoken: bool = False
-    subscribes: bool = True
+    peer: str  # address that it comes from
+    heard_at: float  # when it last said anything; when it came, if it never did
+    leaving: asyncio.Event  # set when another one gets the place
+    has_spoken: bool = False  # whether it ever said anything
+    subscribes: bool = True  # whether it gets anything: every tab does
 
 
 @dataclass(slots=True)
 class _Move:
-    """An operator between the pages of two aircraft.
+    """An operator between the pages of two aircraft."""
 
-    Attributes:
-        name: Who it is.
-        kept: Control that goes along.
-        tab: The page of the other aircraft, once it was asked for.
-    """
-
-    name: str
-    kept: KeptLeases
-    tab: Tab | None = None
+    name: str  # who it is
+    kept: LeaseKeeper  # control that goes along
+    tab: Tab | None = None  # the page of the other aircraft, once it was asked for
 
 
 class Tabs:
-    """The tabs that are open, by the secret part of their socket's address.
-
-    Args:
-        agents: The agent that owns an aircraft, by its name; more may come.
-        dropped_by_clients: Messages that the station's other clients did not get, by their names.
-
-    Attributes:
-        agents: As given.
-        dropped_by_clients: As given.
-        tabs: Those that are open.
-        looks: What their operators said before a take-off.
-    """
+    """The tabs that are open, by the secret part of their socket's address."""
 
     def __init__(
         self,
+        # The agent that owns an aircraft, by its name; more may come.
         agents: Mapping[str, AgentClient],
+        # Messages that the station's other clients did not get, by their names.
         dropped_by_clients: Callable[[], Mapping[str, int]] = dict,
     ) -> None:
         self.agents = agents
@@ -98,17 +67,12 @@ class Tabs:
         self._agent = next(iter(agents.values()))  # the clock of all of them
         self._count = 0
         self._moves: dict[str, _Move] = {}  # by their codes
-        self.tabs: dict[str, Tab] = {}
-        self.looks = Looks()
+        self.tabs: dict[str, Tab] = {}  # those that are open
+        self.looks = Looks()  # what their operators said before a take-off
         self._places: dict[str, _Place] = {}
 
     def open(self, aircraft: str = "", moved: str = "") -> tuple[str, Tab]:
-        """A new tab.
-
-        Args:
-            aircraft: Name of the aircraft that it shows; the first when there is none of that name.
-            moved: The code that :meth:`move` gave: whoever had control keeps it.
-        """
+        """A new tab."""
         if aircraft not in self.agents:
             aircraft = next(iter(self.agents))
         self._count += 1
@@ -128,7 +92,7 @@ class Tabs:
         task that the aircraft flies by itself goes on. Control of this aircraft is kept, if there
         was any, and given back when the other page is not there within :data:`MOVE_PATIENCE`.
         """
-        kept, tab.kept = tab.kept, KeptLeases()
+        kept, tab.kept = tab.kept, LeaseKeeper()
         lease, agent = tab.lease, tab.agent
         if lease is not None and agent.holds(lease):
             flies = agent.state.task or agent.state.mission not in ("", "no mission")
@@ -205,7 +169,7 @@ class Tabs:
         others = [one for one in self._places.values() if not one.tab.has_lease]
         if len(others) < PLACES:
             return True
-        goes = who_makes_room(others, peer, self._agent.now)
+        goes = to_evict(others, peer, self._agent.now)
         if goes is None:
             return False
         goes.leaving.set()

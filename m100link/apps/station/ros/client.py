@@ -9,64 +9,51 @@ others.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from m100link.apps.station.ros.allowance import Allowance
-from m100link.apps.station.ros.encoding import Reassembly, to_cbor, to_png
 from m100link.apps.station.ros.graph import Call, Graph, Publication, Topic, canonical_name
-from m100link.apps.station.ros.messages import BadMessage, canonical_type
-from m100link.apps.station.ros.outbox import COMPRESSIONS, Outbox, Wish
+from m100link.apps.station.ros.messages import (
+    BadMessage,
+    Reassembly,
+    canonical_type,
+    fragments,
+    to_cbor,
+    to_png,
+)
+from m100link.apps.station.web.limits import TokenBucket
 from m100link.errors.texts import read_json
-
-__all__ = ["Client", "Limits"]
 
 _Packing = tuple[int | None, str]
 
-_SMALLEST_FRAGMENT = 100
-"""Characters of a fragment; who wants smaller ones gets these."""
-
-_COMPLAINT_PAUSE = 1.0
-"""Seconds between two statuses that tell a client that it does too much."""
+_SMALLEST_FRAGMENT = 100  # characters of a fragment; who wants smaller ones gets these
+_COMPLAINT_PAUSE = 1.0  # seconds between two statuses that tell a client that it does too much
 
 _LEVELS = ("none", "error", "warning", "info")
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What one client may use.
+    """What one client may use."""
 
-    Attributes:
-        message_size: Bytes of a frame it sends, and of a message from fragments.
-        bytes_rate: Bytes per second over time; four messages of full size at once.
-        work_rate: Seconds of processor time per second over time, for what it sends and gets.
-        work_burst: The same at once.
-        rate: Frames per second over time.
-        burst: Frames at once.
-        subscriptions: Subscriptions in force.
-        advertisements: Topics advertised.
-        calls: Service calls without an answer yet.
-        waiting: Messages that wait for a slow client; beyond it the oldest of the busiest topic
-            are dropped.
-        answers: Answers and statuses that wait; beyond it the client is disconnected.
-        queue_length: Longest queue of a throttled subscription.
-        faults: Frames beyond a limit or without meaning until the client is disconnected; each
-            is forgotten after a while.
-    """
-
-    message_size: int = 64 * 1024
-    bytes_rate: float = 128 * 1024
+    message_size: int = 64 * 1024  # bytes of a frame it sends, and of a message from fragments
+    bytes_rate: float = 128 * 1024  # bytes per second over time; four messages of full size at once
+    # Seconds of processor time per second over time, for what it sends and gets.
     work_rate: float = 0.1
-    work_burst: float = 0.2
-    rate: float = 200.0
-    burst: float = 400.0
-    subscriptions: int = 100
+    work_burst: float = 0.2  # the same at once
+    rate: float = 200.0  # frames per second over time
+    burst: float = 400.0  # frames at once
+    subscriptions: int = 100  # subscriptions in force
     advertisements: int = 100
-    calls: int = 16
+    calls: int = 16  # service calls without an answer yet
+    # Messages that wait for a slow client; beyond it the oldest of the busiest topic are dropped.
     waiting: int = 500
-    answers: int = 500
-    queue_length: int = 100
+    answers: int = 500  # answers and statuses that wait; beyond it the client is disconnected
+    queue_length: int = 100  # longest queue of a throttled subscription
+    # Frames beyond a limit or without meaning until the client is disconnected; each is forgotten
+    # after a while.
     faults: int = 1000
 
 
@@ -83,32 +70,16 @@ class _Fault(Exception):
 
 
 class Client:
-    """One client.
-
-    Args:
-        graph: Topics and services.
-        name: Who it is, for people.
-        limits: What it may use.
-        on_output: Called when there may be something to send.
-        on_disconnect: Called when the client has to be disconnected.
-
-    Attributes:
-        refused: Frames not carried out.
-        close_reason: Set when the client has to be disconnected.
-        recent_work: Seconds of work that it caused; whoever looks sets it back to 0.
-        peer: Address that it comes from.
-        heard_at: When it last said anything; when it came, if it never did.
-        has_spoken: Whether it ever said anything.
-        data: For the node: what it knows about this client.
-    """
+    """One client."""
 
     def __init__(
         self,
-        graph: Graph,
-        name: str = "client",
+        graph: Graph,  # topics and services
+        name: str = "client",  # who it is, for people
         *,
-        limits: Limits | None = None,
-        on_output: Callable[[], None] = lambda: None,
+        limits: Limits | None = None,  # what it may use
+        on_output: Callable[[], None] = lambda: None,  # called when there may be something to send
+        # Called when the client has to be disconnected.
         on_disconnect: Callable[[], None] = lambda: None,
     ) -> None:
         self.graph = graph
@@ -116,22 +87,22 @@ class Client:
         self.limits = limits or Limits()
         self.on_output = on_output
         self._on_disconnect = on_disconnect
-        self.refused = 0
-        self.close_reason: str | None = None
-        self.recent_work = 0.0
-        self.peer = ""
-        self.heard_at = float("-inf")
-        self.has_spoken = False
-        self.data: dict[str, Any] = {}
+        self.refused = 0  # frames not carried out
+        self.close_reason: str | None = None  # set when the client has to be disconnected
+        self.recent_work = 0.0  # seconds of work that it caused; whoever looks sets it back to 0
+        self.peer = ""  # address that it comes from
+        self.heard_at = float("-inf")  # when it last said anything; when it came, if it never did
+        self.has_spoken = False  # whether it ever said anything
+        self.data: dict[str, Any] = {}  # for the node: what it knows about this client
         self._outbox = Outbox(self.limits.waiting, self._output)
         self._advertised: dict[str, set[str]] = {}
         self._reassembly = Reassembly(self.limits.message_size)
         self._level = _LEVELS.index("error")
         self._calls = 0
-        self._frames = Allowance(self.limits.rate, self.limits.burst)
-        self._bytes = Allowance(self.limits.bytes_rate, 4 * self.limits.message_size)
-        self._work = Allowance(self.limits.work_rate, self.limits.work_burst)
-        self._faults = Allowance(self.limits.faults / 1000.0, self.limits.faults)
+        self._frames = TokenBucket(self.limits.rate, self.limits.burst)
+        self._bytes = TokenBucket(self.limits.bytes_rate, 4 * self.limits.message_size)
+        self._work = TokenBucket(self.limits.work_rate, self.limits.work_burst)
+        self._faults = TokenBucket(self.limits.faults / 1000.0, self.limits.faults)
         # When it was last told that it does too much.
         self._complained_at = float("-inf")
         self._operations: dict[str, Callable[[dict[str, Any], float], None]] = {
@@ -464,3 +435,216 @@ def _response(name: str, identity: object, values: str, result: bool) -> str:
     if identity is not None:
         begin["id"] = identity
     return f'{json.dumps(begin)[:-1]}, "values": {values}}}'
+
+
+# -- what waits for one client ---------------------------------------------------------------------
+
+COMPRESSIONS = ("none", "png", "cbor", "cbor-raw")
+"""How a message may be packed; a later one is preferred when subscriptions merge."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What one subscription asked for."""
+
+    throttle: float = 0.0  # seconds between two messages, at least
+    queue_length: int = 0  # messages that are kept while the throttle holds them back
+    fragment_size: int | None = None  # characters of a fragment, None for whole messages
+    compression: str = "none"  # one of :data:`COMPRESSIONS`
+
+
+class Subscription:
+    """All subscriptions of one client to one topic under one spelling, merged."""
+
+    __slots__ = ("dropped", "held", "name", "next_at", "pending", "topic", "wish", "wishes")
+
+    def __init__(self, topic: Topic, name: str) -> None:
+        self.topic = topic
+        self.name = name  # its name as the client spelled it
+        self.wishes: dict[str, Wish] = {}  # what was asked for, by the client's id for it
+        # The most generous of the wishes: every message that any of them asked for.
+        self.wish = Wish()
+        self.pending = 0  # messages in the outbox that were not dropped
+        # Messages that stand in the outbox and have to be passed over, the oldest first.
+        self.dropped = 0
+        self.held: deque[Publication] = deque()  # messages that the throttle holds back
+        self.next_at = float("-inf")  # when the throttle lets the next one through
+
+    def merge(self) -> None:
+        """The wishes have changed."""
+        wishes = self.wishes.values()
+        sizes = [one.fragment_size for one in wishes if one.fragment_size is not None]
+        self.wish = Wish(
+            min(one.throttle for one in wishes),
+            max(one.queue_length for one in wishes),
+            min(sizes, default=None),
+            max((one.compression for one in wishes), key=COMPRESSIONS.index),
+        )
+
+    def advance(self, now: float) -> None:
+        """A message goes out now: the next one an interval later.
+
+        A late message does not shift those after it; a microsecond makes up for rounding.
+        """
+        throttle = self.wish.throttle
+        due = self.next_at if now - self.next_at < throttle else now
+        self.next_at = due + throttle - 1e-6
+
+
+class Outbox:
+    """Messages and answers on their way to one client.
+
+    When more messages wait than may, the oldest of the topic with the most is dropped: a rare
+    message is not pushed out by a fast topic. Dropping costs no more than sending: it counts, and
+    what was dropped is passed over when its turn comes.
+    """
+
+    def __init__(self, waiting: int, on_output: Callable[[], None]) -> None:
+        self.subscriptions: dict[str, Subscription] = {}  # by name, as the client spelled it
+        # Answers and statuses: they go first, and none is dropped.
+        self.answers: deque[str | bytes] = deque()
+        self.dropped = 0  # messages dropped because the client was slow
+        self._limit = waiting
+        self._on_output = on_output
+        self._by_topic: dict[str, list[Subscription]] = {}
+        self._queue: deque[tuple[Subscription, Publication]] = deque()
+        # Messages in the queue that were not dropped.
+        self._count = 0
+        # Subscriptions by how many of their messages wait, and how many the busiest has: so that
+        # dropping costs the same however many topics there are.
+        self._crowds: list[dict[Subscription, None]] = [{}]
+        self._most = 0
+        # What is left of a message that is sent in pieces.
+        self._ready: Iterator[str | bytes] = iter(())
+        self._fragment_count = 0
+
+    def subscription(self, topic: Topic, name: str) -> Subscription:
+        """The subscription under this spelling; a new one if there is none."""
+        found = self.subscriptions.get(name)
+        if found is None:
+            found = self.subscriptions[name] = Subscription(topic, name)
+            self._by_topic.setdefault(topic.name, []).append(found)
+        return found
+
+    def unsubscribe(self, name: str) -> bool:
+        """End a subscription; returns whether it was the last of its topic."""
+        subscription = self.subscriptions.pop(name)
+        rest = self._by_topic[subscription.topic.name]
+        rest.remove(subscription)
+        if not rest:
+            del self._by_topic[subscription.topic.name]
+        return not rest
+
+    def clear(self) -> None:
+        """The client has gone."""
+        self.subscriptions.clear()
+        self._by_topic.clear()
+        self._queue.clear()
+        self.answers.clear()
+        self._count = self._most = 0
+        self._crowds = [{}]
+
+    def deliver(self, publication: Publication, now: float) -> None:
+        """A message was published; those of its topic get it."""
+        for subscription in self._by_topic.get(publication.topic.name, ()):
+            self.offer(subscription, publication, now)
+
+    def offer(self, subscription: Subscription, publication: Publication, now: float) -> None:
+        """A message for one subscription, as far as its throttle lets it through."""
+        wish = subscription.wish
+        if not wish.throttle:
+            self._put(subscription, publication)
+        elif now >= subscription.next_at and not subscription.held:
+            subscription.advance(now)
+            self._put(subscription, publication)
+        elif wish.queue_length:
+            subscription.held.append(publication)
+            while len(subscription.held) > wish.queue_length:
+                subscription.held.popleft()
+            self._on_output()
+
+    def _put(self, subscription: Subscription, publication: Publication) -> None:
+        self._queue.append((subscription, publication))
+        crowds, pending = self._crowds, subscription.pending + 1
+        if pending > 1:
+            del crowds[pending - 1][subscription]
+        if pending > self._most:
+            self._most = pending
+            if pending == len(crowds):
+                crowds.append({})
+        crowds[pending][subscription] = None
+        subscription.pending = pending
+        self._count += 1
+        if self._count > self._limit:
+            self._drop_one()
+        self._on_output()
+
+    def _take(self, subscription: Subscription) -> None:
+        """One message of it less."""
+        crowds, pending = self._crowds, subscription.pending
+        del crowds[pending][subscription]
+        if pending > 1:
+            crowds[pending - 1][subscription] = None
+        if pending == self._most and not crowds[pending]:
+            self._most = pending - 1
+        subscription.pending = pending - 1
+        self._count -= 1
+
+    def _drop_one(self) -> None:
+        busiest = next(iter(self._crowds[self._most]))
+        self._take(busiest)
+        busiest.dropped += 1
+        self.dropped += 1
+        if len(self._queue) > 2 * self._limit:
+            self._sweep()
+
+    def _sweep(self) -> None:
+        """Take out what was dropped: as many as were dropped since the last time."""
+        kept: deque[tuple[Subscription, Publication]] = deque()
+        for subscription, publication in self._queue:
+            if subscription.dropped:
+                subscription.dropped -= 1
+            else:
+                kept.append((subscription, publication))
+        self._queue = kept
+
+    def advance(self, now: float) -> None:
+        """Let time pass: release what throttled subscriptions held back."""
+        for subscription in self.subscriptions.values():
+            while subscription.held and now >= subscription.next_at:
+                subscription.advance(now)
+                self._put(subscription, subscription.held.popleft())
+
+    def next_wakeup(self) -> float | None:
+        """When :meth:`advance` has something to do."""
+        times = [one.next_at for one in self.subscriptions.values() if one.held]
+        return min(times, default=None)
+
+    def next_frame(self) -> str | bytes | None:
+        """The next frame to send; packed now, so that what is dropped was never packed."""
+        frame = next(self._ready, None)
+        if frame is not None:
+            return frame
+        if self.answers:
+            return self.answers.popleft()
+        while self._queue:
+            subscription, publication = self._queue.popleft()
+            if subscription.dropped:
+                subscription.dropped -= 1
+                continue
+            self._take(subscription)
+            return self._pack(subscription, publication)
+        return None
+
+    def _pack(self, subscription: Subscription, publication: Publication) -> str | bytes:
+        wish = subscription.wish
+        frame = publication.pack(subscription.name, wish.compression)
+        if isinstance(frame, bytes) or wish.fragment_size is None:
+            return frame
+        self._ready = self.fragmented(frame, wish.fragment_size)
+        return next(self._ready)
+
+    def fragmented(self, text: str, size: int) -> Iterator[str | bytes]:
+        """The frames of a text in pieces."""
+        self._fragment_count += 1
+        return fragments(text, size, str(self._fragment_count))

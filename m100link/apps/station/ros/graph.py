@@ -7,22 +7,27 @@ nothing a client does makes it grow.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Protocol
 
-from m100link.apps.station.ros.encoding import to_cbor, to_png
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.messages import Event
 from m100link.apps.station.ros.messages import (
     MESSAGES,
     SERVICES,
     Message,
     MessageType,
     ServiceType,
+    canonical_type,
+    definition,
+    nested,
     present,
+    serialise,
+    to_cbor,
+    to_png,
 )
-from m100link.apps.station.ros.serial import serialise
-
-__all__ = ["Call", "Graph", "Listener", "Publication", "Service", "Topic", "canonical_name"]
 
 
 def canonical_name(name: str) -> str:
@@ -66,15 +71,10 @@ class Publication:
 
 
 class Listener(Protocol):
-    """Who uses the topics and services, as they see it.
+    """Who uses the topics and services, as they see it."""
 
-    Attributes:
-        name: Who it is, for people.
-        data: For the nodes: what they know about this listener.
-    """
-
-    name: str
-    data: dict[str, Any]
+    name: str  # who it is, for people
+    data: dict[str, Any]  # for the nodes: what they know about this listener
 
     def deliver(self, publication: Publication, now: float) -> None:
         """A message was published on a topic that it subscribed."""
@@ -91,40 +91,26 @@ class Listener(Protocol):
 
 @dataclass(slots=True, eq=False)
 class Topic:
-    """A topic.
+    """A topic."""
 
-    Attributes:
-        name: Its name, with a leading slash.
-        type: Type of its messages.
-        on_publish: What a client's message does; None on topics that only the station publishes.
-        latched: Whether a new subscriber gets the last message at once.
-        subscribers: Sessions that listen.
-        last: Last message of a latched topic.
-    """
-
-    name: str
-    type: MessageType
+    name: str  # its name, with a leading slash
+    type: MessageType  # type of its messages
+    # What a client's message does; None on topics that only the station publishes.
     on_publish: Callable[[Listener, Message, float], None] | None = None
-    latched: bool = False
-    subscribers: set[Listener] = field(default_factory=set)
-    last: Message | None = None
+    latched: bool = False  # whether a new subscriber gets the last message at once
+    subscribers: set[Listener] = field(default_factory=set)  # sessions that listen
+    last: Message | None = None  # last message of a latched topic
 
 
 @dataclass(slots=True, eq=False)
 class Call:
-    """A service call of a client, to be answered once.
-
-    Attributes:
-        session: Who called.
-        request: The checked request.
-        now: When it came.
-    """
+    """A service call of a client, to be answered once."""
 
     session: Listener
     service: Service
-    request: Message
+    request: Message  # the checked request
     identity: Any
-    now: float
+    now: float  # when it came
     is_answered: bool = False
 
     def respond(self, response: Message) -> None:
@@ -143,39 +129,24 @@ class Call:
 
 @dataclass(slots=True, eq=False)
 class Service:
-    """A service.
+    """A service."""
 
-    Attributes:
-        name: Its name, with a leading slash.
-        type: Its type.
-        on_call: Answers a call, at once or later.
-    """
-
-    name: str
+    name: str  # its name, with a leading slash
     type: ServiceType
-    on_call: Callable[[Call], None]
+    on_call: Callable[[Call], None]  # answers a call, at once or later
 
 
 class Graph:
     """The topics and services, and the sessions that use them.
 
     With several aircraft each has a namespace in it: :meth:`namespace`.
-
-    Args:
-        prefix: What stands before the name of each topic and service that is added here, such as
-            ``/m100_2``.
-        whole: The graph that this one is a namespace of.
-
-    Attributes:
-        topics: Topics by name, those of all namespaces.
-        services: Services by name, those of all namespaces.
-        sessions: Clients connected now.
-        prefix: As given.
     """
 
     def __init__(self, prefix: str = "", whole: Graph | None = None) -> None:
         self.prefix = prefix
+        # Topics by name, those of all namespaces.
         self.topics: dict[str, Topic] = {} if whole is None else whole.topics
+        # Services by name, those of all namespaces.
         self.services: dict[str, Service] = {} if whole is None else whole.services
         self.sessions: set[Listener] = set() if whole is None else whole.sessions
         self._on_leave: list[Callable[[Listener, float], None]] = (
@@ -231,3 +202,210 @@ class Graph:
                 topic.subscribers.discard(session)
             for callback in self._on_leave:
                 callback(session, now)
+
+
+# -- rosapi ----------------------------------------------------------------------------------------
+# There is one node here, and no parameter server.
+
+NODE = "/m100link"  # the node that publishes and subscribes everything here
+
+
+class _Failed(Exception):
+    """A question without an answer, in words for the client."""
+
+
+def add_rosapi(graph: Graph) -> None:
+    """Offer the services of rosapi about everything in the graph."""
+    api = _RosApi(graph)
+    for name, kind, answer in (
+        ("topics", "Topics", api.topics),
+        ("topic_type", "TopicType", api.topic_type),
+        ("topics_for_type", "TopicsForType", api.topics_for_type),
+        ("topics_and_raw_types", "TopicsAndRawTypes", api.topics_and_raw_types),
+        ("publishers", "Publishers", api.publishers),
+        ("subscribers", "Subscribers", api.subscribers),
+        ("services", "Services", api.services),
+        ("service_type", "ServiceType", api.service_type),
+        ("services_for_type", "ServicesForType", api.services_for_type),
+        ("service_providers", "ServiceProviders", api.service_providers),
+        ("service_node", "ServiceNode", api.service_node),
+        ("service_host", "ServiceHost", api.service_host),
+        ("action_servers", "GetActionServers", api.action_servers),
+        ("nodes", "Nodes", api.nodes),
+        ("node_details", "NodeDetails", api.node_details),
+        ("message_details", "MessageDetails", api.message_details),
+        ("service_request_details", "ServiceRequestDetails", api.request_details),
+        ("service_response_details", "ServiceResponseDetails", api.response_details),
+        ("get_time", "GetTime", api.get_time),
+        ("get_param", "GetParam", api.get_param),
+        ("get_param_names", "GetParamNames", api.get_param_names),
+        ("has_param", "HasParam", api.has_param),
+        ("search_param", "SearchParam", api.search_param),
+        ("set_param", "SetParam", api.no_param),
+        ("delete_param", "DeleteParam", api.no_param),
+    ):
+        graph.add_service(f"/rosapi/{name}", f"rosapi/{kind}", _answering(answer))
+
+
+def _answering(answer: Callable[[Message], Message]) -> Callable[[Call], None]:
+    def on_call(call: Call) -> None:
+        try:
+            call.respond(answer(call.request))
+        except _Failed as error:
+            call.fail(str(error))
+
+    return on_call
+
+
+class _RosApi:
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+
+    def _topics(self) -> list[Topic]:
+        return [self._graph.topics[name] for name in sorted(self._graph.topics)]
+
+    def topics(self, _: Message) -> Message:
+        found = self._topics()
+        return {"topics": [one.name for one in found], "types": [one.type.name for one in found]}
+
+    def topic_type(self, request: Message) -> Message:
+        topic = self._graph.topics.get(canonical_name(request["topic"]))
+        return {"type": topic.type.name if topic else ""}
+
+    def topics_for_type(self, request: Message) -> Message:
+        wanted = canonical_type(request["type"])
+        return {"topics": [one.name for one in self._topics() if one.type.name == wanted]}
+
+    def topics_and_raw_types(self, request: Message) -> Message:
+        texts = [definition(one.type) for one in self._topics()]
+        return {**self.topics(request), "typedefs_full_text": texts}
+
+    def publishers(self, request: Message) -> Message:
+        topic = self._graph.topics.get(canonical_name(request["topic"]))
+        return {"publishers": [NODE] if topic and topic.on_publish is None else []}
+
+    def subscribers(self, request: Message) -> Message:
+        topic = self._graph.topics.get(canonical_name(request["topic"]))
+        return {"subscribers": [NODE] if topic and topic.on_publish is not None else []}
+
+    def services(self, _: Message) -> Message:
+        return {"services": sorted(self._graph.services)}
+
+    def service_type(self, request: Message) -> Message:
+        service = self._graph.services.get(canonical_name(request["service"]))
+        return {"type": service.type.name if service else ""}
+
+    def services_for_type(self, request: Message) -> Message:
+        services, wanted = self._graph.services, canonical_type(request["type"])
+        return {"services": sorted(n for n, one in services.items() if one.type.name == wanted)}
+
+    def service_providers(self, request: Message) -> Message:
+        found = self.services_for_type({"type": request["service"]})["services"]
+        return {"providers": [NODE] if found else []}
+
+    def service_node(self, request: Message) -> Message:
+        return {"node": NODE if canonical_name(request["service"]) in self._graph.services else ""}
+
+    def service_host(self, request: Message) -> Message:
+        is_here = canonical_name(request["service"]) in self._graph.services
+        return {"host": "localhost" if is_here else ""}
+
+    def action_servers(self, _: Message) -> Message:
+        return {"action_servers": []}
+
+    def nodes(self, _: Message) -> Message:
+        return {"nodes": [NODE]}
+
+    def node_details(self, request: Message) -> Message:
+        if canonical_name(request["node"]) != NODE:
+            return {}
+        topics = self._topics()
+        return {
+            "subscribing": [one.name for one in topics if one.on_publish is not None],
+            "publishing": [one.name for one in topics if one.on_publish is None],
+            "services": sorted(self._graph.services),
+        }
+
+    def message_details(self, request: Message) -> Message:
+        kind = MESSAGES.get(canonical_type(request["type"]))
+        if kind is None:
+            raise _Failed(f"there is no message type {request['type'][:128]!r} here")
+        return {"typedefs": [_typedef(one) for one in (kind, *nested(kind))]}
+
+    def request_details(self, request: Message) -> Message:
+        return self._half(request, lambda name: SERVICES[name].request)
+
+    def response_details(self, request: Message) -> Message:
+        return self._half(request, lambda name: SERVICES[name].response)
+
+    def _half(self, request: Message, half: Callable[[str], MessageType]) -> Message:
+        name = canonical_type(request["type"])
+        if name not in SERVICES:
+            raise _Failed(f"there is no service type {request['type'][:128]!r} here")
+        kind = half(name)
+        return {"typedefs": [_typedef(one) for one in (kind, *nested(kind))]}
+
+    def get_time(self, _: Message) -> Message:
+        return {"time": present()}
+
+    def get_param(self, request: Message) -> Message:
+        return {"value": request["default"] or json.dumps(None)}
+
+    def get_param_names(self, _: Message) -> Message:
+        return {"names": []}
+
+    def has_param(self, _: Message) -> Message:
+        return {"exists": False}
+
+    def search_param(self, _: Message) -> Message:
+        return {"global_name": ""}
+
+    def no_param(self, _: Message) -> Message:
+        raise _Failed("there are no parameters here that could be changed")
+
+
+def _typedef(kind: MessageType) -> Message:
+    fields = kind.fields
+    return {
+        "type": kind.type_name,
+        "fieldnames": [field.name for field in fields],
+        "fieldtypes": [field.type for field in fields],
+        # -1 is not an array, 0 one of any length.
+        "fieldarraylen": [-1 if field.length is None else field.length for field in fields],
+        "examples": [_example(kind, field.name) for field in fields],
+        "constnames": [],
+        "constvalues": [],
+    }
+
+
+def _example(kind: MessageType, name: str) -> str:
+    value = kind.default()[name]
+    if isinstance(value, dict):
+        return "{}"
+    return json.dumps(list(value) if isinstance(value, list | bytes) else value)
+
+
+# -- the station's events as ROS has them: the topic ``/rosout`` -----------------------------------
+
+LEVELS = {"info": 2, "warning": 4, "error": 8}
+"""Level of an event, and its number in rosgraph_msgs/Log."""
+
+
+class Rosout:
+    """Publishes each event."""
+
+    def __init__(self, agents: Mapping[str, AgentClient], graph: Graph) -> None:
+        self._graph = graph
+        self._topic = graph.add_topic("/rosout", "rosgraph_msgs/Log")
+        for name, agent in agents.items():
+            node = f"{NODE}/{name}" if len(agents) > 1 else NODE
+            agent.on_event.append(partial(self._tell, agent, node))
+
+    def _tell(self, agent: AgentClient, node: str, event: Event) -> None:
+        message = self._topic.type.default() | {
+            "header": {"seq": event.number & 0xFFFFFFFF, "stamp": present(), "frame_id": ""},
+            "level": LEVELS.get(event.level, 2),
+            "name": node,
+            "msg": event.text,
+        }
+        self._graph.publish(self._topic, message, agent.now)

@@ -13,12 +13,10 @@ from typing import Any
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease, LeaseRefused
-from m100link.apps.station.ros.allowance import Allowance
 from m100link.apps.station.ros.graph import Call, Graph, Listener
 from m100link.apps.station.ros.messages import Message
+from m100link.apps.station.web.limits import TokenBucket
 from m100link.errors import CommandRefused, M100Error, NoAuthority, UsageError
-
-__all__ = ["Clients"]
 
 _RENEWAL = 0.5
 _COMPLAINT_PAUSE = 1.0
@@ -27,12 +25,7 @@ _RATE, _AT_ONCE = 2.0, 10.0
 
 
 class Clients:
-    """Which rosbridge client holds the lease.
-
-    Args:
-        agent: The agent that owns the aircraft.
-        graph: Where the clients are.
-    """
+    """Which rosbridge client holds the lease."""
 
     def __init__(self, agent: AgentClient, graph: Graph) -> None:
         self._agent = agent
@@ -102,7 +95,7 @@ class Clients:
         if self.lease(session) is not None:
             return True
         now = self._agent.now
-        allowance: Allowance = session.data.setdefault(_ORDERS, Allowance(_RATE, _AT_ONCE))
+        allowance: TokenBucket = session.data.setdefault(_ORDERS, TokenBucket(_RATE, _AT_ONCE))
         if allowance.take(now):
             return True
         self.complain(session, UsageError(f"more than {_RATE:g} orders per second: not done"))

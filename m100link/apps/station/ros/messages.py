@@ -16,22 +16,12 @@ import json
 import math
 import struct
 import time
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = [
-    "MESSAGES",
-    "SERVICES",
-    "BadMessage",
-    "Message",
-    "MessageType",
-    "canonical_type",
-    "present",
-]
-
-Message = dict[str, Any]
-"""A ROS message: field names and values."""
+Message = dict[str, Any]  # a ROS message: field names and values
 
 _DEFINITIONS = """
 std_msgs/Bool: bool data
@@ -159,8 +149,7 @@ _INTEGERS = {
     for name, bits in [(f"{sign}int{bits}", bits) for sign in ("", "u") for bits in (8, 16, 32, 64)]
 } | {"byte": (-128, 127), "char": (0, 255)}
 _FLOAT32_MAX = 3.4028235677973366e38
-_MAX_ARRAY = 1000
-"""Elements of an array without a bound of its own."""
+_MAX_ARRAY = 1000  # elements of an array without a bound of its own
 
 # RFC 8746 tags of little-endian typed arrays, and the struct letter of their elements.
 _TYPED_ARRAYS = {
@@ -183,23 +172,15 @@ class BadMessage(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A field of a message.
-
-    Attributes:
-        name: Its name.
-        type: Type of the value, or of the elements of an array.
-        length: None for a single value, 0 for an array of any length, else the exact length.
-        bound: Elements that an array of any length may have when a client sends it.
-        least: Elements that an array of exact length has at least when a client sends it.
-        also: Type of the elements that do not fit the type; empty for none.
-    """
+    """A field of a message."""
 
     name: str
-    type: str
+    type: str  # type of the value, or of the elements of an array
+    # None for a single value, 0 for an array of any length, else the exact length.
     length: int | None
-    bound: int = _MAX_ARRAY
-    least: int = 0
-    also: str = ""
+    bound: int = _MAX_ARRAY  # elements that an array of any length may have when a client sends it
+    least: int = 0  # elements that an array of exact length has at least when a client sends it
+    also: str = ""  # type of the elements that do not fit the type; empty for none
 
     @property
     def is_bytes(self) -> bool:
@@ -209,15 +190,10 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class MessageType:
-    """A message type, or one half of a service type.
-
-    Attributes:
-        name: As ``package/Name``.
-        fields: In their order.
-    """
+    """A message type, or one half of a service type."""
 
     name: str
-    fields: tuple[Field, ...]
+    fields: tuple[Field, ...]  # in their order
 
     @property
     def type_name(self) -> str:
@@ -265,17 +241,11 @@ class MessageType:
 
 @dataclass(frozen=True, slots=True)
 class ServiceType:
-    """A service type.
-
-    Attributes:
-        name: As ``package/Name``.
-        request: What is sent.
-        response: What comes back.
-    """
+    """A service type."""
 
     name: str
-    request: MessageType
-    response: MessageType
+    request: MessageType  # what is sent
+    response: MessageType  # what comes back
 
     def read_request(self, args: Any) -> Message:
         """The request from the ``args`` of a call: an object, a list in field order, or nothing.
@@ -327,11 +297,8 @@ def _services() -> dict[str, ServiceType]:
     return services
 
 
-MESSAGES: dict[str, MessageType] = _messages()
-"""Message types by name."""
-
-SERVICES: dict[str, ServiceType] = _services()
-"""Service types by name."""
+MESSAGES: dict[str, MessageType] = _messages()  # message types by name
+SERVICES: dict[str, ServiceType] = _services()  # service types by name
 
 
 def canonical_type(name: str) -> str:
@@ -496,3 +463,179 @@ def _for_cbor(field: Field, value: Any) -> Any:
 
     tag, letter = _TYPED_ARRAYS[field.type]
     return CBORTag(tag, struct.pack(f"<{len(value)}{letter}", *value))
+
+
+# -- messages as ROS 1 has them in bytes -----------------------------------------------------------
+
+_LETTERS = {
+    "bool": "?",
+    "byte": "b",
+    "char": "B",
+    "int8": "b",
+    "uint8": "B",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
+_RULE = "=" * 80
+
+
+def serialise(kind: MessageType, message: Message) -> bytes:
+    """The bytes of a message: fields in order, little-endian, lengths before what has none."""
+    return b"".join(_pieces(kind, message))
+
+
+def _pieces(kind: MessageType, message: Message) -> Iterator[bytes]:
+    for field in kind.fields:
+        value = message[field.name]
+        if field.length is None:
+            yield from _scalar(field.type, value)
+            continue
+        if not field.length:
+            yield struct.pack("<I", len(value))
+        if field.type in _LETTERS:
+            yield struct.pack(f"<{len(value)}{_LETTERS[field.type]}", *value)
+        else:
+            for one in value:
+                yield from _scalar(field.type, one)
+
+
+def _scalar(kind: str, value: Any) -> Iterator[bytes]:
+    if kind in _LETTERS:
+        yield struct.pack(f"<{_LETTERS[kind]}", value)
+    elif kind == "string":
+        data = value.encode()
+        yield struct.pack("<I", len(data)) + data
+    elif kind in ("time", "duration"):
+        yield struct.pack("<II", value["secs"], value["nsecs"])
+    else:
+        yield from _pieces(MESSAGES[kind], value)
+
+
+def definition(kind: MessageType) -> str:
+    """The text of a ``.msg`` file, followed by those of every type in it."""
+    texts = [_own(kind)]
+    texts += [f"MSG: {one.name}\n{_own(one)}" for one in nested(kind)]
+    return f"\n{_RULE}\n".join(texts)
+
+
+def _own(kind: MessageType) -> str:
+    return "\n".join(f"{_written(field)} {field.name}" for field in kind.fields)
+
+
+def _written(field: Field) -> str:
+    # Inside a definition a header goes by its last name: readers of the text know it by that.
+    name = "Header" if field.type == "std_msgs/Header" else field.type
+    return name if field.length is None else f"{name}[{field.length or ''}]"
+
+
+def nested(kind: MessageType) -> list[MessageType]:
+    """The message types inside one, at any depth, each once."""
+    found: dict[str, MessageType] = {}
+    for field in kind.fields:
+        if field.type in MESSAGES:
+            inner = MESSAGES[field.type]
+            found |= {one.name: one for one in (inner, *nested(inner))}
+    return list(found.values())
+
+
+# -- how rosbridge packs a message beyond plain JSON -----------------------------------------------
+
+MAX_FRAGMENTS = 1000
+FRAGMENT_TIMEOUT = 10.0  # seconds after which a message whose fragments stopped coming is forgotten
+
+_MAX_UNFINISHED = 4
+
+
+def to_png(text: str) -> str:
+    """The ``png`` frame that carries a JSON text as the RGB pixels of an image.
+
+    The width is the root of the number of pixels; what remains of the last row is newlines, which
+    JSON ignores.
+    """
+    data = text.encode()
+    width = max(1, math.isqrt(len(data) // 3))
+    height = math.ceil(len(data) / 3 / width)
+    data += b"\n" * (3 * width * height - len(data))
+    stride = 3 * width
+    rows = b"".join(b"\0" + data[at : at + stride] for at in range(0, len(data), stride))
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    image = b"\x89PNG\r\n\x1a\n" + b"".join(
+        (_chunk(b"IHDR", header), _chunk(b"IDAT", zlib.compress(rows)), _chunk(b"IEND", b""))
+    )
+    return json.dumps({"op": "png", "data": base64.b64encode(image).decode("ascii")})
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    checksum = zlib.crc32(kind + data)
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", checksum)
+
+
+def to_cbor(value: dict[str, Any]) -> bytes:
+    """A binary frame. Needs the package cbor2."""
+    import cbor2
+
+    return cbor2.dumps(value)
+
+
+def fragments(text: str, size: int, identity: str) -> Iterator[str]:
+    """The frames of a text that is longer than ``size``; a shorter one stays as it is."""
+    if len(text) <= size:
+        yield text
+        return
+    total = math.ceil(len(text) / size)
+    for number in range(total):
+        piece = text[number * size : (number + 1) * size]
+        yield json.dumps(
+            {"op": "fragment", "id": identity, "data": piece, "num": number, "total": total}
+        )
+
+
+class Reassembly:
+    """Puts fragments of one client together again; bounded in number, size and time."""
+
+    def __init__(self, max_size: int) -> None:
+        self._max_size = max_size
+        self._unfinished: dict[str, tuple[float, list[str | None]]] = {}
+
+    def add(self, fragment: dict[str, Any], now: float) -> str | None:
+        """Take a fragment; returns the whole text with the last one.
+
+        Raises:
+            ValueError: The fragment is malformed, or the message too long.
+        """
+        identity, data = fragment.get("id"), fragment.get("data")
+        number, total = fragment.get("num"), fragment.get("total")
+        if not isinstance(identity, str | int) or not isinstance(data, str):
+            raise ValueError("a fragment needs id and data")
+        if type(number) is not int or type(total) is not int:
+            raise ValueError("a fragment needs the integers num and total")
+        if not (1 <= total <= MAX_FRAGMENTS and 0 <= number < total):
+            raise ValueError(f"fragment {number} of {total} cannot be")
+        key = str(identity)[:256]
+        self._forget_old(now)
+        begun_at, pieces = self._unfinished.get(key) or (now, [None] * total)
+        if len(pieces) != total or pieces[number] is not None:
+            del self._unfinished[key]
+            raise ValueError(f"fragment {number} of {total} does not fit those before")
+        pieces[number] = data
+        if sum(len(piece) for piece in pieces if piece is not None) > self._max_size:
+            self._unfinished.pop(key, None)
+            raise ValueError(f"the whole message is longer than {self._max_size} characters")
+        if None in pieces:
+            if key not in self._unfinished and len(self._unfinished) >= _MAX_UNFINISHED:
+                raise ValueError(f"{_MAX_UNFINISHED} messages are unfinished already")
+            self._unfinished[key] = (begun_at, pieces)
+            return None
+        self._unfinished.pop(key, None)
+        return "".join(piece for piece in pieces if piece is not None)
+
+    def _forget_old(self, now: float) -> None:
+        for key, (begun_at, _) in list(self._unfinished.items()):
+            if now - begun_at > FRAGMENT_TIMEOUT:
+                del self._unfinished[key]

@@ -23,8 +23,6 @@ from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
 from m100link.protocol.firmware import FIRMWARE_3_1
 
-__all__ = ["Missions"]
-
 _STATUS_S = 0.25
 _CIRCLE, _LATEST = "hotpoint", "latest upload"
 _MOST_POINTS = 99
@@ -44,13 +42,7 @@ _KINDS = {"no mission": 0, "waypoint mission": 1, "hotpoint": 2, "follow mission
 
 
 class Missions:
-    """The topics and services of missions.
-
-    Args:
-        agent: The agent that owns the aircraft.
-        graph: Where they are offered.
-        clients: Who holds the lease.
-    """
+    """The topics and services of missions."""
 
     def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
         self._agent, self._graph, self._clients = agent, graph, clients

@@ -47,14 +47,11 @@ from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Battery, FlightStatus
 from m100link.telemetry.subscription import Newest
 
-__all__ = ["PRESS_LIFETIME", "REPEAT_LIFETIME", "Node"]
-
 PRESS_LIFETIME = 0.7
 """Seconds of a setpoint that differs from the one before: longer than the wait before a held key
 repeats (250 to 660 ms by system)."""
 
-REPEAT_LIFETIME = 0.2
-"""Seconds of a setpoint that was repeated: held keys repeat every 25 to 40 ms."""
+REPEAT_LIFETIME = 0.2  # seconds of a setpoint that was repeated: held keys repeat every 25 to 40 ms
 
 NO_AUTHORITY = 8.0
 """On ``/activation_status``: an answer said that something is missing (codes 0xFF00 to 0xFF02)."""
@@ -67,13 +64,7 @@ _NEEDS_MORE = (NotActivated, LevelTooLow, CommandNotSupported, KeyRejected)
 
 
 class Node:
-    """The topics of 2015.
-
-    Args:
-        agent: The agent that owns the aircraft.
-        graph: Where the topics are offered.
-        clients: Who holds the lease.
-    """
+    """The topics of 2015."""
 
     def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
         self._agent, self._graph, self._clients = agent, graph, clients

@@ -13,38 +13,25 @@ cuts off a connection that waits too long.
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import errno
 import logging
+import socket
+import ssl
 import time
 from collections import deque
 from collections.abc import Callable
 from typing import Any, Protocol, cast
 
-from m100link.apps.station.ros.allowance import Allowance
-from m100link.apps.station.web.logs import SparingLogger
+from m100link.apps.station.web.limits import ConnectionLimit, SparingLogger, TokenBucket
 
-__all__ = [
-    "BYTES_RATE",
-    "EVENTS_AT_ONCE",
-    "EVENTS_RATE",
-    "PIECE",
-    "READ",
-    "Connection",
-    "Intake",
-    "Metered",
-    "Waiting",
-]
+_log = SparingLogger(logging.getLogger(__name__))
 
-READ = 2048
-"""Bytes that are taken from a connection before it has had its turn."""
 
-PIECE = 256
-"""Bytes that are parsed without a break: 42 frames, a millisecond, at most."""
-
-TURN = 0.002
-"""Seconds after which those that do not steer leave the loop to the others."""
-
-LONGEST_PAUSE = 0.1
-"""Seconds that they pause after it at most."""
+READ = 2048  # bytes that are taken from a connection before it has had its turn
+PIECE = 256  # bytes that are parsed without a break: 42 frames, a millisecond, at most
+TURN = 0.002  # seconds after which those that do not steer leave the loop to the others
+LONGEST_PAUSE = 0.1  # seconds that they pause after it at most
 
 BYTES_RATE, BYTES_AT_ONCE = 160 * 1024.0, 512 * 1024.0
 """Bytes of one connection, per second over time and at once."""
@@ -54,8 +41,6 @@ EVENTS_RATE, EVENTS_AT_ONCE = 400.0, 800.0
 
 _STRAIN_RATE, _STRAIN = 0.25, 5.0
 """Seconds for which a connection may be kept waiting for its budget, per second and at once."""
-
-_log = SparingLogger(logging.getLogger(__name__))
 
 
 class Waiting(Protocol):
@@ -76,12 +61,7 @@ class Waiting(Protocol):
 
 
 class Connection(Protocol):
-    """The protocol on a connection: HTTP or WebSocket.
-
-    Attributes:
-        events: Frames or parts of requests that it has parsed.
-        steers: Whether it holds control of an aircraft.
-    """
+    """The protocol on a connection: HTTP or WebSocket."""
 
     @property
     def events(self) -> int:
@@ -97,8 +77,7 @@ class Connection(Protocol):
 class Intake:
     """Gives connections their turns; a process has one for all that it serves.
 
-    Args:
-        work: Seconds for which this process has worked until now.
+    ``work``: seconds for which this process has worked until now.
     """
 
     def __init__(self, work: Callable[[], float] = time.thread_time) -> None:
@@ -150,12 +129,7 @@ class Intake:
 
 
 class Metered(asyncio.BufferedProtocol, asyncio.Transport):
-    """One connection: the protocol of its transport, and the transport of what speaks on it.
-
-    Args:
-        intake: Gives the connection its turns.
-        inner: The first protocol on it.
-    """
+    """One connection: the protocol of its transport, and the transport of what speaks on it."""
 
     is_dear = False
 
@@ -167,9 +141,9 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
         self._transport: asyncio.Transport | None = None
         self._space = memoryview(bytearray(READ))
         self._begin = self._end = 0  # what was read and not parsed
-        self._bytes = Allowance(BYTES_RATE, BYTES_AT_ONCE)
-        self._events = Allowance(EVENTS_RATE, EVENTS_AT_ONCE)
-        self._strain = Allowance(_STRAIN_RATE, _STRAIN)
+        self._bytes = TokenBucket(BYTES_RATE, BYTES_AT_ONCE)
+        self._events = TokenBucket(EVENTS_RATE, EVENTS_AT_ONCE)
+        self._strain = TokenBucket(_STRAIN_RATE, _STRAIN)
         self._is_queued = False  # or waits for its budget
         self._is_held = False  # by what speaks on it
         self._is_over = False
@@ -312,3 +286,142 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
     def get_write_buffer_size(self) -> int:
         """Return how many bytes were not sent yet."""
         return self._outer.get_write_buffer_size()
+
+
+# -- a listening socket that admits connections one by one -----------------------------------------
+# asyncio's own server accepts every connection and begins a TLS handshake with each at once. Here a
+# connection costs only a descriptor until its first bytes arrive. Then it waits for its turn like
+# all input of strangers: one handshake in a turn of the loop.
+
+_AT_ONCE = 8
+_FULL_PAUSE = 1.0
+"""Seconds without a look after there was no descriptor, or no memory, for one more."""
+
+_FULL = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+
+
+class Listener:
+    """Listens, until it is closed."""
+
+    steers, is_dear = False, False
+
+    def __init__(
+        self,
+        listening: socket.socket,
+        intake: Intake,  # gives turns to new connections
+        door: ConnectionLimit,  # limits the number of connections
+        connection: Callable[[], asyncio.Protocol],  # makes the protocol of a connection
+        *,
+        context: ssl.SSLContext | None,  # for TLS, None without it
+        patience: float,  # seconds for the first bytes, and for a handshake
+    ) -> None:
+        self._listening = listening
+        self._loop = asyncio.get_running_loop()
+        self.intake, self.door, self.connection = intake, door, connection
+        self.context, self.patience = context, patience
+        self._newcomers: set[_Newcomer] = set()
+        self._is_closed = False
+        self._listen()
+
+    def _listen(self) -> None:
+        if not self._is_closed:
+            self._loop.add_reader(self._listening, self._ready)
+
+    def _ready(self) -> None:
+        self._loop.remove_reader(self._listening)
+        self.intake.put(self)
+
+    def step(self) -> None:
+        """Accept some of the waiting connections."""
+        if self._is_closed:
+            return
+        for _ in range(_AT_ONCE):
+            try:
+                accepted, address = self._listening.accept()
+            except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+                break
+            except OSError as error:
+                _log.error("no connection can be accepted: %s", error.strerror or error)
+                if error.errno in _FULL:
+                    self._loop.call_later(_FULL_PAUSE, self._listen)
+                return
+            accepted.setblocking(False)
+            self._newcomers.add(_Newcomer(self, accepted, str(address[0])))
+        self._listen()
+
+    def forget(self, newcomer: _Newcomer) -> None:
+        """Remove a connection from the newcomers."""
+        self._newcomers.discard(newcomer)
+
+    def close(self) -> None:
+        """Take no new connections."""
+        if not self._is_closed:
+            self._is_closed = True
+            self._loop.remove_reader(self._listening)
+            for one in list(self._newcomers):
+                one.turn_out()
+
+    async def wait_closed(self) -> None:
+        """Return at once: closing takes no time."""
+
+
+class _Newcomer:
+    """A connection that has not been read yet."""
+
+    steers, is_answered = False, True
+
+    def __init__(self, listener: Listener, accepted: socket.socket, peer: str) -> None:
+        self.peer = peer  # address of the client
+        self._listener, self._accepted = listener, accepted
+        self._loop = asyncio.get_running_loop()
+        self._task: asyncio.Task[None] | None = None
+        self._is_entering = False  # a task that was made has not begun yet
+        self._patience = self._loop.call_later(listener.patience, self.turn_out)
+        self._loop.add_reader(accepted, self._ready)
+        listener.door.enter(self)
+
+    @property
+    def is_dear(self) -> bool:
+        """Whether a step costs much: a handshake does."""
+        return self._listener.context is not None
+
+    def _ready(self) -> None:
+        self._loop.remove_reader(self._accepted)
+        self._listener.intake.put(self)
+
+    def turn_out(self) -> None:
+        """Close it at once."""
+        self._leave()
+        if self._task is not None:
+            self._task.cancel()
+        if not self._is_entering:  # else its transport closes the socket
+            self._loop.remove_reader(self._accepted)
+            self._accepted.close()
+
+    def _leave(self) -> None:
+        self._patience.cancel()
+        self._listener.door.leave(self)
+        self._listener.forget(self)
+
+    def step(self) -> None:
+        """Admit the connection."""
+        if self._accepted.fileno() >= 0:
+            self._patience.cancel()
+            self._task = asyncio.create_task(self._enter(), name="m100link station: newcomer")
+
+    async def _enter(self) -> None:
+        self._is_entering = True
+        listener = self._listener
+        patience = listener.patience if listener.context is not None else None
+        try:
+            # A handshake that fails or takes too long is its client's affair.
+            with contextlib.suppress(OSError):
+                await self._loop.connect_accepted_socket(
+                    lambda: Metered(listener.intake, listener.connection()),
+                    self._accepted,
+                    ssl=listener.context,
+                    ssl_handshake_timeout=patience,
+                    ssl_shutdown_timeout=patience,
+                )
+        finally:
+            self._leave()

@@ -28,17 +28,17 @@ from starlette.routing import Route
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import LinkCounted
+from m100link.apps.station.listeners import Fronts
 from m100link.apps.station.ros.client import Client
-from m100link.apps.station.web.gate import Gate
+from m100link.apps.station.web.access_control import AccessControl
+from m100link.apps.station.web.server import Bridge, serve_http
 from m100link.protocol.items import ITEMS
 
 if TYPE_CHECKING:
     from starlette.requests import Request
 
     from m100link.apps.station.config import Settings
-    from m100link.apps.station.web.server import Bridge
 
-__all__ = ["DASHBOARD", "StationMetrics", "metrics_app"]
 
 DASHBOARD = files("m100link.apps.station.web") / "grafana.json"
 """A dashboard for Grafana that shows all of them."""
@@ -86,12 +86,7 @@ _COUNTED: tuple[tuple[str, str, str, Mapping[str, str]], ...] = (
 
 
 class StationMetrics(Collector):
-    """What is counted in a station, taken when somebody scrapes.
-
-    Args:
-        bridge: The agents, and who is connected.
-        dropped_by_tabs: Pictures that tabs of the console did not get, by their name.
-    """
+    """What is counted in a station, taken when somebody scrapes."""
 
     def __init__(
         self, bridge: Bridge, dropped_by_tabs: Callable[[], Mapping[str, int]] = dict
@@ -223,7 +218,7 @@ def _state_of(agent: AgentClient) -> str:
 
 def metrics_app(
     bridge: Bridge, settings: Settings, dropped_by_tabs: Callable[[], Mapping[str, int]] = dict
-) -> Gate:
+) -> AccessControl:
     """``/metrics`` and ``/dashboard.json``, behind the gate of the station."""
     registry = CollectorRegistry()
     registry.register(StationMetrics(bridge, dropped_by_tabs))
@@ -246,9 +241,17 @@ def metrics_app(
         Route("/metrics", metrics),
         Route("/dashboard.json", dashboard),
     ]
-    return Gate(
+    return AccessControl(
         Starlette(routes=routes),
         hosts=settings.host_names(),
         origins=settings.allow_origin,
         access=settings.access(),
     )
+
+
+async def serve(fronts: Fronts) -> None:
+    """Serve the numbers of rosbridge, of the console and of the link."""
+    bridge = fronts.made["rosbridge"]
+    assert isinstance(bridge, Bridge)
+    app = metrics_app(bridge, fronts.settings, fronts.dropped.get("console", dict))
+    await serve_http(fronts, "metrics", app)

@@ -23,24 +23,20 @@ from websockets.exceptions import ProtocolError
 from websockets.frames import Frame, Opcode
 from websockets.server import ServerProtocol
 
-from m100link.apps.station.web.door import Door
 from m100link.apps.station.web.intake import Intake, Metered
-from m100link.apps.station.web.logs import SparingLogger
+from m100link.apps.station.web.limits import ConnectionLimit, SparingLogger
 
 if TYPE_CHECKING:
     from uvicorn._types import ASGISendEvent
     from websockets.http11 import Request, Response
 
-__all__ = ["HEADERS", "Config", "HttpConnection", "WebSocketConnection"]
 
-PATIENCE = 5.0
-"""Seconds in which a connection has to have asked something completely."""
+PATIENCE = 5.0  # seconds in which a connection has to have asked something completely
 
 _FLUSH_TIME = 2.0
 
 _LONGEST_HEAD = 16 * 1024
-_REQUEST_COST = 16
-"""Frames that a request stands for: 25 requests a second of one connection."""
+_REQUEST_COST = 16  # frames that a request stands for: 25 requests a second of one connection
 
 _FRAMED = 512
 """Messages that are kept framed: more than ten clients with every topic are behind each other."""
@@ -63,24 +59,13 @@ HEADERS = (
 
 
 class Config(uvicorn.Config):
-    """What the connections of one server share.
-
-    Args:
-        app: The application.
-        intake: Gives their connections turns; of its own by default.
-        keywords: As uvicorn takes them.
-
-    Attributes:
-        door: Connections that speak HTTP.
-        intake: As given.
-        log: Where they complain.
-    """
+    """What the connections of one server share."""
 
     def __init__(self, app: Any, intake: Intake | None = None, **keywords: Any) -> None:
         # Proxy headers are not believed: anybody could say who and how he came.
         own: dict[str, Any] = {"http": HttpConnection, "ws": WebSocketConnection}
         super().__init__(app, **keywords, **own, headers=list(HEADERS), proxy_headers=False)
-        self.door = Door()
+        self.door = ConnectionLimit()  # connections that speak HTTP
         self.intake = intake or Intake()
         # Below warnings, uvicorn and websockets write addresses, headers and messages as they
         # came: tokens, cookies and the keys of pages stand in them.
@@ -96,13 +81,9 @@ def _framed(message: str | bytes) -> bytes:
 
 
 class _Frames(ServerProtocol):
-    """Frames of a WebSocket, counted.
+    """Frames of a WebSocket, counted."""
 
-    Attributes:
-        count: How many came.
-    """
-
-    count = 0
+    count = 0  # how many came
 
     def recv_frame(self, frame: Frame) -> None:
         """A frame has come.
@@ -124,11 +105,7 @@ class _Frames(ServerProtocol):
 
 
 class WebSocketConnection(WebSocketsSansIOProtocol):
-    """A WebSocket of the station.
-
-    Attributes:
-        is_steering: Whether its client holds control of an aircraft, as its application knows.
-    """
+    """A WebSocket of the station."""
 
     config: Config
 
@@ -137,6 +114,7 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
         self.logger = cast(logging.Logger, self.config.log)
         self._heard_at = 0.0
         self.conn: _Frames = _Frames(max_size=self.config.ws_max_size, logger=self.logger)
+        # Whether its client holds control of an aircraft, as its application knows.
         self.is_steering: Callable[[], bool] = lambda: False
 
     @property
@@ -202,15 +180,10 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
 
 
 class _Requests(h11.Connection):
-    """Requests, counted. None has a body: nothing that the station serves needs one.
+    """Requests, counted. None has a body: nothing that the station serves needs one."""
 
-    Attributes:
-        count: What was parsed; a request counts for as many frames as it costs.
-        is_too_much: Whether a request came with a body.
-    """
-
-    count = 0
-    is_too_much = False
+    count = 0  # what was parsed; a request counts for as many frames as it costs
+    is_too_much = False  # whether a request came with a body
 
     def next_event(self) -> Any:
         """What comes next.
@@ -234,21 +207,16 @@ def _announces_body(name: bytes, value: bytes) -> bool:
 
 
 class HttpConnection(H11Protocol):
-    """A connection that speaks HTTP, until it asks for a WebSocket.
-
-    Attributes:
-        peer: Address that it comes from.
-        steers: It does not.
-    """
+    """A connection that speaks HTTP, until it asks for a WebSocket."""
 
     config: Config
-    steers = False
+    steers = False  # it does not
 
     def __init__(self, *args: Any, **keywords: Any) -> None:
         super().__init__(*args, **keywords)
         self.logger = cast(logging.Logger, self.config.log)
         self.conn: _Requests = _Requests(h11.SERVER, _LONGEST_HEAD)
-        self.peer = ""
+        self.peer = ""  # address that it comes from
         # Ends the connection unless it asks something, or its answer is on the way.
         self._patience: asyncio.TimerHandle | None = None
         self._waited = 0.0

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
 import logging
+import os
 import socket
 import ssl
 import time
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import AsyncIterator, Generator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
@@ -20,32 +20,29 @@ import uvicorn
 from starlette.applications import Starlette
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.station.config import namespace_of
+from m100link.apps.station.listeners import Fronts
 from m100link.apps.station.ros.client import Client, Limits
 from m100link.apps.station.ros.dji_sdk import DjiSdk
-from m100link.apps.station.ros.graph import Graph
+from m100link.apps.station.ros.graph import Graph, Rosout, add_rosapi
 from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.node_2015 import Node
-from m100link.apps.station.ros.rosapi import add_rosapi
-from m100link.apps.station.ros.rosout import Rosout
-from m100link.apps.station.web.files import PublicFiles
-from m100link.apps.station.web.gate import App, Gate
-from m100link.apps.station.web.intake import Intake
-from m100link.apps.station.web.listener import Listener
-from m100link.apps.station.web.logs import SparingLogger
-from m100link.apps.station.web.places import who_makes_room
+from m100link.apps.station.web.access_control import AccessControl
+from m100link.apps.station.web.intake import Intake, Listener
+from m100link.apps.station.web.limits import SparingLogger, to_evict
 from m100link.apps.station.web.protocol import PATIENCE, Config, HttpConnection, WebSocketConnection
-from m100link.errors import PortBusy, PortFailed, UsageError
+from m100link.errors import UsageError
 
 if TYPE_CHECKING:
     from starlette.requests import Request
+    from starlette.types import ASGIApp
 
     from m100link.apps.station.config import Settings
 
-__all__ = ["Bridge", "Server", "listen"]
 
 PING_INTERVAL, PING_TIMEOUT = 2.0, 3.0
 _POLICY_VIOLATION = 1008
@@ -59,35 +56,24 @@ _LAST_PORT = 65535
 
 
 class Bridge:
-    """Everything that rosbridge clients reach: topics, services, sockets.
-
-    Args:
-        agents: The agent that owns an aircraft, by its name. The topics and services of the first
-            are called as DJI's are, those of the others stand in a namespace of their name.
-        limits: What one client may use.
-        max_clients: Clients at once.
-        pages: Folder with web pages to serve on the same port.
-
-    Attributes:
-        agents: As given.
-        graph: Topics and services.
-        clients: Who holds the lease of which aircraft.
-    """
+    """Everything that rosbridge clients reach: topics, services, sockets."""
 
     def __init__(
         self,
+        # The agent that owns an aircraft, by its name. The topics and services of the first are
+        # called as DJI's are, those of the others stand in a namespace of their name.
         agents: Mapping[str, AgentClient],
         *,
-        limits: Limits | None = None,
-        max_clients: int = 32,
-        pages: Path | None = None,
+        limits: Limits | None = None,  # what one client may use
+        max_clients: int = 32,  # clients at once
+        pages: Path | None = None,  # folder with web pages to serve on the same port
     ) -> None:
         self.agents = agents
         self._limits = limits or Limits()
         self._max_clients = max_clients
         self._log = SparingLogger(logging.getLogger(__name__))
-        self.graph = Graph()
-        self.clients: dict[str, Clients] = {}
+        self.graph = Graph()  # topics and services
+        self.clients: dict[str, Clients] = {}  # who holds the lease of which aircraft
         for name, agent in agents.items():
             part = self.graph.namespace(namespace_of(name)) if self.clients else self.graph
             clients = self.clients[name] = Clients(agent, part)
@@ -113,9 +99,9 @@ class Bridge:
         """The agent of the first aircraft, or the only one."""
         return next(iter(self.agents.values()))
 
-    def app(self, settings: Settings) -> Gate:
+    def app(self, settings: Settings) -> AccessControl:
         """The application behind its gate."""
-        return Gate(
+        return AccessControl(
             self._app,
             hosts=settings.host_names(),
             origins=settings.allow_origin,
@@ -152,7 +138,7 @@ class Bridge:
         others = [one for one in self._sessions if not self._steers(one)]
         if len(others) < self._max_clients:
             return True
-        goes = who_makes_room(others, peer, now)
+        goes = to_evict(others, peer, now)
         if goes is None:
             return False
         goes.disconnect(
@@ -303,7 +289,7 @@ class Server(uvicorn.Server):
     @classmethod
     def make(
         cls,
-        app: App,
+        app: ASGIApp,
         settings: Settings,
         *,
         message_size: int = Limits().message_size,
@@ -382,32 +368,58 @@ class Server(uvicorn.Server):
             await asyncio.sleep(0.01)
 
 
-def listen(host: str, port: int) -> socket.socket:
-    """A listening socket.
+# -- as a front ------------------------------------------------------------------------------------
 
-    Raises:
-        PortBusy, PortFailed: Another program has the port, or the address cannot be bound.
-        UsageError: There is no port of that number.
-    """
-    if not 0 <= port <= _LAST_PORT:
-        raise UsageError(
-            f"there is no port {port}", remedy=f"choose 1 to {_LAST_PORT}, or 0 for any"
-        )
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listening = socket.socket(family, socket.SOCK_STREAM)
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+
+async def serve(fronts: Fronts) -> None:
+    """Serve rosbridge."""
+    agents = await fronts.reached("rosbridge")
+    settings = fronts.settings
+    bridge = Bridge(agents, max_clients=settings.max_clients, pages=settings.pages)
+    fronts.made["rosbridge"], fronts.dropped["rosbridge"] = bridge, bridge.dropped
+    await serve_http(fronts, "rosbridge", bridge.app(settings))
+
+
+async def serve_http(
+    fronts: Fronts, name: str, app: ASGIApp, *, lifespan: Literal["on", "off"] = "off"
+) -> None:
+    """Serve an application on the sockets of a front."""
+    server = Server.make(app, fronts.settings, lifespan=lifespan, intake=fronts.intake)
+    await fronts.stack.enter_async_context(_serving(server, fronts.take(name)))
+    fronts.servers.append(server)
+
+
+@contextlib.asynccontextmanager
+async def _serving(server: Server, sockets: list[socket.socket]) -> AsyncIterator[None]:
+    serving = asyncio.create_task(server.run_on(sockets), name="m100link station: server")
+    started = asyncio.create_task(server.wait_started())
     try:
-        listening.bind((host, port))
-    except OSError as error:
-        listening.close()
-        kind = PortBusy if error.errno == errno.EADDRINUSE else PortFailed
-        raise kind(
-            f"{host}:{port} cannot be served: {error.strerror or error}",
-            cause="another station, or a real rosbridge, runs on this machine"
-            if kind is PortBusy
-            else "",
-            remedy="end it, or choose another --port",
-        ) from error
-    listening.listen(_BACKLOG)
-    listening.setblocking(False)
-    return listening
+        await asyncio.wait((serving, started), return_when=asyncio.FIRST_COMPLETED)
+        if serving.done():
+            await serving
+        yield
+    finally:
+        started.cancel()
+        serving.cancel()
+        await asyncio.gather(serving, started, return_exceptions=True)
+
+
+# -- folders that the station serves ---------------------------------------------------------------
+
+
+class PublicFiles(StaticFiles):
+    """The files of a folder without those whose name, or that of a folder above, has a dot first.
+
+    ``.git``, ``.env`` and the like lie in many a folder, and nobody means to publish them. A link
+    counts as what it points to.
+    """
+
+    def lookup_path(self, path: str) -> tuple[str, os.stat_result | None]:
+        """Where the file is; there is none where one is hidden."""
+        found, status = super().lookup_path(path)
+        for directory in self.all_directories if status is not None else ():
+            inside = os.path.relpath(os.path.realpath(found), os.path.realpath(directory))
+            parts = [*Path(path).parts, *Path(inside).parts]
+            if any(part.startswith(".") and part not in (".", "..") for part in parts):
+                return "", None
+        return found, status

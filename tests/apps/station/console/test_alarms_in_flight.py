@@ -11,14 +11,14 @@ import pytest
 from m100link.apps.agent.guided import ChangeHeight
 from m100link.apps.agent.messages import Action
 from m100link.apps.station.console.view.alarms import ALARMS, AlarmName, AlarmState
-from m100link.apps.station.console.view.inputs import Inputs
-from m100link.apps.station.console.view.memory import Memory
-from m100link.apps.station.console.view.words import Speaker
+from m100link.apps.station.console.view.situation import Inputs
+from m100link.apps.station.console.view.texts import Speaker
+from m100link.apps.station.console.view.view import Memory
 from m100link.sim.orders.actions import perform
 from m100link.sim.virtual import VirtualAircraft
 from tests.apps.station.conftest import Rig
 from tests.apps.station.console.test_tab import Browser, airborne
-from tests.apps.station.console.view.test_mission import plan_of
+from tests.apps.station.console.view.test_header import plan_of
 
 pytestmark = pytest.mark.anyio
 

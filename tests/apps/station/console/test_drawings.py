@@ -15,9 +15,15 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.station.console.view.instruments import live
-from m100link.apps.station.console.view.units import Language, LengthUnit, SpeedUnit, Units
-from m100link.apps.station.console.view.words import Speaker, for_browser
+from m100link.apps.station.console.view.fly import live
+from m100link.apps.station.console.view.texts import (
+    Language,
+    LengthUnit,
+    Speaker,
+    SpeedUnit,
+    Units,
+    for_browser,
+)
 from m100link.telemetry.state import AircraftState
 from tests import known
 

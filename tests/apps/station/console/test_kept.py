@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+import math
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
 from urllib.parse import parse_qs, urlsplit
@@ -10,10 +11,13 @@ from urllib.parse import parse_qs, urlsplit
 import anyio
 import pytest
 
-from m100link.apps.agent.messages import Event
+from m100link.apps.agent.messages import Event, State
+from m100link.apps.station.console import kept
+from m100link.apps.station.console.kept import COLUMNS, INTERVAL, KEPT_S, History, Looks
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.tabs import MOVE_PATIENCE, Tabs
 from m100link.protocol.commands.control import Task
+from m100link.protocol.records import Position
 from m100link.sim.virtual import VirtualAircraft
 from tests.apps.station.conftest import Rig
 from tests.apps.station.console.test_tab import Browser
@@ -216,3 +220,195 @@ async def test_a_name_that_there_is_not_and_a_code_that_was_used_are_nothing(fle
     _, tab = fleet.tabs.open("nobody", "guessed")
     assert tab.aircraft == "kite"
     assert not tab.has_lease
+
+
+# -- whose word for the place holds after a reload -------------------------------------------------
+
+HERE = "aircraft"
+
+
+class Desk:
+    """The words of one console, with an aircraft that stands on the ground."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.looks = Looks()
+        self.history = History()
+        self.person = self.looks.person(None)
+        rig.front.background.spawn(self.history.keep(rig.front), "history")
+
+    def say(self, *, is_free: bool = True) -> None:
+        self.looks.say(self.person, HERE, self.rig.front, is_free=is_free)
+
+    def said_at(self, secret: str | None = None, aircraft: str = HERE) -> float | None:
+        """What a page that is loaded anew, with that secret, is told."""
+        person = self.looks.person(self.person if secret is None else secret)
+        return self.looks.said_at(person, aircraft, self.rig.front, self.history)
+
+
+@pytest.fixture
+async def desk(rig: Rig) -> Desk:
+    made = Desk(rig)
+    await anyio.sleep(1.0)
+    return made
+
+
+async def test_a_word_lasts_as_long_as_without_the_reload(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kept, "FREE_FOR_S", 5.0)  # minutes of telemetry take a while
+    began = desk.rig.front.now
+    desk.say()
+    await anyio.sleep(4.0)
+    assert desk.said_at() == began  # and not from the reload on
+    await anyio.sleep(2.0)
+    assert desk.said_at() is None
+
+
+async def test_a_word_is_of_one_person_and_one_aircraft(desk: Desk) -> None:
+    desk.say()
+    await anyio.sleep(1.0)
+    assert desk.said_at("guessed") is None
+    assert desk.said_at("") is None
+    assert desk.said_at(aircraft="kite") is None
+    assert desk.said_at() is not None
+
+
+async def test_a_word_that_was_taken_back_does_not_come_again(desk: Desk) -> None:
+    desk.say()
+    desk.say(is_free=False)
+    await anyio.sleep(1.0)
+    assert desk.said_at() is None
+
+
+async def fly(rig: Rig) -> None:
+    rig.aircraft.pilot_takes_off()
+    await rig.until(lambda: rig.aircraft.height > 1.0)
+    await anyio.sleep(2.0)
+    rig.aircraft.pilot_lands()
+    await rig.until(lambda: not rig.aircraft.vehicle.flight.dynamics.motors_on)
+    await anyio.sleep(3.0)
+
+
+async def unplug(rig: Rig) -> None:
+    rig.aircraft.unplug()
+    await anyio.sleep(1.0)
+    rig.aircraft.replug()
+    await rig.until(lambda: rig.front.is_connected)
+    await anyio.sleep(1.0)
+
+
+async def fall_silent(rig: Rig) -> None:
+    rig.aircraft.stall_line()
+    await anyio.sleep(4.0)
+    rig.aircraft.stall_line(False)
+    await anyio.sleep(1.0)
+
+
+@pytest.mark.parametrize("happens", [fly, unplug, fall_silent])
+async def test_whoever_may_have_come_to_another_place_has_to_be_looked_at(
+    desk: Desk, happens: Callable[[Rig], Awaitable[None]]
+) -> None:
+    desk.say()
+    await happens(desk.rig)
+    assert desk.said_at() is None
+    desk.say()
+    await anyio.sleep(1.0)
+    assert desk.said_at() is not None
+
+
+async def test_a_station_that_stood_still_saw_nothing(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk.say()
+    keep = desk.history.add
+    monkeypatch.setattr(desk.history, "add", lambda *row: None)
+    await anyio.sleep(3.0)
+    monkeypatch.setattr(desk.history, "add", keep)
+    await anyio.sleep(3.0)
+    assert desk.said_at() is None
+
+
+def test_the_oldest_persons_are_forgotten() -> None:
+    known = Looks()
+    first = known.person(None)
+    others = [known.person(None) for _ in range(kept.MOST - 1)]
+    assert known.person(first) == first  # it was there lately
+    known.person(None)
+    assert known.person(others[0]) != others[0]
+    assert known.person(first) == first
+
+
+# -- the last minutes of every number --------------------------------------------------------------
+
+STATE = State(at=0.0, round_trip=0.02, discards=3, late_acks=1)
+HEIGHT = "position.height_m"
+
+
+async def test_rows_are_taken_ten_times_a_second_and_a_stalled_line_is_a_gap(rig: Rig) -> None:
+    history = History()
+    rig.front.background.spawn(history.keep(rig.front), "history")
+    await anyio.sleep(5.0)
+    assert history.count == pytest.approx(5.0 / INTERVAL, abs=1)
+    assert rig.front.telemetry is not None
+    position = rig.front.telemetry.get(Position)
+    assert position is not None
+    rows = history.rows([HEIGHT, "line.packages_per_s"])
+    assert rows[-1][1] == pytest.approx(position.height_m, abs=0.5)
+    assert rows[-1][2] == pytest.approx(100.0, abs=5.0)
+    assert rows[-1][0] - rows[0][0] == pytest.approx(5.0, abs=0.3)
+    rig.aircraft.stall_line()
+    await anyio.sleep(3.0)
+    assert math.isnan(history.rows([HEIGHT])[-1][1])
+
+
+def test_the_oldest_rows_go() -> None:
+    history = History()
+    size = round(KEPT_S / INTERVAL)
+    for number in range(size + 50):
+        history.add(float(number), None, STATE)
+    rows = history.rows(["line.front_lag_ms"])
+    assert len(rows) == size
+    assert rows[0][0] == 50.0
+    assert rows[-1][0] == size + 49.0
+
+
+def test_without_an_aircraft_nothing_has_a_value() -> None:
+    history = History()
+    history.add(1.0, None, STATE)
+    ((_, *values),) = history.rows(COLUMNS[:-1])
+    assert all(math.isnan(value) for value in values)
+
+
+@pytest.mark.parametrize("begin", [0, 3, 7])
+def test_a_window_that_moves_on_keeps_its_points(begin: int) -> None:
+    history = History()
+    for number in range(100):
+        history.add(float(number), None, STATE)
+    before = [row[0] for row in history.rows([], last_s=5.0, step=10)]
+    for number in range(begin):
+        history.add(100.0 + number, None, STATE)
+    after = [row[0] for row in history.rows([], last_s=5.0, step=10)]
+    assert before == [50.0, 60.0, 70.0, 80.0, 90.0]
+    assert set(after) - set(before) <= {100.0}
+
+
+def test_what_was_seen_does_not_come_again_and_a_pause_hides_what_came_later() -> None:
+    history = History()
+    for number in range(20):
+        history.add(float(number), None, STATE)
+    assert [row[0] for row in history.rows([], since=18)] == [18.0, 19.0]
+    assert [row[0] for row in history.rows([], until=10, last_s=0.3)] == [7.0, 8.0, 9.0]
+
+
+def test_a_download_has_a_line_for_each_row_and_nothing_where_there_was_no_value() -> None:
+    history = History()
+    history.lag = 0.0125
+    for number in range(3):
+        history.add(1e9 + number / 10, None, STATE)
+    text = history.csv([HEIGHT, "line.front_lag_ms"], until=2)
+    assert text.splitlines() == [
+        "utc,position.height_m,line.front_lag_ms",
+        "2001-09-09T01:46:40.000Z,,12.5",
+        "2001-09-09T01:46:40.100Z,,12.5",
+    ]

@@ -172,11 +172,11 @@ app.MOST_UNHEARD = 3
 async def main():
     settings = Settings(sim=True, port=0, console_port=0)
     async with running(settings, with_console=True) as one:
-        host = f"127.0.0.1:{one.console_port}"
+        host = f"127.0.0.1:{one.sockets.port('console')}"
         head = ["GET / HTTP/1.1", f"Host: {host}", "Connection: close", "", ""]
         seen = []
         for _ in range(6):
-            reader, writer = await asyncio.open_connection("127.0.0.1", one.console_port)
+            reader, writer = await asyncio.open_connection("127.0.0.1", one.sockets.port("console"))
             writer.write("\\r\\n".join(head).encode())
             assert b" 200 " in await reader.readline()
             await reader.read()

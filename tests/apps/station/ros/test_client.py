@@ -13,9 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from m100link.apps.station.ros.client import Client, Limits
-from m100link.apps.station.ros.graph import Call, Graph, Listener
+from m100link.apps.station.ros.graph import Call, Graph, Listener, add_rosapi
 from m100link.apps.station.ros.messages import Message
-from m100link.apps.station.ros.rosapi import add_rosapi
 from tests.apps.station.ros.test_messages import unpack_png
 
 

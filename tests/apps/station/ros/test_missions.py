@@ -280,7 +280,7 @@ async def test_actions_are_read_with_their_signs(rig: Rig) -> None:
     assert (point.has_action, point.action_count, point.parameters[0]) == (1, 2, -60)
 
 
-# -- hotpoint -------------------------------------------------------------------------------------
+# -- hotpoint --------------------------------------------------------------------------------------
 
 
 def circle(rig: Rig, **values: Any) -> dict[str, Any]:

@@ -13,8 +13,8 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
+from m100link.apps.station.ros.client import Outbox, Wish
 from m100link.apps.station.ros.graph import Graph, Publication, Topic
-from m100link.apps.station.ros.outbox import Outbox, Wish
 
 
 class Bench:

@@ -37,10 +37,9 @@ from m100link.apps.agent.messages import (
 from m100link.apps.agent.remote_error import Fault
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.station.ros.dji_sdk import DjiSdk
-from m100link.apps.station.ros.graph import Graph
+from m100link.apps.station.ros.graph import Graph, Rosout
 from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.node_2015 import Node
-from m100link.apps.station.ros.rosout import Rosout
 from m100link.errors import AuthorityLost
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import (

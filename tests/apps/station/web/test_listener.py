@@ -13,9 +13,8 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.station.web.door import Door
-from m100link.apps.station.web.intake import Intake
-from m100link.apps.station.web.listener import Listener
+from m100link.apps.station.web.intake import Intake, Listener
+from m100link.apps.station.web.limits import ConnectionLimit
 from tests.apps.cli.test_station import certificate
 from tests.waiting import PATIENCE, until
 
@@ -43,7 +42,7 @@ class Echo(asyncio.Protocol):
 
 @contextlib.asynccontextmanager
 async def listening(
-    door: Door, *, context: ssl.SSLContext | None = None, patience: float = 30.0
+    door: ConnectionLimit, *, context: ssl.SSLContext | None = None, patience: float = 30.0
 ) -> AsyncIterator[tuple[Listener, int]]:
     Echo.made = 0
     with socket.create_server(("127.0.0.1", 0)) as one:
@@ -65,7 +64,7 @@ async def answers(port: int, context: ssl.SSLContext | None = None) -> bytes:
 
 
 async def test_whoever_says_nothing_is_counted_at_the_door_and_costs_no_more() -> None:
-    door = Door()
+    door = ConnectionLimit()
     async with listening(door) as (_, port):
         silent = [await asyncio.open_connection("127.0.0.1", port) for _ in range(10)]
         await until(lambda: len(door) == 10)
@@ -78,7 +77,7 @@ async def test_whoever_says_nothing_is_counted_at_the_door_and_costs_no_more() -
 
 
 async def test_the_first_bytes_have_their_time() -> None:
-    door = Door()
+    door = ConnectionLimit()
     async with listening(door, patience=0.05) as (_, port):
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         async with asyncio.timeout(PATIENCE):
@@ -88,7 +87,7 @@ async def test_the_first_bytes_have_their_time() -> None:
 
 
 async def test_silent_ones_make_room() -> None:
-    door = Door(per_peer=4)
+    door = ConnectionLimit(per_peer=4)
     async with listening(door) as (_, port):
         silent = [await asyncio.open_connection("127.0.0.1", port) for _ in range(30)]
         assert await answers(port) == b"hello"
@@ -103,7 +102,7 @@ async def test_handshakes_that_nobody_ends_are_given_up(tmp_path: Path) -> None:
     context.load_cert_chain(*paths)
     trusting = ssl.create_default_context(cafile=str(paths[0]))
     trusting.check_hostname = False
-    door = Door()
+    door = ConnectionLimit()
     async with listening(door, context=context, patience=0.5) as (_, port):
         begun = [await asyncio.open_connection("127.0.0.1", port) for _ in range(8)]
         for _, writer in begun:
@@ -119,7 +118,7 @@ async def test_handshakes_that_nobody_ends_are_given_up(tmp_path: Path) -> None:
 
 async def test_without_descriptors_it_waits_and_takes_the_next_one_later() -> None:
     held: list[int] = []
-    async with listening(Door()) as (_, port):
+    async with listening(ConnectionLimit()) as (_, port):
         loop = asyncio.get_running_loop()
         client = socket.socket()
         client.setblocking(False)
@@ -139,7 +138,7 @@ async def test_without_descriptors_it_waits_and_takes_the_next_one_later() -> No
 
 
 async def test_when_it_is_closed_newcomers_are_closed_and_others_stay() -> None:
-    door = Door()
+    door = ConnectionLimit()
     async with listening(door) as (listener, port):
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         writer.write(b"here")
@@ -158,7 +157,7 @@ async def test_when_it_is_closed_newcomers_are_closed_and_others_stay() -> None:
 @pytest.mark.parametrize("turns", [0, 1])
 async def test_whoever_is_turned_out_while_it_comes_in_is_closed(turns: int) -> None:
     """Also between the turn that lets it in and the first step of its task."""
-    door, made = Door(), list[Any]()
+    door, made = ConnectionLimit(), list[Any]()
     enter = door.enter
 
     def watched(visitor: Any) -> None:

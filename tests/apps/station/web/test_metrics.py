@@ -63,7 +63,9 @@ def got(url: str, **headers: str) -> tuple[str, str]:
 
 
 async def page(one: Running, path: str = "/metrics", **headers: str) -> tuple[str, str]:
-    return await asyncio.to_thread(got, f"http://127.0.0.1:{one.metrics_port}{path}", **headers)
+    return await asyncio.to_thread(
+        got, f"http://127.0.0.1:{one.sockets.port('metrics')}{path}", **headers
+    )
 
 
 async def scraped(one: Running) -> dict[str, Metric]:
@@ -198,10 +200,9 @@ async def test_with_a_token_a_scraper_has_to_know_it() -> None:
 
 async def test_it_is_on_this_machine_only_and_not_there_unasked() -> None:
     async with station() as one:
-        assert one.metrics_port is None
+        assert one.sockets.ports("metrics") == []
     async with station(metrics_port=0) as one:
-        assert one.sockets.metrics is not None
-        assert one.sockets.metrics.getsockname()[0] == "127.0.0.1"
+        assert one.sockets.of["metrics"][0].getsockname()[0] == "127.0.0.1"
     assert Settings().metrics_port is None
 
 

@@ -80,7 +80,7 @@ async def test_no_answer_may_stand_in_a_frame_of_another_page(
     (tmp_path / "index.html").write_text("<p>index</p>")
     (tmp_path / "page.html").write_text("<p>page</p>")
     async with station(pages=tmp_path) as one:
-        head = await ask(one.ports[0], request_text)
+        head = await ask(one.sockets.port("rosbridge"), request_text)
     lines = head.split("\r\n")
     assert lines[0].startswith(f"http/1.1 {status}")
     for line in (
@@ -112,7 +112,7 @@ async def test_connections_that_ask_nothing_lock_nobody_out(
     for module in (protocol, server):  # none of them is let go meanwhile
         monkeypatch.setattr(module, "PATIENCE", 2 * PATIENCE)
     async with station() as one:
-        port = one.ports[0]
+        port = one.sockets.port("rosbridge")
         await until(lambda: one.agent.connection.aircraft is not None)
         sockets = [await half_open(port, begin) for _ in range(300)]
         async with asyncio.timeout(PATIENCE):
@@ -137,7 +137,7 @@ async def test_connections_that_ask_nothing_lock_nobody_out(
 async def test_a_request_has_to_come_in_time(begin: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("m100link.apps.station.web.protocol.PATIENCE", 0.2)
     async with station() as one:
-        reader, writer = await asyncio.open_connection("127.0.0.1", one.ports[0])
+        reader, writer = await asyncio.open_connection("127.0.0.1", one.sockets.port("rosbridge"))
         writer.write(begin)
 
         async def drip() -> None:  # a byte now and then is not a request
@@ -166,7 +166,9 @@ async def test_an_answer_that_is_not_read_is_given_up(
     monkeypatch.setattr("m100link.apps.station.web.protocol.ANSWER_TIME", 0.4)
     (tmp_path / "large").write_bytes(bytes(50_000_000))
     async with station(pages=tmp_path) as one:
-        lazy = await half_open(one.ports[0], b"GET /large HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        lazy = await half_open(
+            one.sockets.port("rosbridge"), b"GET /large HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+        )
         await asyncio.sleep(1.0)
         received = 0
         with contextlib.suppress(ConnectionError):
@@ -187,7 +189,7 @@ async def test_a_request_with_a_body_is_refused_and_nothing_of_the_body_is_parse
     host: str, body: str
 ) -> None:
     async with station() as one:
-        reader, writer = await asyncio.open_connection("127.0.0.1", one.ports[0])
+        reader, writer = await asyncio.open_connection("127.0.0.1", one.sockets.port("rosbridge"))
         writer.write(f"POST / HTTP/1.1\r\nHost: {host}\r\n{body}\r\n\r\n".encode())
         head = (await reader.readuntil(b"\r\n\r\n")).decode().lower()
         assert head.startswith("http/1.1 413")
@@ -202,7 +204,7 @@ async def test_a_request_with_a_body_is_refused_and_nothing_of_the_body_is_parse
 
 async def test_a_refused_request_is_the_last_of_its_connection() -> None:
     async with station() as one:
-        reader, writer = await asyncio.open_connection("127.0.0.1", one.ports[0])
+        reader, writer = await asyncio.open_connection("127.0.0.1", one.sockets.port("rosbridge"))
         request = b"GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n"
         writer.write(request * 20)
         answers = b""
@@ -231,7 +233,7 @@ async def opened(port: int) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 async def test_an_empty_continuation_frame_that_is_not_the_last_ends_the_connection() -> None:
     async with station() as one:
-        reader, writer = await opened(one.ports[0])
+        reader, writer = await opened(one.sockets.port("rosbridge"))
         writer.write(frame(TEXT, b"{", is_last=False) + frame(CONTINUATION, is_last=False) * 5000)
         with contextlib.suppress(ConnectionError):
             answer = await asyncio.wait_for(reader.read(), PATIENCE)
@@ -242,7 +244,7 @@ async def test_an_empty_continuation_frame_that_is_not_the_last_ends_the_connect
 
 async def test_a_message_in_pieces_is_taken_and_may_end_by_an_empty_one() -> None:
     async with station() as one:
-        reader, writer = await opened(one.ports[0])
+        reader, writer = await opened(one.sockets.port("rosbridge"))
         call = b'{"op":"call_service","service":"/rosapi/topics","id":"7"}'
         pieces = [frame(TEXT, call[:1], is_last=False)]
         pieces += [frame(CONTINUATION, call[n : n + 1], is_last=False) for n in range(1, len(call))]
@@ -254,7 +256,7 @@ async def test_a_message_in_pieces_is_taken_and_may_end_by_an_empty_one() -> Non
 
 async def test_a_client_that_speaks_before_it_was_let_in_is_heard_afterwards() -> None:
     async with station() as one:
-        reader, writer = await asyncio.open_connection("127.0.0.1", one.ports[0])
+        reader, writer = await asyncio.open_connection("127.0.0.1", one.sockets.port("rosbridge"))
         call = b'{"op":"call_service","service":"/rosapi/get_time","id":"early"}'
         head = f"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n{UPGRADE}{KEY}\r\n".encode()
         writer.write(head + frame(TEXT, call))
@@ -273,8 +275,8 @@ async def test_more_frames_than_a_client_may_send_end_its_connection(
 ) -> None:
     """After 5 s, which are shorter here: how long is tested on virtual time."""
     monkeypatch.setattr(intake, "_STRAIN", 0.5)
-    async with station() as one, connect(f"ws://127.0.0.1:{one.ports[0]}") as calm:
-        reader, writer = await opened(one.ports[0])
+    async with station() as one, connect(f"ws://127.0.0.1:{one.sockets.port('rosbridge')}") as calm:
+        reader, writer = await opened(one.sockets.port("rosbridge"))
         draining = asyncio.create_task(reader.read())
         if not flood[0] & 0x8F:
             writer.write(frame(TEXT, b"{", is_last=False))
@@ -304,7 +306,7 @@ async def test_who_pings_and_reads_nothing_grows_nothing(monkeypatch: pytest.Mon
         loop, client = asyncio.get_running_loop(), socket.socket()
         client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         client.setblocking(False)
-        await loop.sock_connect(client, ("127.0.0.1", one.ports[0]))
+        await loop.sock_connect(client, ("127.0.0.1", one.sockets.port("rosbridge")))
         head = f"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n{UPGRADE}{KEY}\r\n"
         await loop.sock_sendall(client, head.encode())
         while len(sizes) < 40_000:

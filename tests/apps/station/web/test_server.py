@@ -52,7 +52,7 @@ async def until(predicate: Callable[[], bool], within: float = PATIENCE) -> None
 
 
 def address(one: Running, query: str = "") -> str:
-    return f"ws://127.0.0.1:{one.ports[0]}/{query}"
+    return f"ws://127.0.0.1:{one.sockets.port('rosbridge')}/{query}"
 
 
 async def send(client: ClientConnection, op: str, **fields: Any) -> None:
@@ -77,7 +77,7 @@ async def opened(one: Running, client: ClientConnection) -> None:
 
 async def test_a_client_sees_telemetry_and_flies() -> None:
     async with station(also_ports=(0,)) as one:
-        other_port = f"ws://127.0.0.1:{one.ports[1]}/some/path"
+        other_port = f"ws://127.0.0.1:{one.sockets.ports('rosbridge')[1]}/some/path"
         async with connect(address(one)) as pilot, connect(other_port) as watcher:
             await send(watcher, "subscribe", topic="/flight_status")
             assert (await receive(watcher))["msg"] == {"data": 1.0}
@@ -244,7 +244,7 @@ async def drain(client: ClientConnection) -> None:
 async def test_who_does_not_read_is_disconnected_and_costs_little_until_then() -> None:
     async with station() as one:
         topics = [name for name in one.bridge.graph.topics if name.startswith("/dji_sdk")]
-        reader = socket.create_connection(("127.0.0.1", one.ports[0]))
+        reader = socket.create_connection(("127.0.0.1", one.sockets.port("rosbridge")))
         reader.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         key = "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
         head = f"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\n{key}"
@@ -289,8 +289,8 @@ async def test_silent_sockets_make_room_and_the_pilot_keeps_his(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def is_silent_after(seconds: float) -> None:
-        monkeypatch.setattr("m100link.apps.station.web.places.SILENCE", seconds)
-        monkeypatch.setattr("m100link.apps.station.web.places.FIRST_WORD", seconds)
+        monkeypatch.setattr("m100link.apps.station.web.limits.SILENCE", seconds)
+        monkeypatch.setattr("m100link.apps.station.web.limits.FIRST_WORD", seconds)
 
     async with station(max_clients=2) as one, contextlib.AsyncExitStack() as stack:
 
@@ -402,14 +402,14 @@ async def test_pages_of_a_folder_are_served_and_nothing_outside_it(tmp_path: Pat
         (tmp_path / "pages" / name).write_text("secret")
     (tmp_path / "pages" / "link").symlink_to(tmp_path / "pages" / ".env")
     async with station(pages=tmp_path / "pages") as one:
-        assert "<p>page</p>" in await get(one.ports[0], "/page.html")
+        assert "<p>page</p>" in await get(one.sockets.port("rosbridge"), "/page.html")
         inside = ("/.env", "/%2eenv", "/.git/config", "/more/.env", "/more/../.env", "/link")
         for path in ("/../secret", "/%2e%2e/secret", "/..%2fsecret", *inside):
-            answer = await get(one.ports[0], path)
+            answer = await get(one.sockets.port("rosbridge"), path)
             assert answer.startswith("HTTP/1.1 404")
-        assert (await get(one.ports[0], "/health")).startswith("HTTP/1.1 200")
+        assert (await get(one.sockets.port("rosbridge"), "/health")).startswith("HTTP/1.1 200")
     async with station() as one:
-        assert "rosbridge v2" in await get(one.ports[0], "/")
+        assert "rosbridge v2" in await get(one.sockets.port("rosbridge"), "/")
 
 
 async def get(port: int, path: str) -> str:

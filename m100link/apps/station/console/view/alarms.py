@@ -13,8 +13,7 @@ from enum import Enum
 
 from m100link.apps.agent.lease import Flown, LeaseChange
 from m100link.apps.station.console.view.situation import Hearing, Level, Situation
-from m100link.apps.station.console.view.units import Quantity
-from m100link.apps.station.console.view.words import Text, say
+from m100link.apps.station.console.view.texts import Quantity, Text, tr
 from m100link.errors import LossReason
 from m100link.protocol.records import FlightPhase
 from m100link.telemetry.integrity import (
@@ -24,18 +23,6 @@ from m100link.telemetry.integrity import (
     MAX_TELEMETRY_AGE,
     is_low,
 )
-
-__all__ = [
-    "ALARMS",
-    "TRANSITIONS",
-    "Alarm",
-    "AlarmChange",
-    "AlarmDesk",
-    "AlarmInput",
-    "AlarmName",
-    "AlarmState",
-    "Definition",
-]
 
 _NEAR, _CLEAR = 0.9, 0.85
 _LINK_CLEAR_AGE = MAX_TELEMETRY_AGE / 2
@@ -88,31 +75,22 @@ class AlarmName(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Definition:
-    """What an alarm is.
-
-    Attributes:
-        name: Which one.
-        level: How urgent it is.
-        judge: Whether it is so: True begins it, False ends it, None leaves it as it is.
-        text: What is said.
-        begins_after: Seconds for which it has to be so.
-        ends_after: Seconds for which it has to be so no more.
-        mark: For what only happens: what tells one time from another; None while it has not
-            happened. Whoever sees the mark first has not been there when it happened.
-        within: A stronger alarm: while that one is so, this one is not shown.
-    """
+    """What an alarm is."""
 
     name: AlarmName
-    level: Level
-    text: Callable[[Situation], Text]
+    level: Level  # how urgent it is
+    text: Callable[[Situation], Text]  # what is said
+    # Whether it is so: True begins it, False ends it, None leaves it as it is.
     judge: Callable[[Situation], bool | None] | None = None
-    begins_after: float = 0.0
-    ends_after: float = 0.0
+    begins_after: float = 0.0  # seconds for which it has to be so
+    ends_after: float = 0.0  # seconds for which it has to be so no more
+    # For what only happens: what tells one time from another; None while it has not happened.
+    # Whoever sees the mark first has not been there when it happened.
     mark: Callable[[Situation], object] | None = None
-    within: AlarmName | None = None
+    within: AlarmName | None = None  # a stronger alarm: while that one is so, this one is not shown
 
 
-# -- when each is so ------------------------------------------------------------------------------
+# -- when each is so -------------------------------------------------------------------------------
 
 
 def _link_lost(now: Situation) -> bool | None:
@@ -185,7 +163,7 @@ def _guard_near(now: Situation) -> bool | None:
     return True if max(parts) >= _NEAR else False if max(parts) < _CLEAR else None
 
 
-# -- what each says -------------------------------------------------------------------------------
+# -- what each says --------------------------------------------------------------------------------
 
 _LOSSES = {
     LossReason.MODE_SWITCH: "alarms.authority_lost.switch",
@@ -205,36 +183,36 @@ _STOPPED = {one: f"alarms.flown.{one.value}" for one in Flown}
 
 def _charge(key: str) -> Callable[[Situation], Text]:
     def text(now: Situation) -> Text:
-        charge = say("unit.unknown") if now.battery is None else now.battery
-        return say(key, percent=charge, floor=now.limits.battery_floor_percent)
+        charge = tr("unit.unknown") if now.battery is None else now.battery
+        return tr(key, percent=charge, floor=now.limits.battery_floor_percent)
 
     return text
 
 
 def _guard_text(now: Situation) -> Text:
     value, limit, key = max(_nearness(now), key=lambda one: one[0] / one[1])
-    return say(key, value=Quantity.length(value), limit=Quantity.length(limit))
+    return tr(key, value=Quantity.length(value), limit=Quantity.length(limit))
 
 
 def _lands_text(now: Situation) -> Text:
     is_empty = now.battery is not None and now.battery <= BATTERY_CRITICAL
-    return say("alarms.lands_itself.battery" if is_empty else "alarms.lands_itself")
+    return tr("alarms.lands_itself.battery" if is_empty else "alarms.lands_itself")
 
 
 def _lease_text(now: Situation) -> Text:
     end = now.lease_end
     if end is None or end.why is None:
-        return say("alarms.lease_taken")
-    lost = say(_ENDS.get(end.why, "alarms.lease_taken"), name=end.name)
+        return tr("alarms.lease_taken")
+    lost = tr(_ENDS.get(end.why, "alarms.lease_taken"), name=end.name)
     is_kept = end.why is LeaseChange.TAKEN_OVER  # control authority, and by it a task
     if end.flown is Flown.NOTHING and not (is_kept and now.phase is FlightPhase.IN_AIR):
         return lost
     key = _GOES_ON if is_kept and end.flown in _TASKS else _STOPPED
-    return say("alarms.lease_taken.flown", lost=lost, flown=Text(key[end.flown]))
+    return tr("alarms.lease_taken.flown", lost=lost, flown=Text(key[end.flown]))
 
 
 def _always(key: str) -> Callable[[Situation], Text]:
-    return lambda now: say(key)
+    return lambda now: tr(key)
 
 
 _N, _L = AlarmName, Level
@@ -258,7 +236,7 @@ ALARMS: tuple[Definition, ...] = (
     Definition(
         _N.NAVIGATION,
         _L.DANGER,
-        lambda now: say("alarms.navigation", what=now.contradiction),
+        lambda now: tr("alarms.navigation", what=now.contradiction),
         _navigation,
         ends_after=1.0,
         within=_N.LINK_LOST,
@@ -274,13 +252,13 @@ ALARMS: tuple[Definition, ...] = (
     Definition(
         _N.AUTHORITY_LOST,
         _L.WARNING,
-        lambda now: say(_LOSSES.get(now.loss or LossReason.UNKNOWN, "alarms.authority_lost")),
+        lambda now: tr(_LOSSES.get(now.loss or LossReason.UNKNOWN, "alarms.authority_lost")),
         _authority_lost,
     ),
     Definition(
         _N.MISSION_ABORTED,
         _L.WARNING,
-        lambda now: say("alarms.mission_aborted", why=now.aborted_why),
+        lambda now: tr("alarms.mission_aborted", why=now.aborted_why),
         mark=lambda now: now.aborted or None,
     ),
     Definition(_N.GUARD_NEAR, _L.WARNING, _guard_text, _guard_near, ends_after=1.0),
@@ -295,74 +273,46 @@ ALARMS: tuple[Definition, ...] = (
 """The alarms, the most urgent first."""
 
 
-# -- their life -----------------------------------------------------------------------------------
+# -- their life ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """An alarm that has something to tell.
-
-    Attributes:
-        name: Which one.
-        level: How urgent it is.
-        state: Where it stands; never quiet.
-        text: What it says; of one that has passed, what it said last.
-        began_at: When it began, on the station's clock, s.
-    """
+    """An alarm that has something to tell."""
 
     name: AlarmName
-    level: Level
-    state: AlarmState
-    text: Text
-    began_at: float
+    level: Level  # how urgent it is
+    state: AlarmState  # where it stands; never quiet
+    text: Text  # what it says; of one that has passed, what it said last
+    began_at: float  # when it began, on the station's clock, s
 
 
 @dataclass(frozen=True, slots=True)
 class AlarmChange:
-    """Something that happened to an alarm, for the list of events.
+    """Something that happened to an alarm, for the list of events."""
 
-    Attributes:
-        at: When, on the station's clock, s.
-        name: Of which alarm.
-        level: How urgent it is.
-        what: Where it stands now.
-        text: What it says.
-    """
-
-    at: float
-    name: AlarmName
-    level: Level
-    what: AlarmState
-    text: Text
+    at: float  # when, on the station's clock, s
+    name: AlarmName  # of which alarm
+    level: Level  # how urgent it is
+    what: AlarmState  # where it stands now
+    text: Text  # what it says
 
 
 @dataclass(slots=True)
 class _Watched:
-    """One alarm of one tab.
+    """One alarm of one tab."""
 
-    Attributes:
-        state: Where it stands.
-        is_so: What was judged last and was not unknown.
-        turned_at: When the judgement began to differ from the state; None while it does not.
-        mark: The newest that was seen.
-        text: What it said last.
-        began_at: When it began.
-    """
-
-    state: AlarmState = AlarmState.QUIET
-    is_so: bool = False
+    state: AlarmState = AlarmState.QUIET  # where it stands
+    is_so: bool = False  # what was judged last and was not unknown
+    # When the judgement began to differ from the state; None while it does not.
     turned_at: float | None = None
-    mark: object = None
-    text: Text = field(default_factory=lambda: Text("alarms.none"))
-    began_at: float = 0.0
+    mark: object = None  # the newest that was seen
+    text: Text = field(default_factory=lambda: Text("alarms.none"))  # what it said last
+    began_at: float = 0.0  # when it began
 
 
 class AlarmDesk:
-    """The alarms of one tab: whoever looks at it has to acknowledge them.
-
-    Args:
-        definitions: Which there are.
-    """
+    """The alarms of one tab: whoever looks at it has to acknowledge them."""
 
     def __init__(self, definitions: tuple[Definition, ...] = ALARMS) -> None:
         self._definitions = {one.name: one for one in definitions}

@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from m100link.apps.agent.messages import LeaseChanged, Limits, Topic
-from m100link.errors import LossReason
+from m100link.apps.agent.messages import Event, LeaseChanged, Limits, LinkCounted, State, Topic
+from m100link.errors import LossReason, M100Error
 from m100link.geodesy import distance_m
+from m100link.missions.plan import WaypointPlan
 from m100link.protocol.records import (
     Battery,
     ControlDevice,
@@ -24,18 +25,11 @@ from m100link.protocol.records import (
     RemoteControl,
 )
 from m100link.telemetry.integrity import GOOD_GPS
+from m100link.telemetry.state import AircraftState
 
 if TYPE_CHECKING:
-    from m100link.apps.station.console.view.inputs import Inputs
     from m100link.telemetry.state import AircraftState
 
-__all__ = [
-    "FRESH_S",
-    "Hearing",
-    "Level",
-    "Situation",
-    "situation_of",
-]
 
 FRESH_S: dict[type[Any], float] = {
     Position: 1.2,
@@ -69,79 +63,46 @@ class Hearing(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Situation:
-    """What is known now. None is: unknown, or too old to be believed.
+    """What is known now. None is: unknown, or too old to be believed."""
 
-    Attributes:
-        now: Time on the station's clock, s.
-        hearing: Whether the agent is heard; while it is not, nothing below is up to date.
-        heard_at: When it was heard last, s.
-        connection: ``"connecting"``, ``"connected"`` or ``"lost"``.
-        fault: Why it is not connected, in English; empty when nobody knows.
-        is_activated: Whether the aircraft is active and its key in use.
-        holding: State of control authority, by the agent's names.
-        has_authority: Whether setpoints and tasks are obeyed.
-        has_lease: Whether this tab may steer.
-        holder: Who may steer; empty for nobody.
-        lease_end: How this tab lost its lease, and to whom; None unless somebody or something
-            else ended it.
-        loss: Why authority was lost while this tab had the lease; None when it was not.
-        task: What the aircraft flies by itself because it was told to; empty for nothing.
-        pattern: Name of the program that flies; empty for none.
-        mission: Kind of mission that flies, by the agent's names; empty when nobody knows.
-        mission_index: Waypoint that it flies to, counted from 0.
-        round_trip: Seconds to the aircraft and back.
-        page_trip: Seconds to the page and back.
-        telemetry_at: When any telemetry came last, s.
-        switch: The pilot's mode switch.
-        device: Who controls the aircraft, as the aircraft says.
-        phase: Flight status.
-        battery: Charge, %.
-        gps: GPS health, 0 to 5.
-        height: Above the take-off point, m.
-        place: Latitude and longitude, °; None without good GPS.
-        distance: From where control was obtained, m.
-        contradiction: What cannot be true in telemetry, in English; empty while nothing is known
-            to speak against it.
-        limits: What the agent's guards allow.
-        aborted: Number of the newest event that tells of a mission broken off; 0 for none.
-        aborted_why: Its text, in English.
-        is_virtual: Whether the aircraft is a simulated one.
-        is_replay: Whether it is a recorded flight.
-    """
-
-    now: float = 0.0
+    now: float = 0.0  # time on the station's clock, s
+    # Whether the agent is heard; while it is not, nothing below is up to date.
     hearing: Hearing = Hearing.HEARD
-    heard_at: float = 0.0
-    connection: str = "connected"
-    fault: str = ""
-    is_activated: bool = False
-    holding: str = "none"
-    has_authority: bool = False
-    has_lease: bool = False
-    holder: str = ""
+    heard_at: float = 0.0  # when it was heard last, s
+    connection: str = "connected"  # ``"connecting"``, ``"connected"`` or ``"lost"``
+    fault: str = ""  # why it is not connected, in English; empty when nobody knows
+    is_activated: bool = False  # whether the aircraft is active and its key in use
+    holding: str = "none"  # state of control authority, by the agent's names
+    has_authority: bool = False  # whether setpoints and tasks are obeyed
+    has_lease: bool = False  # whether this tab may steer
+    holder: str = ""  # who may steer; empty for nobody
+    # How this tab lost its lease, and to whom; None unless somebody or something else ended it.
     lease_end: LeaseChanged | None = None
+    # Why authority was lost while this tab had the lease; None when it was not.
     loss: LossReason | None = None
-    task: str = ""
-    pattern: str = ""
-    mission: str = ""
-    mission_index: int | None = None
-    round_trip: float | None = None
-    page_trip: float | None = None
-    telemetry_at: float | None = None
-    switch: RcMode | None = None
-    device: Device | None = None
+    task: str = ""  # what the aircraft flies by itself because it was told to; empty for nothing
+    pattern: str = ""  # name of the program that flies; empty for none
+    mission: str = ""  # kind of mission that flies, by the agent's names; empty when nobody knows
+    mission_index: int | None = None  # waypoint that it flies to, counted from 0
+    round_trip: float | None = None  # seconds to the aircraft and back
+    page_trip: float | None = None  # seconds to the page and back
+    telemetry_at: float | None = None  # when any telemetry came last, s
+    switch: RcMode | None = None  # the pilot's mode switch
+    device: Device | None = None  # who controls the aircraft, as the aircraft says
     phase: FlightPhase | None = None
-    battery: int | None = None
-    gps: int | None = None
-    height: float | None = None
-    place: tuple[float, float] | None = None
-    distance: float | None = None
+    battery: int | None = None  # charge, %
+    gps: int | None = None  # GPS health, 0 to 5
+    height: float | None = None  # above the take-off point, m
+    place: tuple[float, float] | None = None  # latitude and longitude, °; None without good GPS
+    distance: float | None = None  # from where control was obtained, m
+    # What cannot be true in telemetry, in English; empty while nothing is known to speak against
+    # it.
     contradiction: str = ""
-    limits: Limits = field(default_factory=Limits)
-    aborted: int = 0
-    aborted_why: str = ""
-    is_virtual: bool = False
-    is_replay: bool = False
+    limits: Limits = field(default_factory=Limits)  # what the agent's guards allow
+    aborted: int = 0  # number of the newest event that tells of a mission broken off; 0 for none
+    aborted_why: str = ""  # its text, in English
+    is_virtual: bool = False  # whether the aircraft is a simulated one
+    is_replay: bool = False  # whether it is a recorded flight
 
     @property
     def telemetry_age(self) -> float | None:
@@ -246,3 +207,76 @@ def _distance(place: tuple[float, float] | None, limits: Limits) -> float | None
     if place is None or limits.latitude_deg is None or limits.longitude_deg is None:
         return None
     return distance_m(*place, limits.latitude_deg, limits.longitude_deg)
+
+
+# -- what a view is made of ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Ship:
+    """What is known of one aircraft of the station."""
+
+    name: str  # what it is called
+    state: State  # where its agent stands, as it told last
+    holder: LeaseChanged  # who has its lease
+    telemetry: AircraftState | None  # newest values and their ages; None while it is not connected
+    is_heard: bool  # whether what its agent told is news
+    is_shown: bool  # whether the page shows it and steers it
+    is_ours: bool  # whether the operator of the page has its lease
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Inputs:
+    """Everything that a view may know."""
+
+    now: float = 0.0  # time on the agent's clock, s
+    # Where the agent stands, as it told last.
+    state: State = field(default_factory=lambda: State(at=0.0))
+    holder: LeaseChanged = field(default_factory=lambda: LeaseChanged(0, ""))  # who has the lease
+    # Newest values and their ages; None while no aircraft is connected.
+    telemetry: AircraftState | None = None
+    is_silent: bool = False  # whether the agent was not heard for too long
+    is_gone: bool = False  # whether the agent has gone for good
+    has_lease: bool = False  # whether the tab that looks holds the lease
+    # How that tab lost the lease, and to whom; None unless something else than the tab ended it.
+    lease_end: LeaseChanged | None = None
+    # Who or what took authority while that tab had the lease; None while it is held.
+    loss: LossReason | None = None
+    heard_at: float = 0.0  # when the agent was heard last, s
+    wall: float = 0.0  # the same moment as ``now``, in seconds since 1970
+    is_virtual: bool = False  # whether the aircraft is known to be a simulated one
+    refusal: M100Error | None = None  # what was refused to that tab last
+    plan: WaypointPlan | None = None  # what that tab uploaded last
+    events: tuple[Event, ...] = ()  # what happened lately, oldest first
+    link: LinkCounted | None = None  # what was counted on the line; None while there is none
+    front_lag: float = 0.0  # seconds that the front was late at worst in the last second
+    page_trip: float | None = None  # seconds to the page and back
+    fleet: tuple[Ship, ...] = ()  # every aircraft of the station, this one among them
+    # Messages and pictures that each client of the station did not get because it is slow, by its
+    # name.
+    dropped: tuple[tuple[str, int], ...] = ()
+
+    @property
+    def is_replay(self) -> bool:
+        """Whether it is a recorded flight."""
+        return self.state.replay is not None
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether what the agent told is news."""
+        return not self.is_silent and not self.is_gone
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the aircraft is connected, by an agent that is heard."""
+        return self.state.connection == "connected" and self.is_heard
+
+    @property
+    def has_control(self) -> bool:
+        """Whether what this tab wants is obeyed."""
+        return self.has_lease and self.state.has_authority and self.is_heard
+
+    @property
+    def flies_mission(self) -> bool:
+        """Whether the aircraft says that it flies a mission, whoever started it."""
+        return self.state.mission not in ("", "no mission")

@@ -7,65 +7,57 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from m100link.apps.station.console.view.actions import actions_of
-from m100link.apps.station.console.view.alarms import Alarm
-from m100link.apps.station.console.view.chart import Chart, chart_of
-from m100link.apps.station.console.view.checklist import Checklist
-from m100link.apps.station.console.view.errors import problem_text
-from m100link.apps.station.console.view.events import Line
-from m100link.apps.station.console.view.fleet import FleetRow, fleet_of
-from m100link.apps.station.console.view.inputs import Inputs
-from m100link.apps.station.console.view.instruments import Instruments, instruments_of
-from m100link.apps.station.console.view.link import LinkView, link_of
-from m100link.apps.station.console.view.memory import Memory
-from m100link.apps.station.console.view.mission import MissionView, mission_of
-from m100link.apps.station.console.view.replay import ReplayView, replay_of
-from m100link.apps.station.console.view.situation import Level, Situation
-from m100link.apps.station.console.view.status import StatusLine, activation_of, status_line
-from m100link.apps.station.console.view.words import Text
-
-__all__ = ["View", "view_of"]
+from m100link.apps.station.console.view.alarms import (
+    Alarm,
+    AlarmChange,
+    AlarmDesk,
+    AlarmName,
+    AlarmState,
+)
+from m100link.apps.station.console.view.data import Diary, Line, LinkView, link_of
+from m100link.apps.station.console.view.fly import (
+    Checklist,
+    ChecklistDesk,
+    Instruments,
+    actions_of,
+    instruments_of,
+)
+from m100link.apps.station.console.view.header import (
+    FleetRow,
+    MissionView,
+    ReplayView,
+    StatusLine,
+    activation_of,
+    fleet_of,
+    mission_of,
+    replay_of,
+    status_line,
+)
+from m100link.apps.station.console.view.map import Chart, chart_of
+from m100link.apps.station.console.view.situation import Inputs, Level, Situation, situation_of
+from m100link.apps.station.console.view.texts import Text, problem_text, tr
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What the page shows.
+    """What the page shows."""
 
-    Attributes:
-        at: Time on the agent's clock, s.
-        situation: What is known, as plain values.
-        status: The status line.
-        activation: How far activation is.
-        problem: What was refused last; None for nothing.
-        alarms: What is alarming, the most urgent first.
-        sounding: The most urgent level that nobody has acknowledged; None for silence.
-        checklist: What is right before take-off.
-        instruments: Values of the telemetry, each with its age.
-        chart: What stands on the map besides what moves.
-        actions: Names of the buttons that can be pressed.
-        mission: The mission.
-        link: The link in numbers.
-        events: What happened, oldest first.
-        fleet: A row for each aircraft, when there are several.
-        replay: Where the replay is; None for an aircraft.
-    """
-
-    at: float
-    situation: Situation
-    status: StatusLine
-    activation: Text
-    problem: Text | None
-    alarms: tuple[Alarm, ...]
-    sounding: Level | None
-    checklist: Checklist
-    instruments: Instruments
-    chart: Chart
-    actions: frozenset[str]
+    at: float  # time on the agent's clock, s
+    situation: Situation  # what is known, as plain values
+    status: StatusLine  # the status line
+    activation: Text  # how far activation is
+    problem: Text | None  # what was refused last; None for nothing
+    alarms: tuple[Alarm, ...]  # what is alarming, the most urgent first
+    sounding: Level | None  # the most urgent level that nobody has acknowledged; None for silence
+    checklist: Checklist  # what is right before take-off
+    instruments: Instruments  # values of the telemetry, each with its age
+    chart: Chart  # what stands on the map besides what moves
+    actions: frozenset[str]  # names of the buttons that can be pressed
     mission: MissionView
-    link: LinkView
-    events: tuple[Line, ...]
-    fleet: tuple[FleetRow, ...]
-    replay: ReplayView | None
+    link: LinkView  # the link in numbers
+    events: tuple[Line, ...]  # what happened, oldest first
+    fleet: tuple[FleetRow, ...]  # a row for each aircraft, when there are several
+    replay: ReplayView | None  # where the replay is; None for an aircraft
 
 
 def view_of(inputs: Inputs, memory: Memory | None = None) -> View:
@@ -90,3 +82,48 @@ def view_of(inputs: Inputs, memory: Memory | None = None) -> View:
         fleet=fleet_of(inputs.fleet),
         replay=replay_of(inputs.state.replay),
     )
+
+
+# -- what a page remembers from one view to the next -----------------------------------------------
+
+_TOLD = {
+    AlarmState.RAISED: "alarms.event.raised",
+    AlarmState.ACKNOWLEDGED: "alarms.event.acknowledged",
+    AlarmState.PASSED: "alarms.event.passed",
+    AlarmState.QUIET: "alarms.event.quiet",
+}
+_LEVELS = {Level.DANGER: "error", Level.WARNING: "warning"}
+
+
+class Memory:
+    """One page's alarms, what its operator said before take-off, and its list of events."""
+
+    def __init__(self) -> None:
+        self.alarms = AlarmDesk()  # whoever looks at the page has to acknowledge them
+        self.checklist = ChecklistDesk()  # what the operator said about this take-off
+        self.diary = Diary()  # the station's events, and what happened to the alarms here
+        self.situation = Situation()  # what was known when it looked last
+        self._ahead = 0.0  # the wall's clock of the agent's
+
+    def look(self, inputs: Inputs) -> tuple[tuple[Alarm, ...], Checklist]:
+        """Judge everything by what is known now; returns the alarms and the checklist."""
+        now = self.situation = situation_of(inputs)
+        self._ahead = inputs.wall - inputs.now
+        self.diary.take(inputs.events, inputs.now, inputs.wall)
+        self._write(self.alarms.advance(now))
+        return self.alarms.shown, self.checklist.look(now)
+
+    def acknowledge(self, name: AlarmName) -> Text | None:
+        """The operator knows of an alarm; returns what that one says, None when it is quiet."""
+        said = next((one.text for one in self.alarms.shown if one.name is name), None)
+        self._write(self.alarms.acknowledge(name, self.situation.now))
+        return said
+
+    def _write(self, changes: list[AlarmChange]) -> None:
+        for change in changes:
+            is_news = change.what in (AlarmState.RAISED, AlarmState.PASSED)
+            self.diary.write(
+                tr(_TOLD[change.what], alarm=change.text),
+                change.at + self._ahead,
+                _LEVELS[change.level] if is_news else "info",
+            )

@@ -20,7 +20,7 @@ from m100link.apps.station.console.view.alarms import (
     AlarmState,
 )
 from m100link.apps.station.console.view.situation import Hearing, Level, Situation
-from m100link.apps.station.console.view.words import Speaker
+from m100link.apps.station.console.view.texts import Speaker
 from m100link.errors import LossReason
 from m100link.protocol.records import FlightPhase
 
@@ -174,7 +174,7 @@ def test_each_alarm_that_nobody_saw_stays_when_it_is_over(name: AlarmName) -> No
     assert name not in flight.shown
 
 
-# -- hysteresis, and what is not known ------------------------------------------------------------
+# -- hysteresis, and what is not known -------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -262,7 +262,7 @@ def test_what_is_well_for_a_moment_ends_nothing() -> None:
     assert [change.what for change in flight.changes] == [S.RAISED]
 
 
-# -- one by one -----------------------------------------------------------------------------------
+# -- one by one ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("hearing", [Hearing.SILENT, Hearing.GONE])

@@ -33,12 +33,10 @@ from m100link.apps.agent.messages import (
 )
 from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.agent.transports import memory_channels
-from m100link.apps.station.console.view.inputs import Inputs, Ship
-from m100link.apps.station.console.view.instruments import live
-from m100link.apps.station.console.view.memory import Memory
-from m100link.apps.station.console.view.units import Language
-from m100link.apps.station.console.view.view import View, view_of
-from m100link.apps.station.console.view.words import Speaker, Text
+from m100link.apps.station.console.view.fly import live
+from m100link.apps.station.console.view.situation import Inputs, Ship
+from m100link.apps.station.console.view.texts import Language, Speaker, Text
+from m100link.apps.station.console.view.view import Memory, View, view_of
 from m100link.sim.clock import virtual_clock_loop
 
 pytestmark = pytest.mark.anyio

@@ -17,17 +17,19 @@ from typing import Any
 import pytest
 
 from m100link.apps.agent.messages import LeaseChanged, Limits, LinkCounted, State
-from m100link.apps.station.console.history import LINE_COLUMNS, History
-from m100link.apps.station.console.view.catalogue import CATALOGUE
-from m100link.apps.station.console.view.fleet import FleetRow, fleet_of
-from m100link.apps.station.console.view.inputs import Inputs, Ship
-from m100link.apps.station.console.view.instruments import instruments_of, live, seen_from_afar
-from m100link.apps.station.console.view.link import LINK_ITEMS, link_of
-from m100link.apps.station.console.view.mission import progress, summary
-from m100link.apps.station.console.view.plots import label, points
-from m100link.apps.station.console.view.situation import situation_of
-from m100link.apps.station.console.view.units import Language, LengthUnit, SpeedUnit, Units
-from m100link.apps.station.console.view.words import Speaker
+from m100link.apps.station.console.kept import LINE_COLUMNS, History
+from m100link.apps.station.console.view.data import LINK_ITEMS, label, link_of, points
+from m100link.apps.station.console.view.fly import instruments_of, live, seen_from_afar
+from m100link.apps.station.console.view.header import FleetRow, fleet_of, progress, summary
+from m100link.apps.station.console.view.situation import Inputs, Ship, situation_of
+from m100link.apps.station.console.view.texts import (
+    Language,
+    LengthUnit,
+    Speaker,
+    SpeedUnit,
+    Units,
+    translations,
+)
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
 from m100link.protocol.records import (
@@ -114,7 +116,8 @@ FRAMES = {
 
 @pytest.mark.parametrize("key", FRAMES)
 def test_a_label_says_in_which_frame_and_unit_its_number_is(key: str) -> None:
-    assert CATALOGUE[key] == FRAMES[key]
+    words = (translations(one)[key] for one in (Language.ENGLISH, Language.GERMAN))
+    assert tuple(words) == FRAMES[key]
 
 
 def test_what_goes_down_below_or_the_other_way_has_its_sign() -> None:

@@ -8,8 +8,13 @@ import anyio
 import pytest
 
 from m100link.apps.agent.messages import Event, LeaseChanged, Limits, State, Topic
-from m100link.apps.station.console.view.inputs import Inputs
-from m100link.apps.station.console.view.situation import FRESH_S, Hearing, Situation, situation_of
+from m100link.apps.station.console.view.situation import (
+    FRESH_S,
+    Hearing,
+    Inputs,
+    Situation,
+    situation_of,
+)
 from m100link.errors import LossReason
 from m100link.protocol.records import Device, FlightPhase, RcMode
 from tests.apps.station.conftest import Rig

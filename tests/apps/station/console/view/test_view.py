@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from m100link.apps.agent.messages import Event
-from m100link.apps.station.console.view.inputs import Inputs
-from m100link.apps.station.console.view.memory import Memory
-from m100link.apps.station.console.view.view import view_of
-from m100link.apps.station.console.view.words import say
+from m100link.apps.agent.messages import Event, State
+from m100link.apps.station.console.view.alarms import AlarmName, AlarmState
+from m100link.apps.station.console.view.situation import Inputs
+from m100link.apps.station.console.view.texts import Speaker, tr
+from m100link.apps.station.console.view.view import Memory, view_of
 
 
 def test_of_nothing_known_nothing_is_shown() -> None:
@@ -17,7 +17,7 @@ def test_of_nothing_known_nothing_is_shown() -> None:
         "instruments.nothing"
     }
     assert all(reading.is_stale for reading in view.instruments.readings.values())
-    assert view.mission.plan == say("mission.no_plan")
+    assert view.mission.plan == tr("mission.no_plan")
     assert view.events == ()
 
 
@@ -35,3 +35,51 @@ def test_what_a_page_remembers_goes_from_one_view_to_the_next() -> None:
     event = Event(1, 0.5, "info", "one")
     view_of(Inputs(events=(event,)), memory)
     assert len(view_of(Inputs(events=(event,)), memory).events) == 1
+
+
+# -- what a page remembers -------------------------------------------------------------------------
+
+LOST = State(at=0.0, connection="lost")
+OPEN = State(at=0.0, connection="connected")
+
+
+def told(memory: Memory) -> list[tuple[float, str, str, str]]:
+    english = Speaker()
+    return [(one.at, one.level, one.source, one.said(english)) for one in memory.diary.lines]
+
+
+def test_the_life_of_an_alarm_is_in_the_list_of_events() -> None:
+    memory = Memory()
+    memory.look(Inputs(now=1.0, wall=1001.0, state=OPEN))
+    memory.look(Inputs(now=2.0, wall=1002.0, state=LOST))
+    said = memory.acknowledge(AlarmName.LINK_LOST)
+    assert said is not None
+    memory.look(Inputs(now=3.0, wall=1003.0, state=OPEN))
+    words = "The line to the aircraft is lost: have the pilot take over"
+    assert Speaker()(said) == words
+    assert told(memory) == [
+        (1002.0, "error", "page", f"Alarm: {words}"),
+        (1002.0, "info", "page", f"Acknowledged: {words}"),
+        (1003.0, "info", "page", f"Over: {words}"),
+    ]
+
+
+def test_what_nobody_acknowledged_is_a_warning_still() -> None:
+    memory = Memory()
+    memory.look(Inputs(now=2.0, wall=2.0, state=LOST))
+    alarms, _ = memory.look(Inputs(now=3.0, wall=3.0, state=OPEN))
+    assert [one.state for one in alarms] == [AlarmState.PASSED]
+    assert [level for _, level, _, _ in told(memory)] == ["error", "error"]
+
+
+def test_what_is_quiet_cannot_be_acknowledged() -> None:
+    memory = Memory()
+    memory.look(Inputs(state=OPEN))
+    assert memory.acknowledge(AlarmName.GPS) is None
+    assert told(memory) == []
+
+
+def test_the_stations_events_stand_beside_them() -> None:
+    memory = Memory()
+    memory.look(Inputs(now=5.0, wall=100.0, events=(Event(1, 4.0, "info", "connected"),)))
+    assert told(memory) == [(99.0, "info", "station", "connected")]

@@ -1,0 +1,395 @@
+"""What every component stands on: texts, buttons that give orders, fields, and their page."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping, Set
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
+
+from nicegui import events, ui
+from nicegui.events import GenericEventArguments
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.station.console.kept import History
+from m100link.apps.station.console.orders import Orders
+from m100link.apps.station.console.tab import Tab
+from m100link.apps.station.console.tabs import Tabs
+from m100link.apps.station.console.view.fly import HELD, Reading
+from m100link.apps.station.console.view.texts import (
+    Kind,
+    Settings,
+    Speaker,
+    Text,
+    tr,
+    translations,
+)
+from m100link.apps.station.console.view.view import Memory, View
+from m100link.errors import GuardRefused, UsageError
+from m100link.protocol.commands.control import Task
+
+# -- the texts of a page, also when its language changes -------------------------------------------
+
+
+class Wording:
+    """Says texts, and says those again that stand on the page when another language is chosen."""
+
+    def __init__(self) -> None:
+        self.settings = Settings()  # what the operator chose
+        self.utc_offset_min = 0  # minutes that the operator's clock is ahead of UTC
+        self._followers: list[Callable[[], object]] = []
+
+    def __call__(self, text: Text) -> str:
+        """The text as it is shown now."""
+        return self.settings.speaker(text)
+
+    def put(self, show: Callable[[str], object], key: str, **values: object) -> None:
+        """Let a text stand on the page, now and after every change of the settings."""
+        text = tr(key, **values)
+        self.follow(lambda: show(self(text)))
+
+    def follow(self, show: Callable[[], object]) -> None:
+        """Call this now and after every change of the settings."""
+        self._followers.append(show)
+        show()
+
+    def choose(self, settings: Settings) -> None:
+        """Take other settings."""
+        self.settings = settings
+        for show in self._followers:
+            show()
+
+
+def attribute(element: ui.element, name: str = "aria-label") -> Callable[[str], None]:
+    """What sets an attribute of an element, where a text is not its content."""
+
+    def show(text: str) -> None:
+        if element.props.get(name) != text:
+            element.props[name] = text
+            element.update()
+
+    return show
+
+
+# -- buttons that give orders ----------------------------------------------------------------------
+
+_ENDS = frozenset({"stop", "release", "mission_pause", "mission_stop"})
+"""What ends a motion is done however late it comes."""
+
+
+ORDER = "(event) => emit(window.m100?.order(event) ?? {})"
+"""What the page sends of a press, with the number of it that is to be answered."""
+
+_STOP = "(event) => emit({press: event.detail})"
+
+
+async def _stood_still() -> None:
+    raise GuardRefused(
+        "the page stood still while the button was held; nothing was done",
+        guard="order_late",
+        cause="nobody knows whether it was held: the browser was busy with something else",
+        remedy="look at the aircraft, then hold it again",
+    )
+
+
+async def _withdrawn() -> None:
+    raise GuardRefused(
+        "the order was withdrawn while its button was held; nothing was done",
+        guard="not_offered",
+        cause="the checklist, the task or who has control changed in that second",
+        remedy="see what the page says, then hold it again",
+    )
+
+
+async def _shifted() -> None:
+    raise GuardRefused(
+        "the page shifted as the button was pressed; nothing was done",
+        guard="page_shifted",
+        cause="where the finger came down, another button had been just before",
+        remedy="see which button is under the finger, then hold it again",
+    )
+
+
+_NOT_TAKEN = {"shifted": _shifted, "withdrawn": _withdrawn, "unsure": _stood_still}
+"""What the page makes of a hold that gives no order."""
+
+
+def answer(event: GenericEventArguments) -> dict[str, Any]:
+    """Tell the page that its press has come; returns what it said of it."""
+    said = event.args if isinstance(event.args, dict) else {}
+    press = said.get("press")
+    if type(press) is int:
+        ui.run_javascript(f"m100.answered({press})")
+    return said
+
+
+class Buttons:
+    """The buttons of a page, by the names of the orders that they give."""
+
+    def __init__(self, agent: AgentClient, tab: Tab, wording: Wording) -> None:
+        self._agent, self._tab, self._wording = agent, tab, wording
+        self._buttons: dict[str, list[tuple[Any, bool]]] = {}
+        self._enabled: dict[Any, bool] = {}
+
+    def add(
+        self,
+        name: str,  # of the order, as in ``view.actions``, which says whether it has to be held
+        label: str,  # what stands on it, or the key of that in the catalogue
+        work: Callable[..., Awaitable[Any]],
+        *,
+        kind: str = "",  # ``"stop"`` or ``"plain"``, else a usual one
+        check: Callable[[object], None] | None = None,
+    ) -> Any:
+        """A button in the present element; several may give the same order."""
+        button = ui.element("button").classes(f"act {kind}").props(f"type=button data-act={name}")
+        with button:
+            text = ui.label(label)
+        if label in translations():
+            self._wording.put(text.set_text, label)
+        is_held = name in HELD
+        if is_held:
+            button.classes("hold")
+            for what, refuse in _NOT_TAKEN.items():
+                button.on(what, partial(self._refuse, refuse), js_handler=ORDER)
+
+        async def pressed(event: GenericEventArguments) -> None:
+            said = answer(event)
+
+            async def order() -> None:
+                if name not in _ENDS:
+                    self._tab.check_order(said.get("at"))
+                if check is not None:
+                    check(said.get("shown"))
+                await (work(said.get("press")) if name == "stop" else work())
+
+            # The page goes on while the aircraft flies.
+            self._agent.background.spawn(self._tab.attempt(order), f"{name} of {self._tab.name}")
+            await asyncio.sleep(0)
+
+        # A tap with a second finger makes no click: STOP is told by what the page makes of it.
+        button.on(
+            {"stop": "stopped"}.get(name, "held" if is_held else "click"),
+            pressed,
+            js_handler=_STOP if name == "stop" else ORDER,
+        )
+        self._buttons.setdefault(name, []).append((button, True))
+        return button
+
+    async def _refuse(
+        self, why: Callable[[], Awaitable[None]], event: GenericEventArguments
+    ) -> None:
+        """A hold that gives no order: answered as one, or a lost connection would hide its end."""
+        answer(event)
+        await self._tab.attempt(why)
+
+    def update(self, offered: Set[str]) -> None:
+        """Let those be pressed whose order is offered."""
+        for name, buttons in self._buttons.items():
+            is_on = name in offered
+            for number, (button, was_on) in enumerate(buttons):
+                if was_on is not is_on:
+                    buttons[number] = (button, is_on)
+                    button.props(remove="disabled") if is_on else button.props("disabled")
+
+
+# -- names with values -----------------------------------------------------------------------------
+
+_DIGITS = 2  # of what was converted
+
+
+def card(key: str, wording: Wording) -> Any:
+    """A box with a title; to be used as ``with``."""
+    box = ui.element("section").classes("card w-full")
+    with box, ui.element("h2"):
+        heading = ui.label()
+    wording.put(heading.set_text, key)
+    wording.put(attribute(box), key)
+    return box
+
+
+def field(name: str, key: str, wording: Wording) -> tuple[Any, Any, Any]:
+    """A name and its value: the row, the value, the note below it."""
+    with ui.element("div").classes("field") as row:
+        wording.put(ui.label().classes("name").set_text, key)
+        with ui.element("div"):
+            value = ui.label("–").classes("value").props(f"data-field={name}")
+            note = ui.label("").classes("note")
+    return row, value, note
+
+
+def say_options(select: Any, keys: Mapping[Any, str], wording: Wording) -> None:
+    """Let the options of a select be said in the operator's language."""
+    wording.follow(
+        lambda: select.set_options({value: wording(Text(key)) for value, key in keys.items()})
+    )
+
+
+class ReadingRow:
+    """A row that shows a reading, struck through while it is stale."""
+
+    def __init__(self, name: str, wording: Wording) -> None:
+        self._wording = wording
+        self._row, self._value, self._note = field(name, f"instruments.{name}", wording)
+        self._is_stale = False
+
+    def show(self, reading: Reading) -> None:
+        """Show it."""
+        self._value.set_text(self._wording(reading.text))
+        self._note.set_text("" if reading.note is None else self._wording(reading.note))
+        if reading.is_stale is not self._is_stale:
+            self._is_stale = reading.is_stale
+            self._row.classes(add="stale") if self._is_stale else self._row.classes(remove="stale")
+
+
+class NumberField:
+    """A number that is typed in the operator's unit; who asks gets it in that of the protocol."""
+
+    def __init__(
+        self,
+        wording: Wording,  # says what it is called, and knows the units
+        key: str,  # of its name in the catalogue, with ``{unit}`` in it where there is a kind
+        *,
+        kind: Kind | None = None,  # what it measures; None where nobody chooses the unit
+        # Least and greatest value that is offered, in the unit of the protocol.
+        limits: tuple[float | None, float | None] = (None, None),
+        step: float = 1.0,  # of its arrows, in the operator's unit
+        value: float | None = None,  # at the beginning, in the unit of the protocol
+        # Called with each value that somebody typed; None for none.
+        changed: Callable[[float | None], None] | None = None,
+    ) -> None:
+        self._wording, self.kind, self._limits = wording, kind, limits
+        self._value, self._changed = value, changed
+        self._is_showing = False  # what is set then was not typed
+        self.element = ui.number(step=step)  # the number on the page, in the operator's unit
+        self.element.on_value_change(self._typed)
+        unit = {} if kind is None else {"unit": kind}
+        wording.put(attribute(self.element, "label"), key, **unit)
+        wording.follow(self._show)
+
+    @property
+    def value(self) -> float | None:
+        """What stands there, in the unit of the protocol; None for nothing."""
+        return self._value
+
+    @property
+    def shown_limits(self) -> tuple[float | None, float | None]:
+        """The limits in the operator's unit."""
+        low, high = self._limits
+        return self._to_shown(low), self._to_shown(high)
+
+    def set(self, value: float | None) -> None:
+        """Let another value stand there, in the unit of the protocol."""
+        if value != self._value:
+            self._value = value
+            self._show()
+
+    def _to_shown(self, value: float | None) -> float | None:
+        if value is None or self.kind is None:
+            return value
+        return round(self._wording.settings.units.convert(value, self.kind), _DIGITS)
+
+    def _show(self) -> None:
+        self._is_showing = True
+        low, high = self.shown_limits
+        if low is not None:
+            self.element.min = low
+        if high is not None:
+            self.element.max = high
+        self.element.set_value(self._to_shown(self._value))
+        self._is_showing = False
+
+    def _typed(self, event: events.ValueChangeEventArguments[Any]) -> None:
+        if self._is_showing:
+            return
+        value = event.value if isinstance(event.value, int | float) else None
+        if value is not None and self.kind is not None:
+            value = self._wording.settings.units.to_si(value, self.kind)
+        self._value = value
+        if self._changed is not None:
+            self._changed(value)
+
+
+# -- components ------------------------------------------------------------------------------------
+# A component is a class of this folder, in the file of its topic, named in ``console/page.py``
+# under the view that shows it (or in ``components/fly.py``, where one is made of several):
+#
+#     class Clock:
+#         def __init__(self, page: PageContext) -> None:
+#             self._page = page
+#
+#         def build(self) -> None:
+#             self._text = ui.label("–").props("id=clock")
+#
+#         def update(self, view: View) -> None:
+#             self._text.set_text(f"{view.at:.0f} s")
+#
+# - The page calls ``build`` once, inside the element that holds the component: for the views other
+#   than Fly when an operator first looks at that view, so that the page is there soon.
+# - It calls ``update`` four times a second with one view model for the whole page, only while that
+#   view is looked at. Setting a text that stands there already costs nothing: just set.
+# - A rule about what is shown belongs to ``console/view/``: a test reads it without a browser.
+# - A button that gives an order comes from ``page.buttons``: it is kept grey unless
+#   ``view/fly.py`` offers it, and has to be held for a second where that says so.
+# - Words stand in ``console/texts/``: ``page.wording.put(label.set_text, key)`` for what stands
+#   there always, ``page.wording(text)`` for a text of the view model.
+# - What runs in the browser is a module in ``static/``, loaded by ``page.load``; it imports
+#   ``m100`` from ``./shell.js`` (``m100.onLive``, ``m100.onMap``, ``m100.socket``).
+
+
+class Component(Protocol):
+    """A component of the page."""
+
+    def build(self) -> None:
+        """Lay it out inside the present element."""
+
+    def update(self, view: View) -> None:
+        """Show what is."""
+
+
+@dataclass(frozen=True, slots=True)
+class PageContext:
+    """What parts stand on: one for each page."""
+
+    agent: AgentClient  # the agent that owns the aircraft
+    tab: Tab  # who looks at the page
+    orders: Orders | None  # what the panel does to a virtual aircraft, or None
+    buttons: Buttons  # the buttons that give orders
+    memory: Memory  # its alarms, its checklist, its events
+    wording: Wording  # says everything in the operator's language and units
+    dark: ui.dark_mode  # switches the dark looks of NiceGUI's own elements
+    show: Callable[[str], None]  # shows another view of the page, by its name
+    has_tiles: bool  # whether there are map tiles under ``/tiles/{z}/{x}/{y}.png``
+    history: History  # the last minutes of every number
+    tabs: Tabs  # who looks at this and at other aircraft
+
+    async def take_off(self) -> None:
+        """Take off, if the checklist offers it; why it is not green goes into the events.
+
+        Raises:
+            UsageError: It does not.
+            M100Error: See :meth:`m100link.apps.agent.client.AgentClient.fly`.
+        """
+        checklist = self.memory.checklist.look(self.memory.situation)
+        if not checklist.may_take_off:
+            raise UsageError(
+                "take-off is not offered: the checklist is not green",
+                remedy="mend what it shows, or say there why you fly all the same",
+            )
+        if not checklist.is_green:
+            english = Speaker()
+            missing = ", ".join(
+                english(Text(f"checklist.{check.item.value}")) for check in checklist.missing
+            )
+            said = tr(
+                "checklist.event.although",
+                name=self.tab.name,
+                missing=missing,
+                reason=checklist.reason,
+            )
+            self.agent.note(english(said), "warning")
+        await self.tab.fly(Task.TAKE_OFF)
+
+    def load(self, module: str) -> None:
+        """Load ``static/<module>`` into this page, also after it was built."""
+        ui.run_javascript(f'import("/console/{module}")')

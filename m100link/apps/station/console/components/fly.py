@@ -1,0 +1,360 @@
+"""The Fly view: over the map, what is needed to fly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from nicegui import ui
+from nicegui.events import GenericEventArguments
+
+from m100link.apps.agent.lease import LeaseHeld
+from m100link.apps.station.console.components.component import (
+    ORDER,
+    Component,
+    PageContext,
+    ReadingRow,
+    Wording,
+    answer,
+    attribute,
+    card,
+    say_options,
+)
+from m100link.apps.station.console.components.map import ClickPart
+from m100link.apps.station.console.tab import Tab
+from m100link.apps.station.console.view.fly import FIELDS, ITEMS, Check, Checklist, Item, ItemState
+from m100link.apps.station.console.view.texts import Text, tr
+from m100link.apps.station.console.view.view import View
+from m100link.errors import M100Error
+from m100link.protocol.commands.control import Task
+
+
+class Fly:
+    """A part made of parts."""
+
+    def __init__(self, page: PageContext) -> None:
+        self._places: tuple[tuple[str, Component], ...] = (
+            ("hud", InstrumentsPart(page)),
+            ("orders", ActionsPart(page)),
+            ("clicked", ClickPart(page)),
+            ("steering", SticksPart(page.wording)),
+        )
+
+    def build(self) -> None:
+        """Lay it out: where each place stands is said by the style sheet, for every size."""
+        for place, part in self._places:
+            with ui.element("div").classes(f"place {place}"):
+                part.build()
+
+    def update(self, view: View) -> None:
+        """Show what is."""
+        for _, part in self._places:
+            part.update(view)
+
+
+# -- what keys do, and what the last one just did --------------------------------------------------
+
+
+class LegendPart:
+    """Stands between the sticks; ``static/steer.js`` fills it in."""
+
+    def __init__(self, wording: Wording) -> None:
+        self._wording = wording
+
+    def build(self) -> None:
+        """Lay it out."""
+        put = self._wording.put
+        with ui.element("div").classes("legend"):
+            put(ui.label().classes("idle by-keys").set_text, "page.legend.idle")
+            put(ui.label().classes("idle by-finger").set_text, "page.legend.idle.finger")
+            ui.element("div").props("id=did role=status")
+            put(ui.label().classes("keys").set_text, "page.legend.keys")
+            with ui.element("div").classes("choices"):
+                self._build_step("slower", "−")
+                put(_span().set_content, "page.legend.speed")
+                ui.element("output").props("data-level")
+                self._build_step("faster", "+")
+                with ui.element("button").props("type=button data-steer=mode"):
+                    put(_span().classes("mode").set_content, "page.legend.mode")
+                    ui.element("b").props("data-mode")
+                    ui.element("span").classes("hint").props("data-hint")
+
+    def _build_step(self, what: str, sign: str) -> None:
+        button = ui.element("button").props(f"type=button data-steer={what}")
+        with button:
+            ui.label(sign).props("aria-hidden=true")
+        self._wording.put(attribute(button), f"page.legend.{what}")
+
+    def update(self, view: View) -> None:
+        """What it shows comes from the hand, not from the aircraft."""
+
+
+def _span() -> ui.html:
+    return ui.html("", sanitize=False, tag="span")
+
+
+# -- what one steers with --------------------------------------------------------------------------
+
+
+class SticksPart:
+    """The pad. ``static/steer.js`` makes beats of it while something is held."""
+
+    def __init__(self, wording: Wording) -> None:
+        self._wording = wording
+        self._legend = LegendPart(wording)
+
+    def build(self) -> None:
+        """Lay it out."""
+        with ui.element("div").props("id=pad tabindex=0 role=group") as pad:
+            self._build_stick("climb", "turn,up")
+            with ui.element("div").classes("between"):
+                self._legend.build()
+            self._build_stick("move", "right,forward")
+        self._wording.put(attribute(pad), "page.steering")
+
+    def _build_stick(self, name: str, axes: str) -> None:
+        key = f"page.stick.{name}"
+        stick = ui.element("div").classes(f"stick {name}").props(f"data-axes={axes} role=img")
+        with stick:
+            self._wording.put(ui.label().set_text, key)
+        self._wording.put(attribute(stick), "page.stick", what=Text(key))
+
+    def update(self, view: View) -> None:
+        """Show what is."""
+        self._legend.update(view)
+
+
+# -- the instruments over the map ------------------------------------------------------------------
+
+_SHOWN = ("flight_status", "battery", "gps", "height", "speed", "mode_switch")
+
+
+class InstrumentsPart:
+    """What a pilot looks at. The canvas is drawn by ``static/instruments.js`` from the socket."""
+
+    def __init__(self, page: PageContext) -> None:
+        self._page = page
+        self._rows: dict[str, ReadingRow] = {}
+
+    def build(self) -> None:
+        """Lay it out."""
+        horizon = ui.element("canvas").props("id=horizon role=img")
+        self._page.wording.put(attribute(horizon), "instruments.horizon")
+        with ui.element("div").classes("values"):
+            for one in FIELDS:
+                if one.name in _SHOWN:
+                    self._rows[one.name] = ReadingRow(one.name, self._page.wording)
+
+    def update(self, view: View) -> None:
+        """Show what is."""
+        for name, row in self._rows.items():
+            row.show(view.instruments.readings[name])
+
+
+# -- the question whether to take control from somebody --------------------------------------------
+
+
+class TakeOverDialog:
+    """Obtains control, and asks when somebody has it."""
+
+    def __init__(self, tab: Tab, wording: Wording) -> None:
+        self._tab, self._wording = tab, wording
+        # The order runs in the background, where no element can be made.
+        self._is_wanted = False
+
+    async def obtain(self) -> None:
+        """Obtain control; if somebody has it, ask with the next update."""
+        try:
+            await self._tab.obtain()
+        except LeaseHeld:
+            self._is_wanted = True
+
+    def update(self) -> None:
+        """Ask, if that is wanted."""
+        if self._is_wanted:
+            self._is_wanted = False
+            ui.timer(0.0, self._ask, once=True)
+
+    async def _ask(self) -> None:
+        try:
+            wanted = await self._tab.ask_take_over()
+        except M100Error:
+            return  # it is free by now
+        with ui.dialog() as dialog, ui.card():
+            asked = self._wording(tr("page.take_over", name=wanted.from_name))
+            ui.label(asked).props("id=take-over")
+            ui.label(self._wording(tr("page.take_over.effect")))
+            with ui.row():
+
+                async def confirm(event: GenericEventArguments) -> None:
+                    said = answer(event)
+                    dialog.close()
+
+                    async def order() -> None:
+                        self._tab.check_order(said.get("at"))
+                        await self._tab.confirm_take_over(wanted)
+
+                    await self._tab.attempt(order)
+
+                for name, kind in (("confirm", "danger"), ("leave", "plain")):
+                    with ui.element("button").classes(f"act {kind}") as button:
+                        ui.label(self._wording(Text(f"page.take_over.{name}")))
+                    button.props(f"type=button id={name}")
+                    if name == "confirm":
+                        button.on("click", confirm, js_handler=ORDER)
+                    else:
+                        button.on("click", dialog.close, args=[])
+        dialog.open()
+
+
+# -- before take-off -------------------------------------------------------------------------------
+
+_SHAPES = {ItemState.RIGHT: "✔", ItemState.WRONG: "✖", ItemState.UNKNOWN: "?"}
+
+
+@dataclass(slots=True)
+class _Row:
+    """One line of the list on the page."""
+
+    box: Any
+    shape: Any
+    state: Any
+    seen: Any
+    remedy: Any
+    shown: ItemState | None = None
+
+
+class ChecklistPart:
+    """What :class:`~m100link.apps.station.console.view.fly.Checklist` says."""
+
+    def __init__(self, page: PageContext) -> None:
+        self._page = page
+        self._rows: dict[Item, _Row] = {}
+        self._take_over = TakeOverDialog(page.tab, page.wording)
+
+    def build(self) -> None:
+        """Lay it out."""
+        wording, desk = self._page.wording, self._page.memory.checklist
+        with card("checklist.title", wording):
+            self._summary = ui.label().classes("summary").props("id=check-summary role=status")
+            with ui.element("ul").classes("checks").props("id=checks"):
+                for item, is_needed in ITEMS.items():
+                    self._rows[item] = self._build_row(item, is_needed=is_needed)
+            free = ui.checkbox(on_change=lambda event: self._say_free(is_free=bool(event.value)))
+            self._free = free.props("id=free-said").classes("free")
+            wording.put(self._free.set_text, "checklist.free.box")
+            self._why = ui.input(on_change=lambda event: desk.say_why(str(event.value or "")))
+            self._why.props("for=why outlined maxlength=200").classes("w-full")
+            wording.put(lambda text: self._why.props(f'label="{text}"'), "checklist.why")
+            wording.put(lambda text: self._why.props(f'hint="{text}"'), "checklist.why.note")
+            with ui.element("div").classes("acts"):
+                add = self._page.buttons.add
+                add("activate", "actions.activate", self._page.tab.activate, kind="plain")
+                add("obtain", "actions.obtain", self._take_over.obtain, kind="plain")
+                add("take_off", "actions.take_off", self._page.take_off)
+
+    def _build_row(self, item: Item, *, is_needed: bool) -> _Row:
+        wording = self._page.wording
+        with ui.element("li").classes("check").props(f"data-check={item.value}") as box:
+            shape = ui.label().classes("shape").props("aria-hidden=true")
+            with ui.element("div"):
+                with ui.element("div").classes("check-head"):
+                    name = ui.label().classes("name")
+                    state = ui.label().classes("unseen")
+                    seen = ui.label().classes("seen")
+                    if is_needed:
+                        needed = ui.label().classes("needed")
+                        wording.put(needed.set_text, "checklist.needed")
+                remedy = ui.label().classes("remedy")
+        wording.put(name.set_text, f"checklist.{item.value}")
+        return _Row(box, shape, state, seen, remedy)
+
+    def _say_free(self, *, is_free: bool) -> None:
+        page, desk, now = self._page, self._page.memory.checklist, self._page.agent.now
+        if is_free is desk.is_free(now):
+            return  # the box follows what was said, and says nothing by itself
+        desk.say_free(now, is_free=is_free)
+        page.tabs.looks.say(page.tab.person, page.tab.aircraft, page.agent, is_free=is_free)
+
+    def update(self, view: View) -> None:
+        """Show what is."""
+        self._take_over.update()
+        checklist, wording = view.checklist, self._page.wording
+        for check in checklist.checks:
+            self._show(self._rows[check.item], check)
+        self._summary.set_text(wording(_summary(checklist)))
+        if bool(self._free.value) is not checklist.is_free_said:
+            self._free.set_value(checklist.is_free_said)
+        self._why.set_visibility(not checklist.is_green and checklist.is_possible)
+        if not checklist.reason and self._why.value and view.checklist.is_green:
+            self._why.set_value("")
+
+    def _show(self, row: _Row, check: Check) -> None:
+        wording = self._page.wording
+        row.seen.set_text(wording(check.seen))
+        row.remedy.set_text(wording(check.remedy) if check.remedy is not None else "")
+        row.state.set_text(wording(Text(f"checklist.state.{check.state.value}")))
+        if check.state is not row.shown:
+            row.box.classes(remove=row.shown.value if row.shown else "", add=check.state.value)
+            row.shape.set_text(_SHAPES[check.state])
+            row.shown = check.state
+
+
+def _summary(checklist: Checklist) -> Text:
+    if checklist.is_green:
+        return tr("checklist.green")
+    if not checklist.is_possible:
+        return tr("checklist.impossible")
+    return tr("checklist.missing", count=len(checklist.missing))
+
+
+# -- the buttons that one flies with ---------------------------------------------------------------
+
+_SIMPLE = (0, 1, 4)
+
+
+class ActionsPart:
+    """Control, take-off, landing, go home and simple tasks."""
+
+    def __init__(self, page: PageContext) -> None:
+        self._page = page
+        self._take_over = TakeOverDialog(page.tab, page.wording)
+
+    def build(self) -> None:
+        """Lay it out."""
+        tab, add = self._page.tab, self._page.buttons.add
+        with ui.element("div").classes("acts"):
+            add("activate", "actions.activate", tab.activate, kind="plain")
+            add("obtain", "actions.obtain", self._take_over.obtain)
+            add("release", "actions.release", tab.release, kind="plain")
+            add("take_off", "actions.take_off", self._page.take_off)
+            add("land", "actions.land", lambda: tab.fly(Task.LAND))
+            add("go_home", "actions.go_home", lambda: tab.fly(Task.GO_HOME))
+        with ui.element("div").classes("acts simple"):
+            add(
+                "simple_task",
+                "actions.simple_task",
+                lambda: tab.simple_task(int(self._number.value)),
+            )
+            self._number = ui.select(list(_SIMPLE), value=0).classes("task-number")
+            self._number.props("dense outlined id=task-number")
+            keys = {number: f"page.simple.{number}" for number in _SIMPLE}
+            say_options(self._number, keys, self._page.wording)
+            self._page.wording.put(attribute(self._number), "page.which_task")
+        # Behind the buttons: it comes and goes, and they stay where the finger is.
+        with ui.element("div").classes("told"):
+            self._activation = ui.label().props("id=activation")
+            with ui.element("button").props("type=button data-go=check id=why-not") as why_not:
+                self._why_not = ui.label()
+            self._why_not_button = why_not.classes("see")
+            why_not.on("click", lambda: self._page.show("check"), args=[])
+
+    def update(self, view: View) -> None:
+        """Show what is."""
+        self._take_over.update()
+        wording = self._page.wording
+        self._activation.set_text(wording(view.activation))
+        missing = len(view.checklist.missing)
+        is_asked = view.situation.is_on_ground is not False and not view.checklist.may_take_off
+        self._why_not_button.set_visibility(is_asked)
+        self._why_not.set_text(wording(tr("actions.why_not", count=missing)))

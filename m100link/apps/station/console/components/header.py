@@ -1,0 +1,363 @@
+"""What stands above every view: the status line, alarms, a replay, the list of aircraft."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from nicegui import events, ui
+from nicegui.events import GenericEventArguments
+
+from m100link.apps.agent.messages import Action
+from m100link.apps.station.console.components.component import ORDER, PageContext, answer, attribute
+from m100link.apps.station.console.view.alarms import Alarm, AlarmName, AlarmState
+from m100link.apps.station.console.view.header import SPEEDS, FleetRow, ReplayView
+from m100link.apps.station.console.view.situation import Level
+from m100link.apps.station.console.view.texts import Settings, Text, tr
+from m100link.apps.station.console.view.view import View
+
+# -- the status line -------------------------------------------------------------------------------
+
+SHAPES = {Level.GOOD: "●", Level.NEUTRAL: "○", Level.WARNING: "▲", Level.DANGER: "◆"}
+"""Beside its colour each level has a shape: not everybody sees colours."""
+
+
+class StatusPart:
+    """Always on the page, above every view. What it says comes from ``view.status``."""
+
+    def __init__(self, page: PageContext) -> None:
+        self._page = page
+        self._level = ""
+        self._since: float | None = None
+
+    def build(self) -> None:
+        """Lay it out."""
+        with ui.element("div").classes("banner").props("id=banner") as self._banner:
+            self._shape = ui.label().classes("shape").props("aria-hidden=true")
+            with ui.element("div").classes("said").props("role=status"):
+                self._text = ui.label().props("id=said")
+                self._remedy = ui.label().classes("remedy").props("id=remedy")
+            # Counted by the page itself; read aloud it would never end.
+            self._counter = ui.label().classes("since").props("aria-hidden=true")
+            self._flies = ui.label().classes("flies").props("id=task role=status")
+            self._virtual = ui.label().classes("virtual").props("id=virtual")
+        self._page.wording.put(self._virtual.set_text, "status.virtual")
+        self._problem = ui.label().classes("problem").props("id=problem role=alert")
+        with ui.element("div").classes("page-lost").props("id=page-lost role=alert") as lost:
+            with ui.element("div"):
+                said = ui.label()
+                todo = ui.label().classes("remedy")
+            ui.label().classes("since").props("aria-hidden=true id=page-lost-since")
+            silence = ui.element("button").props("type=button id=page-lost-seen").classes("see")
+            with silence:
+                seen = ui.label()
+        with ui.element("div").classes("unanswered").props("id=unanswered role=alert hidden"):
+            ui.label().props("id=unanswered-said")
+            with ui.element("button").props("type=button id=unanswered-seen").classes("see"):
+                known = ui.label()
+        ui.label().classes("page-said").props("id=page-said role=status")
+        self._page.wording.put(known.set_text, "alarms.acknowledge")
+        self._page.wording.put(said.set_text, "status.page_lost")
+        self._page.wording.put(todo.set_text, "status.page_lost.remedy")
+        self._page.wording.put(seen.set_text, "alarms.acknowledge")
+        self._page.wording.put(attribute(lost, "data-text"), "status.page_lost")
+        # When this view was made, on the station's clock: the page knows how old it is.
+        self._beat = ui.element("i").props("id=view-beat hidden")
+
+    def update(self, view: View) -> None:
+        """Show what is."""
+        line, said = view.status, self._page.wording
+        self._text.set_text(said(line.text))
+        self._remedy.set_text(said(line.remedy) if line.remedy is not None else "")
+        self._flies.set_text(said(line.flies) if line.flies is not None else "")
+        self._virtual.set_visibility(line.is_virtual)
+        self._problem.set_text("" if view.problem is None else said(view.problem))
+        if line.level.value != self._level:
+            self._banner.classes(remove=self._level, add=line.level.value)
+            self._level = line.level.value
+            self._shape.set_text(SHAPES[line.level])
+        # The page counts by the station's clock: not by that of a recorded flight.
+        since = line.since if view.replay is None else None
+        if since != self._since:
+            self._since = since
+            attribute(self._counter, "data-since")("" if since is None else f"{since:.1f}")
+            self._counter.set_text("")
+        attribute(self._beat, "data-at")(f"{self._page.agent.now:.1f}")
+
+
+# -- alarms in the header --------------------------------------------------------------------------
+
+
+@dataclass(slots=True)
+class _Row:
+    """One alarm on the page."""
+
+    box: Any  # the whole row
+    shape: Any
+    text: Any  # what it says
+    button: Any  # with which it is acknowledged
+    state: str = ""  # what stands there now
+
+
+class AlarmsPart:
+    """Always on the page. Sound and speech are made by ``static/alarms.js``."""
+
+    def __init__(self, page: PageContext) -> None:
+        self._page = page
+        self._rows: dict[AlarmName, _Row] = {}
+        self._spoken: dict[AlarmName, float] = {}  # what was told to be spoken, and since when
+
+    def build(self) -> None:
+        """Lay it out."""
+        wording = self._page.wording
+        with ui.element("ul").props("id=alarms").classes("alarms") as alarms:
+            for name in AlarmName:
+                self._rows[name] = self._build_row(name)
+        wording.put(attribute(alarms), "alarms.title")
+        # What a screen reader says at once, whatever it is saying.
+        self._loud = ui.label().classes("unseen").props("id=alarm-loud role=alert")
+        with ui.element("div").classes("sound-blocked").props("id=sound-blocked hidden"):
+            note = ui.label()
+            with ui.element("button").props("type=button id=allow-sound").classes("see"):
+                allow = ui.label()
+        wording.put(note.set_text, "alarms.sound_blocked")
+        wording.put(allow.set_text, "alarms.allow_sound")
+        self._sound = ui.element("i").props("id=alarm-sound hidden data-level= data-say=[]")
+        self._page.load("alarms.js")
+
+    def _build_row(self, name: AlarmName) -> _Row:
+        with ui.element("li").classes("alarm").props(f"data-alarm={name.value}") as box:
+            shape = ui.label().classes("shape").props("aria-hidden=true")
+            text = ui.label().classes("what")
+            with ui.element("button").props(f"type=button data-see={name.value}") as button:
+                see = ui.label()
+        button.classes("see")
+        self._page.wording.put(see.set_text, "alarms.acknowledge")
+        button.on("click", lambda: self._acknowledge(name))
+        box.set_visibility(False)
+        return _Row(box, shape, text, button)
+
+    def _acknowledge(self, name: AlarmName) -> None:
+        text = self._page.memory.acknowledge(name)
+        if text is not None:
+            # For whoever reads the station's log later; in English, as everything there.
+            english = type(self._page.wording.settings)().speaker
+            self._page.agent.note(f"{self._page.tab.name} acknowledged: {english(text)}")
+
+    def update(self, view: View) -> None:
+        """Show what is."""
+        shown = {alarm.name: alarm for alarm in view.alarms}
+        for name, row in self._rows.items():
+            self._show(row, shown.get(name))
+        self._tell(view)
+
+    def _show(self, row: _Row, alarm: Alarm | None) -> None:
+        state = "" if alarm is None else f"{alarm.level.value} {alarm.state.value}"
+        if alarm is not None:
+            wording = self._page.wording
+            text = wording(_whole(alarm))
+            row.text.set_text(text)
+            row.shape.set_text(SHAPES[alarm.level])
+            attribute(row.button)(wording(tr("alarms.acknowledge_named", alarm=alarm.text)))
+        if state != row.state:
+            row.box.classes(remove=row.state, add=state)
+            row.state = state
+            row.box.set_visibility(alarm is not None)
+            is_known = alarm is not None and alarm.state is AlarmState.ACKNOWLEDGED
+            row.button.set_visibility(not is_known)
+
+    def _tell(self, view: View) -> None:
+        """Hand what is new to sound and speech."""
+        raised = [one for one in view.alarms if one.state is AlarmState.RAISED]
+        since = {one.name: one.began_at for one in raised}
+        new = [one for one in raised if self._spoken.get(one.name) != one.began_at]
+        self._spoken = since
+        settings, wording = self._page.wording.settings, self._page.wording
+        if new:
+            said = [wording(one.text) for one in new]
+            self._loud.set_text(". ".join(said))
+            if settings.speech:
+                spoken = {"at": view.at, "texts": said, "language": settings.language.value}
+                attribute(self._sound, "data-say")(json.dumps(spoken))
+        elif not raised:
+            self._loud.set_text("")
+        sounds = settings.sound and view.sounding is not None
+        level = view.sounding.value if sounds and view.sounding is not None else ""
+        attribute(self._sound, "data-level")(level)
+
+
+def _whole(alarm: Alarm) -> Text:
+    """What an alarm says, and whether it is over."""
+    if alarm.state is AlarmState.PASSED:
+        return tr("alarms.passed", alarm=alarm.text)
+    return alarm.text
+
+
+# -- the bar of a replay ---------------------------------------------------------------------------
+
+_STEP = 0.1  # of the place, s
+
+
+class ReplayPart:
+    """Says that it is a replay, and moves it. It is not there for an aircraft."""
+
+    def __init__(self, page: PageContext) -> None:
+        self._page = page
+        self._is_showing = False  # what is set then was not chosen
+        self._is_held = False  # a finger moves the place
+        self._duration_s = -1.0
+        self._is_marked = False  # the page: what one flies with is hidden
+
+    def build(self) -> None:
+        """Lay it out."""
+        put = self._page.wording.put
+        with ui.element("section").props("id=replay") as self._bar:
+            put(attribute(self._bar), "replay.bar")
+            with ui.element("div").classes("said"):
+                self._title = ui.label().classes("title").props("id=replay-title")
+                put(ui.label().classes("nothing").set_text, "replay.nothing")
+                self._place = ui.label().props("id=replay-place")
+                self._note = ui.label().props("id=replay-note")
+            with ui.element("div").classes("moves"):
+                self._button("back", "replay.back", "by -10")
+                self._toggle = self._button("toggle", "replay.pause", "toggle")
+                self._button("on", "replay.on", "by 10")
+                self._slider = ui.slider(min=0.0, max=1.0, step=_STEP, value=0.0)
+                self._slider.props("id=replay-slider")
+                put(attribute(self._slider), "replay.place")
+                self._slider.on("pan", self._held)
+                self._slider.on("change", self._moved)
+                choices = {speed: f"{speed:g} ×" for speed in SPEEDS}
+                self._speed = ui.select(choices, value=1.0).props("dense outlined for=replay-speed")
+                put(attribute(self._speed, "label"), "replay.speed")
+                self._speed.on_value_change(self._sped)
+        self._bar.set_visibility(False)
+
+    def _button(self, name: str, key: str, order: str) -> ui.label:
+        button = ui.element("button").classes("act plain")
+        button.props(f"type=button data-replay={name}")
+        with button:
+            text = ui.label()
+        self._page.wording.put(text.set_text, key)
+        button.on("click", partial(self._order, order), args=[])
+        return text
+
+    def _order(self, text: str) -> None:
+        agent, tab = self._page.agent, self._page.tab
+
+        async def order() -> None:
+            await agent.ask(Action.REPLAY, data=text.encode())
+
+        agent.background.spawn(tab.attempt(order), f"{text} of {tab.name}")
+
+    def _held(self, event: events.GenericEventArguments) -> None:
+        self._is_held = event.args == "start"
+
+    def _moved(self) -> None:
+        self._is_held = False
+        self._order(f"seek {float(self._slider.value or 0.0):.1f}")
+
+    def _sped(self, event: events.ValueChangeEventArguments[float]) -> None:
+        if not self._is_showing and event.value is not None:
+            self._order(f"speed {event.value:g}")
+
+    def update(self, view: View) -> None:
+        """Show what is."""
+        shown = view.replay
+        self._bar.set_visibility(shown is not None)
+        if shown is not None:
+            self._is_showing = True
+            self._show(shown)
+            self._is_showing = False
+
+    def _show(self, shown: ReplayView) -> None:
+        said = self._page.wording
+        if not self._is_marked:
+            self._is_marked = True
+            ui.run_javascript('document.body.dataset.replay = "yes"')
+        self._title.set_text(said(shown.title))
+        self._place.set_text(said(shown.place))
+        self._note.set_text("" if shown.note is None else said(shown.note))
+        self._toggle.set_text(said(Text("replay.pause" if shown.is_running else "replay.resume")))
+        if shown.duration_s != self._duration_s:
+            self._duration_s = shown.duration_s
+            self._slider.props(f"max={max(_STEP, shown.duration_s):.1f}")
+        if not self._is_held:
+            self._slider.set_value(round(shown.position_s, 1))
+        if shown.speed in SPEEDS:
+            self._speed.set_value(shown.speed)
+
+
+# -- the aircraft that this station serves ---------------------------------------------------------
+
+
+class FleetPart:
+    """A row of aircraft: a press turns to one, and each can be stopped without that."""
+
+    def __init__(self, page: PageContext) -> None:
+        self._page = page
+        self._rows: dict[str, _ShipRow] = {}  # as they came
+
+    def build(self) -> None:
+        """Lay it out."""
+        self._place = ui.element("nav").props("id=fleet")
+        self._place.set_visibility(False)  # of one aircraft there is no list
+        self._page.wording.put(attribute(self._place), "fleet.label")
+
+    def update(self, view: View) -> None:
+        """Show what is; of a fleet more may come."""
+        for row in view.fleet:
+            if not self._rows:
+                self._place.set_visibility(True)
+            if row.name not in self._rows:
+                with self._place:
+                    self._rows[row.name] = _ShipRow(self._page, row.name)
+            self._rows[row.name].show(row)
+
+
+class _ShipRow:
+    def __init__(self, page: PageContext, name: str) -> None:
+        self._page, self._name = page, name
+        self._shown: tuple[FleetRow, Settings] | None = None  # and what it was said in
+        with ui.element("div").classes("ship") as self._box:
+            turn = ui.element("button").props(f'type=button data-ship="{name}"')
+            page.wording.put(attribute(turn, "title"), "fleet.show", name=name)
+            with turn:
+                ui.label(name).classes("ship-name")
+                self._control = ui.label().classes("ship-control")
+                self._flies = ui.label().classes("ship-flies")
+                self._battery = ui.label()
+            self._turn: Any = turn
+            turn.on("click", self._turn_to, args=[])
+            stop = (
+                ui.element("button").classes("ship-stop").props(f'type=button data-halt="{name}"')
+            )
+            page.wording.put(attribute(stop), "fleet.stop", name=name)
+            with stop:
+                page.wording.put(ui.label().set_text, "actions.stop")
+            stop.on("click", self._stop, js_handler=ORDER)
+
+    def _turn_to(self) -> None:
+        if self._name != self._page.tab.aircraft:
+            address = self._page.tabs.move(self._page.tab, self._name)
+            ui.run_javascript(f"location.replace({json.dumps(address)})")
+
+    def _stop(self, event: GenericEventArguments) -> None:
+        answer(event)
+        agent, tab = self._page.tabs.agents[self._name], self._page.tab
+        agent.background.spawn(tab.attempt(agent.stop), f"stop of {tab.name}")
+
+    def show(self, row: FleetRow) -> None:
+        """Show what has changed."""
+        said = self._page.wording
+        before, self._shown = self._shown, (row, said.settings)
+        if self._shown == before:
+            return
+        self._control.set_text(said(row.control))
+        self._flies.set_text(said(row.flies))
+        self._battery.set_text(said(row.battery))
+        self._battery.classes(add="low") if row.is_low else self._battery.classes(remove="low")
+        self._turn.props(f"aria-current={'page' if row.is_shown else 'false'}")
+        self._box.classes(remove="mine theirs free lost", add=row.kind)

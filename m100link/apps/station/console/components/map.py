@@ -1,0 +1,369 @@
+"""The map behind the Fly and Plan views, and the flight to a point of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any, TypeGuard
+
+from nicegui import events, ui
+
+from m100link.apps.agent.preview import preview
+from m100link.apps.station.console.components.component import NumberField, PageContext, attribute
+from m100link.apps.station.console.view.map import (
+    FASTEST_M_S,
+    HIGHEST_M,
+    LOWEST_M,
+    MOST_TURNS,
+    SLOWEST_M_S,
+    SMALLEST_M,
+    WIDEST_M,
+    Chart,
+    ClickView,
+    Drawing,
+    Pointed,
+    Refusal,
+    Shown,
+    Wish,
+    click_of,
+)
+from m100link.apps.station.console.view.texts import Kind, Settings, Text
+from m100link.apps.station.console.view.view import View
+from m100link.errors import M100Error
+from m100link.protocol.records import Position
+
+# -- the map ---------------------------------------------------------------------------------------
+
+_TOOLS = (
+    ("in", "add"),
+    ("out", "remove"),
+    ("follow", "my_location"),
+    ("turn", "navigation"),
+)
+"""What each does, ``page.map.<that>`` is its name for people; its icon."""
+
+
+class FlightMap(ui.leaflet):
+    """A map whose place the page alone decides: where it was moved to is not kept here."""
+
+    def _handle_move_or_zoom_end(self, e: object) -> None:
+        """Nothing comes back: it would be sent to the page again, five times a second."""
+
+
+class MapPart:
+    """One map for both views; drawn on by ``static/map.js``."""
+
+    def __init__(self, page: PageContext) -> None:
+        self._page = page
+        self._shown = Chart(None, ())
+
+    def build(self) -> None:
+        """Lay it out."""
+        options = {"zoomControl": False, "attributionControl": False, "maxZoom": 22}
+        with ui.element("div").props("id=map-frame"):
+            self.leaflet = FlightMap(zoom=18, options=options | {"keyboard": False})
+            self.leaflet.props(f"id=map data-vue={self.leaflet.id}").classes("map")
+            self.leaflet.clear_layers()  # the tiles of the Internet
+            if self._page.has_tiles:
+                self.leaflet.tile_layer(
+                    url_template="/tiles/{z}/{x}/{y}.png",
+                    options={"maxNativeZoom": 19, "maxZoom": 22},
+                )
+        with ui.element("div").classes("map-tools"):
+            for what, icon in _TOOLS:
+                tool = ui.element("button").props(f"type=button data-map={what}")
+                with tool:
+                    ui.icon(icon).props("aria-hidden=true")
+                for name in ("title", "aria-label"):
+                    self._page.wording.put(attribute(tool, name), f"page.map.{what}")
+        ui.label().props("id=map-home").classes("map-home")
+
+    def update(self, view: View) -> None:
+        """Show plan and envelope when they are others; what moves comes by the socket."""
+        chart = view.chart
+        if chart != self._shown:
+            self._shown = chart
+            fence = chart.fence and [
+                [chart.fence.latitude_deg, chart.fence.longitude_deg],
+                chart.fence.radius_m,
+            ]
+            ui.run_javascript(
+                'import("/console/shell.js").then(({m100}) => m100.onMap('
+                f"(map) => map.setChart({json.dumps(chart.route)}, {json.dumps(fence)})))"
+            )
+
+
+# -- click to fly ----------------------------------------------------------------------------------
+
+# What is shown of each wish.
+_SHOWN: dict[Wish, tuple[str, ...]] = {
+    Wish.PLACE: ("way", "height", "speed"),
+    Wish.CIRCLE: ("way", "height", "speed", "radius", "turns", "clockwise"),
+    Wish.HEIGHT: ("height",),
+    Wish.HEADING: ("yaw_deg",),
+}
+
+
+# Which numbers have handles on the map, and to how many digits a hand sets them.
+_DRAGGED = {"radius": 1, "yaw_deg": 0}
+
+
+class ClickPart:
+    """Flies to a point of the map, around it, to a height, to a heading."""
+
+    def __init__(self, page: PageContext) -> None:
+        self._page = page
+        self._say = page.wording
+        self._pointed = Pointed()
+        self._shown = Shown()
+        self._problem: M100Error | None = None
+        self._orders = 0  # given so far: only the newest one's end is told
+        self._is_open = False
+        self._drawn = ""
+        self._told: tuple[tuple[Refusal, ...], Settings] | None = None  # and what it was said in
+        self._fields: dict[str, ui.element] = {}
+        self._numbers: dict[str, NumberField] = {}
+        self._wishes: dict[Wish, ui.element] = {}
+
+    # -- layout ----------------------------------------------------------------------------------
+
+    def build(self) -> None:
+        """Lay it out."""
+        put = self._page.wording.put
+        self._page.load("overlays.js")
+        ui.on("map_pointed", self._clicked)
+        ui.on("map_dragged", self._dragged)
+        self._opener = ui.element("button").classes("act plain").props("type=button id=point-open")
+        with self._opener:
+            put(ui.label().set_text, "click.title")
+        self._opener.on("click", lambda: self._open(is_open=True), args=[])
+        with ui.element("div").classes("card click").props("id=click role=region") as self._card:
+            put(attribute(self._card), "click.title")
+            put(ui.label().classes("hint").set_text, "click.hint")
+            self._build_wishes()
+            self._build_fields()
+            self._preview = ui.label().props("id=click-preview role=status")
+            self._refusals = ui.element("div").props("id=click-refusals role=alert")
+            with ui.element("div").classes("acts"):
+                add = self._page.buttons.add
+                self._fly_button = add("guide", "click.fly", self._fly, check=self._check_shown)
+                close = ui.element("button").classes("act plain")
+                with close.props("type=button id=point-close"):
+                    put(ui.label().set_text, "click.close")
+                close.on("click", lambda: self._open(is_open=False), args=[])
+        with ui.element("div").classes("card guided").props("id=guided") as self._guided:
+            self._flying = ui.label().props("id=guided-flying role=status")
+            self._page.buttons.add("hover", "click.hover", self._hover, kind="plain")
+        self._guided.set_visibility(False)
+        self._open(is_open=False)
+
+    def _build_wishes(self) -> None:
+        with ui.element("div").classes("choices").props("role=group"):
+            for wish in Wish:
+                button = ui.element("button").props(f"type=button data-wish={wish.value}")
+                with button:
+                    self._page.wording.put(ui.label().set_text, f"click.{wish.value}")
+                button.on("click", partial(self._wish, wish), args=[])
+                self._wishes[wish] = button
+
+    def _build_fields(self) -> None:
+        with ui.element("div").classes("numbers") as self._fields["way"]:
+            far = {"kind": Kind.LENGTH, "limits": (0, 5000)}
+            self._distance = self._number("distance", self._by_distance, **far)
+            self._bearing = self._number("bearing", self._by_distance, limits=(0, 360))
+        for name, word, low, high, step, kind in (
+            ("height", "height_m", LOWEST_M, HIGHEST_M, 0.5, Kind.LENGTH),
+            ("speed", "speed", SLOWEST_M_S, FASTEST_M_S, 0.5, Kind.SPEED),
+            ("radius", "radius", SMALLEST_M, WIDEST_M, 1.0, Kind.LENGTH),
+            ("turns", "turns", 0.25, MOST_TURNS, 0.25, None),
+            ("yaw_deg", "yaw", 0, 359, 1, None),
+        ):
+            with ui.element("div").classes("dragged") as self._fields[name]:
+                self._numbers[name] = self._number(
+                    word,
+                    partial(self._changed, name),
+                    kind=kind,
+                    limits=(low, high),
+                    step=step,
+                    value=getattr(self._pointed, name),
+                )
+                self._build_slider(word, self._numbers[name], step)
+
+        with ui.element("div") as self._fields["clockwise"]:
+            box = ui.checkbox(value=self._pointed.clockwise)
+            box.props("id=click-clockwise").on_value_change(self._turned)
+            self._page.wording.put(box.set_text, "click.clockwise")
+
+    def _turned(self, event: events.ValueChangeEventArguments[Any]) -> None:
+        self._pointed = replace(self._pointed, clockwise=bool(event.value))
+        self._problem = None
+
+    def _build_slider(self, word: str, number: NumberField, step: float) -> None:
+        """The handle to drag; whoever does not drag has the number and the arrow keys."""
+        low, high = number.shown_limits
+        slider = ui.slider(min=low or 0.0, max=high or 0.0, step=step)
+        slider.bind_value(number.element)
+        unit = {} if number.kind is None else {"unit": number.kind}
+        self._page.wording.put(attribute(slider), f"click.{word}", **unit)
+
+        def follow() -> None:
+            low, high = number.shown_limits
+            slider.props(f"min={low} max={high}")
+
+        self._page.wording.follow(follow)
+
+    def _number(self, word: str, changed: Callable[[Any], None], **options: Any) -> NumberField:
+        number = NumberField(self._page.wording, f"click.{word}", changed=changed, **options)
+        number.element.props(f"dense outlined for=click-{word}")
+        return number
+
+    # -- what the operator does ------------------------------------------------------------------
+
+    def _open(self, *, is_open: bool) -> None:
+        self._is_open, self._problem = is_open, None
+        self._card.set_visibility(is_open)
+        self._opener.set_visibility(not is_open)
+        if is_open:
+            self._wish(self._pointed.wish)
+        else:
+            self._pointed = replace(self._pointed, place=None)
+
+    def _wish(self, wish: Wish) -> None:
+        self._pointed, self._problem = replace(self._pointed, wish=wish), None
+        for one, button in self._wishes.items():
+            button.props(f"aria-pressed={'true' if one is wish else 'false'}")
+        for name, field in self._fields.items():
+            field.set_visibility(name in _SHOWN[wish])
+
+    def _clicked(self, event: events.GenericEventArguments) -> None:
+        if not isinstance(event.args, dict) or event.args.get("view") != "fly":
+            return
+        place = event.args.get("place")
+        if isinstance(place, list) and len(place) == 2 and all(map(_is_number, place)):
+            if not self._is_open:
+                self._take_height()
+            self._pointed = self._pointed.at(*place)
+            self._open(is_open=True)
+
+    def _dragged(self, event: events.GenericEventArguments) -> None:
+        """A handle on the map was let go: the radius of a circle, or a heading."""
+        found = event.args if isinstance(event.args, dict) else {}
+        name, value = found.get("name"), found.get("value")
+        if not isinstance(name, str) or name not in _DRAGGED:
+            return
+        if _is_number(value) and self._is_open and self._page.tab.has_lease:
+            self._pointed = self._pointed.changed(name, round(value, _DRAGGED[name]))
+            self._problem = None
+            self._numbers[name].set(getattr(self._pointed, name))
+
+    def _take_height(self) -> None:
+        """A flight to a point keeps the height that the aircraft has, unless somebody says so."""
+        telemetry = self._page.agent.telemetry
+        position = None if telemetry is None else telemetry.finite(Position, within=1.0)
+        if position is not None and position.height_m > LOWEST_M:
+            self._pointed = self._pointed.changed("height", round(position.height_m))
+            self._numbers["height"].set(self._pointed.height)
+
+    def _changed(self, name: str, value: float | None) -> None:
+        self._pointed, self._problem = self._pointed.changed(name, value), None
+
+    def _by_distance(self, _: float | None) -> None:
+        telemetry = self._page.agent.telemetry
+        position = None if telemetry is None else telemetry.finite(Position, within=1.0)
+        distance, bearing = self._distance.value, self._bearing.value
+        if position is None or not _is_number(distance) or not _is_number(bearing):
+            return
+        here = position.latitude_deg, position.longitude_deg
+        self._pointed = self._pointed.by_distance(here, distance, bearing)
+
+    def _check_shown(self, shown: object) -> None:
+        try:
+            self._shown.check(shown, self._pointed)
+        except M100Error as error:
+            self._problem = error  # beside the point, too
+            raise
+
+    async def _fly(self) -> None:
+        order, tab = self._pointed.order, self._page.tab
+        if order is None:
+            return
+        self._orders += 1
+        mine, self._problem = self._orders, None
+        began = self._page.agent.now
+        try:
+            await self._page.agent.guide(tab.lease, order, self._begun)
+        except M100Error as error:
+            if mine == self._orders and not tab.has_ended(error, began):
+                self._problem = error
+                if not self._is_open:
+                    raise  # it flew, and the panel beside which it would stand is closed
+
+    def _begun(self) -> None:
+        """It flies: what is pointed at now would be the next one."""
+        if not self._card.is_deleted:
+            with self._card:
+                self._open(is_open=False)
+
+    async def _hover(self) -> None:
+        self._orders += 1  # an end that was asked for is not a problem
+        self._page.agent.halt(f"{self._page.tab.name}: hover")
+
+    # -- what is shown ---------------------------------------------------------------------------
+
+    def update(self, view: View) -> None:
+        """Show what is."""
+        agent = self._page.agent
+        order = self._pointed.order if self._is_open else None
+        has_control = self._page.tab.has_lease and agent.has_authority
+        foreseen = None
+        if order is not None:
+            foreseen = preview(order, agent.telemetry, agent.state.limits)
+        found = click_of(
+            self._pointed if self._is_open else Pointed(),
+            foreseen,
+            agent.state.guided,
+            has_control=has_control,
+            problem=self._problem,
+        )
+        self._preview.set_text(self._said(found.preview))
+        self._fly_button.set_visibility(found.may_fly)
+        self._fly_button.props(f"data-shown={self._shown.show(self._pointed)}")
+        self._flying.set_text(self._said(found.flying))
+        self._guided.set_visibility(agent.state.guided is not None)
+        self._tell(found.refusals)
+        self._draw(found, has_control=has_control)
+
+    def _said(self, text: Text | None) -> str:
+        return "" if text is None else self._say(text)
+
+    def _tell(self, refusals: tuple[Refusal, ...]) -> None:
+        told = refusals, self._page.wording.settings
+        if told == self._told:
+            return
+        self._told = told
+        self._refusals.clear()
+        with self._refusals:
+            for refusal in refusals:
+                with ui.element("div").classes("problem"):
+                    if refusal.reason is not None:
+                        ui.label(self._say(refusal.reason))
+                    remedy = refusal.remedy
+                    ui.label(self._say(remedy) if isinstance(remedy, Text) else remedy)
+
+    def _draw(self, found: ClickView, *, has_control: bool) -> None:
+        drawings = {"pointed": _drawing(found.pointed), "flown": _drawing(found.flown)}
+        wanted = json.dumps(drawings | {"handles": has_control and self._is_open})
+        if wanted != self._drawn:
+            self._drawn = wanted
+            draw = f"map.drawPointed({wanted})"
+            ui.run_javascript(f'import("/console/overlays.js").then((map) => {draw})')
+
+
+def _drawing(one: Drawing) -> dict[str, object]:
+    return {"place": one.place, "radius": one.radius, "yaw": one.yaw_deg}
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)

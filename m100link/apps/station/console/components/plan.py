@@ -1,0 +1,545 @@
+"""The Plan view: draw a plan over the map, check it, keep it in files, and fly it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from enum import IntEnum
+from functools import partial
+from typing import Any, Protocol
+
+from nicegui import events, ui
+
+from m100link.apps.agent.messages import Action
+from m100link.apps.station.console.components.component import (
+    NumberField,
+    PageContext,
+    Wording,
+    attribute,
+    card,
+    say_options,
+)
+from m100link.apps.station.console.view.plan import (
+    Draft,
+    History,
+    Note,
+    actions_of,
+    checked,
+    drawing,
+    profile,
+    profile_options,
+    row_of,
+    summary_of,
+    text_of,
+    upload_of,
+)
+from m100link.apps.station.console.view.texts import Kind
+from m100link.apps.station.console.view.view import View
+from m100link.errors import M100Error, UsageError
+from m100link.missions.plan import WaypointPlan
+from m100link.missions.survey import line_spacing
+from m100link.missions.waypoint import AtEnd, Heading, Trace, Waypoint
+from m100link.protocol.records import Position
+
+_FIRST_HEIGHT_M = 20.0
+
+Place = tuple[float, float]
+
+
+class PlanPart:
+    """Cards beside the map, which shows the way."""
+
+    def __init__(self, page: PageContext) -> None:
+        self._page = page
+        self._say = page.wording
+        self._history = History()
+        self._chosen: int | None = None
+        self._is_area = False  # clicks make corners of the area, and not points
+        self._found = checked(Draft())
+        self._waypoint = WaypointPart(
+            page.wording, self._change_point, self._move_point, self._refuse
+        )
+        self._whole = WholePart(page.wording, self._change, self._survey)
+
+    @property
+    def _draft(self) -> Draft:
+        return self._history.draft
+
+    # -- layout ----------------------------------------------------------------------------------
+
+    def build(self) -> None:
+        """Lay it out."""
+        self._page.load("overlays.js")
+        ui.on("map_pointed", self._clicked)
+        ui.on("plan_moved", self._moved)
+        ui.on("plan_chosen", self._picked)
+        wording = self._page.wording
+        with card("plan.title", wording):
+            wording.put(ui.label().classes("hint").set_text, "plan.hint")
+            self._build_tools()
+            self._problem = ui.label().classes("problem").props("id=plan-problem role=alert")
+            self._summary = ui.label().props("id=plan-summary role=status")
+            self._notes = ui.element("ul").props("id=plan-notes").classes("notes")
+            self._rows = ui.element("ol").props("id=plan-rows").classes("rows")
+        self._waypoint.build()
+        with card("plan.profile", wording):
+            self._chart = ui.echart({}).classes("profile")
+            self._chart.props("id=plan-profile role=img")
+            wording.put(attribute(self._chart), "plan.profile")
+        self._whole.build()
+        self._build_files()
+        self._build_mission()
+        wording.follow(self._show)
+
+    def _build_tools(self) -> None:
+        with ui.element("div").classes("choices").props("role=group"):
+            self._modes = {
+                is_area: self._tool(word, partial(self._mode, is_area=is_area))
+                for word, is_area in (("points", False), ("area", True))
+            }
+            self._tool("undo", lambda: self._go(self._history.undo()))
+            self._tool("redo", lambda: self._go(self._history.redo()))
+            self._tool("clear", lambda: self._change(Draft()))
+            self._tool("add", self._add_point)
+            self._tool("fit", lambda: _run("map.fit()"))
+
+    def _tool(self, word: str, work: Callable[[], None]) -> ui.element:
+        button = ui.element("button").props(f"type=button data-plan={word}")
+        with button:
+            self._page.wording.put(ui.label().set_text, f"plan.{word}")
+        button.on("click", work, args=[])
+        return button
+
+    def _build_files(self) -> None:
+        with card("plan.file", self._page.wording):
+            # A label that looks like a button: a screen reader makes nothing of what Quasar has.
+            chosen = ui.element("input").classes("unseen")
+            chosen.props('type=file accept=".json,.plan" id=plan-file')
+            chosen.on(
+                "change",
+                js_handler='(event) => import("/console/overlays.js")'
+                ".then((map) => map.open(event.target))",
+            )
+            with ui.element("label").classes("act plain").props("for=plan-file"):
+                self._page.wording.put(ui.label().set_text, "plan.open")
+            ui.on("plan_opened", self._opened)
+            with ui.element("div").classes("choices"):
+                self._tool("export_plan", lambda: self._save("plan"))
+                self._tool("export_json", lambda: self._save("json"))
+
+    def _build_mission(self) -> None:
+        tab, add = self._page.tab, self._page.buttons.add
+        with card("plan.mission", self._page.wording):
+            self._uploaded = ui.label().props("id=plan-uploaded")
+            self._plan = ui.label().props("id=plan")
+            with ui.element("div").classes("acts"):
+                add("mission_upload", "plan.upload", self._upload)
+                for name, action in (
+                    ("start", Action.MISSION_START),
+                    ("pause", Action.MISSION_PAUSE),
+                    ("resume", Action.MISSION_RESUME),
+                    ("stop", Action.MISSION_STOP),
+                ):
+                    work = partial(tab.order_mission, action)
+                    add(f"mission_{name}", f"plan.{name}", work)
+            self._progress = ui.linear_progress(0.0, show_value=False)
+            self._progress.props("id=mission-progress")
+            self._page.wording.put(attribute(self._progress), "plan.progress")
+            self._state = ui.label().props("id=mission role=status")
+
+    # -- what the operator does ------------------------------------------------------------------
+
+    def _change(self, draft: Draft) -> None:
+        self._go(self._history.done(draft))
+
+    def _go(self, history: History) -> None:
+        self._history = history
+        self._refuse("")
+        if self._chosen is not None and self._chosen >= len(history.draft.points):
+            self._chosen = None
+        self._show()
+
+    def _refuse(self, problem: str) -> None:
+        self._problem.set_text(problem)
+
+    def _mode(self, *, is_area: bool) -> None:
+        self._is_area = is_area
+        self._show()
+
+    def _clicked(self, event: events.GenericEventArguments) -> None:
+        place = _place(event.args)
+        if place is None or event.args.get("view") != "plan":
+            return
+        if self._is_area:
+            self._change(self._draft.cornered(place))
+        else:
+            self._add(place)
+
+    def _add(self, place: Place) -> None:
+        points, chosen = self._draft.points, self._chosen
+        after = len(points) - 1 if chosen is None else chosen
+        height = points[after].height if points else _FIRST_HEIGHT_M
+        draft = self._draft.added(place, height, after)
+        self._chosen = after + 1
+        self._change(draft)
+
+    def _add_point(self) -> None:
+        """Without pointing: beside the last one, or where the aircraft is; numbers move it."""
+        points = self._draft.points
+        if points:
+            after = points[-1 if self._chosen is None else self._chosen]
+            self._add((after.latitude_deg + 2e-4, after.longitude_deg))
+        elif (here := self._here()) is not None:
+            self._add(here)
+        else:
+            self._add((0.0, 0.0))
+
+    def _moved(self, event: events.GenericEventArguments) -> None:
+        place = _place(event.args)
+        index = event.args.get("index") if place is not None else None
+        if place is None or type(index) is not int:
+            return
+        if event.args.get("kind") == "corner":
+            self._change(self._draft.corner_moved(index, place))
+        else:
+            self._chosen = index
+            self._change(self._draft.moved(index, place))
+
+    def _picked(self, event: events.GenericEventArguments) -> None:
+        index = event.args.get("index") if isinstance(event.args, dict) else None
+        if type(index) is int:
+            self._choose(index)
+
+    def _choose(self, index: int) -> None:
+        self._chosen = index if 0 <= index < len(self._draft.points) else None
+        self._show()
+
+    def _change_point(self, **values: object) -> None:
+        if self._chosen is not None:
+            self._change(self._draft.changed(self._chosen, **values))
+
+    def _move_point(self, by: int) -> None:
+        """Earlier or later in the order; 0 removes it."""
+        if self._chosen is None:
+            return
+        if by == 0:
+            self._change(self._draft.removed(self._chosen))
+            return
+        to = self._chosen + by
+        draft = self._draft.put(self._chosen, to)
+        if draft != self._draft:
+            self._chosen = to
+            self._change(draft)
+
+    def _survey(self, **how: Any) -> None:
+        try:
+            draft = self._draft.surveyed(start=self._here(), **how)
+        except UsageError as error:
+            self._refuse(str(error))
+        else:
+            self._chosen = None
+            self._change(draft)
+
+    def _opened(self, event: events.GenericEventArguments) -> None:
+        content = event.args.get("text") if isinstance(event.args, dict) else None
+        try:
+            if not isinstance(content, str):
+                raise UsageError("this file is too large to be a plan", remedy="choose another one")
+            plan = WaypointPlan.parse(content)
+        except M100Error as error:
+            self._refuse(str(error))
+            return
+        self._chosen = None
+        self._change(Draft.of(plan, self._draft.area))
+        _run("map.fit()")
+
+    def _save(self, kind: str) -> None:
+        plan = self._found.plan
+        if plan is None:
+            self._refuse(self._say(summary_of(self._draft, self._found)))
+            return
+        text = plan.to_qgroundcontrol() if kind == "plan" else plan.to_json()
+        ui.download.content(text, f"m100link.{kind}", "application/json")
+
+    async def _upload(self) -> None:
+        await self._page.tab.give_plan(self._draft.plan())
+
+    # -- what is shown ---------------------------------------------------------------------------
+
+    def _here(self) -> Place | None:
+        telemetry = self._page.agent.telemetry
+        position = None if telemetry is None else telemetry.finite(Position, within=2.0)
+        return None if position is None else (position.latitude_deg, position.longitude_deg)
+
+    def _show(self) -> None:
+        """Show the draft: after each change of it or of the settings, and only then."""
+        draft = self._draft
+        found = self._found = checked(draft, self._here())
+        self._summary.set_text(self._say(summary_of(draft, found)))
+        for is_area, button in self._modes.items():
+            button.props(f"aria-pressed={'true' if is_area is self._is_area else 'false'}")
+        self._notes.clear()
+        with self._notes:
+            for note in found.notes:
+                if note.point is None:
+                    _tell(note)
+        self._show_rows()
+        chosen = None if self._chosen is None else draft.points[self._chosen]
+        self._waypoint.show(self._chosen, chosen)
+        self._whole.show(draft)
+        units = self._page.wording.settings.units
+        self._chart.options.update(profile_options(profile(draft.points), units))
+        self._chart.update()
+        # The row that was pressed is another one by now, and no place for a script to run in.
+        with self._rows:
+            _run(f"map.drawPlan({json.dumps(drawing(draft, found, self._chosen))})")
+
+    def _show_rows(self) -> None:
+        self._rows.clear()
+        with self._rows:
+            for index, point in enumerate(self._draft.points):
+                with ui.element("li"):
+                    pressed = "true" if index == self._chosen else "false"
+                    row = ui.element("button").props(
+                        f"type=button data-point={index} aria-pressed={pressed}"
+                    )
+                    with row:
+                        ui.label(self._say(row_of(index + 1, point)))
+                        for note in self._found.at(index):
+                            _tell(note, "span")
+                    row.on("click", partial(self._choose, index), args=[])
+
+    def update(self, view: View) -> None:
+        """Show what is."""
+        agent = self._page.agent
+        uploaded = upload_of(self._found.plan, agent.plan, agent.plan_by)
+        self._uploaded.set_text(self._say(uploaded))
+        self._plan.set_text(self._say(view.mission.plan))
+        self._state.set_text(self._say(view.mission.state))
+        self._progress.set_value(view.mission.part)
+
+
+def _tell(note: Note, tag: str = "li") -> None:
+    with ui.element(tag).classes("note wrong" if note.is_error else "note"):
+        ui.label(note.text)
+
+
+def _run(code: str) -> None:
+    ui.run_javascript(f'import("/console/overlays.js").then((map) => {code})')
+
+
+def _place(args: Any) -> Place | None:
+    """What came from the page, if it is a place."""
+    place = args.get("place") if isinstance(args, dict) else None
+    if not isinstance(place, list) or len(place) != 2:
+        return None
+    if not all(isinstance(one, int | float) and abs(one) <= 360 for one in place):
+        return None
+    return float(place[0]), float(place[1])
+
+
+# -- the chosen waypoint of a plan -----------------------------------------------------------------
+
+
+class ChangePoint(Protocol):
+    """Changes values of the chosen waypoint."""
+
+    def __call__(self, **values: object) -> None:
+        """With the fields of :class:`~m100link.Waypoint` that change."""
+
+
+class WaypointPart:
+    """A card for one waypoint."""
+
+    def __init__(
+        self,
+        wording: Wording,  # says what stands there
+        change: ChangePoint,  # changes its values
+        move: Callable[[int], None],  # puts it earlier (-1) or later (1), or removes it (0)
+        refuse: Callable[[str], None],  # told what is not an action
+    ) -> None:
+        self._wording, self._change, self._move, self._refuse = wording, change, move, refuse
+        self._numbers: dict[str, NumberField] = {}
+        self._is_showing = False  # what is set then was not typed
+
+    def build(self) -> None:
+        """Lay it out."""
+        with ui.element("div").classes("card w-full").props("id=waypoint") as self._card:
+            self._title = ui.label().classes("title")
+            with ui.element("div").classes("numbers"):
+                for name, word, step, kind in (
+                    ("height", "height", 1.0, Kind.LENGTH),
+                    ("heading_deg", "heading", 5.0, None),
+                    ("gimbal_pitch_deg", "pitch", 5.0, None),
+                    ("latitude_deg", "latitude", 1e-5, None),
+                    ("longitude_deg", "longitude", 1e-5, None),
+                ):
+                    number = NumberField(
+                        self._wording,
+                        f"plan.{word}",
+                        kind=kind,
+                        step=step,
+                        changed=partial(self._typed, name),
+                    )
+                    number.element.props(f"dense outlined debounce=300 for=waypoint-{word}")
+                    self._numbers[name] = number
+            self._actions = ui.input()
+            self._actions.props("dense outlined debounce=500 for=waypoint-actions")
+            self._wording.put(attribute(self._actions, "label"), "plan.actions")
+            self._wording.put(attribute(self._actions, "hint"), "plan.actions_hint")
+            self._actions.on_value_change(self._acted)
+            with ui.element("div").classes("choices"):
+                for word, by in (("earlier", -1), ("later", 1), ("remove", 0)):
+                    button = ui.element("button").props(f"type=button data-plan={word}")
+                    with button:
+                        self._wording.put(ui.label().set_text, f"plan.{word}")
+                    button.on("click", partial(self._move, by), args=[])
+        self._card.set_visibility(False)
+
+    def show(self, index: int | None, point: Waypoint | None) -> None:
+        """Show one, or none."""
+        self._card.set_visibility(point is not None)
+        if index is None or point is None:
+            return
+        self._is_showing = True
+        self._title.set_text(str(index + 1))
+        for name, number in self._numbers.items():
+            number.set(getattr(point, name))
+        if not self._is_same_text(point):
+            self._actions.set_value(text_of(point.actions))
+        self._is_showing = False
+
+    def _is_same_text(self, point: Waypoint) -> bool:
+        """Whether what stands there means these actions: nobody's typing is rewritten."""
+        try:
+            return actions_of(self._actions.value or "") == tuple(point.actions)
+        except UsageError:
+            return False
+
+    def _typed(self, name: str, value: float | None) -> None:
+        if value is not None:
+            self._change(**{name: value})
+
+    def _acted(self, event: events.ValueChangeEventArguments[Any]) -> None:
+        if self._is_showing:
+            return
+        try:
+            actions = actions_of(str(event.value or ""))
+        except UsageError as error:
+            self._refuse(str(error))
+        else:
+            self._change(actions=actions)
+
+
+# -- what holds for a plan as a whole --------------------------------------------------------------
+
+X3_DEG = 81.0
+"""Field of view of a Zenmuse X3 across its pictures, °: 20 mm in terms of 35 mm film, at 4 to 3."""
+
+_CHOICES: tuple[tuple[str, str, type[IntEnum]], ...] = (
+    ("at_end", "at_end", AtEnd),
+    ("heading", "nose", Heading),
+    ("trace", "trace", Trace),
+)
+
+_LINES: tuple[tuple[str, float | None, float, float, Kind | None], ...] = (
+    ("height", 30.0, 2, 1, Kind.LENGTH),
+    ("overlap", 70.0, 0, 5, None),
+    ("spacing", None, 1, 1, Kind.LENGTH),
+    ("angle", 0.0, -180, 5, None),
+    ("photo_every", None, 2, 1, Kind.LENGTH),
+)
+"""Of the survey: its name, what stands there at first, the least, the step of its arrows, and what
+it measures."""
+
+
+class WholePart:
+    """Two cards."""
+
+    def __init__(
+        self,
+        wording: Wording,  # says what stands there
+        change: Callable[[Draft], None],  # takes another draft
+        survey: Callable[..., None],  # makes lines over the area
+    ) -> None:
+        self._wording, self._change, self._survey = wording, change, survey
+        self._draft = Draft()
+        self._selects: dict[str, ui.select] = {}
+        self._lines: dict[str, NumberField] = {}
+        self._is_showing = False  # what is set then was not chosen
+
+    def build(self) -> None:
+        """Lay it out."""
+        wording = self._wording
+        with ui.element("div").classes("card w-full"), ui.element("div").classes("numbers"):
+            self._speed = NumberField(
+                wording,
+                "plan.speed",
+                kind=Kind.SPEED,
+                limits=(0, 15),
+                step=0.5,
+                changed=self._sped,
+            )
+            self._speed.element.props("dense outlined debounce=300 for=plan-speed")
+            for name, word, kind in _CHOICES:
+                select = ui.select([one.value for one in kind])
+                say_options(
+                    select, {one.value: f"plan.{word}.{one.name.lower()}" for one in kind}, wording
+                )
+                wording.put(attribute(select, "label"), f"plan.{word}")
+                select.props(f"dense outlined for=plan-{word}")
+                select.on_value_change(partial(self._selected, name, kind))
+                self._selects[name] = select
+        with card("plan.survey", wording):
+            with ui.element("div").classes("numbers"):
+                for name, value, low, step, measure in _LINES:
+                    number = NumberField(
+                        wording,
+                        f"plan.{name}",
+                        kind=measure,
+                        limits=(low, None),
+                        step=step,
+                        value=value,
+                    )
+                    number.element.props(f"dense outlined clearable for=survey-{name}")
+                    self._lines[name] = number
+            button = ui.element("button").classes("act plain").props("type=button data-plan=lines")
+            with button:
+                wording.put(ui.label().set_text, "plan.lines")
+            button.on("click", self._make_lines, args=[])
+
+    def show(self, draft: Draft) -> None:
+        """Show what holds for a draft."""
+        self._draft, self._is_showing = draft, True
+        self._speed.set(draft.speed)
+        for name, select in self._selects.items():
+            select.set_value(int(getattr(draft, name)))
+        self._is_showing = False
+
+    def _sped(self, speed: float | None) -> None:
+        if speed is not None:
+            self._change(replace(self._draft, speed=speed, max_speed=max(10.0, speed)))
+
+    def _selected(
+        self, name: str, kind: type[IntEnum], event: events.ValueChangeEventArguments[Any]
+    ) -> None:
+        if not self._is_showing:
+            # Names of three fields, each with values of its own kind.
+            self._change(replace(self._draft, **{name: kind(event.value)}))  # type: ignore[arg-type]
+
+    def _make_lines(self) -> None:
+        values = {name: number.value for name, number in self._lines.items()}
+        height, every = float(values["height"] or 0.0), values["photo_every"]
+        spacing = values["spacing"]
+        if spacing is None:  # from the overlap
+            try:
+                spacing = line_spacing(height, (values["overlap"] or 0.0) / 100.0, X3_DEG)
+            except UsageError:
+                spacing = 0.0  # which is refused with its remedy
+        self._survey(
+            height=height,
+            spacing=float(spacing),
+            angle_deg=float(values["angle"] or 0.0),
+            photo_every=None if every is None else float(every),
+        )

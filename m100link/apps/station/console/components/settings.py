@@ -1,0 +1,236 @@
+"""What the operator chooses for this page, and the panel of a virtual aircraft."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from enum import Enum
+from typing import Any, TypeAlias
+
+from nicegui import ui
+from nicegui.events import ValueChangeEventArguments
+
+from m100link.apps.station.console.components.component import (
+    PageContext,
+    Wording,
+    attribute,
+    card,
+    say_options,
+)
+from m100link.apps.station.console.orders import Orders
+from m100link.apps.station.console.view.texts import (
+    Language,
+    LengthUnit,
+    Settings,
+    SpeedUnit,
+    Text,
+    Theme,
+    for_browser,
+)
+from m100link.apps.station.console.view.view import View
+from m100link.errors import M100Error
+from m100link.protocol.records import RcMode
+
+# -- settings, which the browser keeps -------------------------------------------------------------
+
+_KEY = "m100link.settings"
+_PATIENCE = 30.0  # seconds that a busy browser has to say what it kept
+_CHOICES: tuple[tuple[str, type[Enum]], ...] = (
+    ("language", Language),
+    ("length", LengthUnit),
+    ("speed", SpeedUnit),
+    ("theme", Theme),
+)
+_NAMED = ("language", "theme")  # the others are signs of units
+
+
+async def load_settings(page: PageContext) -> None:
+    """Take over what the browser kept, and where its clock stands."""
+    try:
+        kept, ahead = await ui.run_javascript(
+            f"[localStorage.getItem({json.dumps(_KEY)}), -new Date().getTimezoneOffset()]",
+            timeout=_PATIENCE,
+        )
+    except TimeoutError:
+        return  # the page has gone, or hangs: it stays as it is
+    if isinstance(ahead, int) and abs(ahead) <= 14 * 60:
+        page.wording.utc_offset_min = ahead
+    apply_settings(page, Settings.from_text(kept))
+
+
+def apply_settings(page: PageContext, settings: Settings) -> None:
+    """Let the page look and speak as it was chosen."""
+    if settings.name:
+        page.tab.name = settings.name
+    page.dark.set_value({Theme.AUTO: None, Theme.DARK: True}.get(settings.theme, False))
+    told = json.dumps(for_browser(settings.speaker))
+    ui.run_javascript(
+        f"document.body.classList.toggle('sun', {json.dumps(settings.theme is Theme.SUN)});"
+        f'import("/console/said.js").then((said) => said.choose({told}));'
+    )
+    page.wording.choose(settings)
+
+
+class SettingsPart:
+    """Language, units, looks, sound, and who it is."""
+
+    def __init__(self, page: PageContext) -> None:
+        self._page = page
+
+    def build(self) -> None:
+        """Lay it out."""
+        wording = self._page.wording
+        with card("settings.title", wording):
+            name = ui.input(value=self._page.tab.name).props("for=name outlined maxlength=64")
+            name.classes("w-60")
+            name.on_value_change(lambda event: self._rename(str(event.value)))
+            wording.put(attribute(name, "label"), "settings.name")
+            for field, kind in _CHOICES:
+                self._build_choice(field, kind)
+            for field in ("sound", "speech"):
+                box = ui.checkbox(value=getattr(wording.settings, field)).props(f"id={field}")
+                box.on_value_change(self._chooser(field, bool))
+                wording.put(box.set_text, f"settings.{field}")
+            with ui.element("div").classes("acts"):
+                with ui.element("button").classes("act plain") as attempt:
+                    label = ui.label()
+                attempt.props("type=button id=try-sound").on("click", self._try_sound)
+            wording.put(label.set_text, "settings.try_sound")
+            for key in ("settings.english_errors", "settings.kept"):
+                wording.put(ui.label().classes("note-plain").set_text, key)
+        if self._page.orders is not None:
+            with card("status.virtual", wording):
+                SimPanel(self._page.orders, wording).build()
+
+    def _build_choice(self, field: str, kind: type[Enum]) -> None:
+        wording = self._page.wording
+        values = [str(one.value) for one in kind]
+        chosen = getattr(wording.settings, field).value
+        choice = ui.select({value: value for value in values}, value=chosen)
+        choice.props(f"for={field} outlined").classes("w-60")
+        choice.on_value_change(self._chooser(field, kind))
+        wording.put(attribute(choice, "label"), f"settings.{field}")
+        if field in _NAMED:
+            say_options(choice, {one: f"settings.{field}.{one}" for one in values}, wording)
+
+    def _rename(self, name: str) -> None:
+        self._page.tab.name = name[:64]
+        self._choose(name=name[:64])
+
+    def _chooser(self, field: str, kind: Callable[[Any], Any]) -> Callable[[Any], None]:
+        return lambda event: self._choose(**{field: kind(event.value)})
+
+    def _choose(self, **chosen: Any) -> None:
+        settings = replace(self._page.wording.settings, **chosen)
+        if settings == self._page.wording.settings:
+            return
+        ui.run_javascript(
+            f"localStorage.setItem({json.dumps(_KEY)}, {json.dumps(settings.to_text())})"
+        )
+        apply_settings(self._page, settings)
+
+    def _try_sound(self) -> None:
+        wording = self._page.wording
+        tried = {
+            "text": wording(Text("settings.tried")),
+            "language": wording.settings.language.value,
+            "sound": wording.settings.sound,
+            "speech": wording.settings.speech,
+        }
+        ui.run_javascript(
+            f'import("/console/alarms.js").then((module) => module.attempt({json.dumps(tried)}))'
+        )
+
+    def update(self, view: View) -> None:
+        """Nothing of it comes from the aircraft."""
+
+
+# -- the panel of a virtual aircraft ---------------------------------------------------------------
+
+_LINES = {
+    "clean": "",
+    "lost_5": "faults loss=0.05",
+    "lost_20": "faults loss=0.2",
+    "damaged": "faults damage=0.02",
+    "late": "faults delay=0.08 jitter=0.02",
+    "radio": "faults radio=on",
+}
+
+# As a text: what comes with a change is not generic in every NiceGUI that is allowed.
+_Handler: TypeAlias = "Callable[[ValueChangeEventArguments[Any]], Awaitable[None]]"
+
+
+class SimPanel:
+    """What plays pilot and weather."""
+
+    def __init__(self, orders: Orders, wording: Wording) -> None:
+        self._orders, self._wording = orders, wording
+
+    def build(self) -> None:
+        """Lay it out inside the present element."""
+        shown = self._orders.status
+        with ui.row().classes("items-center gap-2"):
+            self._wording.put(ui.label().set_text, "sim.mode")
+            ui.toggle(
+                [mode.name for mode in RcMode],
+                value=shown["rc_mode"],
+                on_change=self._gives(lambda mode: (f"rc-mode {mode}",)),
+            ).props("id=sim-mode")
+        with ui.row().classes("items-center gap-2"):
+            self._switch("rc", "rc-on", "rc-off", value=shown["rc_is_on"])
+            app = "app-takes-control", "app-releases-control"
+            self._switch("app", *app, value=shown["control"] == "app")
+        with ui.row().classes("items-center gap-2"):
+            self._switch("plug", "replug", "unplug", value=True)
+            self._switch("stall", "stall on", "stall off", value=False)
+            self._switch("refuse", "server-refuses on", "server-refuses off", value=False)
+        with ui.row().classes("items-center gap-2 w-full"):
+            self._build_line()
+            self._number("gps", "gps {:.0f}", 5, shown["gps_health"])
+            self._number("battery", "battery {:g}", 100, round(shown["battery_percent"]))
+
+    def _gives(self, order: Callable[[Any], tuple[str, ...]]) -> _Handler:
+        """What gives the orders for a new value; a refusal is shown to whoever wanted it."""
+
+        async def give(event: ValueChangeEventArguments[Any]) -> None:
+            if event.value is None:
+                return
+            try:
+                await self._orders.give(*order(event.value))
+            except M100Error as error:
+                ui.notify(error.seen)
+
+        return give
+
+    def _switch(self, name: str, on: str, off: str, *, value: bool) -> None:
+        gives = self._gives(lambda is_on: (on if is_on else off,))
+        switch = ui.switch(value=value, on_change=gives).props(f"id=sim-{name}")
+        self._wording.put(switch.set_text, f"sim.{name}")
+
+    def _build_line(self) -> None:
+        line = ui.select(
+            list(_LINES),
+            value="clean",
+            on_change=self._gives(
+                lambda name: ("no-faults", _LINES[name]) if _LINES[name] else ("no-faults",)
+            ),
+        )
+        line.props("outlined dense id=sim-line for=sim-line-input").classes("w-40")
+        say_options(line, {name: f"sim.line.{name}" for name in _LINES}, self._wording)
+        self._wording.put(attribute(line, "label"), "sim.line")
+
+    def _number(self, name: str, order: str, high: int, value: int) -> None:
+        number = ui.number(
+            value=value,
+            min=0,
+            max=high,
+            precision=0,
+            on_change=self._gives(lambda typed: (order.format(_within(typed, high)),)),
+        )
+        number.props(f"outlined dense id=sim-{name} for=sim-{name}-input").classes("w-28")
+        self._wording.put(attribute(number, "label"), f"sim.{name}")
+
+
+def _within(value: float, high: float) -> float:
+    return min(max(float(value), 0.0), high)

@@ -1,0 +1,394 @@
+"""What the Data and Events views say: the link in numbers, plots, what happened."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta, timezone
+from enum import Enum
+from typing import Any
+
+from m100link.apps.agent.messages import Event
+from m100link.apps.station.console.kept import COLUMNS, INTERVAL
+from m100link.apps.station.console.view.situation import Inputs
+from m100link.apps.station.console.view.texts import Kind, Speaker, Text, Units, tr
+from m100link.protocol.items import ITEMS
+from m100link.wire.frame import Discard
+
+# -- the link in numbers ---------------------------------------------------------------------------
+
+_COUNTERS = (
+    *("frames_received", "frames_sent", "bytes_received", "bytes_sent", "discarded_bytes"),
+    *("acks", "repeats", "expired", "duplicate_acks", "late_acks", "foreign_acks"),
+    "dropped_writes",
+)
+
+LINK_ITEMS = (
+    *("connection", "firmware", "clients", "aircraft_ms", "page_ms", "agent_lag", "front_lag"),
+    *("discards", "mismatches"),
+    *_COUNTERS,
+)
+"""Names of the numbers, in the order of the page; ``link.<name>`` is what each is called."""
+
+
+@dataclass(frozen=True, slots=True)
+class ItemRate:
+    """How a telemetry item arrives."""
+
+    name: Text  # of the item
+    rate: str  # arrivals per second lately
+    jitter: str  # mean deviation of their intervals, ms
+    longest_gap: str  # longest interval so far, s
+
+
+@dataclass(frozen=True, slots=True)
+class LinkView:
+    """How the link does."""
+
+    # A text by the name of each of :data:`LINK_ITEMS`; a dash for what nobody knows.
+    texts: dict[str, Text]
+    # Causes of damaged frames, each with how many, the most first.
+    causes: tuple[tuple[Text, str], ...]
+    rates: tuple[ItemRate, ...]  # how each telemetry item arrives that ever did
+    # Each client of the station with what it did not get, the most first.
+    dropped: tuple[tuple[str, str], ...]
+    reason: str  # why there is no connection; empty when there is
+
+
+def link_of(inputs: Inputs) -> LinkView:
+    """The numbers as they are now."""
+    state, holder, counted = inputs.state, inputs.holder, inputs.link
+    texts = dict.fromkeys(LINK_ITEMS, tr("link.nothing"))
+    texts["connection"] = Text(f"link.{'silent' if inputs.is_silent else state.connection}")
+    texts["clients"] = (
+        tr("link.holder", name=holder.name, seconds=round(state.lease_remaining))
+        if holder.number
+        else tr("link.free")
+    )
+    texts["front_lag"] = _ms(inputs.front_lag)
+    if inputs.page_trip is not None:
+        texts["page_ms"] = _ms(inputs.page_trip)
+    if inputs.telemetry is not None:
+        trip = state.round_trip
+        texts |= {
+            "firmware": _value(state.firmware),
+            "aircraft_ms": tr("link.no_answer") if trip is None else _ms(trip),
+            "discards": _value(state.discards),
+            "mismatches": _value(state.mismatches),
+        }
+    causes: dict[str, Any] = {}
+    if counted is not None:
+        texts["agent_lag"] = _ms(counted.loop_lag)
+        texts |= {name: _value(counted.counters.get(name, "–")) for name in _COUNTERS}
+        causes = dict(sorted(counted.discards.items(), key=lambda one: -one[1]))
+    fault = state.connection_fault
+    return LinkView(
+        texts,
+        tuple((_cause(cause), str(count)) for cause, count in causes.items()),
+        _rates(inputs),
+        tuple((name, str(count)) for name, count in sorted(inputs.dropped, key=_most_first)),
+        str(fault.error()) if fault is not None else "",
+    )
+
+
+def _most_first(client: tuple[str, int]) -> tuple[int, str]:
+    return -client[1], client[0]
+
+
+def _ms(seconds: float) -> Text:
+    return tr("unit.ms", ms=round(1000.0 * seconds))
+
+
+def _value(value: object) -> Text:
+    return tr("link.value", value=str(value))
+
+
+def _cause(name: str) -> Text:
+    return Text(f"link.cause.{name}") if name in set(Discard) else _value(name)
+
+
+def _rates(inputs: Inputs) -> tuple[ItemRate, ...]:
+    if inputs.telemetry is None:
+        return ()
+    told = [inputs.telemetry.statistics(item.record) for item in ITEMS]
+    return tuple(
+        ItemRate(
+            Text(f"plots.item.{one.name}"),
+            "–" if one.rate_hz is None else f"{one.rate_hz:.1f}",
+            "–" if one.jitter_s is None else f"{1000.0 * one.jitter_s:.1f}",
+            f"{one.longest_gap_s:.2f}",
+        )
+        for one in told
+        if one.count
+    )
+
+
+# -- plots -----------------------------------------------------------------------------------------
+
+FIRST_CHOICE = (
+    *("position.height_m", "velocity.ground_speed_m_s"),
+    *("angular_velocity.yaw_rate_deg_s", "line.packages_per_s"),
+)
+"""What is drawn until somebody chooses."""
+
+MOST = 6  # numbers that are drawn at once: more is not read, and costs the browser
+
+RANGES = {30: "30 s", 60: "1 min", 120: "2 min", 300: "5 min", 600: "10 min"}
+"""Seconds that a chart shows, and what that is called."""
+
+_MOST_POINTS = 600  # of a line: more than pixels are not seen
+
+_UNITS = (
+    ("_m_s2", "m/s²"),
+    ("_deg_s", "°/s"),
+    ("_rad_s", "rad/s"),
+    ("_m_s", "m/s"),
+    ("_per_s", "1/s"),
+    ("_percent", "%"),
+    ("_deg", "°"),
+    ("_rad", "rad"),
+    ("_ms", "ms"),
+    ("_hz", "Hz"),
+    ("_m", "m"),
+)
+
+_TOP, _HEIGHT, _GAP = 28, 88, 40  # of each line's own stripe, in pixels
+_COLOURS = ("#1e88e5", "#e53935", "#43a047", "#fb8c00", "#8e24aa", "#00897b")
+
+
+def kind(name: str) -> Kind | None:
+    """What a column measures, where the operator chooses the unit."""
+    sign = _sign(name)
+    return next((one for one in Kind if one.value == sign), None)
+
+
+def _sign(name: str) -> str:
+    if name.endswith(".percent"):
+        return "%"
+    return next((told for end, told in _UNITS if name.endswith(end)), "")
+
+
+def label(name: str) -> Text:
+    """A column for people: ``position: height, m``."""
+    item, _, field = name.partition(".")
+    sign = _sign(name)
+    end = next((end for end, _ in _UNITS if field.endswith(end)), "")
+    if field == "tick_hz":  # else it would be called as the tick itself
+        end = ""
+    values: dict[str, object] = {
+        "item": Text(f"plots.item.{item}"),
+        "field": Text(f"plots.field.{field.removesuffix(end)}"),
+    }
+    if not sign:
+        return Text("plots.label", values)
+    return Text("plots.label_unit", values | {"unit": kind(name) or sign})
+
+
+def step(seconds: float) -> int:
+    """Every how many rows of the history is drawn, so that a line has not too many points."""
+    return max(1, math.ceil(seconds / INTERVAL / _MOST_POINTS))
+
+
+def known(names: Iterable[str]) -> list[str]:
+    """Those of the names that can be drawn, each once, at most :data:`MOST`."""
+    return [name for name in dict.fromkeys(names) if name in COLUMNS][:MOST]
+
+
+def points(
+    rows: Sequence[tuple[float, ...]], names: Sequence[str], units: Units
+) -> list[list[float | None]]:
+    """Rows as the page takes them.
+
+    ``rows``: seconds since 1970, and a value for each name; not a number where there is none.
+
+    Returns:
+        Milliseconds since 1970, and values of six digits; None where there is none.
+    """
+    kinds = [kind(name) for name in names]
+    factors = [1.0 if one is None else units.convert(1.0, one) for one in kinds]
+    return [
+        [
+            round(1000.0 * utc),
+            *(
+                float(f"{factor * value:.6g}") if math.isfinite(value) else None
+                for value, factor in zip(values, factors, strict=True)
+            ),
+        ]
+        for utc, *values in rows
+    ]
+
+
+def chart(names: Sequence[str], speaker: Speaker) -> dict[str, Any]:
+    """The options of an ECharts chart: a stripe for each number, one time and one cursor for all.
+
+    Its points come later, by ``static/instruments.js``: only what is new goes to the page.
+    """
+    stripes = range(len(names))
+    labels = [speaker(label(name)) for name in names]
+    return {
+        "animation": False,
+        "axisPointer": {"link": [{"xAxisIndex": "all"}]},
+        "tooltip": {"trigger": "axis", "axisPointer": {"type": "cross"}},
+        "dataZoom": [{"type": "inside", "xAxisIndex": list(stripes), "filterMode": "none"}],
+        "grid": [
+            {"left": 62, "right": 14, "top": _TOP + n * (_HEIGHT + _GAP), "height": _HEIGHT}
+            for n in stripes
+        ],
+        "xAxis": [
+            {
+                "type": "time",
+                "gridIndex": n,
+                # A narrow chart has room for few times; they would be written over each other.
+                "axisLabel": {"show": n == len(names) - 1, "hideOverlap": True},
+            }
+            for n in stripes
+        ],
+        "yAxis": [
+            {
+                "type": "value",
+                "gridIndex": n,
+                "scale": True,
+                "name": labels[n],
+                "nameGap": 12,
+                "nameTextStyle": {"align": "left", "padding": [0, 0, 0, -54]},
+                "splitNumber": 3,
+            }
+            for n in stripes
+        ],
+        "series": [
+            {
+                "type": "line",
+                "name": labels[n],
+                "xAxisIndex": n,
+                "yAxisIndex": n,
+                "showSymbol": False,
+                "connectNulls": False,
+                "lineStyle": {"width": 1.5},
+                "color": _COLOURS[n % len(_COLOURS)],
+                "data": [],
+            }
+            for n in stripes
+        ],
+    }
+
+
+def height(names: Sequence[str]) -> int:
+    """Pixels that a chart of so many stripes needs."""
+    return _TOP + max(1, len(names)) * (_HEIGHT + _GAP) + 10
+
+
+# -- what happened ---------------------------------------------------------------------------------
+# The agent's times are on a clock that nobody reads. The wall's time is given to an event when it
+# is first seen here and then kept: a clock that is set meanwhile moves no event.
+
+LEVELS = ("info", "warning", "error")  # the levels of events, the least urgent first
+
+_MAX_LINES = 1000
+
+
+class Format(Enum):
+    """How the list is written down; the value is the ending of the file's name."""
+
+    TEXT = "txt"
+    JSON = "json"
+    CSV = "csv"
+
+
+MIME = {Format.TEXT: "text/plain", Format.JSON: "application/json", Format.CSV: "text/csv"}
+"""What each is told to be."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One event."""
+
+    number: int  # counts the lines of this page from 1
+    at: float  # seconds since 1970, UTC
+    level: str  # one of :data:`LEVELS`
+    source: str  # ``"station"``, or ``"page"`` for what only this page knows
+    # What happened: English from the station, and to be said in the operator's language from this
+    # page.
+    text: str | Text
+
+    def said(self, speaker: Speaker) -> str:
+        """What happened, as it is shown."""
+        return self.text if isinstance(self.text, str) else speaker(self.text)
+
+    def time(self, utc_offset_min: int) -> datetime:
+        """When, by a clock so many minutes ahead of UTC."""
+        return datetime.fromtimestamp(self.at, timezone(timedelta(minutes=utc_offset_min)))
+
+
+class Diary:
+    """The lines of one page, oldest first; the oldest of very many are forgotten."""
+
+    def __init__(self) -> None:
+        self.lines: deque[Line] = deque(maxlen=_MAX_LINES)
+        self._count = 0
+        self._last_event = 0
+
+    def take(self, events: Iterable[Event], now: float, wall: float) -> None:
+        """Take over what the agent told.
+
+        ``now``: time on the agent's clock, s. ``wall``: the same moment in seconds since 1970.
+        """
+        for event in events:
+            if event.number > self._last_event:
+                self._last_event = event.number
+                self._add(wall - (now - event.at), event.level, "station", event.text)
+
+    def write(self, text: Text, wall: float, level: str = "info") -> None:
+        """Add something that only this page knows."""
+        self._add(wall, level, "page", text)
+
+    def _add(self, at: float, level: str, source: str, text: str | Text) -> None:
+        self._count += 1
+        self.lines.append(Line(self._count, at, level, source, text))
+
+
+def select(
+    lines: Iterable[Line], speaker: Speaker, *, least: str = "info", words: str = ""
+) -> list[Line]:
+    """The lines of that level or above that hold every word, whatever its case."""
+    wanted = words.casefold().split()
+    lowest = LEVELS.index(least)
+    return [
+        line
+        for line in lines
+        if LEVELS.index(line.level) >= lowest
+        and all(word in line.said(speaker).casefold() for word in wanted)
+    ]
+
+
+def export(lines: Iterable[Line], how: Format, speaker: Speaker, utc_offset_min: int = 0) -> str:
+    """The lines as a file; times are those of the operator's clock, with their zone."""
+    rows = [
+        (line.time(utc_offset_min).isoformat(timespec="milliseconds"), line, line.said(speaker))
+        for line in lines
+    ]
+    if how is Format.JSON:
+        return json.dumps(
+            [
+                {"time": time, "level": line.level, "source": line.source, "text": text}
+                for time, line, text in rows
+            ],
+            ensure_ascii=False,
+            indent=1,
+        )
+    if how is Format.TEXT:
+        return "".join(f"{time}  {line.level:7}  {text}\n" for time, line, text in rows)
+    written = io.StringIO()
+    table = csv.writer(written)
+    table.writerow(("time", "level", "source", "text"))
+    table.writerows((time, line.level, line.source, _harmless(text)) for time, line, text in rows)
+    return written.getvalue()
+
+
+def _harmless(text: str) -> str:
+    """A cell that no spreadsheet takes for a formula: names of strangers stand in events."""
+    return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text

@@ -1,0 +1,475 @@
+"""What the Fly view says: the list before take-off, which buttons can be pressed, instruments."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+from m100link.apps.agent.latency import MAX_ROUND_TRIP
+from m100link.apps.station.console.view.situation import Inputs, Situation
+from m100link.apps.station.console.view.texts import Quantity, Text, tr
+from m100link.protocol.records import (
+    AngularVelocity,
+    Attitude,
+    Battery,
+    ControlDevice,
+    FlightPhase,
+    FlightStatus,
+    Gimbal,
+    Position,
+    RcMode,
+    RemoteControl,
+    Time,
+    Velocity,
+)
+from m100link.telemetry.integrity import GOOD_GPS, MAX_TELEMETRY_AGE
+from m100link.telemetry.state import AircraftState, is_finite
+
+# -- the list before take-off ----------------------------------------------------------------------
+# Without some of it the aircraft would refuse (line, activation, control), so nobody is asked.
+# About the rest the operator decides, and says why; the reason goes into the list of events. What
+# is unknown is not right.
+
+ENOUGH_BATTERY = 30  # charge, %, above which a flight begins: missions do not start at it or below
+
+FREE_FOR_S = 300.0
+"""Seconds for which the operator's word that the place is free holds: people walk."""
+
+LEAST_REASON = 3  # characters of a reason at least
+
+_MAX_LINE_TRIP = 0.3
+"""Seconds to the aircraft and back; the radio of a good line takes a tenth of it."""
+
+
+class Item(Enum):
+    """What has to be right, in the order of mending; the value is the key of its words."""
+
+    LINE = "line"
+    QUALITY = "quality"
+    ACTIVATION = "activation"
+    GROUND = "ground"
+    SWITCH = "switch"
+    CONTROL = "control"
+    GPS = "gps"
+    HOME = "home"
+    BATTERY = "battery"
+    GUARDS = "guards"
+    FREE = "free"
+
+
+class ItemState(Enum):
+    """How it stands; the value is the class of the style sheet."""
+
+    RIGHT = "right"
+    WRONG = "wrong"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What was found."""
+
+    state: ItemState  # how it stands
+    seen: Text  # what telemetry says
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One line of the list."""
+
+    item: Item  # what it is about
+    state: ItemState  # how it stands
+    seen: Text  # what telemetry says
+    remedy: Text | None  # how to mend it; None where it is right
+    is_needed: bool  # whether the aircraft or the station would refuse without it
+
+
+@dataclass(frozen=True, slots=True)
+class Checklist:
+    """The whole list."""
+
+    checks: tuple[Check, ...]
+    is_green: bool  # whether everything is right
+    is_possible: bool  # whether all that is needed is right
+    is_free_said: bool  # whether the operator's word for the place holds
+    reason: str  # why the operator flies all the same; empty without one
+    may_take_off: bool  # whether take-off is offered
+
+    @property
+    def missing(self) -> tuple[Check, ...]:
+        """What is not right."""
+        return tuple(check for check in self.checks if check.state is not ItemState.RIGHT)
+
+
+# -- what is right ---------------------------------------------------------------------------------
+
+
+def _found(is_right: bool | None, seen: Text) -> Finding:
+    states = {True: ItemState.RIGHT, False: ItemState.WRONG, None: ItemState.UNKNOWN}
+    return Finding(states[is_right], seen)
+
+
+_UNKNOWN = Text("unit.unknown")
+
+
+def _line(now: Situation) -> Finding:
+    age = now.telemetry_age
+    if not now.is_connected or age is None:
+        return _found(False, tr("checklist.line.none"))
+    is_heard = age <= MAX_TELEMETRY_AGE
+    return _found(is_heard, tr("checklist.line.heard" if is_heard else "checklist.line.silent"))
+
+
+def _quality(now: Situation) -> Finding:
+    line, page = now.round_trip, now.page_trip
+    if line is None or page is None:
+        return _found(None, _UNKNOWN)
+    seen = tr("checklist.quality.seen", line=round(1000 * line), page=round(1000 * page))
+    return _found(line <= _MAX_LINE_TRIP and page <= MAX_ROUND_TRIP, seen)
+
+
+def _activation(now: Situation) -> Finding:
+    key = "checklist.activation.done" if now.is_activated else "checklist.activation.none"
+    return _found(now.is_activated, tr(key))
+
+
+def _ground(now: Situation) -> Finding:
+    stands = now.is_on_ground
+    if stands is None:
+        return _found(None, _UNKNOWN)
+    return _found(stands, tr("checklist.ground.yes" if stands else "checklist.ground.no"))
+
+
+def _switch(now: Situation) -> Finding:
+    if now.switch is None:
+        return _found(None, _UNKNOWN)
+    return _found(now.switch is RcMode.F, tr("checklist.switch.seen", switch=now.switch.name))
+
+
+def _control(now: Situation) -> Finding:
+    if now.is_flown_here:
+        return _found(True, tr("checklist.control.yours"))
+    if now.holder and not now.has_lease:
+        return _found(False, tr("status.other", name=now.holder))
+    return _found(False, tr("checklist.control.none"))
+
+
+def _gps(now: Situation) -> Finding:
+    if now.gps is None:
+        return _found(None, _UNKNOWN)
+    return _found(now.gps >= GOOD_GPS, tr("checklist.gps.seen", health=now.gps))
+
+
+def _home(now: Situation) -> Finding:
+    is_known = now.place is not None
+    return _found(is_known or None, tr("checklist.home.here") if is_known else _UNKNOWN)
+
+
+def _battery(now: Situation) -> Finding:
+    if now.battery is None:
+        return _found(None, _UNKNOWN)
+    return _found(now.battery > ENOUGH_BATTERY, tr("unit.percent", percent=now.battery))
+
+
+def _guards(now: Situation) -> Finding:
+    height, radius = now.limits.max_height_m, now.limits.max_radius_m
+    if height is None or radius is None:
+        return _found(False, tr("checklist.guards.off"))
+    seen = tr(
+        "checklist.guards.seen", height=Quantity.length(height), radius=Quantity.length(radius)
+    )
+    return _found(True, seen)
+
+
+_FINDERS: dict[Item, Callable[[Situation], Finding]] = {
+    Item.LINE: _line,
+    Item.QUALITY: _quality,
+    Item.ACTIVATION: _activation,
+    Item.GROUND: _ground,
+    Item.SWITCH: _switch,
+    Item.CONTROL: _control,
+    Item.GPS: _gps,
+    Item.HOME: _home,
+    Item.BATTERY: _battery,
+    Item.GUARDS: _guards,
+}
+
+ITEMS: dict[Item, bool] = dict.fromkeys(Item, False) | dict.fromkeys(
+    (Item.LINE, Item.ACTIVATION, Item.CONTROL), True
+)
+"""What has to be right, and whether it is refused without it."""
+
+
+# -- what the operator says ------------------------------------------------------------------------
+
+
+class ChecklistDesk:
+    """What the operator of one tab said about this take-off; a flight ends it."""
+
+    def __init__(self) -> None:
+        self._free_said_at = -math.inf
+        self._reason = ""
+
+    def say_free(self, at: float, *, is_free: bool) -> None:
+        """The operator looked around: nobody and nothing is near, and the way up is free."""
+        self._free_said_at = at if is_free else -math.inf
+
+    def is_free(self, now: float) -> bool:
+        """Whether the operator's word for the place holds."""
+        return now - self._free_said_at <= FREE_FOR_S
+
+    def say_why(self, reason: str) -> None:
+        """Why the operator takes off although not everything is right."""
+        self._reason = " ".join(reason.split())[:200]
+
+    def look(self, now: Situation) -> Checklist:
+        """The list for a situation."""
+        if now.is_on_ground is False:
+            self._free_said_at, self._reason = -math.inf, ""  # the next take-off is another one
+        is_free = self.is_free(now.now)
+        findings = {item: find(now) for item, find in _FINDERS.items()}
+        key = "checklist.free.said" if is_free else "checklist.free.unsaid"
+        findings[Item.FREE] = _found(is_free, tr(key))
+        checks = tuple(_check(item, findings[item]) for item in Item)
+        wrong = [check for check in checks if check.state is not ItemState.RIGHT]
+        is_possible = not any(check.is_needed for check in wrong)
+        has_reason = len(self._reason) >= LEAST_REASON
+        return Checklist(
+            checks=checks,
+            is_green=not wrong,
+            is_possible=is_possible,
+            is_free_said=is_free,
+            reason=self._reason if has_reason else "",
+            may_take_off=is_possible and (not wrong or has_reason),
+        )
+
+
+def _check(item: Item, found: Finding) -> Check:
+    is_right = found.state is ItemState.RIGHT
+    remedy = None if is_right else Text(f"checklist.{item.value}.remedy")
+    return Check(item, found.state, found.seen, remedy, ITEMS[item])
+
+
+# -- which buttons can be pressed ------------------------------------------------------------------
+
+FLIGHTS = frozenset({"take_off", "land", "go_home", "simple_task", "mission_start", "guide"})
+"""What the aircraft begins to fly by itself."""
+
+MISSIONS = frozenset({"mission_pause", "mission_resume", "mission_stop"})
+
+HELD = FLIGHTS | {"mission_resume"}
+"""What has to be held for a second: all that makes the aircraft fly by itself, home and down too.
+A click that nobody meant must not; a second costs an aircraft that hovers nothing. What ends a
+motion is a single press."""
+
+ACTIONS = FLIGHTS | MISSIONS | {"stop", "activate", "obtain", "release", "mission_upload", "hover"}
+"""Every button that is an order."""
+
+
+FROM_GROUND = frozenset({"take_off", "simple_task", "mission_start"})
+"""What leaves the ground when it begins there."""
+
+
+def actions_of(inputs: Inputs, now: Situation, checklist: Checklist) -> frozenset[str]:
+    """The orders that can be given now; STOP always can, where something may fly.
+
+    What leaves the ground is offered by the checklist. Where nobody knows whether the aircraft
+    stands, it counts as standing. What flies does not take off.
+    """
+    if inputs.is_replay:
+        return frozenset()  # nothing flies, and nothing would obey
+    offered = {"stop"}
+    if inputs.is_connected:
+        offered.add("activate")
+        if not inputs.has_control:
+            offered.add("obtain")
+    if inputs.has_lease:
+        offered |= {"release", "mission_upload"}
+    if inputs.state.guided is not None:
+        offered.add("hover")  # anybody may
+    if inputs.has_control and inputs.flies_mission:
+        offered |= MISSIONS
+    elif inputs.has_control and not inputs.state.task:
+        offered |= FLIGHTS
+        if now.is_on_ground is not False and not checklist.may_take_off:
+            offered -= FROM_GROUND
+        if now.is_on_ground is False:
+            offered.discard("take_off")
+    return frozenset(offered)
+
+
+# -- instruments -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A field of the console."""
+
+    name: str  # identifies it in the page; ``instruments.<name>`` is what it is called
+    record: type[Any]  # telemetry record that it comes from
+    text: Callable[[Any], Text]  # the value, to be said
+    # Seconds after which it is greyed out: a few times the slowest usual interval.
+    stale_after: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """A field as it is now."""
+
+    text: Text  # the value, or a dash
+    is_stale: bool  # whether it is too old to be believed, or was never there
+    note: Text | None = None  # its age when it is stale; None where there is nothing to add
+
+
+def _phase(status: FlightStatus) -> Text:
+    phase = status.phase
+    if phase is None:
+        return tr("instruments.unknown_code", code=status.status)
+    return Text(f"instruments.phase.{phase.name.lower()}")
+
+
+def _device(item: ControlDevice) -> Text:
+    device = item.device
+    if device is None:
+        return tr("instruments.unknown_code", code=item.control)
+    return Text(f"instruments.device.{device.name.lower()}")
+
+
+def _gps_reading(position: Position) -> Text:
+    health = position.gps_health
+    if health is None:
+        return tr("instruments.gps.none")
+    return Text(f"instruments.gps.{'good' if health >= 3 else 'low'}", {"health": health})
+
+
+def _value(value: object) -> Text:
+    return tr("instruments.value", value=value)
+
+
+def _place(degrees: float) -> Text:
+    # With a point in every language: this is copied into other programs.
+    return tr("instruments.degrees", value=f"{degrees:.6f}")
+
+
+def _gimbal(gimbal: Gimbal) -> Text:
+    roll, pitch, yaw = map(round, (gimbal.roll_deg, gimbal.pitch_deg, gimbal.yaw_deg))
+    return tr("instruments.gimbal_angles", roll=roll, pitch=pitch, yaw=yaw)
+
+
+def _charge(battery: Battery) -> Text:
+    if not battery.is_possible:
+        return tr("instruments.unknown_code", code=battery.percent)
+    return tr("unit.percent", percent=battery.percent)
+
+
+FIELDS: tuple[Field, ...] = (
+    Field("flight_status", FlightStatus, _phase, 2.0),
+    Field("battery", Battery, _charge, 3.0),
+    Field("gps", Position, _gps_reading),
+    Field("height", Position, lambda p: _value(Quantity.length(p.height_m, 1))),
+    Field("altitude", Position, lambda p: _value(Quantity.length(p.altitude_m, 1))),
+    Field("latitude", Position, lambda p: _place(p.latitude_deg)),
+    Field("longitude", Position, lambda p: _place(p.longitude_deg)),
+    Field("speed", Velocity, lambda v: _value(Quantity.speed(v.ground_speed_m_s))),
+    Field("climb", Velocity, lambda v: _value(Quantity.speed(v.up_m_s, signed=True))),
+    Field("heading", Attitude, lambda a: tr("instruments.degrees", value=round(a.yaw_deg) % 360)),
+    Field("gimbal", Gimbal, _gimbal),
+    Field("mode_switch", RemoteControl, lambda rc: _value(rc.mode_switch.name)),
+    Field("control_device", ControlDevice, _device, 2.0),
+    Field("time", Time, lambda t: tr("unit.seconds", seconds=t.seconds)),
+)
+"""The fields, in the order of the page."""
+
+
+def read(field: Field, telemetry: AircraftState | None) -> Reading:
+    """A field as it is now; without telemetry, as it is while no aircraft is connected."""
+    record = telemetry.get(field.record) if telemetry is not None else None
+    if telemetry is None or record is None:
+        never = None if telemetry is None else tr("instruments.never")
+        return Reading(tr("instruments.nothing"), is_stale=True, note=never)
+    if not is_finite(record):
+        return Reading(tr("instruments.nothing"), is_stale=True)
+    age = telemetry.age(field.record) or 0.0
+    if age <= field.stale_after:
+        return Reading(field.text(record), is_stale=False)
+    return Reading(field.text(record), is_stale=True, note=tr("instruments.old", age=round(age)))
+
+
+@dataclass(frozen=True, slots=True)
+class Instruments:
+    """What the instruments show."""
+
+    readings: dict[str, Reading]  # a reading by the name of each of :data:`FIELDS`
+    # Roll, pitch and yaw, degrees; None when it is older than a second.
+    attitude: tuple[float, float, float] | None
+
+
+def instruments_of(inputs: Inputs) -> Instruments:
+    """The instruments as they are now; what an agent told that is not heard any more is old."""
+    telemetry = inputs.telemetry
+    attitude = telemetry.finite(Attitude, within=1.0) if telemetry is not None else None
+    return Instruments(
+        {field.name: read(field, telemetry) for field in FIELDS},
+        (attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg) if attitude is not None else None,
+    )
+
+
+def live(state: AircraftState | None, now: float) -> dict[str, Any]:
+    """What the instruments draw, twenty times a second; None for what is stale or missing."""
+    message: dict[str, Any] = {"op": "live", "t": round(now, 3)}
+    if state is None:
+        return message
+    age = state.newest_age
+    if age is not None:
+        message["age"] = round(age, 3)
+    attitude, position = state.finite(Attitude, within=1.0), state.finite(Position, within=1.0)
+    velocity, rates = state.finite(Velocity, within=1.0), state.finite(AngularVelocity, within=1.0)
+    rc = state.fresh(RemoteControl, within=1.0)
+    status = state.fresh(FlightStatus, within=2.0)
+    if status is not None and status.phase is FlightPhase.STANDBY:
+        message["ground"] = True
+    if attitude is not None:
+        message["att"] = [
+            round(angle, 2) for angle in (attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg)
+        ]
+    if position is not None:
+        message["pos"] = [
+            round(position.latitude_deg, 8),
+            round(position.longitude_deg, 8),
+            round(position.height_m, 2),
+        ]
+    if velocity is not None:
+        message["vel"] = [
+            round(speed, 2)
+            for speed in (
+                velocity.ground_speed_m_s,
+                velocity.up_m_s,
+                velocity.north_m_s,
+                velocity.east_m_s,
+            )
+        ]
+    if rates is not None:
+        message["yaw_rate"] = round(rates.yaw_rate_deg_s, 1)
+    if rc is not None:
+        message["rc"] = [rc.roll, rc.pitch, rc.yaw, rc.throttle]
+    message["rate"] = round(state.statistics(Attitude).rate_hz or 0.0, 1)
+    return message
+
+
+def seen_from_afar(name: str, state: AircraftState | None) -> dict[str, Any]:
+    """What the map draws of an aircraft that the page does not show; no place when it is old."""
+    message: dict[str, Any] = {"name": name}
+    position = state.fresh(Position, within=1.0) if state is not None else None
+    attitude = state.finite(Attitude, within=1.0) if state is not None else None
+    if position is not None and position.is_possible:
+        message["pos"] = [
+            round(position.latitude_deg, 7),
+            round(position.longitude_deg, 7),
+            round(position.height_m, 1),
+        ]
+    if attitude is not None:
+        message["yaw"] = round(attitude.yaw_deg)
+    return message

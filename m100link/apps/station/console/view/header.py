@@ -1,0 +1,369 @@
+"""The words above every view: the mission, the status line, a replay, the aircraft."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from m100link.apps.agent.messages import Replay
+from m100link.apps.station.console.view.situation import (
+    Hearing,
+    Inputs,
+    Level,
+    Ship,
+    Situation,
+)
+from m100link.apps.station.console.view.texts import Kind, Quantity, Text, problem_text, tr
+from m100link.missions.plan import WaypointPlan
+from m100link.protocol.codes import ActivationCode
+from m100link.protocol.records import Battery, Device, FlightPhase, FlightStatus, Position, RcMode
+from m100link.telemetry.integrity import MAX_TELEMETRY_AGE
+
+# -- the mission -----------------------------------------------------------------------------------
+
+_NAMES = {
+    "": "mission.unknown",
+    "no mission": "mission.none",
+    "waypoint mission": "mission.waypoint",
+    "hotpoint": "mission.hotpoint",
+    "follow mission": "mission.follow",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class MissionView:
+    """What is known of the mission."""
+
+    plan: Text  # the plan in one line
+    state: Text
+    part: float  # how much of it is flown, 0 to 1
+
+
+def mission_of(inputs: Inputs) -> MissionView:
+    """The mission as it is now."""
+    plan, state = inputs.plan, inputs.state
+    text, part = progress(plan, state.mission, state.mission_index)
+    return MissionView(summary(plan), text, part)
+
+
+def summary(plan: WaypointPlan | None) -> Text:
+    """A plan in one line."""
+    if plan is None:
+        return tr("mission.no_plan")
+    low, high = map(Quantity.length, plan.heights)
+    return tr(
+        "mission.plan",
+        count=len(plan.waypoints),
+        length=Quantity.length(plan.length_m),
+        speed=Quantity.speed(plan.speed),
+        low=low,
+        high=high,
+    )
+
+
+def name_of(mission: str) -> Text:
+    """What an agent calls a mission, to be said."""
+    key = _NAMES.get(mission)
+    return Text(key) if key is not None else tr("mission.other", name=mission)
+
+
+def progress(plan: WaypointPlan | None, mission: str, index: int) -> tuple[Text, float]:
+    """What flies, to be said, and how much of it is flown, as a part of 1."""
+    what = name_of(mission)
+    if mission in ("", "no mission") or index < 0:
+        return what, 0.0
+    if plan is None or index >= len(plan.waypoints):
+        return tr("mission.to", what=what, number=index + 1), 0.0
+    count = len(plan.waypoints)
+    return tr("mission.to_of", what=what, number=index + 1, count=count), index / count
+
+
+# -- the status line -------------------------------------------------------------------------------
+# :data:`RULES` is the whole of it: causes in the order of what the operator must do first, each
+# with what has to be known for it. The first that holds is told. None of them reads a value that
+# may be old, so the line claims nothing that it cannot know: while nothing is heard of the
+# aircraft, nobody is said to fly it.
+
+
+class Cause(Enum):
+    """What the line says; the value is the key of its words."""
+
+    AGENT_GONE = "agent_gone"  # the process that owns the aircraft has ended
+    AGENT_SILENT = "agent_silent"  # it may hang
+    LINE_LOST = "line_lost"  # the line was open and is not any more
+    CONNECTING = "connecting"  # the line is being opened
+    NEVER_HEARD = "never_heard"  # the line is open, and no telemetry has come yet
+    AIRCRAFT_SILENT = "aircraft_silent"  # the line is open, and telemetry has ended
+    APP = "app"  # CTRL_DEVICE names the mobile app
+    SWITCH = "switch"  # the mode switch is seen out of F: the pilot flies
+    REPLAY = "replay"  # a recorded flight: nobody controls anything
+    OTHER = "other"  # another client of the station has the lease
+    NOT_ACTIVATED = "not_activated"
+    PENDING = "pending"  # authority was asked for
+    GIVING_BACK = "giving_back"  # authority is being released
+    MISSION = "mission"  # the lease and authority, and a mission flies: sticks do nothing
+    YOURS = "yours"  # the lease and authority
+    RC = "rc"  # the lease without authority, and CTRL_DEVICE names the remote controller
+    TAKEN = "taken"  # the lease without authority: somebody took it, nobody knows who
+    NO_AUTHORITY = "no_authority"  # the lease without authority, which has to be asked for
+    KEPT = "kept"  # nobody has the lease, authority is kept for a moment for whoever was lost
+    FREE_RC = "free_rc"  # nobody has the lease, CTRL_DEVICE names the remote controller
+    FREE = "free"  # nobody has the lease, and who flies is not known
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """When a cause is told."""
+
+    cause: Cause
+    level: Level  # how urgent it is
+    holds: Callable[[Situation], bool]  # whether it is so
+
+
+def _is_aircraft_silent(now: Situation) -> bool:
+    return (now.telemetry_age or 0.0) > MAX_TELEMETRY_AGE
+
+
+def _lacks_authority(now: Situation) -> bool:
+    return now.has_lease and not now.has_authority
+
+
+_C, _L = Cause, Level
+
+RULES: tuple[Rule, ...] = (
+    Rule(_C.AGENT_GONE, _L.DANGER, lambda now: now.hearing is Hearing.GONE),
+    Rule(_C.AGENT_SILENT, _L.DANGER, lambda now: now.hearing is Hearing.SILENT),
+    Rule(_C.LINE_LOST, _L.DANGER, lambda now: now.connection == "lost"),
+    Rule(_C.CONNECTING, _L.WARNING, lambda now: now.connection != "connected"),
+    Rule(_C.NEVER_HEARD, _L.WARNING, lambda now: now.telemetry_at is None),
+    Rule(_C.AIRCRAFT_SILENT, _L.DANGER, _is_aircraft_silent),
+    Rule(_C.APP, _L.WARNING, lambda now: now.device is Device.APP),
+    Rule(_C.SWITCH, _L.WARNING, lambda now: now.switch not in (None, RcMode.F)),
+    Rule(_C.REPLAY, _L.NEUTRAL, lambda now: now.is_replay),
+    Rule(_C.OTHER, _L.WARNING, lambda now: bool(now.holder) and not now.has_lease),
+    Rule(_C.NOT_ACTIVATED, _L.WARNING, lambda now: not now.is_activated),
+    Rule(_C.PENDING, _L.WARNING, lambda now: now.holding in ("obtaining", "resuming")),
+    Rule(_C.GIVING_BACK, _L.NEUTRAL, lambda now: now.holding == "releasing"),
+    Rule(
+        _C.MISSION,
+        _L.GOOD,
+        lambda now: now.has_lease and now.has_authority and now.has_mission,
+    ),
+    Rule(_C.YOURS, _L.GOOD, lambda now: now.has_lease and now.has_authority),
+    Rule(_C.RC, _L.WARNING, lambda now: _lacks_authority(now) and now.device is Device.RC),
+    Rule(
+        _C.TAKEN,
+        _L.WARNING,
+        lambda now: _lacks_authority(now) and now.holding in ("taken", "paused"),
+    ),
+    Rule(_C.NO_AUTHORITY, _L.WARNING, _lacks_authority),
+    Rule(_C.KEPT, _L.WARNING, lambda now: now.has_authority and not now.holder),
+    Rule(_C.FREE_RC, _L.NEUTRAL, lambda now: now.device is Device.RC),
+    Rule(_C.FREE, _L.NEUTRAL, lambda now: True),
+)
+"""What is told, in the order of what has to be done first."""
+
+_TASKS = {
+    "take off": "status.task.take_off",
+    "land": "status.task.land",
+    "go home": "status.task.go_home",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class StatusLine:
+    """What the status line shows."""
+
+    cause: Cause  # why it says so
+    level: Level  # how urgent it is
+    text: Text  # what it says
+    remedy: Text | None = None  # what to do about it; None where there is nothing to do
+    # What the aircraft flies by itself or by a program; None for nothing, or unknown.
+    flies: Text | None = None
+    # From when on nothing was heard, on the station's clock, s: the page counts from there. None
+    # where the cause is not a silence.
+    since: float | None = None
+    is_virtual: bool = False  # whether the aircraft is a simulated one
+
+
+_WITHOUT_REMEDY = (Cause.PENDING, Cause.GIVING_BACK, Cause.YOURS)
+
+
+def status_line(now: Situation) -> StatusLine:
+    """The line for a situation."""
+    rule = next(rule for rule in RULES if rule.holds(now))
+    cause = rule.cause
+    key = f"status.{cause.value}"
+    return StatusLine(
+        cause=cause,
+        level=rule.level,
+        text=Text(key, _values(cause, now)),
+        remedy=None if cause in _WITHOUT_REMEDY else Text(f"{key}.remedy"),
+        flies=_flies(now) if now.is_connected and not _is_aircraft_silent(now) else None,
+        since=_since(cause, now),
+        is_virtual=now.is_virtual,
+    )
+
+
+def _values(cause: Cause, now: Situation) -> dict[str, object]:
+    if cause in (Cause.LINE_LOST, Cause.CONNECTING):
+        return {"why": f": {now.fault}" if now.fault else ""}
+    if cause is Cause.SWITCH and now.switch is not None:
+        return {"switch": now.switch.name}
+    if cause is Cause.OTHER:
+        return {"name": now.holder}
+    return {}
+
+
+def _since(cause: Cause, now: Situation) -> float | None:
+    if cause in (Cause.AGENT_SILENT, Cause.AGENT_GONE):
+        return now.heard_at
+    return now.telemetry_at if cause is Cause.AIRCRAFT_SILENT else None
+
+
+def _flies(now: Situation) -> Text | None:
+    """What flies, the aircraft's own before a program."""
+    if now.task:
+        key = _TASKS.get(now.task)
+        return tr(key) if key is not None else tr("status.program", name=now.task)
+    if now.has_mission:
+        what = name_of(now.mission)
+        if now.mission_index is None:
+            return what
+        return tr("status.to_waypoint", mission=what, number=now.mission_index + 1)
+    if now.pattern:
+        return tr("status.program", name=now.pattern)
+    return None
+
+
+def activation_of(inputs: Inputs) -> Text:
+    """How far activation is; what the aircraft answered, in English."""
+    state = inputs.state
+    if state.activation_fault is not None:
+        return tr("status.activation.failed", why=problem_text(state.activation_fault.error()))
+    if state.is_activated:
+        return tr("status.activation.done")
+    if state.activation_code is not None:
+        meaning = ActivationCode(state.activation_code).meaning
+        return tr("status.activation.failed", why=meaning)
+    return tr("status.activation.none")
+
+
+# -- where a replay is, in words -------------------------------------------------------------------
+
+SPEEDS = (0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 50.0)
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayView:
+    """What the bar of a replay shows."""
+
+    title: Text  # that it is one, and of what
+    place: Text  # how far it is, and when that was
+    note: Text | None  # that it is at its end, or that there is no more; None for nothing
+    position_s: float  # seconds that were played
+    duration_s: float  # of the whole
+    speed: float  # times as fast as it was flown; 0: as fast as it can be
+    is_running: bool  # whether it goes on by itself
+
+
+def replay_of(told: Replay | None) -> ReplayView | None:
+    """The bar; None where it is not a replay."""
+    if told is None:
+        return None
+    when = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(told.utc))
+    note = tr("replay.at_end") if told.is_at_end else None
+    if told.is_at_end and told.is_cut_off:
+        note = tr("replay.cut_off")
+    return ReplayView(
+        title=tr("replay.title", name=told.name),
+        place=tr(
+            "replay.at",
+            position=_clock(told.position_s),
+            duration=_clock(told.duration_s),
+            when=when,
+        ),
+        note=note,
+        position_s=told.position_s,
+        duration_s=told.duration_s,
+        speed=told.speed,
+        is_running=not (told.is_paused or told.is_at_end),
+    )
+
+
+def _clock(seconds: float) -> str:
+    whole = int(seconds)
+    hours, minutes = whole // 3600, whole // 60 % 60
+    return f"{hours}:{minutes:02d}:{whole % 60:02d}" if hours else f"{minutes}:{whole % 60:02d}"
+
+
+# -- the aircraft of the station -------------------------------------------------------------------
+
+_FRESH = 2.0
+_LOW_PERCENT = 25
+
+
+@dataclass(frozen=True, slots=True)
+class FleetRow:
+    """One aircraft."""
+
+    name: str  # what it is called
+    is_shown: bool  # whether the page shows it and steers it
+    kind: str  # ``"mine"``, ``"theirs"``, ``"free"`` or ``"lost"``: colour and shape
+    control: Text  # who has control of it, or that nothing is known
+    flies: Text  # what it does: height, and what it flies by itself; a dash where that is old
+    battery: Text  # charge; a dash where that is old
+    is_low: bool  # whether the charge is low
+
+
+def fleet_of(ships: Sequence[Ship]) -> tuple[FleetRow, ...]:
+    """A row for each aircraft; none where there is only one."""
+    return tuple(map(_row, ships)) if len(ships) > 1 else ()
+
+
+def _row(ship: Ship) -> FleetRow:
+    telemetry = ship.telemetry if ship.is_heard else None
+    position = telemetry.finite(Position, within=_FRESH) if telemetry is not None else None
+    battery = telemetry.fresh(Battery, within=2 * _FRESH) if telemetry is not None else None
+    if battery is not None and not battery.is_possible:
+        battery = None
+    kind, control = _control(ship)
+    return FleetRow(
+        ship.name,
+        ship.is_shown,
+        kind,
+        control,
+        _ship_flies(ship, position),
+        tr("fleet.unknown") if battery is None else tr("fleet.percent", percent=battery.percent),
+        is_low=battery is not None and battery.percent <= _LOW_PERCENT,
+    )
+
+
+def _control(ship: Ship) -> tuple[str, Text]:
+    if not ship.is_heard:
+        return "lost", tr("fleet.not_heard")
+    if ship.state.connection != "connected":
+        return "lost", tr("fleet.not_connected")
+    if ship.is_ours:
+        ours = tr("fleet.ours"), tr("fleet.ours_pilot_has_it")
+        return "mine", ours[not ship.state.has_authority]
+    if ship.holder.number:
+        return "theirs", tr("fleet.theirs", name=ship.holder.name)
+    status = None
+    if ship.telemetry is not None:
+        status = ship.telemetry.fresh(FlightStatus, within=_FRESH)
+    stands = status is not None and status.status == FlightPhase.STANDBY
+    return "free", tr("fleet.stands" if stands else "fleet.free")
+
+
+def _ship_flies(ship: Ship, position: Position | None) -> Text:
+    if position is None:
+        return tr("fleet.unknown")
+    height = Quantity(position.height_m, Kind.LENGTH)
+    state = ship.state
+    by_itself = state.task or state.pattern or state.mission
+    if by_itself in ("", "no mission"):
+        return tr("fleet.height", height=height)
+    return tr("fleet.flies", height=height, what=by_itself)

@@ -1,0 +1,291 @@
+"""What is drawn on the map besides what moves, and click to fly."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+
+from m100link.apps.agent.guided import (
+    ChangeHeading,
+    ChangeHeight,
+    FlyAround,
+    FlyTo,
+    GuidedFlight,
+    GuidedOrder,
+)
+from m100link.apps.agent.preview import Preview
+from m100link.apps.station.console.view.situation import Inputs
+from m100link.apps.station.console.view.texts import Kind, Quantity, Text, reason_text, tr
+from m100link.errors import GuardRefused, LinkError, M100Error, TelemetryStalled, UsageError
+from m100link.geodesy import LocalFrame
+
+# -- what is drawn ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Fence:
+    """The circle of the envelope: beyond it nothing is flown."""
+
+    latitude_deg: float  # its middle: where control was obtained
+    longitude_deg: float
+    radius_m: float  # its radius, m
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """What stands on the map."""
+
+    fence: Fence | None  # the envelope; None without control, without GPS, or with that guard off
+    # Latitude and longitude of the plan's waypoints, degrees.
+    route: tuple[tuple[float, float], ...]
+
+
+def chart_of(inputs: Inputs) -> Chart:
+    """The chart as it is now."""
+    points = inputs.plan.waypoints if inputs.plan is not None else ()
+    return Chart(
+        _fence(inputs), tuple((point.latitude_deg, point.longitude_deg) for point in points)
+    )
+
+
+def _fence(inputs: Inputs) -> Fence | None:
+    limits = inputs.state.limits
+    latitude, longitude, radius = limits.latitude_deg, limits.longitude_deg, limits.max_radius_m
+    if latitude is None or longitude is None or radius is None or not inputs.is_heard:
+        return None
+    return Fence(latitude, longitude, radius)
+
+
+# -- click to fly ----------------------------------------------------------------------------------
+# Pure: whoever points holds a :class:`Pointed`, each change makes another one, and
+# :func:`click_of` says what stands beside the point.
+
+LOWEST_M, HIGHEST_M = 2.0, 120.0
+"""Heights that the page offers; the guards say which of them are flown."""
+
+SLOWEST_M_S, FASTEST_M_S = 0.5, 10.0
+SMALLEST_M, WIDEST_M = 3.0, 100.0
+MOST_TURNS = 20.0
+_FARTHEST_M = 5000.0
+
+
+class Wish(Enum):
+    """What is wanted of a point."""
+
+    PLACE = "place"
+    CIRCLE = "circle"
+    HEIGHT = "height"
+    HEADING = "heading"
+
+
+@dataclass(frozen=True, slots=True)
+class Pointed:
+    """What was pointed at, and how it is to be flown."""
+
+    wish: Wish = Wish.PLACE  # what is wanted
+    # Latitude and longitude, °; None before anything was pointed at.
+    place: tuple[float, float] | None = None
+    height: float = 10.0  # metres above the take-off point
+    speed: float = 5.0  # m/s
+    radius: float = 15.0  # of the circle, m
+    turns: float = 1.0  # around the circle
+    clockwise: bool = True  # seen from above
+    yaw_deg: float = 0.0  # heading, 0 to 360°
+
+    def at(self, latitude_deg: float, longitude_deg: float) -> Pointed:
+        """Another point; what is no place changes nothing."""
+        if not abs(latitude_deg) <= 89 or not math.isfinite(longitude_deg):
+            return self
+        wish = self.wish if self.wish is Wish.CIRCLE else Wish.PLACE
+        return replace(self, place=(latitude_deg, longitude_deg), wish=wish)
+
+    def by_distance(
+        self, here: tuple[float, float], distance: float, bearing_deg: float
+    ) -> Pointed:
+        """The point so far from the aircraft, in that direction: for who does not point."""
+        distance = min(abs(distance), _FARTHEST_M)
+        angle = math.radians(bearing_deg)
+        frame = LocalFrame(*here)
+        return self.at(*frame.to_geodetic(distance * math.cos(angle), distance * math.sin(angle)))
+
+    def changed(self, name: str, value: object) -> Pointed:
+        """One number changed, kept within what the page offers; nonsense changes nothing."""
+        if not isinstance(value, int | float) or not math.isfinite(value):
+            return self
+        if name == "yaw_deg":
+            return replace(self, yaw_deg=value % 360.0)
+        low, high = {
+            "height": (LOWEST_M, HIGHEST_M),
+            "speed": (SLOWEST_M_S, FASTEST_M_S),
+            "radius": (SMALLEST_M, WIDEST_M),
+            "turns": (0.25, MOST_TURNS),
+        }[name]
+        # One of four numbers, all of them floats.
+        return replace(self, **{name: max(low, min(high, float(value)))})  # type: ignore[arg-type]
+
+    @property
+    def order(self) -> GuidedOrder | None:
+        """What the agent is asked for; None while there is no point."""
+        if self.wish is Wish.HEIGHT:
+            return ChangeHeight(self.height)
+        if self.wish is Wish.HEADING:
+            return ChangeHeading(self.yaw_deg)
+        if self.place is None:
+            return None
+        if self.wish is Wish.CIRCLE:
+            return FlyAround(
+                *self.place,
+                height=self.height,
+                radius=self.radius,
+                speed=self.speed,
+                turns=self.turns,
+                clockwise=self.clockwise,
+            )
+        return FlyTo(*self.place, height=self.height, speed=self.speed)
+
+
+class Shown:
+    """Which point the preview shows: a hold confirms that one, whatever moved since it began."""
+
+    def __init__(self) -> None:
+        self._number = 0
+        self._pointed = Pointed()
+
+    def show(self, pointed: Pointed) -> int:
+        """The preview shows this one; returns its number, another one for each other point."""
+        if pointed != self._pointed:
+            self._number, self._pointed = self._number + 1, pointed
+        return self._number
+
+    def check(self, number: object, pointed: Pointed) -> None:
+        """Refuse what was not shown when the hold began.
+
+        Raises:
+            GuardRefused: It is another one.
+        """
+        if str(number) != str(self._number) or pointed != self._pointed:
+            raise GuardRefused(
+                "the point changed while the button was held; nothing was done",
+                guard="order_changed",
+                cause="what the preview showed at the press is not what would be flown",
+                remedy="look at the preview, then hold again",
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Why something is refused, and what to do about it."""
+
+    reason: Text | None  # what whoever refuses saw; None where only a remedy is told
+    remedy: Text | str  # for whoever points; empty where nothing is known
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """What is drawn of a point or a flight."""
+
+    # Latitude and longitude, °; None where the place stays.
+    place: tuple[float, float] | None = None
+    radius: float = 0.0  # of the circle, m; 0 for none
+    yaw_deg: float | None = None  # heading; None for none
+
+
+@dataclass(frozen=True, slots=True)
+class ClickView:
+    """What stands beside the point."""
+
+    preview: Text | None  # what it would take; None while there is no point
+    # Why it would be refused, or was; empty while nothing stands against it.
+    refusals: tuple[Refusal, ...]
+    may_fly: bool  # whether the button can be held
+    flying: Text | None  # what flies now, with what remains; None for nothing
+    pointed: Drawing  # what is drawn of the point
+    flown: Drawing  # what is drawn of the flight
+
+
+def click_of(
+    pointed: Pointed,
+    foreseen: Preview | None,  # what that would take; None while there is no point
+    guided: GuidedFlight | None,
+    *,
+    has_control: bool,  # whether what this page wants is obeyed
+    problem: M100Error | None = None,
+) -> ClickView:
+    """What stands beside the point now."""
+    refusals = [] if foreseen is None else [_refusal(error) for error in foreseen.refusals]
+    if foreseen is not None and not has_control:
+        refusals.insert(0, Refusal(None, tr("click.remedy.control")))
+    may_fly = foreseen is not None and not refusals
+    if problem is not None and reason_text(problem) not in [one.reason for one in refusals]:
+        refusals.append(_refusal(problem))
+    return ClickView(
+        preview=None if foreseen is None else _preview(pointed.wish, foreseen),
+        refusals=tuple(refusals),
+        may_fly=may_fly,
+        flying=None if guided is None else _flying(guided),
+        pointed=_pointed(pointed),
+        flown=Drawing() if guided is None else _flown(guided),
+    )
+
+
+def _pointed(pointed: Pointed) -> Drawing:
+    if pointed.wish is Wish.HEADING:
+        return Drawing(yaw_deg=pointed.yaw_deg)
+    if pointed.wish is Wish.HEIGHT:
+        return Drawing()
+    return Drawing(pointed.place, pointed.radius if pointed.wish is Wish.CIRCLE else 0.0)
+
+
+def _flown(guided: GuidedFlight) -> Drawing:
+    place = None
+    if guided.latitude_deg is not None and guided.longitude_deg is not None:
+        place = guided.latitude_deg, guided.longitude_deg
+    return Drawing(place, guided.radius, guided.yaw_deg)
+
+
+def _preview(wish: Wish, found: Preview) -> Text:
+    time, battery = _time(found.seconds), max(0.1, found.battery_percent)
+    if wish is Wish.HEIGHT:
+        climb = Quantity(found.climb_m, Kind.LENGTH, 1, is_signed=True)
+        return tr("click.climb", climb=climb, time=time, battery=battery)
+    if wish is Wish.HEADING:
+        return tr("click.turn", turn=round(found.turn_deg), time=time, battery=battery)
+    way = Quantity.length(found.distance_m)
+    return tr("click.way", way=way, time=time, battery=battery)
+
+
+def _flying(guided: GuidedFlight) -> Text:
+    what = tr("click.what." + guided.what.replace(" ", "_"))
+    if guided.seconds is None:
+        return tr("click.flying", what=what)
+    if guided.distance_m is None:
+        return tr("click.flying_time", what=what, time=_time(guided.seconds))
+    far = Quantity.length(guided.distance_m)
+    return tr("click.flying_way", what=what, way=far, time=_time(guided.seconds))
+
+
+def _time(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}:{rest:02d}"
+
+
+def _refusal(error: M100Error) -> Refusal:
+    """With a remedy for whoever points; those of errors are for whoever writes programs."""
+    return Refusal(reason_text(error), _remedy(error))
+
+
+def _remedy(error: M100Error) -> Text | str:
+    if isinstance(error, GuardRefused):
+        known = {
+            "envelope": "click.remedy.envelope",
+            "battery_floor_percent": "click.remedy.battery",
+            "gps": "click.remedy.gps",
+        }
+        key = known.get(error.guard)
+        return error.remedy if key is None else tr(key)
+    if isinstance(error, UsageError) and "on the ground" in error.seen:
+        return tr("click.remedy.ground")
+    if isinstance(error, TelemetryStalled | LinkError):
+        return tr("click.remedy.telemetry")
+    return error.remedy

@@ -1,0 +1,378 @@
+"""A plan that is being drawn: each change makes another draft, and any can be undone.
+
+Pure. A draft may be what the aircraft would refuse, such as one waypoint; :func:`checked` says what
+is wrong with it, and at which point.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import accumulate, pairwise
+from typing import Self
+
+from m100link.apps.station.console.view.texts import Kind, Quantity, Text, Units, tr
+from m100link.errors import BadPlan, UsageError
+from m100link.geodesy import distance_m
+from m100link.missions.plan import PlanEstimate, WaypointPlan
+from m100link.missions.survey import survey
+from m100link.missions.waypoint import (
+    AtEnd,
+    GimbalPitch,
+    Heading,
+    OnRCLoss,
+    StartVideo,
+    Stay,
+    StopVideo,
+    TakePhoto,
+    Trace,
+    TurnTo,
+    Waypoint,
+    WaypointAction,
+)
+
+Place = tuple[float, float]
+
+_MOST_UNDONE = 100
+_OF_POINT = re.compile(r"waypoint (\d+): ")
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """What was drawn so far. The fields are those of :class:`m100link.WaypointPlan`."""
+
+    points: tuple[Waypoint, ...] = ()  # waypoints, in the order in which they are flown
+    speed: float = 5.0  # along the way, m/s
+    max_speed: float = 10.0  # what speed and stick together never exceed, m/s
+    heading: Heading = Heading.ALONG_PATH  # where the nose points
+    trace: Trace = Trace.STOP_AT_POINTS  # whether it stops at the waypoints
+    at_end: AtEnd = AtEnd.HOVER  # what happens after the last one
+    on_rc_loss: OnRCLoss = OnRCLoss.FAILSAFE  # what happens when the RC is lost
+    gimbal_by_waypoint: bool = False  # whether the camera's pitch changes from point to point
+    repeat: int = 1  # how many times the way is flown
+    area: tuple[Place, ...] = ()  # corners of the area for a survey, latitude and longitude, °
+
+    @classmethod
+    def of(cls, plan: WaypointPlan, area: tuple[Place, ...] = ()) -> Self:
+        """The draft of a plan."""
+        return cls(
+            tuple(plan.waypoints),
+            plan.speed,
+            plan.max_speed,
+            plan.heading,
+            plan.trace,
+            plan.at_end,
+            plan.on_rc_loss,
+            plan.gimbal_by_waypoint,
+            plan.repeat,
+            area,
+        )
+
+    def plan(self) -> WaypointPlan:
+        """The plan.
+
+        Raises:
+            BadPlan: The aircraft would refuse it.
+        """
+        return WaypointPlan(
+            self.points,
+            speed=self.speed,
+            max_speed=self.max_speed,
+            heading=self.heading,
+            trace=self.trace,
+            at_end=self.at_end,
+            on_rc_loss=self.on_rc_loss,
+            gimbal_by_waypoint=self.gimbal_by_waypoint,
+            repeat=self.repeat,
+        )
+
+    # -- changes ---------------------------------------------------------------------------------
+
+    def added(self, place: Place, height: float, after: int | None = None) -> Draft:
+        """With a point more: at the end, or after another one."""
+        at = len(self.points) if after is None else after + 1
+        point = Waypoint(*place, height=height)
+        return replace(self, points=(*self.points[:at], point, *self.points[at:]))
+
+    def moved(self, index: int, place: Place) -> Draft:
+        """With a point somewhere else."""
+        return self.changed(index, latitude_deg=place[0], longitude_deg=place[1])
+
+    def changed(self, index: int, **values: object) -> Draft:
+        """With other values of one point; one that is not there changes nothing."""
+        if not 0 <= index < len(self.points):
+            return self
+        # The plan says what is wrong with a value, whatever it is.
+        point = replace(self.points[index], **values)  # type: ignore[arg-type]
+        return replace(self, points=(*self.points[:index], point, *self.points[index + 1 :]))
+
+    def removed(self, index: int) -> Draft:
+        """Without a point."""
+        return replace(self, points=(*self.points[:index], *self.points[index + 1 :]))
+
+    def put(self, index: int, to: int) -> Draft:
+        """With a point earlier or later in the order."""
+        if not 0 <= index < len(self.points) or not 0 <= to < len(self.points):
+            return self
+        points = list(self.points)
+        points.insert(to, points.pop(index))
+        return replace(self, points=tuple(points))
+
+    def cornered(self, place: Place) -> Draft:
+        """With a corner more of the area."""
+        return replace(self, area=(*self.area, place))
+
+    def corner_moved(self, index: int, place: Place) -> Draft:
+        """With a corner somewhere else."""
+        if not 0 <= index < len(self.area):
+            return self
+        return replace(self, area=(*self.area[:index], place, *self.area[index + 1 :]))
+
+    def surveyed(
+        self,
+        *,
+        height: float,
+        spacing: float,
+        angle_deg: float,
+        photo_every: float | None,
+        start: Place | None,
+    ) -> Draft:
+        """With lines over the area in place of its points.
+
+        Raises:
+            UsageError: It makes no survey, or one that cannot be flown.
+        """
+        plan = survey(
+            self.area,
+            height=height,
+            spacing=spacing,
+            angle_deg=angle_deg,
+            photo_every=photo_every,
+            speed=self.speed,
+            start=start,
+            at_end=self.at_end,
+        )
+        return replace(self, points=tuple(plan.waypoints))
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """A draft, what it was before, and what was undone."""
+
+    draft: Draft = field(default_factory=Draft)  # as it is now
+    before: tuple[Draft, ...] = ()  # earlier ones, the newest last
+    undone: tuple[Draft, ...] = ()  # what can be done again, the newest last
+
+    def done(self, draft: Draft) -> History:
+        """Another draft; what changes nothing is not remembered."""
+        if draft == self.draft:
+            return self
+        return History(draft, (*self.before[1 - _MOST_UNDONE :], self.draft))
+
+    def undo(self) -> History:
+        """The one before."""
+        if not self.before:
+            return self
+        return History(self.before[-1], self.before[:-1], (*self.undone, self.draft))
+
+    def redo(self) -> History:
+        """What was undone last."""
+        if not self.undone:
+            return self
+        return History(self.undone[-1], (*self.before, self.draft), self.undone[:-1])
+
+
+# -- what is said of it ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """Something about a plan."""
+
+    text: str
+    point: int | None = None  # index of the waypoint, None for the whole
+    is_error: bool = False  # whether the aircraft would refuse it; otherwise it may surprise
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """A draft after the checks."""
+
+    plan: WaypointPlan | None  # the plan; None if the aircraft would refuse it
+    notes: tuple[Note, ...]  # what is wrong, and what may surprise
+    estimate: PlanEstimate | None  # of the plan; None without one
+
+    def at(self, point: int) -> tuple[Note, ...]:
+        """What is said of one waypoint."""
+        return tuple(note for note in self.notes if note.point == point)
+
+
+def checked(draft: Draft, home: Place | None = None) -> Checked:
+    """What is wrong with a draft, what may surprise, and what it takes from home.
+
+    An empty draft is not wrong.
+    """
+    if not draft.points:
+        return Checked(None, (), None)
+    try:
+        plan = draft.plan()
+    except BadPlan as bad:
+        return Checked(None, tuple(_error(one) for one in bad.problems), None)
+    notes = []
+    for text in plan.remarks():
+        found = _OF_POINT.match(text)
+        notes.append(Note(text, None if found is None else int(found.group(1))))
+    return Checked(plan, tuple(notes), plan.estimate(home=home))
+
+
+def _error(problem: BadPlan) -> Note:
+    remedy = f" ({problem.remedy})" if problem.remedy else ""
+    return Note(f"{problem.seen}{remedy}", problem.point, is_error=True)
+
+
+def profile(points: Sequence[Waypoint]) -> list[tuple[float, float]]:
+    """Metres along the way, and height above take-off, of each waypoint."""
+    steps = [
+        distance_m(here.latitude_deg, here.longitude_deg, there.latitude_deg, there.longitude_deg)
+        for here, there in pairwise(points)
+    ]
+    far = accumulate(steps, initial=0.0)
+    return [(way, float(point.height)) for way, point in zip(far, points, strict=False)]
+
+
+# -- actions as a line of text ---------------------------------------------------------------------
+
+_WORDS: dict[str, type[WaypointAction]] = {
+    "photo": TakePhoto,
+    "video": StartVideo,
+    "cut": StopVideo,
+    "stay": Stay,
+    "turn": TurnTo,
+    "pitch": GimbalPitch,
+}
+_WITH_NUMBER = ("stay", "turn", "pitch")
+
+
+def actions_of(text: str) -> tuple[WaypointAction, ...]:
+    """The actions that a line of text names: ``pitch -60, photo, stay 2``.
+
+    Raises:
+        UsageError: A word that is none, or a number too few or too many.
+    """
+    found = []
+    for part in filter(None, (one.strip() for one in text.split(","))):
+        word, _, rest = part.partition(" ")
+        kind = _WORDS.get(word)
+        try:
+            if kind is None or (word in _WITH_NUMBER) != bool(rest):
+                raise ValueError
+            values = [float(rest)] if rest else []
+            if not all(map(math.isfinite, values)):
+                raise ValueError
+        except ValueError:
+            raise UsageError(
+                f"{part!r} is not an action",
+                remedy="photo, video, cut, stay SECONDS, turn DEGREES, pitch DEGREES, by commas",
+            ) from None
+        found.append(kind(*values))
+    return tuple(found)
+
+
+def text_of(actions: Sequence[WaypointAction]) -> str:
+    """The line of text that names them."""
+    words = {kind: word for word, kind in _WORDS.items()}
+    parts = []
+    for action in actions:
+        word = words[type(action)]
+        match action:
+            case Stay(number) | TurnTo(number) | GimbalPitch(number):
+                parts.append(f"{word} {number:g}")
+            case _:
+                parts.append(word)
+    return ", ".join(parts)
+
+
+# -- what the Plan view says of a draft, and of what is uploaded -----------------------------------
+
+
+def summary_of(draft: Draft, found: Checked) -> Text:
+    """A draft in one line."""
+    if not draft.points:
+        return tr("plan.empty")
+    if found.plan is None or found.estimate is None:
+        return tr("plan.not_flown", count=len(draft.points))
+    low, high = map(Quantity.length, found.plan.heights)
+    count, length = len(draft.points), Quantity.length(found.estimate.length_m)
+    if math.isinf(found.estimate.duration_s):
+        return tr("plan.by_stick", count=count, length=length, low=low, high=high)
+    minutes, seconds = divmod(round(found.estimate.duration_s), 60)
+    time, battery = f"{minutes}:{seconds:02d}", round(found.estimate.battery_percent)
+    return tr(
+        "plan.summary",
+        count=count,
+        length=length,
+        low=low,
+        high=high,
+        time=time,
+        battery=battery,
+    )
+
+
+def upload_of(plan: WaypointPlan | None, uploaded: WaypointPlan | None, name: str) -> Text:
+    """Whether start would fly what is drawn here."""
+    if uploaded is None:
+        return tr("plan.is_not_uploaded")
+    if plan is not None and as_on_the_wire(plan) == as_on_the_wire(uploaded):
+        return tr("plan.is_uploaded")
+    return tr("plan.is_another", name=name)
+
+
+def as_on_the_wire(plan: WaypointPlan) -> object:
+    """What the aircraft gets of it: two plans that differ in nothing else fly the same."""
+    return plan.to_wire()
+
+
+def row_of(number: int, point: Waypoint) -> Text:
+    """A waypoint in one line."""
+    actions = text_of(point.actions)
+    height = Quantity.length(point.height, 1)
+    return tr("plan.row", number=number, height=height, actions=f", {actions}" * bool(actions))
+
+
+def drawing(draft: Draft, found: Checked, chosen: int | None) -> dict[str, object]:
+    """What the map draws of it."""
+    return {
+        "points": [
+            [point.latitude_deg, point.longitude_deg, any(n.is_error for n in found.at(index))]
+            for index, point in enumerate(draft.points)
+        ],
+        "area": [list(corner) for corner in draft.area],
+        "chosen": chosen,
+    }
+
+
+def profile_options(points: list[tuple[float, float]], units: Units) -> dict[str, object]:
+    """The chart of heights by distance, as ECharts takes it.
+
+    ``points``: way and height, m.
+    """
+    data = [[round(units.convert(one, Kind.LENGTH), 1) for one in at] for at in points]
+    axis = {
+        "type": "value",
+        "axisLabel": {"formatter": f"{{value}} {units.unit(Kind.LENGTH)}", "hideOverlap": True},
+    }
+    return {
+        "animation": False,
+        "grid": {"left": 52, "right": 14, "top": 12, "bottom": 28},
+        "xAxis": axis,
+        "yAxis": axis,
+        "series": [
+            {
+                "type": "line",
+                "data": data,
+                "areaStyle": {"opacity": 0.15},
+            }
+        ],
+    }

@@ -1,0 +1,95 @@
+"""The other processes of a station: ``python -m m100link.apps.station.process fronts``, ``agent``.
+
+The supervisor starts them, and tells each by one line of JSON on its standard input what to do.
+
+``agent`` owns one of several aircraft and serves the fronts. When the station has gone it ends in
+order: the aircraft hovers, and control authority goes back.
+
+``fronts`` talks to strangers, and owns nothing. It has inherited its sockets, by the names of
+:mod:`m100link.apps.station.listeners`. When the agent has gone it says so to its clients for a
+while, and ends. It loads nothing that could own an aircraft.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+from contextlib import AsyncExitStack, suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from m100link.apps.agent.transports import connect_unix, serve_unix
+from m100link.apps.station.config import resolve
+from m100link.apps.station.console.orders import orders_by_socket
+from m100link.apps.station.listeners import Fronts, Sockets, serving_fronts
+from m100link.apps.station.log_output import log_of, tell_elsewhere
+from m100link.apps.station.supervisor import answer, end_with_parent, leave_what_stays, run_child
+
+LEASES_PER_START = 1_000_000
+"""Numbers of leases that one process may use: the lease of one that died never fits another."""
+
+AFTERLIFE = 60.0  # seconds that fronts tell of an agent that has gone, before they end
+
+_CHECK = 0.25
+
+
+async def _own(request: dict[str, Any], ended: asyncio.Event) -> None:
+    from m100link.apps.agent.journal import JOURNAL_LOG
+    from m100link.apps.station.run import owning
+    from m100link.sim.orders.ctl import CtlServer
+
+    end_with_parent(ended)
+    log_of(request["name"])
+    tell_elsewhere(JOURNAL_LOG)  # by the process over this one, which gets every event
+    async with AsyncExitStack() as stack:
+        owner = await stack.enter_async_context(
+            owning(
+                resolve(request["settings"], {}),
+                place=request["place"],
+                leases_before=LEASES_PER_START * request["starts"],
+            )
+        )
+        await stack.enter_async_context(serve_unix(Path(request["agent"]), owner.service.attach))
+        if owner.virtual is not None:
+            orders = CtlServer([owner.virtual], Path(request["orders"]))
+            await orders.start()
+            stack.push_async_callback(orders.stop)
+        # First of all: the fronts are told, and whoever flies is let go.
+        stack.callback(owner.service.close)
+        leave_what_stays()
+        answer(is_virtual=owner.virtual is not None)
+        await ended.wait()
+
+
+async def _serve(request: dict[str, Any], ended: asyncio.Event) -> None:
+    settings = resolve(request["settings"], {})
+    os.nice(settings.niceness())
+    sockets = Sockets.inherited(request["sockets"])
+    reach = {name: partial(connect_unix, Path(path)) for name, path in request["agents"].items()}
+    orders = {name: await orders_by_socket(Path(path)) for name, path in request["orders"].items()}
+    parent_ended = asyncio.Event()
+    end_with_parent(parent_ended)
+    async with serving_fronts(settings, sockets, reach, orders) as fronts:
+        leave_what_stays()
+        answer(console_path=fronts.console_path())
+        await _until_ended(ended, fronts, parent_ended)
+
+
+async def _until_ended(ended: asyncio.Event, fronts: Fronts, parent_ended: asyncio.Event) -> None:
+    alone = 0.0
+    while not ended.is_set() and alone < AFTERLIFE:
+        with suppress(TimeoutError):
+            async with asyncio.timeout(_CHECK):
+                await ended.wait()
+        # One of several agents is started again as long as whoever starts them is there.
+        is_last = len(fronts.agents) == 1 or parent_ended.is_set()
+        if is_last and all(agent.is_gone for agent in fronts.agents.values()):
+            if not alone:
+                fronts.stop_listening()  # the next station needs the ports
+            alone += _CHECK
+
+
+if __name__ == "__main__":
+    sys.exit(run_child({"agent": _own, "fronts": _serve}[sys.argv[1]]))

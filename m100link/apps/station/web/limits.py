@@ -1,0 +1,299 @@
+"""What strangers may use: orders, log lines, connections, places and dear answers.
+
+Each limit is a rule of its own; none waits or reads a clock, except for the last.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections import Counter
+from collections.abc import Callable, Collection
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+if TYPE_CHECKING:
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+
+# -- so much at once, so much per second -----------------------------------------------------------
+
+
+class TokenBucket:
+    """Fills with time up to a limit, and is spent (pure logic, ``now`` is an argument)."""
+
+    __slots__ = ("_at", "_burst", "_level", "_rate")
+
+    def __init__(self, rate: float, burst: float) -> None:
+        self._rate, self._burst = rate, burst
+        self._level = burst
+        self._at: float | None = None
+
+    def _fill(self, now: float) -> None:
+        if self._at is not None:
+            self._level = min(self._burst, self._level + (now - self._at) * self._rate)
+        self._at = now
+
+    def take(self, now: float, cost: float = 1.0) -> bool:
+        """Spend what is there for it; False, and nothing is spent, if that is too little."""
+        self._fill(now)
+        if self._level < cost:
+            return False
+        self._level -= cost
+        return True
+
+    def spend(self, now: float, cost: float) -> None:
+        """Spend what was used already; that may be more than there is."""
+        self._fill(now)
+        self._level -= cost
+
+    def wait(self, now: float) -> float:
+        """Seconds until there is anything."""
+        self._fill(now)
+        return max(0.0, -self._level / self._rate)
+
+
+# -- log lines that strangers cause ----------------------------------------------------------------
+
+
+class SparingLogger(logging.LoggerAdapter[logging.Logger]):
+    """A logger that writes so many lines of a kind at once, and then one in a while.
+
+    The kind of a line is its text before the arguments stand in it. The next line of a kind says
+    how many were left out before it.
+    """
+
+    def __init__(
+        self,
+        logger: logging.Logger,  # where the lines go
+        *,
+        at_once: int = 10,  # lines of a kind that are written however fast they come
+        interval: float = 6.0,  # seconds after which one more may be written
+        clock: Callable[[], float] = time.monotonic,  # seconds of a clock that never goes back
+        least: int = logging.NOTSET,  # the lowest level that is written, whatever the log shows
+    ) -> None:
+        super().__init__(logger, None)
+        self._least = least
+        self._at_once, self._interval, self._clock = at_once, interval, clock
+        # By kind: when the allowance will be full again, and lines left out. The kinds are the
+        # texts in this program: strangers add none.
+        self._kinds: dict[str, tuple[float, int]] = {}
+
+    @property
+    def level(self) -> int:
+        """That of the logger."""
+        return self.logger.level
+
+    def isEnabledFor(self, level: int) -> bool:  # noqa: N802 - the name that logging gives it
+        """Whether lines of that level are written."""
+        return level >= self._least and super().isEnabledFor(level)
+
+    def log(self, level: int, msg: object, *args: object, **keywords: Any) -> None:
+        """Write a line, or count it."""
+        if not self.isEnabledFor(level):
+            return
+        kind, now = str(msg), self._clock()
+        full_at, left_out = self._kinds.get(kind, (now, 0))
+        full_at = max(full_at, now) + self._interval
+        if full_at - now > self._at_once * self._interval:
+            self._kinds[kind] = (full_at - self._interval, left_out + 1)
+            return
+        self._kinds[kind] = (full_at, 0)
+        if left_out:
+            msg = f"{msg} (and {left_out} more before it)"
+        super().log(level, msg, *args, **keywords)
+
+
+# -- how many connections may speak HTTP -----------------------------------------------------------
+
+
+class Visitor(Protocol):
+    """A connection, as the door sees it."""
+
+    @property
+    def peer(self) -> str:
+        """Where it comes from."""
+        ...
+
+    @property
+    def is_answered(self) -> bool:
+        """Whether it asked nothing that is being answered now."""
+        ...
+
+    def turn_out(self) -> None:
+        """Close it at once."""
+
+
+class ConnectionLimit:
+    """Lets connections in; when there are too many, the one that was idle longest goes.
+
+    Who opens connections and asks nothing loses them to those who ask. WebSockets are counted by
+    whoever serves them: they have left the door.
+    """
+
+    def __init__(self, *, per_peer: int = 32, total: int = 128) -> None:
+        self._per_peer, self._total = per_peer, total
+        self._open: dict[Visitor, None] = {}  # those that were answered last stand last
+        self._count: Counter[str] = Counter()
+
+    def __len__(self) -> int:
+        return len(self._open)
+
+    def enter(self, visitor: Visitor) -> None:
+        """A connection was opened."""
+        self._open[visitor] = None
+        self._count[visitor.peer] += 1
+        if self._count[visitor.peer] > self._per_peer:
+            self._make_room(visitor.peer, visitor)
+        elif len(self._open) > self._total:
+            self._make_room(self._count.most_common(1)[0][0], visitor)
+
+    def answered(self, visitor: Visitor) -> None:
+        """It asked something and has its answer."""
+        if visitor in self._open:
+            del self._open[visitor]
+            self._open[visitor] = None
+
+    def leave(self, visitor: Visitor) -> None:
+        """It was closed, or does not speak HTTP any more."""
+        if visitor in self._open:
+            del self._open[visitor]
+            self._count[visitor.peer] -= 1
+            if not self._count[visitor.peer]:
+                del self._count[visitor.peer]
+
+    def _make_room(self, peer: str, newcomer: Visitor) -> None:
+        idle = (one for one in self._open if one.peer == peer and one.is_answered)
+        victim = next(idle, newcomer)
+        self.leave(victim)
+        victim.turn_out()
+
+
+# -- who makes room when all places are taken ------------------------------------------------------
+
+FIRST_WORD = 0.5  # seconds in which a client has to say anything at all, where places are rare
+SILENCE = 10.0  # seconds without a word after which a client may have to make room for another
+
+
+class Guest(Protocol):
+    """A client, as far as its place goes."""
+
+    @property
+    def peer(self) -> str:
+        """Address that it comes from."""
+        ...
+
+    @property
+    def heard_at(self) -> float:
+        """When it last said anything; when it came, if it never did."""
+        ...
+
+    @property
+    def has_spoken(self) -> bool:
+        """Whether it ever said anything."""
+        ...
+
+    @property
+    def subscribes(self) -> bool:
+        """Whether it gets anything."""
+        ...
+
+
+G = TypeVar("G", bound=Guest)
+
+
+def to_evict(guests: Collection[G], peer: str, now: float) -> G | None:
+    """The guest whose place a newcomer gets; None if nobody has to go for it.
+
+    First those that never said anything; then one of an address with at least two more places
+    than the newcomer's would have; then whoever was silent for long, and gets nothing rather than
+    something.
+    """
+    mute = [one for one in guests if not one.has_spoken and now - one.heard_at >= FIRST_WORD]
+    if mute:
+        return min(mute, key=lambda one: one.heard_at)
+    count = Counter(one.peer for one in guests)
+    greediest, most = max(count.items(), key=lambda item: item[1], default=("", 0))
+    if most >= count[peer] + 2:
+        return min((one for one in guests if one.peer == greediest), key=lambda one: one.heard_at)
+    silent = [one for one in guests if now - one.heard_at >= SILENCE]
+    return min(silent, key=lambda one: (one.subscribes, one.heard_at), default=None)
+
+
+# -- dear answers one at a time --------------------------------------------------------------------
+# Building a page holds up the event loop, and with it the keys of whoever flies. One page costs a
+# few lost key repeats, which the lifetime of a setpoint bridges; one after the other they would
+# cost the flight. So each is followed by a pause that is some times as long as it took, however
+# fast the machine is. Who comes while too many wait is told to come again.
+
+PAUSE = 3.0  # length of the pause after an answer, in times that it took
+LONGEST_PAUSE = 1.0  # seconds that a pause lasts at most
+PLACES = 8  # how many may wait
+
+_BUSY = (
+    b'<!doctype html><meta http-equiv="refresh" content="1"><title>m100link</title>'
+    b"<p>Many ask for this page at once. It is asked for again by itself.</p>"
+)
+
+
+class PageRateLimit:
+    """Lets requests for one path through to an ASGI application one at a time."""
+
+    def __init__(self, app: ASGIApp, path: str) -> None:
+        self._app = app
+        self._path = path
+        self._waiting = 0
+        self._turn = asyncio.Lock()
+        self._opens_at = 0.0
+        self.turned_away = 0  # requests that were told to come again
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Wait for a turn, if this needs one."""
+        if scope["type"] != "http" or scope["path"] != self._path:
+            await self._app(scope, receive, send)
+        elif self._waiting >= PLACES:
+            self.turned_away += 1
+            await _send_away(send)
+        else:
+            await self._take_turn(scope, receive, send)
+
+    async def _take_turn(self, scope: Scope, receive: Receive, send: Send) -> None:
+        clock = asyncio.get_running_loop().time
+        self._waiting += 1
+        try:
+            await self._turn.acquire()
+        finally:
+            self._waiting -= 1
+        try:
+            await asyncio.sleep(max(0.0, self._opens_at - clock()))
+        except BaseException:
+            self._turn.release()
+            raise
+        began, is_over = clock(), False
+
+        def end() -> None:
+            nonlocal is_over
+            if not is_over:
+                is_over = True
+                now = clock()
+                self._opens_at = now + min(PAUSE * (now - began), LONGEST_PAUSE)
+                self._turn.release()
+
+        async def send_built(message: Message) -> None:
+            end()  # how fast its client reads is no matter of the others
+            await send(message)
+
+        try:
+            await self._app(scope, receive, send_built)
+        finally:
+            end()
+
+
+async def _send_away(send: Send) -> None:
+    headers = [
+        (b"content-type", b"text/html; charset=utf-8"),
+        (b"retry-after", b"1"),
+        (b"content-length", str(len(_BUSY)).encode()),
+    ]
+    await send({"type": "http.response.start", "status": 503, "headers": headers})
+    await send({"type": "http.response.body", "body": _BUSY})

@@ -1,0 +1,292 @@
+"""The link in numbers."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from itertools import pairwise
+
+import anyio
+import pytest
+
+from m100link.apps.agent.messages import Event, LeaseChanged, LinkCounted, State
+from m100link.apps.agent.remote_error import Fault
+from m100link.apps.station.console.kept import COLUMNS, INTERVAL
+from m100link.apps.station.console.view.data import (
+    FIRST_CHOICE,
+    LEVELS,
+    LINK_ITEMS,
+    MIME,
+    MOST,
+    RANGES,
+    Diary,
+    Format,
+    chart,
+    export,
+    height,
+    known,
+    label,
+    link_of,
+    points,
+    select,
+    step,
+)
+from m100link.apps.station.console.view.situation import Inputs
+from m100link.apps.station.console.view.texts import (
+    METRIC,
+    Language,
+    LengthUnit,
+    Speaker,
+    SpeedUnit,
+    Units,
+    tr,
+    translations,
+)
+from m100link.errors import LinkLost
+from m100link.telemetry.state import AircraftState
+from m100link.wire.frame import Discard
+from tests.apps.station.conftest import Rig
+
+pytestmark = pytest.mark.anyio
+
+SAY = Speaker()
+
+
+def test_without_an_aircraft_nothing_is_counted() -> None:
+    state = State(0.0, "lost", connection_fault=Fault.of(LinkLost("the cable is out")), discards=4)
+    link = link_of(Inputs(state=state))
+    assert SAY(link.texts["connection"]) == "lost"
+    assert SAY(link.texts["discards"]) == "–"
+    assert (link.causes, link.rates) == ((), ())
+    assert "the cable is out" in link.reason
+
+
+def test_with_one_everything_is() -> None:
+    state = State(
+        0.0, "connected", firmware="3.1", round_trip=0.0123, discards=4, lease_remaining=3
+    )
+    counted = LinkCounted(1.0, {"late_acks": 2}, {"unheard_of": 1, "frame_crc": 3}, 0.0042)
+    link = link_of(
+        Inputs(
+            state=state,
+            telemetry=AircraftState(lambda: 0.0),
+            holder=LeaseChanged(1, "tab"),
+            link=counted,
+            front_lag=0.007,
+            page_trip=0.0205,
+        )
+    )
+    assert tuple(link.texts) == LINK_ITEMS
+    shown = {"aircraft_ms": "12 ms", "page_ms": "20 ms", "agent_lag": "4 ms", "front_lag": "7 ms"}
+    shown |= {"discards": "4", "late_acks": "2", "acks": "–", "clients": "tab, 3 s"}
+    assert {name: SAY(link.texts[name]) for name in shown} == shown
+    said = [(SAY(cause), count) for cause, count in link.causes]
+    assert said == [("checksum of the frame", "3"), ("unheard_of", "1")]
+    assert link.reason == ""
+
+
+def test_slow_clients_are_named_the_slowest_first() -> None:
+    link = link_of(Inputs(dropped=(("tab", 0), ("rosbridge 127.0.0.1:5", 12), ("a tab", 0))))
+    assert link.dropped == (("rosbridge 127.0.0.1:5", "12"), ("a tab", "0"), ("tab", "0"))
+
+
+def test_an_aircraft_that_does_not_answer_is_said_to() -> None:
+    inputs = Inputs(state=State(0.0), telemetry=AircraftState(lambda: 0.0))
+    assert SAY(link_of(inputs).texts["aircraft_ms"]) == "no answer"
+
+
+def test_an_agent_that_is_not_heard_is_silent() -> None:
+    inputs = Inputs(state=State(0.0, "connected"), is_silent=True)
+    assert SAY(link_of(inputs).texts["connection"]) == "silent"
+
+
+@pytest.mark.parametrize("name", [*LINK_ITEMS, *(f"cause.{one}" for one in Discard)])
+def test_every_number_has_a_name(name: str) -> None:
+    assert f"link.{name}" in translations()
+
+
+async def test_the_agent_counts_and_items_arrive(rig: Rig) -> None:
+    await anyio.sleep(2.5)
+    counted = rig.front.link
+    assert counted is not None
+    assert counted.counters["frames_received"] > 100
+    assert counted.loop_lag >= 0.0
+    link = link_of(Inputs(state=rig.front.state, telemetry=rig.front.telemetry, link=counted))
+    assert SAY(link.texts["frames_received"]).isdigit()
+    rates = {SAY(one.name): one for one in link.rates}
+    assert float(rates["attitude"].rate) == pytest.approx(100.0, abs=5.0)
+    rig.aircraft.unplug()
+    await rig.until(lambda: rig.front.link is None)
+
+
+# -- plots: names for people, and what goes to the page --------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("position.height_m", "position: height, m"),
+        ("velocity.ground_speed_m_s", "velocity: ground speed, m/s"),
+        ("angular_velocity.yaw_rate_deg_s", "angular velocity: yaw rate, °/s"),
+        ("battery.percent", "battery: charge, %"),
+        ("flight_status.status", "flight status: status"),
+        ("line.round_trip_ms", "line: round trip, ms"),
+        ("line.packages_per_s", "line: packages, 1/s"),
+    ],
+)
+def test_a_number_is_called_by_what_it_is_and_its_unit(name: str, shown: str) -> None:
+    assert Speaker()(label(name)) == shown
+
+
+def test_lengths_and_speeds_are_drawn_in_the_units_that_were_chosen() -> None:
+    speaker = Speaker(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KM_H))
+    names = "position.height_m", "velocity.up_m_s", "acceleration.up_m_s2"
+    assert [speaker(label(name)) for name in names] == [
+        "Position: Höhe, ft",
+        "Geschwindigkeit: nach oben, km/h",
+        "Beschleunigung: nach oben, m/s²",
+    ]
+    made = points([(1.0, 10.0, 10.0, 10.0)], names, speaker.units)
+    assert made == [[1000, 32.8084, 36.0, 10.0]]
+    assert chart(names, speaker)["yAxis"][0]["name"] == "Position: Höhe, ft"
+
+
+@pytest.mark.parametrize("language", Language)
+def test_every_number_has_a_name_of_its_own(language: Language) -> None:
+    speaker = Speaker(language)
+    assert len({speaker(label(name)) for name in COLUMNS}) == len(COLUMNS)
+
+
+def test_every_number_with_a_unit_in_its_name_shows_it() -> None:
+    endings = ("_m", "_deg", "_s", "_ms", "_rad", "_hz", "_s2", "percent")
+    said = [Speaker()(label(name)) for name in COLUMNS if name.endswith(endings)]
+    assert [text for text in said if ", " not in text] == []
+
+
+def test_only_what_there_is_can_be_drawn_each_once_and_not_too_much() -> None:
+    assert known(["battery.percent", "nonsense", "battery.percent"]) == ["battery.percent"]
+    assert len(known(COLUMNS)) == MOST
+    assert known(FIRST_CHOICE) == list(FIRST_CHOICE)
+
+
+def test_no_value_is_null_for_the_page_and_not_a_number() -> None:
+    made = points([(1.5, 2.0, math.nan)], COLUMNS[:2], METRIC)
+    assert made == [[1500, 2.0, None]]
+    assert json.loads(json.dumps(made, allow_nan=False)) == [[1500, 2.0, None]]
+
+
+@pytest.mark.parametrize("count", [0, 1, MOST])
+def test_each_number_has_a_stripe_of_its_own_and_one_cursor_reads_all(count: int) -> None:
+    options = chart(COLUMNS[:count], Speaker())
+    assert len(options["grid"]) == len(options["series"]) == len(options["yAxis"]) == count
+    assert options["axisPointer"]["link"] == [{"xAxisIndex": "all"}]
+    assert sum(one["axisLabel"]["show"] for one in options["xAxis"]) == min(count, 1)
+    assert all(one["axisLabel"]["hideOverlap"] for one in options["xAxis"])
+    tops = [grid["top"] for grid in options["grid"]]
+    assert all(after - before > 88 for before, after in pairwise(tops))
+    assert not tops or tops[-1] + 88 <= height(COLUMNS[:count])
+
+
+@pytest.mark.parametrize("seconds", RANGES)
+def test_a_line_has_no_more_points_than_are_seen(seconds: int) -> None:
+    assert seconds / INTERVAL / step(seconds) <= 600
+
+
+# -- the list of events ----------------------------------------------------------------------------
+
+WALL = 1_800_000_000.0  # 2027-01-15 08:00 UTC
+ENGLISH, GERMAN = Speaker(), Speaker(Language.GERMAN)
+
+
+def diary() -> Diary:
+    one = Diary()
+    one.take(
+        [Event(1, 10.0, "info", "connected"), Event(2, 12.5, "error", "connection lost: cable")],
+        now=20.0,
+        wall=WALL,
+    )
+    one.write(tr("alarms.gps"), WALL + 1.0, "warning")
+    return one
+
+
+def test_an_event_has_the_time_of_the_wall_and_is_taken_once() -> None:
+    one = diary()
+    one.take([Event(2, 12.5, "error", "connection lost: cable")], now=30.0, wall=WALL + 7.0)
+    assert [line.at - WALL for line in one.lines] == [-10.0, -7.5, 1.0]
+    assert [line.number for line in one.lines] == [1, 2, 3]
+
+
+def test_a_clock_that_is_set_moves_no_event() -> None:
+    one = diary()
+    one.take([Event(3, 21.0, "info", "later")], now=21.0, wall=WALL + 3600.0)
+    assert [line.at - WALL for line in one.lines] == [-10.0, -7.5, 1.0, 3600.0]
+
+
+def test_very_many_events_are_bounded() -> None:
+    one = Diary()
+    one.take([Event(number, 0.0, "info", "") for number in range(1, 3000)], 0.0, WALL)
+    assert len(one.lines) == 1000
+    assert one.lines[-1].number == 2999
+
+
+@pytest.mark.parametrize(
+    ("least", "words", "numbers"),
+    [
+        ("info", "", [1, 2, 3]),
+        ("warning", "", [2, 3]),
+        ("error", "", [2]),
+        ("info", "CABLE", [2]),
+        ("info", "lost cable", [2]),
+        ("info", "cable nothing", []),
+        ("warning", "gps", [3]),
+    ],
+)
+def test_lines_are_selected_by_level_and_words(least: str, words: str, numbers: list[int]) -> None:
+    chosen = select(diary().lines, ENGLISH, least=least, words=words)
+    assert [line.number for line in chosen] == numbers
+
+
+def test_words_are_found_in_the_language_that_is_shown() -> None:
+    assert len(select(diary().lines, GERMAN, words="schwach")) == 1
+    assert select(diary().lines, ENGLISH, words="schwach") == []
+
+
+def test_the_list_as_text_has_the_operators_clock() -> None:
+    assert export(diary().lines, Format.TEXT, GERMAN, utc_offset_min=60) == (
+        "2027-01-15T08:59:50.000+01:00  info     connected\n"
+        "2027-01-15T08:59:52.500+01:00  error    connection lost: cable\n"
+        "2027-01-15T09:00:01.000+01:00  warning  GPS ist schwach: das Fluggerät kann abtreiben\n"
+    )
+
+
+def test_the_list_as_json_and_as_a_table_hold_the_same() -> None:
+    rows = json.loads(export(diary().lines, Format.JSON, ENGLISH, -90))
+    table = csv.DictReader(io.StringIO(export(diary().lines, Format.CSV, ENGLISH, -90)))
+    assert rows == list(table)
+    assert rows[0] == {
+        "time": "2027-01-15T06:29:50.000-01:30",
+        "level": "info",
+        "source": "station",
+        "text": "connected",
+    }
+    assert [row["source"] for row in rows] == ["station", "station", "page"]
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+cmd", "-2", "@sum", "\tx", 'say "hi", all'])
+def test_what_strangers_wrote_is_no_formula(name: str) -> None:
+    one = Diary()
+    one.take([Event(1, 0.0, "info", name)], 0.0, WALL)
+    [row] = csv.DictReader(io.StringIO(export(one.lines, Format.CSV, ENGLISH)))
+    assert row["text"].lstrip("'") == name
+    assert row["text"][0] not in "=+-@\t"
+
+
+def test_every_format_has_a_type_and_every_level_words() -> None:
+    assert set(MIME) == set(Format)
+    assert {Speaker()(tr(f"events.level.{level}")) for level in LEVELS} == {
+        "all",
+        "warnings",
+        "errors",
+    }

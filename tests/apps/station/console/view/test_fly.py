@@ -1,0 +1,343 @@
+"""Before take-off: what is right, what is needed, and when take-off is offered."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import anyio
+import pytest
+
+from m100link.apps.agent.guided import GuidedFlight
+from m100link.apps.agent.messages import LeaseChanged, Limits, State
+from m100link.apps.station.console.view.fly import (
+    ACTIONS,
+    ENOUGH_BATTERY,
+    FIELDS,
+    FLIGHTS,
+    FREE_FOR_S,
+    FROM_GROUND,
+    HELD,
+    ITEMS,
+    MISSIONS,
+    Check,
+    Checklist,
+    ChecklistDesk,
+    Field,
+    Item,
+    ItemState,
+    actions_of,
+    instruments_of,
+    live,
+)
+from m100link.apps.station.console.view.situation import Hearing, Inputs, Situation, situation_of
+from m100link.apps.station.console.view.texts import (
+    Language,
+    LengthUnit,
+    Speaker,
+    SpeedUnit,
+    Units,
+    translations,
+)
+from m100link.protocol.records import (
+    Attitude,
+    ControlDevice,
+    Device,
+    FlightPhase,
+    FlightStatus,
+    RcMode,
+)
+from m100link.sim.vehicle.missions.route import MissionSettings
+from m100link.telemetry.state import AircraftState
+from tests.apps.station.conftest import Rig
+
+READY = Situation(
+    now=100.0,
+    telemetry_at=99.9,
+    is_activated=True,
+    has_lease=True,
+    has_authority=True,
+    holder="tab",
+    round_trip=0.03,
+    page_trip=0.01,
+    switch=RcMode.F,
+    phase=FlightPhase.STANDBY,
+    battery=90,
+    gps=5,
+    place=(22.5, 113.9),
+    limits=Limits(50.0, 150.0, 10.0, 20),
+)
+
+
+def looked(**known: Any) -> Checklist:
+    """The list of an operator who looked around."""
+    desk = ChecklistDesk()
+    desk.say_free(READY.now, is_free=True)
+    return desk.look(replace(READY, **known))
+
+
+def check(checklist: Checklist, item: Item) -> Check:
+    return next(one for one in checklist.checks if one.item is item)
+
+
+def test_when_everything_is_right_take_off_is_offered() -> None:
+    checklist = looked()
+    assert [one.item for one in checklist.checks] == list(Item)
+    assert checklist.missing == ()
+    assert checklist.is_green
+    assert checklist.may_take_off
+    assert all(one.remedy is None for one in checklist.checks)
+
+
+R, W, U = ItemState.RIGHT, ItemState.WRONG, ItemState.UNKNOWN
+
+CASES: list[tuple[Item, dict[str, Any], ItemState, str]] = [
+    (Item.LINE, {"connection": "lost"}, W, "not connected"),
+    (Item.LINE, {"hearing": Hearing.SILENT}, W, "not connected"),
+    (Item.LINE, {"telemetry_at": None}, W, "not connected"),
+    (Item.LINE, {"telemetry_at": 98.0}, W, "the aircraft is silent"),
+    (Item.QUALITY, {"round_trip": None}, U, "unknown"),
+    (Item.QUALITY, {"page_trip": None}, U, "unknown"),
+    (Item.QUALITY, {"round_trip": 0.5}, W, "500 ms to the aircraft, 10 ms to this page"),
+    (Item.QUALITY, {"page_trip": 0.6}, W, "30 ms to the aircraft, 600 ms to this page"),
+    (Item.ACTIVATION, {"is_activated": False}, W, "not activated"),
+    (Item.GROUND, {"phase": FlightPhase.IN_AIR}, W, "it flies already"),
+    (Item.GROUND, {"phase": None}, U, "unknown"),
+    (Item.SWITCH, {"switch": RcMode.P}, W, "in P"),
+    (Item.SWITCH, {"switch": None}, U, "unknown"),
+    (Item.CONTROL, {"has_authority": False}, W, "not obtained"),
+    (Item.CONTROL, {"has_lease": False, "holder": "Anna"}, W, "Anna has control"),
+    (Item.GPS, {"gps": 2}, W, "2 of 5"),
+    (Item.GPS, {"gps": None}, U, "unknown"),
+    (Item.HOME, {"place": None}, U, "unknown"),
+    (Item.BATTERY, {"battery": ENOUGH_BATTERY}, W, "30 %"),
+    (Item.BATTERY, {"battery": None}, U, "unknown"),
+    (Item.GUARDS, {"limits": Limits()}, W, "not all are on"),
+    (Item.GUARDS, {"limits": Limits(50.0, None, 10.0, 20)}, W, "not all are on"),
+]
+
+
+@pytest.mark.parametrize(("item", "known", "state", "seen"), CASES)
+def test_what_is_not_right_says_what_was_seen_and_how_to_mend_it(
+    item: Item, known: dict[str, Any], state: ItemState, seen: str
+) -> None:
+    checklist = looked(**known)
+    one = check(checklist, item)
+    assert (one.state, Speaker()(one.seen)) == (state, seen)
+    assert one.remedy is not None
+    assert Speaker()(one.remedy)
+    assert one in checklist.missing
+    assert not checklist.is_green
+    assert not checklist.may_take_off
+
+
+def test_every_item_has_a_name_a_remedy_and_a_case() -> None:
+    for item in Item:
+        assert f"checklist.{item.value}" in translations()
+        assert f"checklist.{item.value}.remedy" in translations()
+    assert {item for item, *_ in CASES} == set(Item) - {Item.FREE}
+
+
+@pytest.mark.parametrize(("item", "known", "state", "seen"), CASES)
+def test_a_reason_offers_take_off_unless_the_aircraft_would_refuse(
+    item: Item, known: dict[str, Any], state: ItemState, seen: str
+) -> None:
+    desk = ChecklistDesk()
+    desk.say_free(READY.now, is_free=True)
+    desk.say_why("a test of the floor")
+    checklist = desk.look(replace(READY, **known))
+    needs = {Item.LINE, Item.ACTIVATION, Item.CONTROL}
+    # In the air no reason holds: it was said for another take-off.
+    assert checklist.may_take_off == (
+        item not in needs and known.get("phase") is not FlightPhase.IN_AIR
+    )
+    assert {one for one, is_needed in ITEMS.items() if is_needed} == needs
+
+
+@pytest.mark.parametrize(
+    ("reason", "counts"), [("", False), ("  a ", False), ("hm", False), ("fog", True)]
+)
+def test_a_reason_is_more_than_a_key_that_was_hit(reason: str, counts: bool) -> None:
+    desk = ChecklistDesk()
+    desk.say_why(reason)
+    assert desk.look(READY).may_take_off is counts
+
+
+def test_a_reason_is_one_line_and_short() -> None:
+    desk = ChecklistDesk()
+    desk.say_why("so\nit\tis " * 100)
+    reason = desk.look(READY).reason
+    assert reason.startswith("so it is so")
+    assert len(reason) == 200
+
+
+def test_that_the_place_is_free_is_said_by_the_operator_and_holds_for_a_while() -> None:
+    desk = ChecklistDesk()
+    assert check(desk.look(READY), Item.FREE).state is W
+    desk.say_free(READY.now, is_free=True)
+    later = replace(READY, now=READY.now + FREE_FOR_S, telemetry_at=READY.now + FREE_FOR_S)
+    assert desk.look(later).is_green
+    assert not desk.look(replace(later, now=later.now + 0.5)).is_free_said
+    desk.say_free(later.now, is_free=True)
+    desk.say_free(later.now, is_free=False)
+    assert not desk.look(later).is_free_said
+
+
+def test_a_flight_ends_what_was_said() -> None:
+    desk = ChecklistDesk()
+    desk.say_free(READY.now, is_free=True)
+    desk.say_why("a test")
+    desk.look(replace(READY, phase=FlightPhase.TAKING_OFF))
+    after = desk.look(READY)
+    assert (after.is_free_said, after.reason) == (False, "")
+
+
+def test_an_item_that_did_not_come_for_a_moment_ends_nothing() -> None:
+    desk = ChecklistDesk()
+    desk.say_free(READY.now, is_free=True)
+    desk.look(replace(READY, phase=None))
+    assert desk.look(READY).may_take_off
+
+
+def test_enough_is_what_a_mission_needs() -> None:
+    assert MissionSettings().least_battery_percent == ENOUGH_BATTERY
+
+
+# -- which buttons can be pressed in which state ---------------------------------------------------
+
+MINE = LeaseChanged(3, "tab")
+KEPT = {"release", "mission_upload"}
+
+
+def look(inputs: Inputs, *, has_reason: bool) -> Checklist:
+    """The list of an operator who has a reason for everything, or none."""
+    desk = ChecklistDesk()
+    desk.say_why("a test" * has_reason)
+    ready = replace(
+        situation_of(inputs), is_activated=True, telemetry_at=inputs.now, phase=FlightPhase.STANDBY
+    )
+    return desk.look(ready)
+
+
+def offered_of(inputs: Inputs) -> frozenset[str]:
+    """What is offered to an operator who has a reason for everything."""
+    return actions_of(inputs, situation_of(inputs), look(inputs, has_reason=True))
+
+
+def inputs_of(
+    *, is_mine: bool, obeyed: bool, task: str = "", mission: str = "", is_silent: bool = False
+) -> Inputs:
+    state = State(0.0, "connected", has_authority=obeyed, task=task, mission=mission)
+    return Inputs(state=state, holder=MINE, has_lease=is_mine, is_silent=is_silent)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "offered"),
+    [
+        (Inputs(), set()),
+        (inputs_of(is_mine=False, obeyed=True), {"activate", "obtain"}),
+        (inputs_of(is_mine=True, obeyed=False), {"activate", "obtain", *KEPT}),
+        (inputs_of(is_mine=True, obeyed=True), {"activate", *KEPT, *FLIGHTS}),
+        (
+            inputs_of(is_mine=True, obeyed=True, mission="no mission"),
+            {"activate", *KEPT, *FLIGHTS},
+        ),
+        (inputs_of(is_mine=True, obeyed=True, task="landing"), {"activate", *KEPT}),
+        (
+            inputs_of(is_mine=True, obeyed=True, mission="hotpoint"),
+            {"activate", *KEPT, *MISSIONS},
+        ),
+        (inputs_of(is_mine=True, obeyed=True, is_silent=True), {*KEPT}),
+    ],
+)
+def test_what_is_offered(inputs: Inputs, offered: set[str]) -> None:
+    actions = offered_of(inputs)
+    assert actions == {"stop", *offered}
+    assert actions <= ACTIONS
+
+
+FLIES = replace(situation_of(Inputs()), phase=FlightPhase.IN_AIR)
+
+
+@pytest.mark.parametrize(
+    ("now", "has_reason", "leaves"),
+    [
+        (replace(FLIES, phase=FlightPhase.STANDBY), False, False),
+        (replace(FLIES, phase=FlightPhase.STANDBY), True, True),
+        (replace(FLIES, phase=None), False, False),  # nobody knows: it counts as standing
+        (FLIES, False, True),  # a mission or a task that begins in flight
+    ],
+)
+def test_what_leaves_the_ground_is_offered_by_the_checklist(
+    now: Situation, has_reason: bool, leaves: bool
+) -> None:
+    inputs = inputs_of(is_mine=True, obeyed=True)
+    actions = actions_of(inputs, now, look(inputs, has_reason=has_reason))
+    in_flight = {"take_off"} if now.is_on_ground is False else set()
+    assert actions & FROM_GROUND == (FROM_GROUND - in_flight if leaves else set())
+    assert actions >= {"land", "go_home"}
+
+
+def test_anybody_may_let_a_guided_flight_hover() -> None:
+    state = State(0.0, "connected", guided=GuidedFlight("change of height"))
+    assert offered_of(Inputs(state=state)) == {"stop", "activate", "obtain", "hover"}
+
+
+def test_what_flies_by_itself_has_to_be_held_and_its_button_says_so() -> None:
+    assert HELD >= FLIGHTS
+    assert not HELD & {"stop", "hover", "mission_pause", "mission_stop", "release"}
+    labels = [key for key, english in translations().items() if english.endswith("(hold)")]
+    german = translations(Language.GERMAN)
+    assert labels == [key for key, label in german.items() if label.endswith("(halten)")]
+    assert len(labels) == len(HELD)
+
+
+# -- instruments show a value, and that it is old --------------------------------------------------
+
+pytestmark = pytest.mark.anyio
+
+
+async def test_each_field_has_its_reading_and_grows_old(rig: Rig) -> None:
+    telemetry = rig.front.telemetry
+    assert isinstance(telemetry, AircraftState)
+    shown = instruments_of(Inputs(telemetry=telemetry))
+    assert set(shown.readings) == {field.name for field in FIELDS}
+    assert not shown.readings["heading"].is_stale
+    attitude = telemetry.get(Attitude)
+    assert attitude is not None
+    assert shown.attitude == (attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg)
+
+
+async def test_the_socket_tells_speed_over_ground_and_where_to(rig: Rig) -> None:
+    await anyio.sleep(1.5)  # the flight status comes once a second
+    told = live(rig.front.telemetry, 1.0)
+    assert told["op"] == "live"
+    assert len(told["vel"]) == 4
+    assert told["ground"]  # home is where it stands
+    assert len(str(told)) < 400  # twenty times a second
+
+
+async def test_heights_and_speeds_are_in_the_units_and_the_language_that_were_chosen(
+    rig: Rig,
+) -> None:
+    await anyio.sleep(1.5)
+    readings = instruments_of(Inputs(telemetry=rig.front.telemetry)).readings
+    said = Speaker(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KM_H))
+    assert said(readings["height"].text) == "0,0 ft"
+    assert said(readings["speed"].text) == "0,0 km/h"
+    assert said(readings["climb"].text) == "+0,0 km/h"
+    assert said(readings["flight_status"].text) == "bereit"
+    assert said(readings["gps"].text) == "5 von 5"
+
+
+@pytest.mark.parametrize("field", FIELDS, ids=lambda field: field.name)
+def test_every_field_has_a_name(field: Field) -> None:
+    assert f"instruments.{field.name}" in translations()
+
+
+def test_every_phase_and_every_device_has_words() -> None:
+    fields = {field.name: field.text for field in FIELDS}
+    phases = [fields["flight_status"](FlightStatus(phase)) for phase in FlightPhase]
+    devices = [fields["control_device"](ControlDevice(device, None)) for device in Device]
+    assert all(text.key in translations() for text in (*phases, *devices))
+    assert Speaker()(fields["flight_status"](FlightStatus(9))) == "9?"

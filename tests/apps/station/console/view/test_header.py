@@ -1,0 +1,475 @@
+"""The mission of a tab: a plan from a file, four buttons, and how far it is."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack
+from dataclasses import replace
+from itertools import combinations, product
+from typing import Any
+
+import anyio
+import pytest
+
+from m100link.apps.agent.messages import Action, LeaseChanged, Replay, State
+from m100link.apps.agent.remote_error import Fault
+from m100link.apps.station.console.view.header import (
+    RULES,
+    Cause,
+    activation_of,
+    fleet_of,
+    progress,
+    replay_of,
+    status_line,
+    summary,
+)
+from m100link.apps.station.console.view.situation import Hearing, Inputs, Level, Ship, Situation
+from m100link.apps.station.console.view.texts import (
+    Language,
+    LengthUnit,
+    Speaker,
+    SpeedUnit,
+    Units,
+    translations,
+)
+from m100link.apps.station.console.view.view import view_of
+from m100link.geodesy import LocalFrame
+from m100link.missions.plan import WaypointPlan
+from m100link.missions.waypoint import Waypoint
+from m100link.protocol.codes import ActivationCode
+from m100link.protocol.records import Device, RcMode
+from m100link.sim.virtual import VirtualAircraft
+from m100link.telemetry.state import AircraftState
+from tests.apps.station.conftest import Rig
+from tests.apps.station.console.test_tab import Browser, airborne, keep_alive
+
+pytestmark = pytest.mark.anyio
+
+SAY = Speaker()
+
+
+@pytest.fixture
+async def newer() -> AsyncIterator[Rig]:
+    async with AsyncExitStack() as stack:
+        aircraft = VirtualAircraft(seed=5, firmware="3.1")
+        yield await stack.enter_async_context(Rig(aircraft).running())
+
+
+def plan_of(rig: Rig) -> WaypointPlan:
+    settings = rig.aircraft.vehicle.settings
+    frame = LocalFrame(settings.latitude_deg, settings.longitude_deg)
+    places = [frame.to_geodetic(*place) for place in ((15.0, 0.0), (15.0, 15.0), (0.0, 15.0))]
+    return WaypointPlan([Waypoint(*place, height=8) for place in places], speed=4)
+
+
+@pytest.mark.parametrize("as_qgroundcontrol", [False, True])
+async def test_a_plan_from_a_file_is_flown(newer: Rig, as_qgroundcontrol: bool) -> None:
+    browser = await airborne(newer)
+    plan = plan_of(newer)
+    text = plan.to_qgroundcontrol() if as_qgroundcontrol else plan.to_json()
+    tab = browser.tab
+    assert await tab.attempt(lambda: tab.upload_plan(text.encode())), tab.problem
+    assert SAY(summary(tab.plan)) == "3 waypoints, 30 m at 4.0 m/s, height 8 m to 8 m"
+    assert await tab.attempt(lambda: tab.order_mission(Action.MISSION_START)), tab.problem
+
+    async def see() -> list[str]:
+        seen: list[str] = []
+        while not seen or newer.front.state.mission != "no mission":
+            what, part = progress(
+                tab.plan, newer.front.state.mission, newer.front.state.mission_index
+            )
+            text = SAY(what)
+            assert 0.0 <= part < 1.0
+            if text not in seen:
+                seen.append(text)
+            await anyio.sleep(0.25)
+        return seen
+
+    seen: list[str] = []
+
+    async def watch() -> None:
+        await anyio.sleep(0.5)
+        seen.extend(await see())
+
+    await keep_alive(browser, watch())
+    wanted = [f"waypoint mission: to waypoint {number} of 3" for number in (1, 2, 3)]
+    assert [text for text in seen if text in wanted] == wanted
+    assert newer.aircraft.position == pytest.approx((0.0, 15.0), abs=1.0)
+
+
+async def test_pause_resume_and_stop(newer: Rig) -> None:
+    browser = await airborne(newer)
+    tab = browser.tab
+    await tab.upload_plan(plan_of(newer).to_json().encode())
+    await keep_alive(browser, tab.order_mission(Action.MISSION_START))
+    for action in (Action.MISSION_PAUSE, Action.MISSION_RESUME, Action.MISSION_STOP):
+        await keep_alive(browser, anyio.sleep(1.5))
+        assert await tab.attempt(lambda one=action: tab.order_mission(one)), tab.problem  # type: ignore[misc]
+    await keep_alive(browser, anyio.sleep(1.0))
+    assert newer.front.state.mission == "no mission"
+
+
+async def test_what_is_not_a_plan_or_comes_from_somebody_without_control(newer: Rig) -> None:
+    browser = await airborne(newer)
+    assert not await browser.tab.attempt(lambda: browser.tab.upload_plan(b"\xff{"))
+    assert browser.tab.plan is None
+    other = Browser(newer, "other").tab
+    content = plan_of(newer).to_json().encode()
+    assert not await other.attempt(lambda: other.upload_plan(content))
+    assert "tab has control" in other.problem
+    assert not await other.attempt(lambda: other.order_mission(Action.MISSION_START))
+
+
+@pytest.mark.parametrize(
+    ("mission", "index", "said"),
+    [
+        ("", -1, "nothing is known of missions"),
+        ("no mission", -1, "no mission"),
+        ("hotpoint", -1, "circle around a point"),
+        ("of another kind", -1, "program of another kind"),
+        ("waypoint mission", 4, "waypoint mission: to waypoint 5"),
+    ],
+)
+def test_how_far_it_is_without_a_plan(mission: str, index: int, said: str) -> None:
+    what, part = progress(None, mission, index)
+    assert (SAY(what), part) == (said, 0.0)
+
+
+def test_a_plan_in_one_line_in_the_units_that_were_chosen() -> None:
+    assert SAY(summary(None)) == "no plan"
+    plan = WaypointPlan([Waypoint(52.1, 4.31, height=20), Waypoint(52.101, 4.31, height=30)])
+    german = Speaker(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KNOT))
+    assert german(summary(plan)) == "2 Wegpunkte, 367 ft mit 9,7 kn, Höhe 66 ft bis 98 ft"
+
+
+# -- the status line -------------------------------------------------------------------------------
+
+C = Cause
+FREE = Situation(now=100.0, heard_at=100.0, telemetry_at=99.9, is_activated=True)
+
+# What has to be so for each cause alone, beside what is so when everything is fine.
+ALONE: dict[Cause, dict[str, Any]] = {
+    C.AGENT_GONE: {"hearing": Hearing.GONE},
+    C.AGENT_SILENT: {"hearing": Hearing.SILENT},
+    C.LINE_LOST: {"connection": "lost"},
+    C.CONNECTING: {"connection": "connecting"},
+    C.NEVER_HEARD: {"telemetry_at": None},
+    C.AIRCRAFT_SILENT: {"telemetry_at": 98.0},
+    C.APP: {"device": Device.APP},
+    C.SWITCH: {"switch": RcMode.P},
+    C.REPLAY: {"is_replay": True},
+    C.OTHER: {"holder": "Anna"},
+    C.NOT_ACTIVATED: {"is_activated": False},
+    C.PENDING: {"holding": "obtaining"},
+    C.GIVING_BACK: {"holding": "releasing"},
+    C.MISSION: {"has_lease": True, "has_authority": True, "mission": "waypoint mission"},
+    C.YOURS: {"has_lease": True, "has_authority": True},
+    C.RC: {"has_lease": True, "device": Device.RC},
+    C.TAKEN: {"has_lease": True, "holding": "taken"},
+    C.NO_AUTHORITY: {"has_lease": True},
+    C.KEPT: {"has_authority": True},
+    C.FREE_RC: {"device": Device.RC},
+    C.FREE: {},
+}
+
+# Pairs in which the two exclude each other, or of which one includes the other.
+NO_PAIR = {
+    frozenset(pair)
+    for pair in (
+        (C.AGENT_GONE, C.AGENT_SILENT),
+        (C.LINE_LOST, C.CONNECTING),
+        (C.NEVER_HEARD, C.AIRCRAFT_SILENT),
+        (C.APP, C.RC),
+        (C.APP, C.FREE_RC),
+        (C.PENDING, C.GIVING_BACK),
+        (C.PENDING, C.TAKEN),
+        (C.GIVING_BACK, C.TAKEN),
+        (C.OTHER, C.KEPT),
+        *product((C.OTHER, C.KEPT, C.MISSION, C.YOURS), (C.RC, C.TAKEN, C.NO_AUTHORITY)),
+        *product((C.OTHER, C.KEPT), (C.MISSION, C.YOURS)),
+    )
+}
+
+
+# The lease without authority, while the aircraft names the remote controller.
+MAKE_A_THIRD = {(C.TAKEN, C.FREE_RC): C.RC, (C.NO_AUTHORITY, C.FREE_RC): C.RC}
+
+
+@pytest.mark.parametrize("cause", Cause)
+def test_each_cause_alone_is_told(cause: Cause) -> None:
+    assert status_line(replace(FREE, **ALONE[cause])).cause is cause
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [pair for pair in combinations(Cause, 2) if frozenset(pair) not in NO_PAIR],
+    ids=lambda cause: cause.value,
+)
+def test_of_two_causes_the_one_that_comes_first_is_told(first: Cause, second: Cause) -> None:
+    both = replace(FREE, **{**ALONE[second], **ALONE[first]})
+    assert {first, second} <= {rule.cause for rule in RULES if rule.holds(both)}
+    told = status_line(both).cause
+    assert told is MAKE_A_THIRD.get((first, second), first)
+
+
+def test_the_rules_stand_in_the_order_of_the_causes_and_the_last_always_holds() -> None:
+    assert [rule.cause for rule in RULES] == list(Cause)
+    assert RULES[-1].holds(Situation())
+
+
+# By hand: what a glance must say, for whatever is known of lease, authority, switch and device.
+def by_hand(now: Situation) -> Cause:
+    if now.hearing is not Hearing.HEARD:
+        return C.AGENT_GONE if now.hearing is Hearing.GONE else C.AGENT_SILENT
+    if now.connection != "connected":
+        return C.LINE_LOST if now.connection == "lost" else C.CONNECTING
+    if now.telemetry_at is None or now.telemetry_at < 99.0:
+        return C.NEVER_HEARD if now.telemetry_at is None else C.AIRCRAFT_SILENT
+    if now.device is Device.APP:
+        return C.APP
+    if now.switch in (RcMode.P, RcMode.A):
+        return C.SWITCH
+    if now.holder and not now.has_lease:
+        return C.OTHER
+    if not now.is_activated:
+        return C.NOT_ACTIVATED
+    if now.has_lease and now.has_authority:
+        return C.YOURS
+    if now.has_lease:
+        return C.RC if now.device is Device.RC else C.NO_AUTHORITY
+    if now.has_authority:
+        return C.KEPT
+    return C.FREE_RC if now.device is Device.RC else C.FREE
+
+
+def test_every_combination_says_what_a_glance_must_say() -> None:
+    told = set()
+    for hearing, connection, at, device, switch, lease, authority, activated in product(
+        Hearing,
+        ("connecting", "connected", "lost"),
+        (None, 90.0, 99.9),
+        (None, *Device),
+        (None, *RcMode),
+        ("", "mine", "other"),
+        (False, True),
+        (False, True),
+    ):
+        now = Situation(
+            now=100.0,
+            hearing=hearing,
+            connection=connection,
+            telemetry_at=at,
+            device=device,
+            switch=switch,
+            has_lease=lease == "mine",
+            holder=lease,
+            has_authority=authority,
+            is_activated=activated,
+        )
+        line = status_line(now)
+        assert line.cause is by_hand(now), now
+        told.add(line.cause)
+    assert told == set(Cause) - {C.REPLAY, C.PENDING, C.GIVING_BACK, C.MISSION, C.TAKEN}
+
+
+NOT_HEARD = (C.AGENT_GONE, C.AGENT_SILENT, C.LINE_LOST, C.CONNECTING, C.AIRCRAFT_SILENT)
+
+
+@pytest.mark.parametrize("cause", NOT_HEARD)
+def test_while_nothing_is_heard_nobody_is_said_to_fly(cause: Cause) -> None:
+    """The switch that was seen before the cable came out proves nothing."""
+    line = status_line(replace(FREE, **{**ALONE[C.SWITCH], "task": "land", **ALONE[cause]}))
+    assert line.cause is cause
+    assert line.flies is None
+    for language in Language:
+        assert "ilot" not in translations(language)[f"status.{cause.value}"]
+
+
+def test_a_silence_is_counted_from_when_something_was_heard_last() -> None:
+    assert status_line(replace(FREE, telemetry_at=97.5)).since == 97.5
+    assert status_line(replace(FREE, hearing=Hearing.SILENT, heard_at=96.0)).since == 96.0
+    assert status_line(replace(FREE, connection="lost")).since is None
+    assert status_line(FREE).since is None
+
+
+def test_names_and_reasons_are_said() -> None:
+    english = Speaker()
+
+    def said(**known: Any) -> str:
+        return english(status_line(replace(FREE, **known)).text)
+
+    assert said(holder="Anna") == "Anna has control"
+    assert said(switch=RcMode.A) == "The pilot flies: mode switch in A"
+    assert said(connection="lost", fault="the port is gone") == (
+        "The line to the aircraft is lost: the port is gone"
+    )
+    assert said(connection="lost") == "The line to the aircraft is lost"
+
+
+@pytest.mark.parametrize(
+    ("known", "text"),
+    [
+        ({"task": "take off"}, "take-off"),
+        ({"task": "go home", "mission": "waypoint mission"}, "going home"),
+        ({"task": "arm"}, "program arm"),
+        ({"mission": "waypoint mission", "mission_index": 2}, "waypoint mission, to waypoint 3"),
+        ({"mission": "hotpoint"}, "circle around a point"),
+        ({"mission": "of another kind"}, "program of another kind"),
+        ({"mission": "no mission", "pattern": "legs"}, "program legs"),
+    ],
+)
+def test_what_flies_is_said(known: dict[str, Any], text: str) -> None:
+    flies = status_line(replace(FREE, **known)).flies
+    assert flies is not None
+    assert Speaker()(flies) == text
+
+
+def test_nothing_flies_when_nothing_is_known_to() -> None:
+    assert status_line(FREE).flies is None
+
+
+@pytest.mark.parametrize("cause", Cause)
+def test_every_cause_has_words_a_level_and_says_what_to_do(cause: Cause) -> None:
+    line = status_line(replace(FREE, **ALONE[cause]))
+    for speaker in (Speaker(),):
+        assert speaker(line.text)
+        assert line.remedy is None or speaker(line.remedy)
+    assert (line.remedy is None) == (cause in (C.PENDING, C.GIVING_BACK, C.YOURS))
+    assert line.level is not Level.GOOD or cause in (C.YOURS, C.MISSION)
+
+
+def test_a_virtual_aircraft_is_said_to_be_one_whatever_else_is_told() -> None:
+    assert status_line(replace(FREE, is_virtual=True, connection="lost")).is_virtual
+    assert not status_line(FREE).is_virtual
+
+
+@pytest.mark.parametrize(
+    ("state", "text"),
+    [
+        (State(at=0.0), "Activation: not done"),
+        (State(at=0.0, is_activated=True), "Activation: active"),
+        (
+            State(at=0.0, activation_code=ActivationCode.NEW_DEVICE),
+            f"Activation: {ActivationCode.NEW_DEVICE.meaning}",
+        ),
+        (
+            State(at=0.0, is_activated=True, activation_fault=Fault("LinkError", "no answer")),
+            "Activation: no answer",
+        ),
+    ],
+)
+def test_how_far_activation_is(state: State, text: str) -> None:
+    assert Speaker()(activation_of(Inputs(state=state))) == text
+
+
+# -- what the page says of a recorded flight -------------------------------------------------------
+
+TOLD = Replay(
+    name="flight.mcap",
+    utc=1_767_225_600.0,
+    clock=500.0,
+    rate=2.0,
+    position_s=65.4,
+    duration_s=3725.0,
+    speed=2.0,
+    is_paused=False,
+    is_at_end=False,
+    is_cut_off=False,
+)
+
+
+def test_the_bar_says_what_is_played_and_where_it_is() -> None:
+    shown = replay_of(TOLD)
+    assert shown is not None
+    assert SAY(shown.title) == "REPLAY flight.mcap"
+    assert SAY(shown.place) == "1:05 of 1:02:05, 2026-01-01 00:00:00 UTC"
+    assert shown.note is None
+    assert shown.is_running
+    assert replay_of(None) is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "note"),
+    [
+        ({"is_paused": True}, None),
+        ({"is_at_end": True}, "at its end"),
+        ({"is_at_end": True, "is_cut_off": True}, "the recording was cut off"),
+    ],
+)
+def test_one_that_stands_says_why(changes: dict[str, bool], note: str | None) -> None:
+    shown = replay_of(replace(TOLD, **changes))  # type: ignore[arg-type] # each is a bool
+    assert shown is not None
+    assert not shown.is_running
+    assert (None if shown.note is None else Speaker()(shown.note)) == note
+
+
+def test_nothing_is_offered_and_the_line_says_that_nothing_flies() -> None:
+    state = State(at=10.0, connection="connected", replay=TOLD)
+    view = view_of(Inputs(now=500.0, state=state))
+    assert view.actions == frozenset(), "not even STOP: there is nothing to stop"
+    assert view.replay is not None
+    told = state.flight_time(10.5)
+    assert told == 501.0, "its clock goes as fast as it is played"
+    assert view.situation.is_replay
+    assert view.status.cause in (Cause.REPLAY, Cause.NEVER_HEARD)
+    flown = view_of(Inputs(now=500.0, state=replace(state, replay=None)))
+    assert "stop" in flown.actions
+    assert flown.replay is None
+
+
+# -- the list of aircraft: one line each, and nothing that is old ----------------------------------
+
+CONNECTED = State(0.0, "connected", has_authority=True)
+BASE = Ship(
+    "kite", CONNECTED, LeaseChanged(0, ""), None, is_heard=True, is_shown=True, is_ours=False
+)
+OTHER = replace(BASE, name="crow", is_shown=False)
+
+
+@pytest.fixture
+async def telemetry(rig: Rig) -> AircraftState:
+    await anyio.sleep(1.5)  # the battery is told once a second
+    assert rig.front.telemetry is not None
+    return rig.front.telemetry
+
+
+def test_of_one_aircraft_there_is_no_list() -> None:
+    assert fleet_of([BASE]) == ()
+
+
+@pytest.mark.parametrize(
+    ("ship", "kind", "said"),
+    [
+        (BASE, "free", "the pilot flies"),
+        (replace(BASE, holder=LeaseChanged(3, "tower")), "theirs", "tower has it"),
+        (replace(BASE, holder=LeaseChanged(3, "me"), is_ours=True), "mine", "you have it"),
+        (
+            replace(BASE, is_ours=True, state=replace(CONNECTED, has_authority=False)),
+            "mine",
+            "obeys the pilot",
+        ),
+        (replace(BASE, is_heard=False, is_ours=True), "lost", "not heard"),
+        (replace(BASE, state=State(0.0, "lost"), is_ours=True), "lost", "not connected"),
+    ],
+)
+def test_who_has_it_is_said_in_words_and_by_a_kind(ship: Ship, kind: str, said: str) -> None:
+    row, other = fleet_of([ship, OTHER])
+    assert (row.kind, Speaker()(row.control)) == (kind, said)
+    assert Speaker(Language.GERMAN)(row.control)
+    assert (row.is_shown, other.is_shown) == (True, False)
+
+
+async def test_nobody_flies_what_stands_on_the_ground(telemetry: AircraftState) -> None:
+    row, _ = fleet_of([replace(BASE, telemetry=telemetry), OTHER])
+    assert (row.kind, Speaker()(row.control)) == ("free", "nobody has it")
+
+
+async def test_values_are_shown_while_they_are_new(telemetry: AircraftState) -> None:
+    ship = replace(BASE, telemetry=telemetry)
+    flying = replace(ship, state=replace(CONNECTED, mission="waypoint"))
+    rows = fleet_of([ship, flying, replace(ship, is_heard=False)])
+    said = [(Speaker()(row.flies), Speaker()(row.battery)) for row in rows]
+    assert said[0][0].endswith(" m")
+    assert said[0][1].endswith(" %")
+    assert said[1][0] == f"{said[0][0]}, waypoint"
+    assert said[2] == ("–", "–")

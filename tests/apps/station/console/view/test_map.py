@@ -1,0 +1,197 @@
+"""What was pointed at becomes an order, with what it takes and why it is refused beside it."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from m100link.apps.agent.guided import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedFlight
+from m100link.apps.agent.messages import Limits, State
+from m100link.apps.agent.preview import Preview
+from m100link.apps.station.console.view.map import (
+    HIGHEST_M,
+    Drawing,
+    Fence,
+    Pointed,
+    Shown,
+    Wish,
+    chart_of,
+    click_of,
+)
+from m100link.apps.station.console.view.situation import Inputs
+from m100link.apps.station.console.view.texts import Language, Speaker, Text
+from m100link.errors import GuardRefused, LinkError, M100Error, NotObserved, UsageError
+from m100link.geodesy import LocalFrame
+from m100link.missions.plan import WaypointPlan
+from m100link.missions.waypoint import Waypoint
+
+HERE = 52.1, 4.31
+SAY = Speaker()
+
+
+def said(text: Text | None, language: Language = Language.ENGLISH) -> str:
+    assert text is not None
+    return Speaker(language)(text)
+
+
+FORESEEN = Preview(distance_m=83.2, climb_m=5.0, turn_deg=90.0, seconds=75.0, battery_percent=7.4)
+
+
+def test_a_point_becomes_a_flight_there() -> None:
+    assert Pointed().order is None
+    pointed = Pointed().at(*HERE).changed("height", 12).changed("speed", 3.5)
+    assert pointed.order == FlyTo(*HERE, height=12.0, speed=3.5)
+
+
+def test_a_hold_confirms_what_the_preview_showed_when_it_began() -> None:
+    shown = Shown()
+    first = Pointed().at(*HERE)
+    number = shown.show(first)
+    assert shown.show(first) == number
+    shown.check(str(number), first)  # as it comes back from an attribute of the page
+    moved = first.at(HERE[0] + 0.0001, HERE[1])
+    with pytest.raises(GuardRefused, match="the point changed while the button was held"):
+        shown.check(str(number), moved)  # the preview does not show it yet
+    assert shown.show(moved) != number
+    with pytest.raises(GuardRefused) as refused:
+        shown.check(str(number), moved)  # it does, but not when the hold began
+    assert refused.value.guard == "order_changed"
+    shown.show(first)
+    with pytest.raises(GuardRefused):
+        shown.check(str(number), first)  # there and back again is a change, too
+    nothing: object
+    for nothing in (None, "", 7.5, {}):
+        with pytest.raises(GuardRefused):
+            shown.check(nothing, first)
+
+
+def test_around_it_up_and_round() -> None:
+    circle = Pointed(Wish.CIRCLE, radius=20.0, turns=2.0, clockwise=False).at(*HERE)
+    assert circle.order == FlyAround(
+        *HERE, height=10.0, radius=20.0, speed=5.0, turns=2.0, clockwise=False
+    )
+    assert Pointed(Wish.HEIGHT).changed("height", 30).order == ChangeHeight(30.0)
+    assert Pointed(Wish.HEADING).changed("yaw_deg", -90).order == ChangeHeading(270.0)
+
+
+def test_pointing_again_is_a_flight_there_but_a_circle_stays_one() -> None:
+    assert Pointed(Wish.HEIGHT).at(*HERE).wish is Wish.PLACE
+    assert Pointed(Wish.CIRCLE).at(*HERE).wish is Wish.CIRCLE
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "kept"),
+    [("height", 1e9, HIGHEST_M), ("height", -5, 2.0), ("speed", 99, 10.0), ("turns", 0, 0.25)],
+)
+def test_numbers_stay_within_what_is_offered(name: str, value: float, kept: float) -> None:
+    assert getattr(Pointed().changed(name, value), name) == kept
+
+
+@pytest.mark.parametrize("value", [None, "", "12", math.nan, math.inf])
+def test_nonsense_from_the_page_changes_nothing(value: object) -> None:
+    assert Pointed().changed("height", value) == Pointed()
+    assert Pointed().at(math.nan, 0.0) == Pointed()
+    assert Pointed().at(95.0, 0.0) == Pointed()
+
+
+def test_who_cannot_point_gives_distance_and_bearing() -> None:
+    pointed = Pointed().by_distance(HERE, 100.0, 90.0)
+    assert pointed.place is not None
+    north, east = LocalFrame(*HERE).to_local(*pointed.place)
+    assert (north, east) == pytest.approx((0.0, 100.0), abs=1e-3)
+
+
+def test_the_preview_is_said_in_the_words_and_units_of_the_operator() -> None:
+    view = click_of(Pointed().at(*HERE), FORESEEN, None, has_control=True)
+    assert said(view.preview) == "83 m, about 1:15 min, 7.4 % of a battery"
+    assert said(view.preview, Language.GERMAN) == "83 m, etwa 1:15 min, 7,4 % einer Batterie"
+    assert view.may_fly
+    assert view.refusals == ()
+    assert view.pointed == Drawing(HERE)
+    climb = click_of(Pointed(Wish.HEIGHT), FORESEEN, None, has_control=True)
+    assert said(climb.preview).startswith("+5.0 m, about")
+    turn = click_of(Pointed(Wish.HEADING, yaw_deg=90.0), FORESEEN, None, has_control=True)
+    assert said(turn.preview).startswith("90°, about")
+    assert turn.pointed == Drawing(yaw_deg=90.0)
+
+
+def test_without_a_point_or_control_nothing_can_be_held() -> None:
+    nothing = click_of(Pointed(), None, None, has_control=True)
+    assert not nothing.may_fly
+    assert nothing.preview is None
+    view = click_of(Pointed().at(*HERE), FORESEEN, None, has_control=False)
+    assert not view.may_fly
+    (refusal,) = view.refusals
+    assert not isinstance(refusal.remedy, str)
+    assert SAY(refusal.remedy) == "Obtain control first."
+
+
+@pytest.mark.parametrize(
+    ("error", "remedy"),
+    [
+        (GuardRefused("too far", guard="envelope", measured=1, limit=2), "orange circle"),
+        (GuardRefused("empty", guard="battery_floor_percent", measured=1, limit=2), "Land"),
+        (GuardRefused("none", guard="gps", measured=1, limit=2), "Wait for GPS"),
+        (GuardRefused("old", guard="way_late", measured=1, limit=2, remedy="wait"), "wait"),
+        (UsageError("fly_to was asked for on the ground", remedy="await take_off()"), "Take off"),
+        (UsageError("too fast a circle", remedy="at most 3 m/s"), "at most 3 m/s"),
+        (LinkError("gone"), "Wait until the position"),
+    ],
+)
+def test_a_refusal_has_its_reason_and_a_remedy_for_whoever_points(
+    error: M100Error, remedy: str
+) -> None:
+    foreseen = Preview(refusals=(error,))
+    view = click_of(Pointed().at(*HERE), foreseen, None, has_control=True)
+    assert not view.may_fly
+    (refusal,) = view.refusals
+    assert said(refusal.reason) == error.seen
+    remedies = refusal.remedy if isinstance(refusal.remedy, str) else SAY(refusal.remedy)
+    assert remedy in remedies
+
+
+def test_what_was_refused_by_the_agent_is_told_and_may_be_tried_again() -> None:
+    problem = NotObserved("it was ended")
+    view = click_of(Pointed().at(*HERE), FORESEEN, None, has_control=True, problem=problem)
+    assert view.may_fly
+    assert [said(one.reason) for one in view.refusals] == ["it was ended"]
+
+
+@pytest.mark.parametrize(
+    ("guided", "told"),
+    [
+        (GuidedFlight("flight to a place"), "Flies to the point"),
+        (GuidedFlight("change of heading", seconds=3.0), "Turns: 0:03 min to go"),
+        (
+            GuidedFlight("flight around a place", *HERE, 10.0, 15.0, None, 94.0, 47.0),
+            "Flies around the point: 94 m, 0:47 min to go",
+        ),
+        (GuidedFlight("change of height", distance_m=4.0, seconds=2.0), "Changes height: 4 m,"),
+    ],
+)
+def test_what_flies_is_said_to_everybody(guided: GuidedFlight, told: str) -> None:
+    view = click_of(Pointed(), None, guided, has_control=False)
+    assert said(view.flying).startswith(told)
+    if guided.latitude_deg is not None:
+        assert view.flown == Drawing(HERE, 15.0)
+
+
+# -- what stands on the map ------------------------------------------------------------------------
+
+LIMITS = Limits(max_radius_m=150.0, latitude_deg=22.5, longitude_deg=113.9)
+
+
+def test_the_envelope_lies_around_where_control_was_obtained() -> None:
+    state = State(0.0, "connected", limits=LIMITS)
+    assert chart_of(Inputs(state=state)).fence == Fence(22.5, 113.9, 150.0)
+    assert chart_of(Inputs(state=state, is_silent=True)).fence is None
+    assert chart_of(Inputs(state=State(0.0, limits=Limits(max_radius_m=150.0)))).fence is None
+    assert chart_of(Inputs()).fence is None
+
+
+def test_the_route_is_that_of_the_plan() -> None:
+    places = [(22.54325, 113.9589), (22.54325, 113.95905)]
+    plan = WaypointPlan([Waypoint(*place, height=6) for place in places], speed=5)
+    assert chart_of(Inputs(plan=plan)).route == tuple(places)
+    assert chart_of(Inputs()).route == ()

@@ -1,0 +1,143 @@
+"""The registry of listeners: sockets reach their front by name, and none is forgotten."""
+
+from __future__ import annotations
+
+import random
+import socket
+from contextlib import AsyncExitStack
+from types import SimpleNamespace
+
+import pytest
+
+from m100link.apps.station import listeners
+from m100link.apps.station.config import Settings
+from m100link.apps.station.listeners import FRONTS, Fronts, FrontSpec, Sockets, open_sockets
+from m100link.errors import M100Error, UsageError
+
+pytestmark = pytest.mark.anyio
+
+
+class Fake:
+    """A front that takes its sockets, or forgets to."""
+
+    def __init__(self, name: str, *, takes: bool = True) -> None:
+        self.name, self.takes = name, takes
+        self.ports: list[int] = []
+
+    async def serve(self, fronts: Fronts) -> None:
+        if self.takes:
+            self.ports = [one.getsockname()[1] for one in fronts.take(self.name)]
+
+
+@pytest.fixture
+def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
+    made = {name: Fake(name) for name in ("one", "two", "three")}
+    rows = {name: FrontSpec(name, name, lambda _: (0,)) for name in made}
+    monkeypatch.setattr(listeners, "FRONTS", rows)
+    monkeypatch.setattr(FrontSpec, "load", lambda row: made[row.name])
+    return made
+
+
+async def serve(sockets: Sockets) -> None:
+    async with AsyncExitStack() as stack:
+        for row in sockets.of.values():
+            for one in row:
+                stack.callback(one.close)
+        await Fronts(stack, Settings(), sockets, {}, {}, is_kept=False).serve()
+
+
+def test_each_row_names_a_module_that_serves() -> None:
+    for name, row in FRONTS.items():
+        assert name == row.name
+        module = row.load()
+        assert callable(module.serve), name
+        assert hasattr(module, "prepare") is row.prepares, name
+        assert row.beside in ("", *FRONTS), name
+
+
+async def test_sockets_reach_their_front_by_name_in_whatever_order(
+    fakes: dict[str, Fake],
+) -> None:
+    drawn = random.Random(30)
+    for _ in range(20):
+        names = drawn.sample(sorted(fakes), drawn.randrange(4))
+        made = {
+            name: [listeners.listen("127.0.0.1", 0) for _ in range(drawn.randrange(1, 3))]
+            for name in names
+        }
+        opened = Sockets(made)
+        wanted = {name: opened.ports(name) for name in names}
+        for fake in fakes.values():
+            fake.ports = []
+        handed = opened.descriptors()
+        # As another process gets them: duplicates of the same sockets, by name.
+        copies = {
+            name: [socket.fromfd(one, socket.AF_INET, socket.SOCK_STREAM).detach() for one in row]
+            for name, row in handed.items()
+        }
+        await serve(Sockets.inherited(copies))
+        assert {fake.name: fake.ports for fake in fakes.values() if fake.ports} == wanted
+        for row in made.values():
+            for one in row:
+                one.close()
+
+
+async def test_sockets_that_a_front_forgets_end_the_start_and_are_named(
+    fakes: dict[str, Fake],
+) -> None:
+    fakes["two"].takes = False
+    made = {name: [listeners.listen("127.0.0.1", 0)] for name in fakes}
+    with pytest.raises(M100Error, match="two: its module serves nobody"):
+        await serve(Sockets(made))
+
+
+async def test_sockets_without_a_row_end_the_start_and_are_named(fakes: dict[str, Fake]) -> None:
+    made = {name: [listeners.listen("127.0.0.1", 0)] for name in ("one", "four")}
+    with pytest.raises(M100Error, match="'four', which is no front"):
+        await serve(Sockets(made))
+    assert fakes["one"].ports == []
+
+
+def opened(settings: Settings, *, console: bool = False, rosbridge: bool = True) -> dict[str, int]:
+    found = open_sockets(AsyncExitStack(), settings, with_console=console, with_rosbridge=rosbridge)
+    for row in found.of.values():
+        for one in row:
+            one.close()
+    return {name: len(row) for name, row in found.of.items()}
+
+
+def test_what_is_opened_is_what_the_command_and_the_settings_ask_for(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    plain = Settings(port=0, console_port=0)
+    assert opened(plain) == {"rosbridge": 1}
+    assert opened(plain, console=True, rosbridge=False) == {"console": 1}
+    every = Settings(
+        port=0, also_ports=(0,), console_port=0, metrics_port=0, foxglove_port=0,
+        mavlink=("udp://127.0.0.1:0",),
+    )  # fmt: skip
+    assert opened(every, console=True) == {
+        "rosbridge": 2, "console": 1, "mavlink": 1, "metrics": 1, "foxglove": 1,
+    }  # fmt: skip
+    # Nothing serves the numbers without rosbridge: their port stays closed.
+    assert "metrics" not in opened(every, rosbridge=False)
+    assert "metrics: not served, for that needs rosbridge" in caplog.text
+
+
+def test_no_tcp_port_is_bound_when_the_settings_of_a_front_cannot_be(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bound: list[int] = []
+    monkeypatch.setattr(listeners, "listen", lambda _, port: bound.append(port))
+    with pytest.raises(UsageError, match="other machines"):
+        opened(Settings(mavlink=("udp://0.0.0.0:14550",)))
+    assert bound == []
+
+
+def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(_: str) -> SimpleNamespace:
+        raise ModuleNotFoundError("No module named 'prometheus_client'", name="prometheus_client")
+
+    monkeypatch.setattr(listeners, "import_module", missing)
+    with pytest.raises(UsageError, match="metrics needs prometheus_client, which is not installed"):
+        FRONTS["metrics"].load()
