@@ -10,8 +10,8 @@ the list, which a quiet machine writes, and fails no run.
 
 A second of a processor is not the same everywhere: where others use its caches, it does less. The
 cost is therefore counted in a fixed piece of work that is measured beside the tests, and is told in
-the seconds that it takes on a quiet machine. The time of imports is left out: the first test that
-uses a library would pay for all others.
+the seconds that it takes on a quiet machine. The time of imports is left out, and of what else is
+done once: the first test that uses a library would pay for all others.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ import sys
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -36,8 +37,6 @@ MARKED_S = 0.7
 """The list names those that take longer than this: what is left between the two is for chance."""
 WAITS_S = 2.0
 """So long they may wait besides, on the quiet machine on which the list is written."""
-QUIET = 0.25
-"""A machine is quiet if others take less than this share of its processors."""
 WORK_S = 0.0036
 """What the piece of work takes there."""
 MEASURED_S = 0.05
@@ -60,12 +59,6 @@ def function_of(nodeid: str) -> str:
 def keeps_real_time(item: pytest.Item) -> bool:
     """Whether it flies, or talks to programs, by a clock that no test can stop."""
     return any(item.get_closest_marker(mark) for mark in ("pty", "browser", "interop"))
-
-
-def runs_in_real_time(item: pytest.Item) -> bool:
-    """The same once it is set up, or its event loop has no other clock, as beside sockets."""
-    backend = getattr(item, "funcargs", {}).get("anyio_backend")
-    return keeps_real_time(item) or backend == "asyncio"
 
 
 @pytest.hookimpl(tryfirst=True)  # before `-m` selects
@@ -96,8 +89,8 @@ class Clock:
     """Tells time of the processor in seconds of a quiet machine, without what imports take."""
 
     def __init__(self) -> None:
-        self._imported_s = 0.0
-        self._is_importing = False
+        self._left_out_s = 0.0
+        self._is_left_out = False
         self._work_s = work()
         # Python looks this one up for every module that it does not have yet, and only for those.
         bootstrap = vars(importlib._bootstrap)  # it is private
@@ -105,19 +98,26 @@ class Clock:
         bootstrap["_find_and_load"] = self._import
 
     def _import(self, *arguments: Any) -> Any:
-        if self._is_importing or threading.current_thread() is not threading.main_thread():
+        with self.left_out():
             return self._load(*arguments)
+
+    @contextmanager
+    def left_out(self) -> Iterator[None]:
+        """What is done here is done once for many tests, and none of them is charged for it."""
+        if self._is_left_out or threading.current_thread() is not threading.main_thread():
+            yield
+            return
         begun = time.process_time()
-        self._is_importing = True
+        self._is_left_out = True
         try:
-            return self._load(*arguments)
+            yield
         finally:
-            self._is_importing = False
-            self._imported_s += time.process_time() - begun
+            self._is_left_out = False
+            self._left_out_s += time.process_time() - begun
 
     def now(self) -> float:
         """Seconds that were taken here and by children that ended, as they are on this machine."""
-        return processor_time() - self._imported_s
+        return processor_time() - self._left_out_s
 
     def quiet(self, seconds: float) -> float:
         """What has just taken so long would take so long on a quiet machine."""
@@ -127,42 +127,7 @@ class Clock:
         return seconds * WORK_S / ((before + self._work_s) / 2)
 
 
-def processor_time() -> float:
-    """Seconds that this process and the children that it waited for have taken."""
-    return sum(os.times()[:4])
-
-
-_workers_time = 0.0
-
-
-def busy() -> tuple[float, float]:
-    """Seconds of all processors: those in which they worked for anybody, and all."""
-    tick = os.sysconf("SC_CLK_TCK")
-    try:
-        counted = [int(n) / tick for n in Path("/proc/stat").read_text("ascii").split()[1:9]]
-    except OSError:
-        return 0.0, 0.0  # nobody counts here: quiet
-    return sum(counted) - counted[3] - counted[4], sum(counted)
-
-
-_begun = busy()
-
-
-def taken_by_others() -> float:
-    """The share of the processors that others took since this process began."""
-    worked, passed = (after - before for after, before in zip(busy(), _begun, strict=True))
-    return max(0.0, worked - processor_time() - _workers_time) / passed if passed else 0.0
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_testnodedown(node: object) -> None:
-    global _workers_time
-    _workers_time += getattr(node, "workeroutput", {}).get("processor_time", 0.0)
-
-
-# -- what each test costs -------------------------------------------------------------------------
-
-_clock = Clock()
+CLOCK = Clock()
 _began: dict[str, float] = {}
 _costs: dict[str, float] = defaultdict(float)
 _waits: dict[str, float] = defaultdict(float)
@@ -170,8 +135,13 @@ _slow: set[str] = set()
 _real: set[str] = set()
 
 
+def processor_time() -> float:
+    """Seconds that this process and the children that it waited for have taken."""
+    return sum(os.times()[:4])
+
+
 def pytest_runtest_logstart(nodeid: str) -> None:
-    _began[nodeid] = _clock.now()
+    _began[nodeid] = CLOCK.now()
 
 
 @pytest.hookimpl(wrapper=True)
@@ -179,14 +149,13 @@ def pytest_runtest_makereport(
     item: pytest.Item,
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     report = yield
-    now = _clock.now()
+    now = CLOCK.now()
     vars(report).update(  # plain values: a process of xdist hands them on
-        cost=_clock.quiet(now - _began.get(item.nodeid, now)),
+        cost=CLOCK.quiet(now - _began.get(item.nodeid, now)),
         is_slow=item.get_closest_marker("slow") is not None,
         is_real=keeps_real_time(item),
-        is_in_real_time=runs_in_real_time(item),
     )
-    _began[item.nodeid] = _clock.now()
+    _began[item.nodeid] = CLOCK.now()
     return report
 
 
@@ -217,8 +186,7 @@ def is_counted() -> bool:
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    if (output := getattr(session.config, "workeroutput", None)) is not None:
-        output["processor_time"] = processor_time()
+    if hasattr(session.config, "workerinput"):
         return  # the process that began this one counts for all
     if os.environ.get(RECORD):
         rows = (
@@ -227,18 +195,15 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
             if function not in _real and (cost > MARKED_S or _waits[function] > WAITS_S)
         )
         LIST.write_text("".join(rows), "utf-8")
-    elif too_dear() and taken_by_others() < QUIET and session.exitstatus == pytest.ExitCode.OK:
+    elif too_dear() and session.exitstatus == pytest.ExitCode.OK:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     if not os.environ.get(RECORD):
-        others = taken_by_others()
-        excuse = f" Not judged: others took {100 * others:.0f} %." if others >= QUIET else ""
         for function, seconds in sorted(too_dear().items()):
             terminalreporter.write_line(
                 f"SLOW {function}: {seconds:.1f} s of a processor, and the default run allows "
-                f"{LIMIT_S:g}. Make it cheaper, mark it slow, or run nox -s slow.{excuse}",
-                red=not excuse,
-                yellow=bool(excuse),
+                f"{LIMIT_S:g}. Make it cheaper, mark it slow, or run nox -s slow",
+                red=True,
             )
