@@ -31,10 +31,11 @@ from zlib import crc32
 import pytest
 
 LIST = Path(__file__).with_name("slow.txt")
-LIMIT_S = 1.0
+LIMIT_S = 1.5
 """A run fails when all cases of a function that is not slow take longer."""
 MARKED_S = 0.7
-"""The list names those that take longer than this: what is left between the two is for chance."""
+"""The list names those that take longer than this: what is left between the two is for chance. The
+same flight was seen to take 0.69 and 1.12 s."""
 WAITS_S = 2.0
 """So long they may wait besides, on the quiet machine on which the list is written."""
 WORK_S = 0.0036
