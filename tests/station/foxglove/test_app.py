@@ -17,6 +17,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from m100link.station.run import Running
 from tests.station.web.test_server import TOKEN, station
 from tests.waiting import PATIENCE, Standing
+from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.anyio
 
