@@ -49,6 +49,12 @@ def keeps_real_time(item: pytest.Item) -> bool:
     return any(item.get_closest_marker(mark) for mark in ("pty", "browser", "interop"))
 
 
+def runs_in_real_time(item: pytest.Item) -> bool:
+    """The same once it is set up, or its event loop has no other clock, as beside sockets."""
+    backend = getattr(item, "funcargs", {}).get("anyio_backend")
+    return keeps_real_time(item) or backend == "asyncio"
+
+
 @pytest.hookimpl(tryfirst=True)  # before `-m` selects
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     named = slow()
@@ -119,6 +125,7 @@ def pytest_runtest_makereport(
         cost=now - _began.get(item.nodeid, now),
         is_slow=item.get_closest_marker("slow") is not None,
         is_real=keeps_real_time(item),
+        is_in_real_time=runs_in_real_time(item),
     )
     _began[item.nodeid] = now
     return report

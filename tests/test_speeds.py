@@ -103,6 +103,35 @@ def test_too_many_that_are_not_judged_fail_on_a_quiet_machine_only(
     assert ("too many for a machine so quiet" in told) is not bool(others)
 
 
+LOOP = """
+from m100link.sim import VirtualClockEventLoop
+
+@pytest.fixture
+def anyio_backend():
+    return {0}
+
+@pytest.mark.anyio
+async def test_it(): assert False
+"""
+
+
+@pytest.mark.parametrize(
+    ("backend", "told"),
+    [
+        ('"asyncio"', "1 not judged"),
+        (
+            '("asyncio", {"loop_factory": VirtualClockEventLoop})',
+            "1 failed",
+        ),
+    ],
+    ids=["real", "virtual"],
+)
+def test_whoever_runs_by_the_clock_of_the_machine_may_stay_unjudged(
+    tmp_path: Path, backend: str, told: str
+) -> None:
+    assert told in outcome(tmp_path, STANDS.format(0.6) + LOOP.replace("{0}", backend))[1]
+
+
 def test_a_test_that_computes_is_judged_whatever_the_machine_does(tmp_path: Path) -> None:
     status, told = outcome(tmp_path, STANDS.format(0.6) + "def test_it(): assert False")
     assert (status, "1 failed" in told) == (1, True)
