@@ -13,13 +13,14 @@ import pytest
 
 pytest.importorskip("uvicorn")
 pytest.importorskip("starlette")
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import WebSocketException
 
 from m100link.station.run import Running
 from tests.attacks import gaps, stops
 from tests.attacks.gaps import measure, table
 from tests.attacks.losses import LOSSES, lose_at_random
+from tests.sockets import connect
 from tests.station.web.test_server import (
     address,
     opened,

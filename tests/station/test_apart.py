@@ -15,13 +15,14 @@ from typing import Any
 import pytest
 
 pytest.importorskip("uvicorn")
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.client import ClientConnection
 
 from m100link.errors import M100Error, UsageError
 from m100link.log import read
 from m100link.station import child
 from m100link.station.apart import RunningApart, front_settings, running_apart
 from m100link.station.config import FRONT_NICENESS, Settings, resolve
+from tests.sockets import connect
 from tests.waiting import PATIENCE, until
 
 pytestmark = pytest.mark.anyio

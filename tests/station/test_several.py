@@ -14,11 +14,12 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("uvicorn")
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.client import ClientConnection
 
 from m100link.errors import UsageError
 from m100link.station.config import Settings
 from m100link.station.several import RunningSeveral, agent_settings, running_several
+from tests.sockets import connect
 from tests.station.test_apart import Pilot
 from tests.waiting import PATIENCE, until
 

@@ -11,10 +11,11 @@ from typing import Any
 import pytest
 
 pytest.importorskip("uvicorn")
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from m100link.station.run import Running
+from tests.sockets import connect
 from tests.station.web.test_server import TOKEN, station
 from tests.waiting import PATIENCE, Standing
 from tests.waiting import PATIENCE

@@ -20,7 +20,6 @@ from prometheus_client.metrics_core import Metric
 from prometheus_client.openmetrics.exposition import generate_latest as openmetrics_of
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as read_openmetrics
 from prometheus_client.parser import text_string_to_metric_families as read_text
-from websockets.asyncio.client import connect
 
 from m100link.agent.messages import LinkCounted, State
 from m100link.protocol.items import ITEMS
@@ -32,6 +31,8 @@ from m100link.station.run import Running
 from m100link.station.web.metrics import DASHBOARD, StationMetrics
 from m100link.telemetry.state import AircraftState
 from tests import known
+from m100link.station.web.metrics import DASHBOARD
+from tests.sockets import connect
 from tests.station.web.test_server import TOKEN, address, station, until
 from tests.waiting import PATIENCE
 
