@@ -78,8 +78,6 @@ class Standing:
             self.total_s += loop.time() - due
 
 
-
-
 def blocking_until(predicate: Callable[[], bool], within: float = PATIENCE) -> None:
     """The same for tests without an event loop."""
     deadline = time.monotonic() + within

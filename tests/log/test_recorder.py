@@ -25,7 +25,6 @@ from m100link.wire import encode_frame
 from tests.disk import Disk
 from tests.log.flight import APP_ID, KEY, URL, fly
 from tests.waiting import PATIENCE, kept_waiting_altogether
-from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.anyio
 

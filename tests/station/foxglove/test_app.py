@@ -18,7 +18,6 @@ from m100link.station.run import Running
 from tests.sockets import connect
 from tests.station.web.test_server import TOKEN, station
 from tests.waiting import PATIENCE, Standing
-from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.anyio
 

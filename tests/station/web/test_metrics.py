@@ -31,7 +31,6 @@ from m100link.station.run import Running
 from m100link.station.web.metrics import DASHBOARD, StationMetrics
 from m100link.telemetry.state import AircraftState
 from tests import known
-from m100link.station.web.metrics import DASHBOARD
 from tests.sockets import connect
 from tests.station.web.test_server import TOKEN, address, station, until
 from tests.waiting import PATIENCE
