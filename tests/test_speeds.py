@@ -45,11 +45,16 @@ def test_it():
 """
 
 
-def test_what_is_dear_and_not_called_slow_fails_the_run(tmp_path: Path) -> None:
-    status, told = outcome(tmp_path, DEAR.format(2.0))
-    assert (status, "1 passed" in told) == (1, True)
+@pytest.mark.parametrize("others", [0.0, 0.9])
+def test_what_is_dear_and_not_called_slow_fails_the_run_on_a_quiet_machine(
+    tmp_path: Path, others: float
+) -> None:
+    machine = f"from tests import speeds\nspeeds.taken_by_others = lambda: {others}\n"
+    status, told = outcome(tmp_path, machine + DEAR.format(2.0))
+    assert (status, "1 passed" in told) == (0 if others else 1, True)
     assert "SLOW test_it.py::test_it: " in told
-    assert outcome(tmp_path, "@pytest.mark.slow" + DEAR.format(2.0))[0] == 0
+    assert ("Not judged: others took 90 %" in told) is bool(others)
+    assert outcome(tmp_path, f"{machine}@pytest.mark.slow" + DEAR.format(2.0))[0] == 0
 
 
 def test_what_the_list_would_just_not_name_passes_on_a_busy_machine(tmp_path: Path) -> None:
@@ -119,6 +124,35 @@ def test_too_many_that_are_not_judged_fail_on_a_quiet_machine_only(
     status, told = outcome(tmp_path, f"{text}@pytest.mark.pty\ndef test_it(): assert False")
     assert status == (0 if others else 1)
     assert ("too many for a machine so quiet" in told) is not bool(others)
+
+
+LOOP = """
+from m100link.sim import VirtualClockEventLoop
+
+@pytest.fixture
+def anyio_backend():
+    return {0}
+
+@pytest.mark.anyio
+async def test_it(): assert False
+"""
+
+
+@pytest.mark.parametrize(
+    ("backend", "told"),
+    [
+        ('"asyncio"', "1 not judged"),
+        (
+            '("asyncio", {"loop_factory": VirtualClockEventLoop})',
+            "1 failed",
+        ),
+    ],
+    ids=["real", "virtual"],
+)
+def test_whoever_runs_by_the_clock_of_the_machine_may_stay_unjudged(
+    tmp_path: Path, backend: str, told: str
+) -> None:
+    assert told in outcome(tmp_path, STANDS.format(0.6) + LOOP.replace("{0}", backend))[1]
 
 
 def test_a_test_that_computes_is_judged_whatever_the_machine_does(tmp_path: Path) -> None:
