@@ -41,14 +41,13 @@ LOCK = "requirements-dev.txt"
 COVERED = {
     "wire session protocol errors": 100,
     "missions telemetry": 99,
-    "link aircraft": 98,
-    "flight agent fleet sim log": 97,
-    "ros2 doctor": 96,
+    "link aircraft sim": 98,
+    "flight agent fleet log ros2 doctor": 97,
+    "mavlink": 96,
     "bus": 95,
-    "mavlink": 94,
+    "station": 91,
     "sync": 90,
-    "station": 72,
-    "cli": 70,
+    "cli": 83,
 }
 PYTHONS = ["3.11", "3.12", "3.13", "3.14"]
 GET_VERSION = "aa130001000000000500302e000000b493113d"  # a version query in a frame

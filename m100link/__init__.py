@@ -414,7 +414,6 @@ _ROOMS = (
     "flight.missions.flight",
     "flight.missions.waypoint",
     "flight.missions.hotpoint",
-    "flight.missions.follow",
     "flight.control",
     "aircraft.supervising",
 )

@@ -10,8 +10,8 @@ the list, which a quiet machine writes, and fails no run.
 
 A second of a processor is not the same everywhere: where others use its caches, it does less. The
 cost is therefore counted in a fixed piece of work that is measured beside the tests, and is told in
-the seconds that it takes on a quiet machine. The time of imports is left out: the first test that
-uses a library would pay for all others.
+the seconds that it takes on a quiet machine. The time of imports is left out, and of what else is
+done once: the first test that uses a library would pay for all others.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ import sys
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -30,10 +31,11 @@ from zlib import crc32
 import pytest
 
 LIST = Path(__file__).with_name("slow.txt")
-LIMIT_S = 1.0
+LIMIT_S = 1.5
 """A run fails when all cases of a function that is not slow take longer."""
 MARKED_S = 0.7
-"""The list names those that take longer than this: what is left between the two is for chance."""
+"""The list names those that take longer than this: what is left between the two is for chance. The
+same flight was seen to take 0.69 and 1.12 s."""
 WAITS_S = 2.0
 """So long they may wait besides, on the quiet machine on which the list is written."""
 QUIET = 0.25
@@ -96,8 +98,8 @@ class Clock:
     """Tells time of the processor in seconds of a quiet machine, without what imports take."""
 
     def __init__(self) -> None:
-        self._imported_s = 0.0
-        self._is_importing = False
+        self._left_out_s = 0.0
+        self._is_left_out = False
         self._work_s = work()
         # Python looks this one up for every module that it does not have yet, and only for those.
         bootstrap = vars(importlib._bootstrap)  # it is private
@@ -105,19 +107,26 @@ class Clock:
         bootstrap["_find_and_load"] = self._import
 
     def _import(self, *arguments: Any) -> Any:
-        if self._is_importing or threading.current_thread() is not threading.main_thread():
+        with self.left_out():
             return self._load(*arguments)
+
+    @contextmanager
+    def left_out(self) -> Iterator[None]:
+        """What is done here is done once for many tests, and none of them is charged for it."""
+        if self._is_left_out or threading.current_thread() is not threading.main_thread():
+            yield
+            return
         begun = time.process_time()
-        self._is_importing = True
+        self._is_left_out = True
         try:
-            return self._load(*arguments)
+            yield
         finally:
-            self._is_importing = False
-            self._imported_s += time.process_time() - begun
+            self._is_left_out = False
+            self._left_out_s += time.process_time() - begun
 
     def now(self) -> float:
         """Seconds that were taken here and by children that ended, as they are on this machine."""
-        return processor_time() - self._imported_s
+        return processor_time() - self._left_out_s
 
     def quiet(self, seconds: float) -> float:
         """What has just taken so long would take so long on a quiet machine."""
@@ -162,7 +171,7 @@ def pytest_testnodedown(node: object) -> None:
 
 # -- what each test costs -------------------------------------------------------------------------
 
-_clock = Clock()
+CLOCK = Clock()
 _began: dict[str, float] = {}
 _costs: dict[str, float] = defaultdict(float)
 _waits: dict[str, float] = defaultdict(float)
@@ -171,7 +180,7 @@ _real: set[str] = set()
 
 
 def pytest_runtest_logstart(nodeid: str) -> None:
-    _began[nodeid] = _clock.now()
+    _began[nodeid] = CLOCK.now()
 
 
 @pytest.hookimpl(wrapper=True)
@@ -179,14 +188,14 @@ def pytest_runtest_makereport(
     item: pytest.Item,
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     report = yield
-    now = _clock.now()
+    now = CLOCK.now()
     vars(report).update(  # plain values: a process of xdist hands them on
-        cost=_clock.quiet(now - _began.get(item.nodeid, now)),
+        cost=CLOCK.quiet(now - _began.get(item.nodeid, now)),
         is_slow=item.get_closest_marker("slow") is not None,
         is_real=keeps_real_time(item),
         is_in_real_time=runs_in_real_time(item),
     )
-    _began[item.nodeid] = _clock.now()
+    _began[item.nodeid] = CLOCK.now()
     return report
 
 

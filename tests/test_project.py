@@ -18,6 +18,7 @@ from m100link import errors
 from m100link.apps.cli.app import app as cli
 from m100link.protocol import records
 from m100link.sim import VirtualClockEventLoop
+from tests import audit, release
 from tests.speeds import slow
 
 ROOT = Path(__file__).parent.parent
@@ -124,6 +125,51 @@ def test_nox_alone_checks_every_kind_and_full_runs_every_test() -> None:
     assert default == {"lint", "types", "docs", "quick"}
     assert full == {"lint", "types", "docs", "tests", "browser", "examples", "interop"}
     assert kinds(program) == default | full
+
+
+WHOLE = [
+    "m100link/py.typed",
+    "m100link/manual/explanation/safety.txt",
+    "m100link-1.dist-info/METADATA",
+]
+
+
+@pytest.mark.parametrize(
+    ("in_wheel", "in_archive", "components", "wrong"),
+    [
+        (WHOLE, release.PAGES, release.INSTALLED, []),
+        (WHOLE[1:], release.PAGES, release.INSTALLED, ["py.typed"]),
+        ([*WHOLE, "tests/rig.py"], release.PAGES, release.INSTALLED, ["tests/rig.py"]),
+        ([WHOLE[0]], release.PAGES, release.INSTALLED, ["no manual"]),
+        (WHOLE, release.PAGES - {"LICENSE"}, release.INSTALLED, ["LICENSE"]),
+        (WHOLE, release.PAGES, {"anyio", "pyserial-asyncio"}, ["cryptography"]),
+    ],
+)
+def test_what_a_release_lacks_is_told(
+    in_wheel: list[str], in_archive: set[str], components: set[str], wrong: list[str]
+) -> None:
+    told = release.complaints(in_wheel, sorted(in_archive), sorted(components))
+    assert len(told) == len(wrong)
+    assert all(word in text for word, text in zip(wrong, told, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("report", "audited"),
+    [
+        ("", (0, [])),
+        ('{"dependencies": [{"name": "cryptography", "skip_reason": "no answer"}]}', (0, [])),
+        ('{"dependencies": [{"name": "cryptography", "version": "1", "vulns": []}]}', (1, [])),
+        (
+            '{"dependencies": [{"name": "cryptography", "version": "1", "vulns": [{"id": "X"}]}]}',
+            (1, ["cryptography 1: X"]),
+        ),
+    ],
+    ids=["no report", "no answer", "clean", "vulnerable"],
+)
+def test_what_was_not_asked_for_is_not_called_clean(
+    report: str, audited: tuple[int, list[str]]
+) -> None:
+    assert audit.found(report) == audited
 
 
 def test_what_is_called_slow_exists() -> None:

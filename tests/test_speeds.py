@@ -50,11 +50,11 @@ def test_what_is_dear_and_not_called_slow_fails_the_run_on_a_quiet_machine(
     tmp_path: Path, others: float
 ) -> None:
     machine = f"from tests import speeds\nspeeds.taken_by_others = lambda: {others}\n"
-    status, told = outcome(tmp_path, machine + DEAR.format(1.3))
+    status, told = outcome(tmp_path, machine + DEAR.format(2.0))
     assert (status, "1 passed" in told) == (0 if others else 1, True)
-    assert "SLOW test_it.py::test_it: 1." in told
+    assert "SLOW test_it.py::test_it: " in told
     assert ("Not judged: others took 90 %" in told) is bool(others)
-    assert outcome(tmp_path, f"{machine}@pytest.mark.slow" + DEAR.format(1.3))[0] == 0
+    assert outcome(tmp_path, f"{machine}@pytest.mark.slow" + DEAR.format(2.0))[0] == 0
 
 
 def test_what_the_list_would_just_not_name_passes_on_a_busy_machine(tmp_path: Path) -> None:
@@ -69,13 +69,13 @@ def test_what_the_list_would_just_not_name_passes_on_a_busy_machine(tmp_path: Pa
 
 
 def test_an_import_is_not_charged_to_the_first_that_needs_it(tmp_path: Path) -> None:
-    (tmp_path / "dear.py").write_text(f"from tests import speeds{DEAR.format(1.3)}\ntest_it()")
+    (tmp_path / "dear.py").write_text(f"from tests import speeds{DEAR.format(2.0)}\ntest_it()")
     assert outcome(tmp_path, "def test_it(): import dear")[0] == 0
 
 
 def test_nothing_is_dear_while_lines_are_counted(tmp_path: Path) -> None:
     counted = ("-m", "coverage", "run", f"--data-file={tmp_path / 'lines'}")
-    assert outcome(tmp_path, DEAR.format(1.3), under=counted)[0] == 0
+    assert outcome(tmp_path, DEAR.format(2.0), under=counted)[0] == 0
 
 
 def test_what_keeps_real_time_is_left_out_but_for_smoke_tests(tmp_path: Path) -> None:

@@ -18,9 +18,9 @@ from m100link.errors import (
 )
 from m100link.errors.base import of_the_system
 from m100link.flight.authority import Authority, AuthorityInput, AuthorityState
+from m100link.flight.handover import release_authority
 from m100link.flight.lifecycle import BlockClaim
 from m100link.flight.mission_state import MissionState, MissionWatch
-from m100link.flight.stop_path import release_authority
 from m100link.flight.tasks import Commander, SettingsPace, task_sequences
 from m100link.link import Link, LinkStatistics
 from m100link.link.requests import Requests

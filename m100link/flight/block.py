@@ -26,18 +26,13 @@ from m100link.flight.authority import AuthorityInput, AuthorityState
 from m100link.flight.cancellation import SIGNALS, Errand, ProgramTask
 from m100link.flight.guardian import Guardian, control_plan
 from m100link.flight.guards import GuardKeeper
+from m100link.flight.handover import authority_lost, is_unexplained, obtain_authority
 from m100link.flight.lifecycle import BlockClaim, BlockInput, BlockState, Lifecycle, StopCause
 from m100link.flight.missions.keeper import MissionKeeper
 from m100link.flight.pacing import MAX_RATE_HZ, period_of
 from m100link.flight.reserves import free, reserve
 from m100link.flight.setpoints import SETPOINT_LIFETIME, SetpointLoop, check_lifetime
-from m100link.flight.stop_path import (
-    StopAction,
-    StopPath,
-    authority_lost,
-    is_unexplained,
-    obtain_authority,
-)
+from m100link.flight.stop_path import StopAction, StopPath
 from m100link.flight.tasks import Commander, task_name
 from m100link.flight.watchdog import FollowCheck, TelemetryWatchdog
 from m100link.protocol.commands.control import Task

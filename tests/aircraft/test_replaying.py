@@ -24,7 +24,7 @@ from m100link import (
     Sample,
     connect,
 )
-from m100link.aircraft.connecting import parse_replay
+from m100link.aircraft.replaying import parse_replay
 from m100link.errors import (
     BadURL,
     CommandNotSupported,

@@ -9,8 +9,9 @@ import json
 from collections.abc import Awaitable, Callable
 from typing import Any
 
-from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
+
+from tests.sockets import connect
 
 __all__ = ["again_and_again", "main", "publish"]
 

@@ -25,12 +25,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.client import ClientConnection
 
 from m100link.sim.ports.driver import Driver, serve_tcp
 from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.virtual import VirtualAircraft
 from tests.attacks.common import publish
+from tests.sockets import connect
 from tests.waiting import kept_waiting, until
 
 __all__ = ["ATTACKS", "Gaps", "Line", "Station", "be_nice", "flying", "measure", "table"]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 
-from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
 
 from tests.attacks.common import main
+from tests.sockets import connect
 
 
 async def attack(host: str, port: int) -> None:

@@ -25,7 +25,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import WebSocketException
 
 from m100link.sim.ports.driver import Driver
@@ -33,6 +33,7 @@ from m100link.sim.ports.pty import PtyPort
 from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.virtual import VirtualAircraft
 from tests.attacks.common import publish
+from tests.sockets import connect
 from tests.waiting import until
 
 __all__ = ["LOSSES", "lose_at_random"]

@@ -13,7 +13,7 @@ import pytest
 
 pytest.importorskip("uvicorn")
 pytest.importorskip("starlette")
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import WebSocketException
 
 from m100link.apps.station.run import Running
@@ -29,6 +29,7 @@ from tests.apps.station.web.test_server import (
 from tests.attacks import gaps, stops
 from tests.attacks.gaps import measure, table
 from tests.attacks.losses import LOSSES, lose_at_random
+from tests.sockets import connect
 from tests.waiting import PATIENCE, kept_waiting
 
 pytestmark = [pytest.mark.anyio]

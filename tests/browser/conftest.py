@@ -15,9 +15,10 @@ import pytest
 
 playwright = pytest.importorskip("playwright.async_api", reason="playwright is not installed")
 pytest.importorskip("nicegui", reason="the extra `station` is not installed")
-from websockets.asyncio.client import ClientConnection, connect  # noqa: E402 - after the skips
+from websockets.asyncio.client import ClientConnection  # noqa: E402 - after the skips
 from websockets.exceptions import ConnectionClosed  # noqa: E402 - as above
 
+from tests.sockets import connect  # noqa: E402 - after the skips
 from tests.waiting import PATIENCE  # noqa: E402 - as above
 
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")

@@ -10,7 +10,7 @@ import pytest
 
 import m100link
 from m100link import AuthorityLost, AuthorityRefused, AuthorityState
-from m100link.flight.stop_path import obtain_authority, release_authority
+from m100link.flight.handover import obtain_authority, release_authority
 from m100link.flight.tasks import Commander
 from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.commands.control import RequestAuthority

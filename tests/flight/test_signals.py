@@ -15,7 +15,7 @@ import pytest
 from m100link import Control, NoAuthority
 from m100link.flight import cancellation as module
 from m100link.flight.cancellation import OtherWatch, SignalWatch
-from m100link.flight.stop_path import obtain_authority
+from m100link.flight.handover import obtain_authority
 from m100link.flight.tasks import Commander
 from m100link.sim import VirtualClockEventLoop
 from tests.rig import NORTH, Rig, rig

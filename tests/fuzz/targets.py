@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from m100link.aircraft.connecting import parse_replay
+from m100link.aircraft.replaying import parse_replay
 from m100link.apps.agent.codec import decode as decode_message
 from m100link.apps.agent.codec import encode as encode_message
 from m100link.apps.agent.messages import Event, Hello, LeaseChanged, State

@@ -110,21 +110,23 @@ async def test_as_many_are_kept_as_was_said(
     assert [path.exists() for path in paths] == [False] * (4 - left) + [True] * left
 
 
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])
 async def test_each_connection_of_an_agent_gets_a_log(tmp_path: Path) -> None:
+    """By the machine's clock: the threads that write take their time, a virtual one takes none."""
     told = Told()
     flights = Flights(tmp_path / "made" / "by us", tell=told)
     driver = Driver(VirtualAircraft(seed=3))
     driver.start()
     for opened in (by_url("sim://", flights=flights), by_driver(driver, flights=flights)):
         aircraft = await opened()
-        await asyncio.sleep(1.0)
+        await asyncio.sleep(0.5)
         await aircraft.aclose()
         assert flights.newest is not None
         log = read(flights.newest)
         summary = log.summary()
         assert summary.is_whole
         assert summary.firmware == "1.0"
-        assert sum(1 for _ in log.samples()) > 80
+        assert sum(1 for _ in log.samples()) > 20
     driver.stop()
     assert len(list(flights.folder.iterdir())) == 2
     assert [level for level, _ in told.all] == ["info", "info"]

@@ -11,16 +11,8 @@ from rich.table import Table
 
 from m100link.aircraft import Aircraft, connect
 from m100link.aircraft.activation import ActivationProgress
-from m100link.apps.cli.common import (
-    Above0,
-    AppOptions,
-    LinkOptions,
-    Place,
-    Url,
-    err,
-    out,
-    run_async,
-)
+from m100link.apps.cli.common import AppOptions, LinkOptions, Place, Url, err, out, run_async
+from m100link.apps.cli.options import Above0
 from m100link.apps.cli.outcome import ExitCode, print_json
 from m100link.errors import AckTimeout
 from m100link.link.statistics import ROUND_TRIP_BOUNDS_S, RoundTrips

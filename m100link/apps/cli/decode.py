@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from m100link.apps.cli.common import Firmware
+from m100link.apps.cli.options import Firmware
 from m100link.apps.cli.outcome import ExitCode, complain, print_json
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.describing import Describer

@@ -16,7 +16,8 @@ from typing import Annotated, Any
 from rich.table import Table
 
 from m100link import __version__
-from m100link.apps.cli.common import AppOptions, LinkOptions, Place, Url, err, offered, out
+from m100link.apps.cli.common import AppOptions, LinkOptions, Place, Url, err, out
+from m100link.apps.cli.options import offered
 from m100link.apps.cli.outcome import ExitCode, finite, print_json
 from m100link.apps.cli.terminal import read_line
 from m100link.apps.doctor import Finding, Machine, Report, Stage, Verdict, diagnose

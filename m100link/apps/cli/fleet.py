@@ -18,8 +18,9 @@ import cyclopts
 from cyclopts import Parameter
 from rich.table import Table
 
-from m100link.apps.cli.common import Above0, err, out, run_async
+from m100link.apps.cli.common import err, out, run_async
 from m100link.apps.cli.logs import AS_IT_IS, LogOptions
+from m100link.apps.cli.options import Above0
 from m100link.apps.cli.outcome import ExitCode, print_json
 from m100link.apps.fleet.asking import PATIENCE_S, Sign
 from m100link.apps.fleet.client import Fleet, FleetAircraft, connect

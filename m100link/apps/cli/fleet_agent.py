@@ -17,19 +17,10 @@ from cyclopts import Parameter
 
 from m100link.apps.agent.journal import JOURNAL_LOG
 from m100link.apps.agent.messages import Event
-from m100link.apps.cli.common import (
-    Above0,
-    Counted,
-    Told,
-    err,
-    offered,
-    options_of,
-    out,
-    places,
-    run_async,
-)
+from m100link.apps.cli.common import Told, err, out, places, run_async
 from m100link.apps.cli.fleet import NO_OPTIONS, ROUTER, FleetOptions
 from m100link.apps.cli.logs import AS_IT_IS, LogOptions
+from m100link.apps.cli.options import Above0, Counted, offered, options_of
 from m100link.apps.cli.outcome import ExitCode, print_json
 from m100link.apps.cli.serve import (
     AS_USUAL,

@@ -10,8 +10,9 @@ from typing import Annotated, Any
 import cyclopts
 from cyclopts import Parameter
 
-from m100link.apps.cli.common import Above0, err, out, run_async
+from m100link.apps.cli.common import err, out, run_async
 from m100link.apps.cli.fleet import NO_OPTIONS, FleetOptions
+from m100link.apps.cli.options import Above0
 from m100link.apps.cli.outcome import ExitCode, print_json
 from m100link.apps.cli.plan import File, require_free
 from m100link.apps.fleet.show.conductor import Conductor

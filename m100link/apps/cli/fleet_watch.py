@@ -18,7 +18,7 @@ from rich.live import Live
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 from rich.table import Table
 
-from m100link.apps.cli.common import Above0, Told, err, out, run_async
+from m100link.apps.cli.common import Told, err, out, run_async
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
     All,
@@ -28,6 +28,7 @@ from m100link.apps.cli.fleet import (
     tell_results,
     wanted_names,
 )
+from m100link.apps.cli.options import Above0
 from m100link.apps.cli.outcome import ExitCode, print_json
 from m100link.apps.cli.terminal import ReaderGone
 from m100link.apps.fleet.client import Fleet, FleetAircraft

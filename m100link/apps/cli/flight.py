@@ -21,17 +21,16 @@ from m100link.aircraft.activation import ActivationProgress
 from m100link.aircraft.gimbal import angles_command, rates_command
 from m100link.aircraft.rates import rates_by_item
 from m100link.apps.cli.common import (
-    Above0,
     AppOptions,
     LinkOptions,
     Place,
     Url,
     err,
-    offered,
     out,
     places,
     run_async,
 )
+from m100link.apps.cli.options import Above0, offered
 from m100link.apps.cli.outcome import print_json
 from m100link.apps.cli.terminal import read_line
 from m100link.errors import AckTimeout, MissionRefused, MissionRunning, NotObserved, UsageError

@@ -27,7 +27,8 @@ from rich.table import Table
 from rich.text import Text
 
 import m100link
-from m100link.apps.cli.common import err, offered, out
+from m100link.apps.cli.common import err, out
+from m100link.apps.cli.options import offered
 from m100link.apps.cli.outcome import ExitCode
 from m100link.errors import M100Error, UsageError
 

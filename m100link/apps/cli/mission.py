@@ -17,18 +17,10 @@ from rich.live import Live
 from rich.text import Text
 
 from m100link.aircraft import Aircraft, connect
-from m100link.apps.cli.common import (
-    Above0,
-    AppOptions,
-    LinkOptions,
-    Place,
-    Url,
-    err,
-    out,
-    run_async,
-)
+from m100link.apps.cli.common import AppOptions, LinkOptions, Place, Url, err, out, run_async
 from m100link.apps.cli.display import Point, track_plot
 from m100link.apps.cli.flight import activate_app, confirm, hear_of_mission, require_no_mission
+from m100link.apps.cli.options import Above0
 from m100link.apps.cli.outcome import ExitCode, print_json
 from m100link.apps.cli.plan import File, FileOptions, read_plan, require_free
 from m100link.apps.cli.terminal import ReaderGone

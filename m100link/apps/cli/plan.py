@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import cyclopts
 from cyclopts import Parameter
 
-from m100link.apps.cli.common import Above0
+from m100link.apps.cli.options import Above0
 from m100link.apps.cli.outcome import ExitCode, print_json
 from m100link.errors import BadPlan, UsageError
 from m100link.geodesy import LocalFrame

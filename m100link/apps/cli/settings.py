@@ -10,8 +10,9 @@ from cyclopts import Parameter
 from rich.table import Table
 from rich.text import Text
 
-from m100link.apps.cli.common import offered, out
+from m100link.apps.cli.common import out
 from m100link.apps.cli.configuration import Configuration, read_configuration, shown
+from m100link.apps.cli.options import offered
 from m100link.apps.cli.outcome import ExitCode, print_json
 from m100link.apps.station.config import resolve
 

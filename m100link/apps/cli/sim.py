@@ -21,8 +21,9 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from m100link.apps.cli.common import Above0, Firmware, options_of, out
+from m100link.apps.cli.common import out
 from m100link.apps.cli.logs import AS_IT_IS, LogOptions
+from m100link.apps.cli.options import Above0, Firmware, options_of
 from m100link.apps.cli.outcome import print_json
 from m100link.errors import UsageError
 from m100link.link.keyfile import read_key

@@ -17,19 +17,9 @@ from rich.table import Table
 from rich.text import Text
 
 from m100link.aircraft import Aircraft, connect
-from m100link.apps.cli.common import (
-    Above0,
-    Counted,
-    LinkOptions,
-    Place,
-    Url,
-    err,
-    offered,
-    out,
-    places,
-    run_async,
-)
+from m100link.apps.cli.common import LinkOptions, Place, Url, err, out, places, run_async
 from m100link.apps.cli.display import columns_of, items_named, line_plot, row
+from m100link.apps.cli.options import Above0, Counted, offered
 from m100link.apps.cli.outcome import ExitCode, complain, print_json
 from m100link.errors import UsageError
 from m100link.protocol.items import BY_NAME, BY_RECORD

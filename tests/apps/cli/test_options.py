@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("cyclopts")
-from m100link.apps.cli.common import AppOptions, attribute_texts, options_of
+from m100link.apps.cli.common import AppOptions
+from m100link.apps.cli.options import attribute_texts, options_of
 from m100link.apps.cli.serve import StationOptions, settings_of
 from m100link.apps.cli.sim import AssistantOptions, FaultOptions, MissionOptions, SiteOptions
 from m100link.apps.station.config import ENVIRONMENT, Settings

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 from tests.apps.cli.conftest import CommandLine
+from tests.sockets import connect
 from tests.waiting import PATIENCE
 
 pytest.importorskip("cyclopts")
@@ -25,7 +26,6 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
-from websockets.asyncio.client import connect
 
 from m100link.apps.cli.serve import StationOptions, aircraft_of
 from m100link.errors import M100Error

@@ -10,12 +10,13 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from m100link.apps.station.foxglove import Channel, Viewer
 from m100link.apps.station.run import Running
 from tests.apps.station.web.test_server import TOKEN, station
+from tests.sockets import connect
 from tests.waiting import PATIENCE, Standing
 
 CHANNELS = (Channel(1, "/a", "A", "{}"), Channel(2, "/b", "B", "{}"))

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.client import ClientConnection
 
 from m100link.apps.station import supervisor
 from m100link.apps.station.config import FRONT_NICENESS, Settings, resolve
@@ -27,6 +27,7 @@ from m100link.apps.station.run import (
 )
 from m100link.errors import M100Error, UsageError
 from m100link.log import read
+from tests.sockets import connect
 from tests.waiting import PATIENCE, until
 
 pytest.importorskip("uvicorn")

@@ -20,9 +20,10 @@ import pytest
 
 pytest.importorskip("nicegui")
 pytest.importorskip("starlette")
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import InvalidStatus
 
+from tests.sockets import connect
 from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.anyio

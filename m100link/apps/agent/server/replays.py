@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from m100link.aircraft import Aircraft
 from m100link.aircraft.aircraft import AuthorityEvent
-from m100link.aircraft.connecting import open_replay, parse_replay
+from m100link.aircraft.replaying import open_replay, parse_replay
 from m100link.apps.agent.messages import Replay
 from m100link.errors import M100Error, OnlyRecorded, UsageError
 from m100link.log.player import FASTEST, SLOWEST, Player, ReplayedLink

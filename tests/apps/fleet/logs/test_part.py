@@ -147,16 +147,20 @@ def test_a_log_has_its_name_when_it_is_on_the_disk_and_not_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of a computer without power nobody may find half of one under its name."""
-    synced: list[tuple[bytes, bool]] = []
+    synced: list[tuple[bytes, list[str]]] = []
     part = opened(tmp_path)
     part.add(b"abcdef")
 
     def fsync(handle: int) -> None:
-        assert os.path.samestat(os.fstat(handle), part.path.stat())
-        synced.append((part.path.read_bytes(), part.whole.exists()))
+        names = sorted(path.name for path in tmp_path.iterdir())
+        if os.path.samestat(os.fstat(handle), tmp_path.stat()):
+            synced.append((b"the folder", names))
+        else:
+            assert os.path.samestat(os.fstat(handle), part.path.stat())
+            synced.append((part.path.read_bytes(), names))
 
     monkeypatch.setattr(os, "fsync", fsync)
     part.finish()
     part.close()
-    assert synced == [(b"abcdef", False)]
+    assert synced == [(b"abcdef", [part.path.name]), (b"the folder", [part.whole.name])]
     assert part.whole.read_bytes() == b"abcdef"

@@ -30,7 +30,7 @@ from tests import known
 pytestmark = pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
 
 HERE = Path(__file__).parent
-STATIC = HERE.parents[2] / "m100link/apps/station/console/static"
+STATIC = HERE.parents[3] / "m100link/apps/station/console/static"
 
 GERMAN = Speaker(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KM_H))
 BELOW, HEIGHT = 20.0, 300.0  # the strip of the heading; what is left of 320 pixels

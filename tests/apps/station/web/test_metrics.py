@@ -20,7 +20,6 @@ from prometheus_client.metrics_core import Metric
 from prometheus_client.openmetrics.exposition import generate_latest as openmetrics_of
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as read_openmetrics
 from prometheus_client.parser import text_string_to_metric_families as read_text
-from websockets.asyncio.client import connect
 
 from m100link.apps.agent.messages import LinkCounted, State
 from m100link.apps.station.config import Settings
@@ -33,6 +32,7 @@ from m100link.sim.line import LineFaults
 from m100link.telemetry.state import AircraftState
 from tests import known
 from tests.apps.station.web.test_server import TOKEN, address, station, until
+from tests.sockets import connect
 from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.anyio

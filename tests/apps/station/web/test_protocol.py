@@ -13,12 +13,13 @@ import pytest
 
 pytest.importorskip("uvicorn")
 pytest.importorskip("starlette")
-from websockets.asyncio.client import connect
+
 
 from m100link.apps.station.config import Settings
 from m100link.apps.station.run import Running, running
 from m100link.apps.station.web import intake, protocol, server
 from m100link.sim.virtual import VirtualAircraft
+from tests.sockets import connect
 from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.anyio

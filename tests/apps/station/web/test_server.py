@@ -16,7 +16,7 @@ import pytest
 
 pytest.importorskip("uvicorn")
 pytest.importorskip("starlette")
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.frames import Opcode
 
@@ -25,6 +25,7 @@ from m100link.apps.station.ros.client import Client, Limits
 from m100link.apps.station.run import Running, running
 from m100link.errors import PortBusy, UsageError
 from m100link.sim.virtual import VirtualAircraft
+from tests.sockets import connect
 from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.anyio

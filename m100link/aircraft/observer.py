@@ -1,0 +1,52 @@
+"""What a flight log is told besides the bytes of the line."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import asdict
+from enum import Enum
+
+from m100link.aircraft.aircraft import Aircraft
+from m100link.log.channels import EVENT, LINK, Told
+
+__all__ = ["observer"]
+
+# What an error says may quote what it was given: an address with its options, a key.
+_SECRET = re.compile(r"\b((?:key|app[-_ ]?id)[=: ]+)[^\s&,;]+", re.IGNORECASE)
+_KEY = re.compile(r"(?<![0-9a-f])[0-9a-f]{64}(?![0-9a-f])", re.IGNORECASE)
+
+COUNTERS_S = 1.0
+"""Between two records of the counters of the link."""
+
+
+def observer(aircraft: Aircraft) -> Callable[[], list[Told]]:
+    """What to ask whenever the log wants to know: events as they came, counters once a second."""
+    events = aircraft.events()
+    counted_at = -math.inf
+
+    def look() -> list[Told]:
+        nonlocal counted_at
+        told: list[Told] = []
+        while (event := events.get_nowait()) is not None:
+            kind = type(event).__name__.removesuffix("Event").lower()
+            values = {name: _plain(value) for name, value in event._asdict().items()}
+            told.append((EVENT, {"event": kind, **values}))
+        now = aircraft.link.loop.time()
+        if now - counted_at >= COUNTERS_S:
+            counted_at = now
+            counters = asdict(aircraft.statistics())
+            told.append((LINK, {"firmware": aircraft.firmware.name, **counters}))
+        return told
+
+    return look
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Enum):
+        return value.value
+    if value is None or isinstance(value, bool):
+        return value
+    text = _SECRET.sub(r"\1…", str(value))
+    return _KEY.sub("…", text)

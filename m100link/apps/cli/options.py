@@ -1,0 +1,108 @@
+"""Options of the command line made from the library's own dataclasses.
+
+A setting is declared once: its name, type and default as a field, its sentence in the docstring of
+its class. What is made here is a dataclass to derive from.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
+
+from cyclopts import Parameter, validators
+
+from m100link.protocol.firmware import PROFILES
+
+__all__ = ["Above0", "Counted", "Firmware", "attribute_texts", "offered", "options_of"]
+
+if TYPE_CHECKING:
+    Firmware = str
+else:
+    Firmware = Literal[tuple(PROFILES)]  # checkers want it spelt out, people want them all offered
+
+
+def _above_0(_: object, value: float | None) -> None:
+    if value is not None and not 0.0 < value < math.inf:
+        raise ValueError("must be a number above 0")
+
+
+Above0 = Parameter(validator=_above_0)
+"""Seconds and rates: 0, negative numbers, NaN and infinity are asked wrongly."""
+
+Counted = Parameter(validator=validators.Number(gte=1))
+"""Pieces: at least one."""
+
+
+def offered(candidates: Iterable[str] | Callable[[], Iterable[str]]) -> Any:
+    """What a shell offers for a word when the tabulator is pressed.
+
+    With a cyclopts that cannot (before 5) nothing is offered.
+
+    Args:
+        candidates: The words, or what finds them out then.
+    """
+    if not hasattr(Parameter, "completer"):
+        return Parameter()
+    return Parameter(completer=lambda _: list(candidates() if callable(candidates) else candidates))
+
+
+def attribute_texts(source: type) -> dict[str, str]:
+    """The sentences of the docstring's section "Attributes", by attribute."""
+    _, _, section = (inspect.getdoc(source) or "").partition("\nAttributes:\n")
+    texts: dict[str, str] = {}
+    name = ""
+    for line in section.splitlines():
+        begin = re.match(r"    (\w+): (.*)", line)
+        if begin is not None:
+            name = begin[1]
+            texts[name] = begin[2]
+        elif line.startswith("        ") and name:
+            texts[name] += f" {line.strip()}"
+        elif line.strip():
+            break
+    return texts
+
+
+def options_of(
+    source: type,
+    names: Iterable[str],
+    *,
+    environment: Mapping[str, str] | None = None,
+    called: Mapping[str, str] | None = None,
+    defaults: Mapping[str, Any] | None = None,
+    is_layer: bool = False,
+) -> Any:
+    """A dataclass with an option for each of these fields.
+
+    Args:
+        source: The dataclass that declares them.
+        names: Which of its fields.
+        environment: Environment variables by field, named in the help.
+        called: Name of the option by field, where it is not that of the field.
+        defaults: Default by field, where people at a shell want another one than programs.
+        is_layer: The options are one source of several: what was not given is None or empty, and
+            the environment is read by somebody else.
+    """
+    texts, hints = attribute_texts(source), get_type_hints(source)
+    fields = {field.name: field for field in dataclasses.fields(source)}
+    made = []
+    for name in names:
+        variable = (environment or {}).get(name)
+        text = texts[name]
+        kind, default = hints[name], (defaults or {}).get(name, fields[name].default)
+        if is_layer:
+            is_tuple = isinstance(default, tuple)
+            kind, default = (kind, ()) if is_tuple else (kind | None, None)
+            if variable is not None:
+                text = f"{text.removesuffix('.')} ({variable})."
+        parameter = Parameter(
+            name=(called or {}).get(name),
+            help=text,
+            env_var=None if is_layer else variable,
+        )
+        made.append((name, Annotated[kind, parameter], dataclasses.field(default=default)))
+    return dataclasses.make_dataclass(f"{source.__name__}Options", made, frozen=True)
