@@ -60,16 +60,16 @@ nitpick_ignore_regex = [
     (r"py:.*", r"(anyio|cryptography|serial|serial_asyncio)(\..*)?"),
     (r"py:class", r"(Path|Random)"),
     # What is signed is handed on as it is.
-    (r"py:class", r"m100link\.fleet\.payloads\.Order"),
+    (r"py:class", r"m100link\.apps\.fleet\.payloads\.Order"),
     # Attributes are described by their class, they are not entries of their own.
     (r"py:attr", r"state"),
     # Programs get a Control or a Subscription from the aircraft and never make one.
     (r"py:class", r"m100link\.flight\.(tasks\.Commander|guidance\.Flyer|lifecycle\.BlockClaim)"),
-    (r"py:class", r"(Requests|TelemetryStream|m100link\.flight\.sticks\.SettingsPace)"),
+    (r"py:class", r"(Requests|TelemetryStream|m100link\.flight\.tasks\.SettingsPace)"),
     (r"py:class", r"m100link\.sync\.portal\.(Portal|Caller)"),
     (
         r"py:class",
-        r"m100link\.flight\.missions\.(deck\.Deck|keeper\.MissionKeeper|run\.MissionRun)",
+        r"m100link\.flight\.missions\.(context\.Deck|keeper\.MissionKeeper|run\.MissionRun)",
     ),
     (r"py:class", r"m100link\.(flight\.guards\.GuardKeeper|telemetry\.subscription\.Queue)"),
     # Type variables.

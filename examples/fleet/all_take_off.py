@@ -4,7 +4,7 @@ import asyncio
 import sys
 
 import m100link
-from m100link.apps.fleet import Fleet, FleetAircraft, Result
+from m100link.apps.fleet import Fleet, FleetAircraft, Result, connect
 
 
 def tell(what: str, results: dict[str, Result]) -> list[str]:
@@ -34,7 +34,7 @@ async def fly(fleet: Fleet) -> None:
 
 
 async def main(*endpoints: str) -> None:
-    async with m100link.apps.fleet.connect(*endpoints) as fleet:
+    async with connect(*endpoints) as fleet:
         await fly(fleet)
 
 

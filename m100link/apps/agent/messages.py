@@ -184,15 +184,20 @@ class State:
     """Where the agent stands: after each change, and a few times a second.
 
     Attributes:
-        at: When it was so, s. connection: ``"connecting"``, ``"connected"`` or ``"lost"``.
-        connection_fault: Why it is not connected. firmware: Firmware profile in use; empty when not
-        connected. is_activated: Whether the aircraft is active and its key in use. activation_code:
-        Last answer to an activation. activation_fault: Why the last activation failed. holding:
-        State of control authority, a :class:`~m100link.apps.agent.server.authority.HoldingState`.
-        has_authority: Whether setpoints and tasks are obeyed. task: What the aircraft flies by
-        itself; empty for nothing. pattern: Name of the program that flies; empty for none. guided:
-        The flight to where somebody points, with what remains of it; None for none. mission: The
-        kind of mission that the aircraft says it flies, whoever started it, by the
+        at: When it was so, s.
+        connection: ``"connecting"``, ``"connected"`` or ``"lost"``.
+        connection_fault: Why it is not connected.
+        firmware: Firmware profile in use; empty when not connected.
+        is_activated: Whether the aircraft is active and its key in use.
+        activation_code: Last answer to an activation.
+        activation_fault: Why the last activation failed.
+        holding: State of control authority, a
+            :class:`~m100link.apps.agent.server.authority.HoldingState`.
+        has_authority: Whether setpoints and tasks are obeyed.
+        task: What the aircraft flies by itself; empty for nothing.
+        pattern: Name of the program that flies; empty for none.
+        guided: The flight to where somebody points, with what remains of it; None for none.
+        mission: The kind of mission that the aircraft says it flies, whoever started it, by the
             names of :class:`~m100link.flight.mission_state.MissionKind`; empty when nobody knows.
         mission_index: Waypoint that it flies to, counted from 0; -1 when nobody knows.
         mission_status: Status of the mission as on the wire; -1 when nobody knows.
