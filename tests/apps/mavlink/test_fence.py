@@ -139,3 +139,49 @@ def test_a_place_that_is_none_is_refused(x: int) -> None:
     fields = {"command": CIRCLE_IN, "param1": 5.0, "x": x, "y": 0}
     with pytest.raises(Refused):
         read_fence([Message("MISSION_ITEM_INT", fields)])
+
+
+@pytest.mark.parametrize(
+    ("items", "north", "east", "depth"),
+    [
+        (polygon(), 1.0, 1.0, 0.0),
+        (polygon(), -3.0, 1.0, 3.0),
+        (polygon(), -3.0, -4.0, 5.0),  # off a corner
+        (polygon(), 44.0, 13.0, 5.0),
+        (polygon(OUTSIDE), 30.0, 2.0, 2.0),
+        (polygon(OUTSIDE), -3.0, 1.0, 0.0),
+        ([item(CIRCLE_IN, 10.0, 0.0, 5.0)], 10.0, 12.0, 7.0),
+        ([item(CIRCLE_OUT, 10.0, 0.0, 5.0)], 10.0, 2.0, 3.0),
+        ([item(CIRCLE_OUT, 10.0, 0.0, 5.0), item(CIRCLE_OUT, 12.0, 0.0, 5.0)], 11.0, 0.0, 4.0),
+        ([item(CIRCLE_IN, 0.0, 0.0, 5.0), item(CIRCLE_IN, 20.0, 0.0, 5.0)], 12.0, 0.0, 3.0),
+        ([], 0.0, 0.0, 0.0),
+    ],
+)
+def test_how_deep_a_place_lies(
+    items: list[Message], north: float, east: float, depth: float
+) -> None:
+    found = read_fence(items).depth_m(*FRAME.to_geodetic(north, east))
+    assert found == pytest.approx(depth, abs=0.05)  # places have seven digits
+
+
+@pytest.mark.parametrize(
+    ("items", "begin", "end", "is_free"),
+    [
+        (polygon(OUTSIDE), (-5.0, 5.0), (-5.0, 40.0), True),
+        (polygon(OUTSIDE), (-5.0, 5.0), (50.0, 5.0), False),  # both ends are allowed
+        (polygon(OUTSIDE), (20.0, 20.0), (20.0, 5.0), True),  # into the notch
+        (polygon(OUTSIDE), (20.0, 20.0), (20.0, 3.0), False),
+        (polygon(OUTSIDE), (20.0, 20.0), (30.0, 5.0), False),
+        ([item(CIRCLE_OUT, 0.0, 0.0, 5.0)], (-20.0, 5.5), (20.0, 5.5), True),
+        ([item(CIRCLE_OUT, 0.0, 0.0, 5.0)], (-20.0, 4.5), (20.0, 4.5), False),
+        ([item(CIRCLE_OUT, 0.0, 0.0, 5.0)], (-20.0, 4.5), (-6.0, 4.5), True),  # ends before it
+        ([item(CIRCLE_IN, 0.0, 0.0, 5.0)], (0.0, 0.0), (4.0, 0.0), True),
+        ([item(CIRCLE_IN, 0.0, 0.0, 5.0)], (0.0, 0.0), (6.0, 0.0), False),
+        ([], (0.0, 0.0), (6.0, 0.0), True),
+    ],
+)
+def test_what_lies_on_a_straight_way(
+    items: list[Message], begin: tuple[float, float], end: tuple[float, float], is_free: bool
+) -> None:
+    places = FRAME.to_geodetic(*begin), FRAME.to_geodetic(*end)
+    assert (not read_fence(items).on_the_way(*places)) is is_free

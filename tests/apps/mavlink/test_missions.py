@@ -343,6 +343,78 @@ async def test_nobody_flies_out_of_a_fence(rig: Rig, ground: Ground, given: list
         assert ground.mode is Mode.HOLD
 
 
+def corners(*places: tuple[float, float], kind: int = 5001) -> list[Item]:
+    return [item(kind, north, east, param1=float(len(places))) for north, east in places]
+
+
+async def reposition(rig: Rig, ground: Ground, north: float, east: float) -> int:
+    place = item(0, north, east)
+    args = (-1, 1, 0, math.nan, place["x"] / 1e7, place["y"] / 1e7, rig.ground_altitude + 5.0)
+    return await ground.ask(Command.DO_REPOSITION, *args)
+
+
+async def test_an_area_that_lies_on_the_way_is_not_flown_to(rig: Rig, ground: Ground) -> None:
+    await Exchange(ground).upload([item(5004, 25.0, 0.01, param1=5.0)], MissionType.FENCE)
+    await ground.fly(5.0)
+    assert await reposition(rig, ground, 45.0, 0.01) is Result.DENIED
+    await rig.until(lambda: "an excluded area is on the way" in ground.texts)
+    assert await reposition(rig, ground, 45.0, 40.0) is Result.ACCEPTED, "beside it"
+
+
+async def test_asking_again_and_again_leads_nobody_out(rig: Rig, ground: Ground) -> None:
+    """Each order flies a little before it is held, also one that comes while it still brakes."""
+    bay = corners((-5, -5), (30, -5), (30, 30), (-5, 30), (-5, 20), (20, 20), (20, 5), (-5, 5))
+    assert await Exchange(ground).upload(bay, MissionType.FENCE) is MissionResult.ACCEPTED
+    await ground.fly(5.0)
+    farthest = 0.0
+    for _ in range(100):  # ten seconds: to the other arm, across what does not belong to it
+        await reposition(rig, ground, 0.01, 25.0)
+        await anyio.sleep(0.1)
+        farthest = max(farthest, rig.aircraft.position[1])
+    assert 2.0 < farthest < 5.2
+    assert "hold: outside of the fence" in ground.texts
+
+
+async def test_out_of_an_excluded_area_only_the_straight_way_is_flown(
+    rig: Rig, ground: Ground
+) -> None:
+    await ground.fly(5.0)
+    drawn_later = [item(5004, 6.0, 0.01, param1=10.0)]  # around the aircraft, 6 m off its middle
+    assert await Exchange(ground).upload(drawn_later, MissionType.FENCE) is MissionResult.ACCEPTED
+    for _ in range(30):  # through all of it
+        assert await reposition(rig, ground, 40.0, 0.01) is Result.DENIED
+        await anyio.sleep(0.1)
+    assert math.dist(rig.aircraft.position, (0.0, 0.0)) < 0.5
+    await rig.until(lambda: "it does not lead out straight" in ground.texts)
+    assert await reposition(rig, ground, -12.0, 0.01) is Result.ACCEPTED
+    await rig.until(lambda: rig.aircraft.position[0] < -11.0, within=30.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+async def test_no_orders_lead_into_what_is_excluded(rig: Rig, ground: Ground, seed: int) -> None:
+    """Places, areas and times are drawn; half of all orders come while the last is under way."""
+    draw = Random(seed)
+    areas: list[tuple[float, float, float]] = []
+    while len(areas) < 4:
+        north, east = draw.uniform(-40.0, 40.0), draw.uniform(-40.0, 40.0)
+        radius = draw.uniform(3.0, 10.0)
+        if math.hypot(north, east) > radius + 3.0:
+            areas.append((north, east, radius))
+    given = [item(5004, north, east, param1=radius) for north, east, radius in areas]
+    assert await Exchange(ground).upload(given, MissionType.FENCE) is MissionResult.ACCEPTED
+    await ground.fly(5.0)
+    for _ in range(25):
+        north, east = draw.uniform(-50.0, 50.0), draw.uniform(-50.0, 50.0)
+        for _ in range(draw.choice((1, 1, 10))):
+            await reposition(rig, ground, north, east)
+            for _ in range(draw.choice((1, 2, 20))):
+                await anyio.sleep(0.1)
+                place = rig.aircraft.position[:2]
+                deepest = min(math.dist(place, area[:2]) - area[2] for area in areas)
+                assert deepest > -0.3, (seed, place, areas)
+    assert math.dist(rig.aircraft.position, (0.0, 0.0)) > 1.0, "some of them were flown"
+
+
 async def test_an_area_that_is_excluded_is_not_flown_to(rig: Rig, ground: Ground) -> None:
     given = [item(5004, 20.0, 0.01, param1=5.0)]
     assert await Exchange(ground).upload(given, MissionType.FENCE) == 0

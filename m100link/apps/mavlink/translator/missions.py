@@ -339,6 +339,7 @@ _CIRCLES = {
     Command.NAV_FENCE_CIRCLE_EXCLUSION: False,
 }
 _AROUND = 8
+_Local = tuple[float, float]  # north and east, m
 
 
 @dataclass(frozen=True, slots=True)
@@ -369,6 +370,43 @@ class _Area:
                 is_in ^= north < corner_north + share * (before_north - corner_north)
             before_north, before_east = corner_north, corner_east
         return is_in
+
+    def edge_m(self, latitude_deg: float, longitude_deg: float) -> float:
+        """How far its edge is away."""
+        place = self.frame.to_local(latitude_deg, longitude_deg)
+        if not self.corners:
+            return abs(math.hypot(*place) - self.radius)
+        return min(_distance(place, *edge) for edge in self._edges())
+
+    def meets(self, begin: tuple[float, float], end: tuple[float, float]) -> bool:
+        """Whether a straight way has a place in it."""
+        way = self.frame.to_local(*begin), self.frame.to_local(*end)
+        if not self.corners:
+            return _distance((0.0, 0.0), *way) <= self.radius
+        return self.has(*end) or any(_cross(*way, *edge) for edge in self._edges())
+
+    def _edges(self) -> Iterator[tuple[_Local, _Local]]:
+        return zip(self.corners, (*self.corners[1:], self.corners[0]), strict=True)
+
+
+def _distance(place: _Local, begin: _Local, end: _Local) -> float:
+    """How far a place is from a straight way, m."""
+    north, east = end[0] - begin[0], end[1] - begin[1]
+    to_north, to_east = place[0] - begin[0], place[1] - begin[1]
+    length = north * north + east * east
+    share = (to_north * north + to_east * east) / length if length else 0.0
+    share = min(max(share, 0.0), 1.0)
+    return math.hypot(to_north - share * north, to_east - share * east)
+
+
+def _cross(a: _Local, b: _Local, c: _Local, d: _Local) -> bool:
+    """Whether the straight ways from a to b and from c to d have a place in common."""
+
+    def side(begin: _Local, end: _Local, place: _Local) -> float:
+        north, east = end[0] - begin[0], end[1] - begin[1]
+        return north * (place[1] - begin[1]) - east * (place[0] - begin[0])
+
+    return side(a, b, c) * side(a, b, d) <= 0.0 and side(c, d, a) * side(c, d, b) <= 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -406,6 +444,25 @@ class Fence:
             if any(area.has(*place) for area in self.areas if not area.is_inside):
                 return "inside of an area that the fence excludes"
         return ""
+
+    def on_the_way(self, begin: tuple[float, float], end: tuple[float, float]) -> str:
+        """Why nobody may fly straight from a place inside of the fence to another.
+
+        Of areas to stay in only the end is asked for: several may lie side by side.
+        """
+        if any(area.meets(begin, end) for area in self.areas if not area.is_inside):
+            return "an excluded area is on the way"
+        return self.refusal(*end)
+
+    def depth_m(self, latitude_deg: float, longitude_deg: float) -> float:
+        """How far it is at least to a place that the fence allows; 0 at one."""
+        place = latitude_deg, longitude_deg
+        inside = [area for area in self.areas if area.is_inside]
+        excluded = [area for area in self.areas if not area.is_inside and area.has(*place)]
+        away = [area.edge_m(*place) for area in excluded]
+        if inside and not any(area.has(*place) for area in inside):
+            away.append(min(area.edge_m(*place) for area in inside))
+        return max(away, default=0.0)
 
 
 def read_fence(items: Sequence[Message]) -> Fence:

@@ -62,6 +62,9 @@ _TO_ALL = (0, COMPONENT)
 _AHEAD_S = 1.0
 """Seconds ahead that the fence is looked at: what the aircraft needs to stop."""
 
+_AWAY_M_S = 0.3
+"""So fast it may be told to move away from the fence while it stands."""
+
 _FLIGHTS = (Running.FLIGHT, Running.MISSION)
 """What leads back into the fence by itself, if it leads there."""
 
@@ -110,7 +113,7 @@ class Vehicle:
             tell=self._texts.tell,
             request=self._request,
             mission=lambda peer, first: self.flights.wish(peer, first),
-            fence=lambda *place: self._missions.fence.refusal(*place),
+            fence=self._may_fly_to,
         )
         self._missions = Missions(
             self._send,
@@ -276,24 +279,47 @@ class Vehicle:
             return f"{self.deck.operator.name} flies" if self.deck.operator else ""
         return ""
 
+    def _may_fly_to(self, latitude_deg: float, longitude_deg: float, radius: float) -> str:
+        """Why the fence refuses a flight to a place or around it; empty if it does not."""
+        fence, end = self._missions.fence, (latitude_deg, longitude_deg)
+        why = fence.refusal(*end, radius)
+        position = self.world.position
+        if why or not fence.areas or position is None or self.deck.phase is not Phase.AIRBORNE:
+            return why
+        here = position.latitude_deg, position.longitude_deg
+        depth = fence.depth_m(*here)
+        if not depth:
+            return fence.on_the_way(here, end)
+        frame = LocalFrame(*here)
+        north, east = frame.to_local(*end)
+        step = 1.0 / max(math.hypot(north, east), 1.0)
+        is_way_out = fence.depth_m(*frame.to_geodetic(north * step, east * step)) < depth
+        return "" if is_way_out else f"{fence.refusal(*here)}: it does not lead out straight"
+
     def _watch_fence(self) -> None:
-        """Hold whoever leaves the fence; from outside only flights lead back, not setpoints."""
+        """Hold before the fence; from outside only flights lead back, not setpoints.
+
+        A flight that is begun again and again flies a little each time: from outside, none may lead
+        farther away.
+        """
         position, velocity = self.world.position, self.world.velocity
         if position is None or self.deck.phase is not Phase.AIRBORNE:
             self._was_inside = True
             return
-        place = position.latitude_deg, position.longitude_deg
-        why = self._missions.fence.refusal(*place)
-        if not why and velocity is not None and self.deck.running in (*_FLIGHTS, Running.STREAM):
-            frame = LocalFrame(*place)
-            ahead = velocity.north_m_s * _AHEAD_S, velocity.east_m_s * _AHEAD_S
-            why = self._missions.fence.refusal(*frame.to_geodetic(*ahead))
-        is_moving = self.deck.running is Running.STREAM or (
-            self._was_inside and self.deck.running in _FLIGHTS
-        )
-        if why and is_moving:
+        fence, here = self._missions.fence, (position.latitude_deg, position.longitude_deg)
+        why = fence.refusal(*here)
+        was_inside, self._was_inside = self._was_inside, not why
+        if self.deck.running not in (*_FLIGHTS, Running.STREAM) or not fence.areas:
+            return
+        speed = (0.0, 0.0) if velocity is None else (velocity.north_m_s, velocity.east_m_s)
+        ahead = LocalFrame(*here).to_geodetic(speed[0] * _AHEAD_S, speed[1] * _AHEAD_S)
+        if not why:
+            why = fence.on_the_way(here, ahead)
+        elif not was_inside and self.deck.running in _FLIGHTS:
+            is_deeper = fence.depth_m(*ahead) > fence.depth_m(*here) + _AWAY_M_S * _AHEAD_S
+            why = why if is_deeper else ""
+        if why:
             self.deck.hold(f"hold: {why}")
-        self._was_inside = not why
 
     # -- what is asked for -----------------------------------------------------------------------
 
