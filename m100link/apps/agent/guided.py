@@ -156,10 +156,10 @@ SETPOINT_LIFETIME = 0.2
 """Seconds that a setpoint of a program lasts when it is not renewed."""
 
 ANGLE_MODE = 1
-"""Tilt angles in the body frame, climb rate, yaw rate: key 8 (mode 2 of the document, 0x0a)."""
+"""Tilt angles in the body frame, climb rate, yaw rate (key 8, mode 2 of the document, 0x0a)."""
 
 VELOCITY_MODE = 2
-"""Velocities over ground, climb rate, yaw rate: key 9 (mode 4 of the document, 0x48)."""
+"""Velocities over ground, climb rate, yaw rate (key 9, mode 4 of the document, 0x48)."""
 
 
 def setpoint_of(mode: int, x: float, y: float, z: float, w: float) -> Setpoint:
