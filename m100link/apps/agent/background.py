@@ -9,8 +9,6 @@ from typing import Any
 
 from m100link.errors import M100Error
 
-__all__ = ["BackgroundTasks"]
-
 _logger = logging.getLogger(__name__)
 
 

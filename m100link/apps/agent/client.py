@@ -57,14 +57,6 @@ from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 from m100link.telemetry.subscription import Hub, Policy, Subscription
 
-__all__ = [
-    "MAX_SILENCE",
-    "AgentClient",
-    "Answers",
-    "OwnLoop",
-]
-
-
 MAX_SILENCE = 2.0
 """Seconds without a word after which the agent counts as silent; it tells its state at 4 Hz."""
 
@@ -508,14 +500,7 @@ class AgentClient:
 
 
 class Answers:
-    """What was asked and has no answer yet, by number.
-
-    Args:
-        send: Puts a question on its way.
-
-    Attributes:
-        gone: Why the agent will answer no more, once it has gone; None before.
-    """
+    """What was asked and has no answer yet, by number."""
 
     def __init__(self, send: Callable[[Message], None]) -> None:
         self._send = send
@@ -523,16 +508,13 @@ class Answers:
         self._count = 0
         self._waiting: dict[int, asyncio.Future[Any]] = {}
         self._accepted: dict[int, Callable[[], None]] = {}
+        # Why the agent will answer no more, once it has gone; None before.
         self.gone: str | None = None
 
     async def question(
         self, ask: Callable[[int], Message], accepted: Callable[[], None] | None = None
     ) -> Any:
         """Send what ``ask`` makes of a number, and wait for the answer to that number.
-
-        Args:
-            ask: Makes the question.
-            accepted: Called when the aircraft has begun.
 
         Raises:
             M100Error: What the agent tells.
@@ -601,11 +583,7 @@ class Answers:
 
 
 class OwnLoop:
-    """A channel for whoever may be called by anybody: another thread would break what it carries.
-
-    Args:
-        channel: The way.
-    """
+    """A channel for who may be called by anybody: another thread would break what it carries."""
 
     def __init__(self, channel: Channel) -> None:
         self._channel = channel

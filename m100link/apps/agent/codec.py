@@ -44,30 +44,17 @@ from m100link.protocol.setpoint import (
     Yaw,
 )
 
-__all__ = [
-    "MAX_SIZE",
-    "MAX_TEXT",
-    "BadValue",
-    "Fields",
-    "decode",
-    "encode",
-    "plan_of",
-    "require_possible",
-    "told_of",
-]
-
-
 MAX_TEXT = 4096
 """Longest text of a field, characters."""
 
 MAX_BYTES = 2048
-"""Longest bytes of a field: a frame of the protocol carries no more than 1007."""
+"""Longest bytes of a field; a frame of the protocol carries no more than 1007."""
 
 MAX_ENTRIES = 32
 """Most entries of a mapping."""
 
 MAX_PIECES = 99
-"""Most bytes of a list: the waypoints of the longest plan."""
+"""Most pieces of a list, which are the waypoints of the longest plan."""
 
 _MAX_INTEGER = 1 << 63
 

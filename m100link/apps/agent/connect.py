@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from m100link.log.recorder import Recorder
     from m100link.sim.ports.driver import Driver
 
-__all__ = ["by_driver", "by_url", "envelope_of"]
-
 
 def envelope_of(max_height: float, max_radius: float) -> Envelope:
     """The envelope of an agent: metres above the take-off point, and from where control began.
@@ -38,21 +36,10 @@ def by_url(
     *,
     baud_rate: int | None = None,
     firmware: str | None = None,
-    timeout: float = 3.0,
-    flights: Flights | None = None,
+    timeout: float = 3.0,  # seconds until an aircraft has to answer
+    flights: Flights | None = None,  # where connections are recorded
 ) -> Connect:
-    """Open a connection string.
-
-    Args:
-        url: The string.
-        baud_rate: Rate when it has none.
-        firmware: Force a firmware profile.
-        timeout: Seconds until an aircraft has to answer.
-        flights: Where connections are recorded.
-
-    Raises (when it is called):
-        UsageError: There is no such firmware profile.
-    """
+    """Open a connection string. A firmware profile that there is not is a UsageError at once."""
     forced = None if firmware is None else profile(firmware)
 
     async def opened() -> Aircraft:

@@ -13,99 +13,51 @@ from dataclasses import dataclass
 from m100link.errors import UsageError
 from m100link.protocol.setpoint import ReferenceFrame, Setpoint
 
-__all__ = [
-    "ANGLE_MODE",
-    "SETPOINT_LIFETIME",
-    "VELOCITY_MODE",
-    "ChangeHeading",
-    "ChangeHeight",
-    "FlyAround",
-    "FlyTo",
-    "GuidedFlight",
-    "GuidedOrder",
-    "name_of",
-    "setpoint_of",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class FlyTo:
-    """Fly straight to a place and hover there.
+    """Fly straight to a place and hover there."""
 
-    Attributes:
-        latitude_deg: WGS 84.
-        longitude_deg: WGS 84.
-        height: Metres above the take-off point.
-        speed: Horizontally, at most, m/s up to 10.
-        yaw_deg: Heading to fly with, °; None for the present one.
-        id: Comes back in each outcome; 0 asks for none.
-        fence: Number of the lease it is asked under.
-    """
-
-    latitude_deg: float
-    longitude_deg: float
-    height: float
-    speed: float = 5.0
-    yaw_deg: float | None = None
-    id: int = 0
-    fence: int = 0
+    latitude_deg: float  #: WGS 84
+    longitude_deg: float  #: WGS 84
+    height: float  #: metres above the take-off point
+    speed: float = 5.0  #: horizontally, at most, m/s up to 10
+    yaw_deg: float | None = None  #: heading to fly with, °; None for the present one
+    id: int = 0  #: comes back in each outcome; 0 asks for none
+    fence: int = 0  #: number of the lease it is asked under
 
 
 @dataclass(frozen=True, slots=True)
 class FlyAround:
-    """Fly a circle around a place, looking at it, and hover at its end.
+    """Fly a circle around a place, looking at it, and hover at its end."""
 
-    Attributes:
-        latitude_deg: Of the centre, WGS 84.
-        longitude_deg: Of the centre, WGS 84.
-        height: Metres above the take-off point.
-        radius: m, 1 or more.
-        speed: Along the circle, m/s up to 10.
-        turns: How many, more than 0.
-        clockwise: Seen from above.
-        id: Comes back in each outcome; 0 asks for none.
-        fence: Number of the lease it is asked under.
-    """
-
-    latitude_deg: float
-    longitude_deg: float
-    height: float
-    radius: float
-    speed: float = 2.0
-    turns: float = 1.0
-    clockwise: bool = True
-    id: int = 0
-    fence: int = 0
+    latitude_deg: float  #: of the centre, WGS 84
+    longitude_deg: float  #: of the centre, WGS 84
+    height: float  #: metres above the take-off point
+    radius: float  #: m, 1 or more
+    speed: float = 2.0  #: along the circle, m/s up to 10
+    turns: float = 1.0  #: how many, more than 0
+    clockwise: bool = True  #: seen from above
+    id: int = 0  #: comes back in each outcome; 0 asks for none
+    fence: int = 0  #: number of the lease it is asked under
 
 
 @dataclass(frozen=True, slots=True)
 class ChangeHeight:
-    """Climb or descend in place.
+    """Climb or descend in place."""
 
-    Attributes:
-        height: Metres above the take-off point.
-        id: Comes back in each outcome; 0 asks for none.
-        fence: Number of the lease it is asked under.
-    """
-
-    height: float
-    id: int = 0
-    fence: int = 0
+    height: float  #: metres above the take-off point
+    id: int = 0  #: comes back in each outcome; 0 asks for none
+    fence: int = 0  #: number of the lease it is asked under
 
 
 @dataclass(frozen=True, slots=True)
 class ChangeHeading:
-    """Turn in place.
+    """Turn in place."""
 
-    Attributes:
-        yaw_deg: Heading, °, 0 north, 90 east; any number of turns is taken off.
-        id: Comes back in each outcome; 0 asks for none.
-        fence: Number of the lease it is asked under.
-    """
-
-    yaw_deg: float
-    id: int = 0
-    fence: int = 0
+    yaw_deg: float  #: heading, °, 0 north, 90 east; any number of turns is taken off
+    id: int = 0  #: comes back in each outcome; 0 asks for none
+    fence: int = 0  #: number of the lease it is asked under
 
 
 GuidedOrder = FlyTo | FlyAround | ChangeHeight | ChangeHeading
@@ -126,27 +78,16 @@ def name_of(order: GuidedOrder) -> str:
 
 @dataclass(frozen=True, slots=True)
 class GuidedFlight:
-    """What of them flies now, for whoever draws it.
+    """What of them flies now, for whoever draws it."""
 
-    Attributes:
-        what: By the names of :func:`name_of`.
-        latitude_deg: Of the target or the centre; None where the place stays.
-        longitude_deg: Likewise.
-        height: Metres above the take-off point; None where it stays.
-        radius: Of the circle, m; 0 for none.
-        yaw_deg: Heading at the end; None where nobody asked for one.
-        distance_m: What remains of the way, m; None before it is known.
-        seconds: What it will take, roughly; None before it is known.
-    """
-
-    what: str
-    latitude_deg: float | None = None
-    longitude_deg: float | None = None
-    height: float | None = None
-    radius: float = 0.0
-    yaw_deg: float | None = None
-    distance_m: float | None = None
-    seconds: float | None = None
+    what: str  #: by the names of :func:`name_of`
+    latitude_deg: float | None = None  #: of the target or the centre; None where the place stays
+    longitude_deg: float | None = None  #: likewise
+    height: float | None = None  #: metres above the take-off point; None where it stays
+    radius: float = 0.0  #: of the circle, m; 0 for none
+    yaw_deg: float | None = None  #: heading at the end; None where nobody asked for one
+    distance_m: float | None = None  #: what remains of the way, m; None before it is known
+    seconds: float | None = None  #: what it will take, roughly; None before it is known
 
 
 # -- what keys, sticks and the 2015 Quaternion mean as setpoints -----------------------------------

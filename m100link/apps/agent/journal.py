@@ -8,8 +8,6 @@ from collections.abc import Callable
 
 from m100link.apps.agent.messages import Event, Topic
 
-__all__ = ["JOURNAL_LOG", "Journal"]
-
 JOURNAL_LOG = __name__
 """Name of the log that has every event, for whoever shows events in another way."""
 
@@ -20,21 +18,13 @@ _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ER
 
 
 class Journal:
-    """The newest events, and who wants to hear of each.
+    """The newest events, and who wants to hear of each."""
 
-    Args:
-        clock: Gives the time of an event, s.
-
-    Attributes:
-        events: What happened lately.
-        on_event: Called with each event.
-    """
-
-    def __init__(self, clock: Callable[[], float]) -> None:
+    def __init__(self, clock: Callable[[], float]) -> None:  # s
         self._clock = clock
         self._count = 0
         self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
-        self.on_event: list[Callable[[Event], None]] = []
+        self.on_event: list[Callable[[Event], None]] = []  # called with each event
 
     def note(self, text: str, level: str = "info", topic: Topic = Topic.NONE) -> None:
         """Add an event."""

@@ -4,15 +4,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = [
-    "MAX_LATE",
-    "MAX_ORDER_LATE",
-    "MAX_ROUND_TRIP",
-    "MAX_UNHEARD",
-    "WayTime",
-]
-
-
 MAX_LATE = 0.3
 """Seconds that a setpoint may be later than the fastest message of its client."""
 
@@ -35,24 +26,17 @@ class WayTime:
     The fastest message of the last half minute tells how the two clocks stand to each other, up to
     the time that it was on its way itself; what is later than that waited somewhere. The round trip
     shows what is slow for all of them alike.
-
-    Attributes:
-        round_trip: Seconds to the client and back, None before it was measured.
     """
 
     def __init__(self) -> None:
+        # Seconds to the client and back, None before it was measured.
         self.round_trip: float | None = None
         # The smallest difference of the clocks in this window and in the one before.
         self._best = self._before = math.inf
         self._window_ends_at = -math.inf
 
     def late(self, sent_at: float, now: float) -> float:
-        """Seconds that a message is later than the fastest.
-
-        Args:
-            sent_at: When it was sent, by the clock of its sender.
-            now: When it arrived.
-        """
+        """Seconds that a message is later than the fastest."""
         if now >= self._window_ends_at:
             self._before, self._best = self._best, math.inf
             self._window_ends_at = now + _WINDOW
@@ -60,11 +44,5 @@ class WayTime:
         return now - sent_at - min(self._best, self._before)
 
     def echoed(self, told_at: float, held: float, now: float) -> None:
-        """The client sends back a time of ours.
-
-        Args:
-            told_at: The time that it was told last.
-            held: Seconds since it heard that.
-            now: When this came back.
-        """
+        """The client sends back a time of ours, which it heard ``held`` seconds ago."""
         self.round_trip = max(0.0, now - told_at - held)

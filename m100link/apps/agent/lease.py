@@ -17,17 +17,6 @@ from enum import Enum
 
 from m100link.errors import M100Error
 
-__all__ = [
-    "LEASE_LIFETIME",
-    "Flown",
-    "Lease",
-    "LeaseChange",
-    "LeaseDesk",
-    "LeaseHeld",
-    "LeaseRefused",
-    "TakeOver",
-]
-
 LEASE_LIFETIME = 3.0
 """Seconds that a lease lasts without renewal; its holder renews it several times in that time."""
 
@@ -90,17 +79,11 @@ class Flown(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Lease:
-    """The right to steer.
+    """The right to steer."""
 
-    Attributes:
-        name: Who holds it, for people.
-        token: Proof of it; only the holder knows it.
-        number: Counts leases from 1; a later lease has a greater number.
-    """
-
-    name: str
-    token: str
-    number: int
+    name: str  #: who holds it, for people
+    token: str  #: proof of it; only the holder knows it
+    number: int  #: counts leases from 1; a later lease has a greater number
 
     def __repr__(self) -> str:
         # The token is a secret: whoever reads a log must not be able to steer.
@@ -109,21 +92,13 @@ class Lease:
 
 @dataclass(frozen=True, slots=True)
 class TakeOver:
-    """A take-over that waits for its confirmation.
+    """A take-over that waits for its confirmation."""
 
-    Attributes:
-        name: Who wants to steer.
-        from_name: Who would lose the lease.
-        token: What :meth:`LeaseDesk.confirm` takes.
-        number: Number of the lease it is about; if that one ends first, this is void.
-        expires_at: Time after which it is void.
-    """
-
-    name: str
-    from_name: str
-    token: str
-    number: int
-    expires_at: float
+    name: str  #: who wants to steer
+    from_name: str  #: who would lose the lease
+    token: str  #: what :meth:`LeaseDesk.confirm` takes
+    number: int  #: number of the lease it is about; if that one ends first, this is void
+    expires_at: float  #: time after which it is void
 
     def __repr__(self) -> str:
         return f"<TakeOver by {self.name!r} from {self.from_name!r}>"

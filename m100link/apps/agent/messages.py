@@ -33,40 +33,6 @@ from m100link.apps.agent.lease import Flown, LeaseChange
 from m100link.apps.agent.remote_error import Fault
 from m100link.protocol.setpoint import Setpoint
 
-__all__ = [
-    "TAKE_OFF_FIRST",
-    "UNTIL_OVER",
-    "VERSION",
-    "Action",
-    "Activating",
-    "Ask",
-    "AuthorityTaken",
-    "Event",
-    "FromMobile",
-    "Goodbye",
-    "Hello",
-    "LeaseAction",
-    "LeaseAsk",
-    "LeaseChanged",
-    "LeaseGranted",
-    "Limits",
-    "LinkCounted",
-    "Message",
-    "MissionTold",
-    "Note",
-    "Outcome",
-    "PlanTold",
-    "Replay",
-    "Stage",
-    "State",
-    "Steer",
-    "SteerRefused",
-    "TakeOverOffered",
-    "Telemetry",
-    "Topic",
-]
-
-
 VERSION = 10
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
 
@@ -75,28 +41,18 @@ VERSION = 10
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """The first message of each end.
+    """The first message of each end."""
 
-    Attributes:
-        version: :data:`VERSION` of the sender.
-        name: Who it is, for people.
-        at: Time of the sender's clock, s; both are on one machine and share the clock.
-    """
-
-    version: int
-    name: str
-    at: float
+    version: int  #: :data:`VERSION` of the sender
+    name: str  #: who it is, for people
+    at: float  #: time of the sender's clock, s; both are on one machine and share the clock
 
 
 @dataclass(frozen=True, slots=True)
 class Goodbye:
-    """The last message of an end, where the carrier does not say it by itself.
+    """The last message of an end, where the carrier does not say it by itself."""
 
-    Attributes:
-        reason: Why it closes, for people.
-    """
-
-    reason: str
+    reason: str  #: why it closes, for people
 
 
 # -- from the agent -------------------------------------------------------------------------------
@@ -104,28 +60,18 @@ class Goodbye:
 
 @dataclass(frozen=True, slots=True)
 class Telemetry:
-    """One telemetry package, as it came.
+    """One telemetry package, as it came."""
 
-    Attributes:
-        value: Flag word and items.
-        profile: Name of the firmware profile that reads them.
-        received_at: When it arrived, s.
-    """
-
-    value: bytes
-    profile: str
-    received_at: float
+    value: bytes  #: flag word and items
+    profile: str  #: name of the firmware profile that reads them
+    received_at: float  #: when it arrived, s
 
 
 @dataclass(frozen=True, slots=True)
 class FromMobile:
-    """Data of the app on the pilot's phone.
+    """Data of the app on the pilot's phone."""
 
-    Attributes:
-        data: Up to 100 bytes.
-    """
-
-    data: bytes
+    data: bytes  #: up to 100 bytes
 
 
 class Topic(Enum):
@@ -141,99 +87,59 @@ class Topic(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened, for people.
+    """Something that happened, for people."""
 
-    Attributes:
-        number: Counts events from 1.
-        at: Time on the agent's clock, s.
-        level: ``"info"``, ``"warning"`` or ``"error"``.
-        text: What happened.
-        topic: What it is about, for programs.
-    """
-
-    number: int
-    at: float
-    level: str
-    text: str
-    topic: Topic = Topic.NONE
+    number: int  #: counts events from 1
+    at: float  #: time on the agent's clock, s
+    level: str  #: ``"info"``, ``"warning"`` or ``"error"``
+    text: str  #: what happened
+    topic: Topic = Topic.NONE  #: what it is about, for programs
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the guards of the agent allow; None where one is off.
+    """What the guards of the agent allow; None where one is off."""
 
-    Attributes:
-        max_height_m: Height above the take-off point, m.
-        max_radius_m: Horizontal distance from where control was obtained, m.
-        max_speed_m_s: Horizontal speed, m/s.
-        battery_floor_percent: Below it no take-off and no setpoints.
-        latitude_deg: Where control was obtained; None without control, or without GPS.
-        longitude_deg: The same.
-    """
-
-    max_height_m: float | None = None
-    max_radius_m: float | None = None
-    max_speed_m_s: float | None = None
-    battery_floor_percent: int | None = None
+    max_height_m: float | None = None  #: height above the take-off point, m
+    max_radius_m: float | None = None  #: horizontal distance from where control was obtained, m
+    max_speed_m_s: float | None = None  #: horizontal speed, m/s
+    battery_floor_percent: int | None = None  #: below it no take-off and no setpoints
+    #: Where control was obtained; None without control, or without GPS.
     latitude_deg: float | None = None
-    longitude_deg: float | None = None
+    longitude_deg: float | None = None  #: the same
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """Where the agent stands: after each change, and a few times a second.
+    """Where the agent stands: after each change, and a few times a second."""
 
-    Attributes:
-        at: When it was so, s.
-        connection: ``"connecting"``, ``"connected"`` or ``"lost"``.
-        connection_fault: Why it is not connected.
-        firmware: Firmware profile in use; empty when not connected.
-        is_activated: Whether the aircraft is active and its key in use.
-        activation_code: Last answer to an activation.
-        activation_fault: Why the last activation failed.
-        holding: State of control authority, a
-            :class:`~m100link.apps.agent.server.authority.HoldingState`.
-        has_authority: Whether setpoints and tasks are obeyed.
-        task: What the aircraft flies by itself; empty for nothing.
-        pattern: Name of the program that flies; empty for none.
-        guided: The flight to where somebody points, with what remains of it; None for none.
-        mission: The kind of mission that the aircraft says it flies, whoever started it, by the
-            names of :class:`~m100link.flight.mission_state.MissionKind`; empty when nobody knows.
-        mission_index: Waypoint that it flies to, counted from 0; -1 when nobody knows.
-        mission_status: Status of the mission as on the wire; -1 when nobody knows.
-        lease_remaining: Seconds until the lease ends if nobody renews it.
-        round_trip: Seconds to the aircraft and back.
-        discards: Damaged frames.
-        late_acks: Acks that came late or belong to nobody.
-        dropped_writes: Frames that were not written.
-        mismatches: Telemetry packages that do not fit the firmware.
-        limits: What the guards allow.
-        replay: Where the replay is; None for an aircraft, real or virtual.
-    """
-
-    at: float
-    connection: str = "connecting"
-    connection_fault: Fault | None = None
-    firmware: str = ""
-    is_activated: bool = False
-    activation_code: int | None = None
-    activation_fault: Fault | None = None
+    at: float  #: when it was so, s
+    connection: str = "connecting"  #: ``"connecting"``, ``"connected"`` or ``"lost"``
+    connection_fault: Fault | None = None  #: why it is not connected
+    firmware: str = ""  #: firmware profile in use; empty when not connected
+    is_activated: bool = False  #: whether the aircraft is active and its key in use
+    activation_code: int | None = None  #: last answer to an activation
+    activation_fault: Fault | None = None  #: why the last activation failed
+    #: State of control authority, a :class:`~m100link.apps.agent.server.authority.HoldingState`.
     holding: str = "none"
-    has_authority: bool = False
-    task: str = ""
-    pattern: str = ""
+    has_authority: bool = False  #: whether setpoints and tasks are obeyed
+    task: str = ""  #: what the aircraft flies by itself; empty for nothing
+    pattern: str = ""  #: name of the program that flies; empty for none
+    #: The flight to where somebody points, with what remains of it; None for none.
     guided: GuidedFlight | None = None
+    #: The kind of mission that the aircraft says it flies, whoever started it, by the names of
+    #: :class:`~m100link.flight.mission_state.MissionKind`; empty when nobody knows.
     mission: str = ""
-    mission_index: int = -1
-    mission_status: int = -1
-    lease_remaining: float = 0.0
-    round_trip: float | None = None
-    discards: int = 0
-    late_acks: int = 0
-    dropped_writes: int = 0
-    mismatches: int = 0
-    limits: Limits = Limits()
-    replay: Replay | None = None
+    mission_index: int = -1  #: waypoint that it flies to, counted from 0; -1 when nobody knows
+    mission_status: int = -1  #: status of the mission as on the wire; -1 when nobody knows
+    lease_remaining: float = 0.0  #: seconds until the lease ends if nobody renews it
+    round_trip: float | None = None  #: seconds to the aircraft and back
+    discards: int = 0  #: damaged frames
+    late_acks: int = 0  #: acks that came late or belong to nobody
+    dropped_writes: int = 0  #: frames that were not written
+    mismatches: int = 0  #: telemetry packages that do not fit the firmware
+    limits: Limits = Limits()  #: what the guards allow
+    replay: Replay | None = None  #: where the replay is; None for an aircraft, real or virtual
 
     def flight_time(self, now: float) -> float:
         """What telemetry is received by when the agent's clock says ``now``, s."""
@@ -242,162 +148,101 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class LinkCounted:
-    """What was counted on the line to the aircraft since it was opened, once a second.
+    """What was counted on the line to the aircraft since it was opened, once a second."""
 
-    Attributes:
-        at: When it was so, s.
-        counters: Numbers of :class:`~m100link.LinkStatistics` by their names.
-        discards: Discarded starts and frames by their causes.
-        loop_lag: Seconds that the agent was late at worst in the last second.
-        round_trips: Answered requests by the upper bound of their class, s, ``inf`` for the last;
-            see :class:`~m100link.RoundTrips`.
-        round_trips_s: How long they took together, s.
-    """
-
-    at: float
-    counters: Mapping[str, Any]
-    discards: Mapping[str, Any]
-    loop_lag: float
+    at: float  #: when it was so, s
+    counters: Mapping[str, Any]  #: numbers of :class:`~m100link.LinkStatistics` by their names
+    discards: Mapping[str, Any]  #: discarded starts and frames by their causes
+    loop_lag: float  #: seconds that the agent was late at worst in the last second
+    #: Answered requests by the upper bound of their class, s, ``inf`` for the last; see
+    #: :class:`~m100link.RoundTrips`.
     round_trips: Mapping[str, Any] = field(default_factory=dict)
-    round_trips_s: float = 0.0
+    round_trips_s: float = 0.0  #: how long they took together, s
 
 
 @dataclass(frozen=True, slots=True)
 class LeaseChanged:
-    """Who has the lease.
+    """Who has the lease."""
 
-    Attributes:
-        number: Number of the lease in force, 0 for none.
-        name: Who holds it; empty for nobody.
-        why: Why it changed hands; None when a front is told for the first time.
-        flown: What was flown for whoever had it before. A task goes on in the autopilot as long as
-            control authority is kept; everything else is stopped.
-    """
-
-    number: int
-    name: str
+    number: int  #: number of the lease in force, 0 for none
+    name: str  #: who holds it; empty for nobody
+    #: Why it changed hands; None when a front is told for the first time.
     why: LeaseChange | None = None
+    #: What was flown for whoever had it before. A task goes on in the autopilot as long as control
+    #: authority is kept; everything else is stopped.
     flown: Flown = Flown.NOTHING
 
 
 @dataclass(frozen=True, slots=True)
 class LeaseGranted:
-    """Answer to :class:`LeaseAsk`: the lease.
+    """Answer to :class:`LeaseAsk`: the lease."""
 
-    Attributes:
-        id: Of the question.
-        name: Who holds it, as others see it.
-        token: Proof of it, for whoever holds it and nobody else.
-        number: Fence of its setpoints: a later lease has a greater one.
-    """
-
-    id: int
-    name: str
-    token: str = field(repr=False)
-    number: int
+    id: int  #: of the question
+    name: str  #: who holds it, as others see it
+    token: str = field(repr=False)  #: proof of it, for whoever holds it and nobody else
+    number: int  #: fence of its setpoints; a later lease has a greater one
 
 
 @dataclass(frozen=True, slots=True)
 class TakeOverOffered:
-    """Answer to the first step of a take-over.
+    """Answer to the first step of a take-over."""
 
-    Attributes:
-        id: Of the question.
-        name: Who wants the lease.
-        from_name: Who would lose it.
-        token: What the second step takes.
-        number: Number of the lease that would end.
-        expires_at: Time after which it is void, s.
-    """
-
-    id: int
-    name: str
-    from_name: str
-    token: str = field(repr=False)
-    number: int
-    expires_at: float
+    id: int  #: of the question
+    name: str  #: who wants the lease
+    from_name: str  #: who would lose it
+    token: str = field(repr=False)  #: what the second step takes
+    number: int  #: number of the lease that would end
+    expires_at: float  #: time after which it is void, s
 
 
 @dataclass(frozen=True, slots=True)
 class Activating:
-    """An answer of the aircraft to an activation.
+    """An answer of the aircraft to an activation."""
 
-    Attributes:
-        code: :class:`~m100link.protocol.codes.ActivationCode`.
-    """
-
-    code: int
+    code: int  #: :class:`~m100link.protocol.codes.ActivationCode`
 
 
 @dataclass(frozen=True, slots=True)
 class AuthorityTaken:
-    """Somebody else took control authority.
+    """Somebody else took control authority."""
 
-    Attributes:
-        fault: An :class:`~m100link.errors.AuthorityLost`, with its reason.
-    """
-
-    fault: Fault
+    fault: Fault  #: an :class:`~m100link.errors.AuthorityLost`, with its reason
 
 
 @dataclass(frozen=True, slots=True)
 class MissionTold:
-    """Something happened to the mission that this agent flies, as DJI's push 0x02/0x04 says it.
+    """Something happened to the mission that this agent flies, as DJI's push 0x02/0x04 says it."""
 
-    Attributes:
-        event: 0 uploaded, 1 finished, 2 waypoint reached.
-        data: The five bytes behind it.
-    """
-
-    event: int
-    data: bytes
+    event: int  #: 0 uploaded, 1 finished, 2 waypoint reached
+    data: bytes  #: the five bytes behind it
 
 
 @dataclass(frozen=True, slots=True)
 class PlanTold:
-    """The plan that waits to be started, or flies: told when it is whole, and when it is void.
+    """The plan that waits to be started, or flies: told when it is whole, and when it is void."""
 
-    Attributes:
-        name: Who uploaded it, for people; empty for none.
-        mission: The command 0x03/0x10, as on the wire; empty for none.
-        points: The commands 0x03/0x11, in order.
-    """
-
-    name: str = ""
-    mission: bytes = b""
-    points: tuple[bytes, ...] = ()
+    name: str = ""  #: who uploaded it, for people; empty for none
+    mission: bytes = b""  #: the command 0x03/0x10, as on the wire; empty for none
+    points: tuple[bytes, ...] = ()  #: the commands 0x03/0x11, in order
 
 
 @dataclass(frozen=True, slots=True)
 class SteerRefused:
-    """A setpoint was not flown; what flew before is stopped, or expires.
+    """A setpoint was not flown; what flew before is stopped, or expires."""
 
-    Attributes:
-        fence: Of the setpoint.
-        fault: Why.
-    """
-
-    fence: int
-    fault: Fault
+    fence: int  #: of the setpoint
+    fault: Fault  #: why
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of an :class:`Ask` or a :class:`LeaseAsk`.
+    """What became of an :class:`Ask` or a :class:`LeaseAsk`."""
 
-    Attributes:
-        id: Of the question.
-        stage: How far it came.
-        fault: Why it failed.
-        text: What was asked for, where that is a text.
-        number: What was asked for, where that is a number.
-    """
-
-    id: int
-    stage: Stage
-    fault: Fault | None = None
-    text: str = ""
-    number: int = 0
+    id: int  #: of the question
+    stage: Stage  #: how far it came
+    fault: Fault | None = None  #: why it failed
+    text: str = ""  #: what was asked for, where that is a text
+    number: int = 0  #: what was asked for, where that is a number
 
 
 # -- from a front ---------------------------------------------------------------------------------
@@ -405,71 +250,46 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class LeaseAsk:
-    """Something about the lease.
+    """Something about the lease."""
 
-    Attributes:
-        id: Comes back in the answer; 0 asks for none.
-        action: What is wanted.
-        name: Who wants it, for people (acquire, take over).
-        token: Proof of the lease, or of the take-over that is confirmed.
-    """
-
-    id: int
-    action: LeaseAction
-    name: str = ""
+    id: int  #: comes back in the answer; 0 asks for none
+    action: LeaseAction  #: what is wanted
+    name: str = ""  #: who wants it, for people (acquire, take over)
+    #: Proof of the lease, or of the take-over that is confirmed.
     token: str = field(default="", repr=False)
 
 
 @dataclass(frozen=True, slots=True)
 class Steer:
-    """A setpoint for as long as its lifetime.
+    """A setpoint for as long as its lifetime."""
 
-    Attributes:
-        fence: Number of the lease it is sent under, granted over this connection.
-        sent_at: When the sender decided it, s. What was long on its way is refused.
-        lifetime: Seconds that it lasts when it is not renewed.
-        setpoint: What to fly.
-    """
-
-    fence: int
-    sent_at: float
-    lifetime: float
-    setpoint: Setpoint
+    fence: int  #: number of the lease it is sent under, granted over this connection
+    sent_at: float  #: when the sender decided it, s. What was long on its way is refused
+    lifetime: float  #: seconds that it lasts when it is not renewed
+    setpoint: Setpoint  #: what to fly
 
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """Something to be done, with an :class:`Outcome`.
+    """Something to be done, with an :class:`Outcome`."""
 
-    Attributes:
-        id: Comes back in each outcome; 0 asks for none.
-        action: What.
-        fence: Number of the lease it is asked under; 0 for none.
-        number: Of the simple task; how a mission is to start (``actions``); a speed in mm/s, a
-            radius in mm, a rate in thousandths of a degree per second (clockwise positive).
-        data: For the app on the pilot's phone; else the value of a command, as on the wire.
-        text: Why, for people (halt).
-    """
-
-    id: int
-    action: Action
-    fence: int = 0
+    id: int  #: comes back in each outcome; 0 asks for none
+    action: Action  #: what
+    fence: int = 0  #: number of the lease it is asked under; 0 for none
+    #: Of the simple task; how a mission is to start (``actions``); a speed in mm/s, a radius in mm,
+    #: a rate in thousandths of a degree per second (clockwise positive).
     number: int = 0
+    #: For the app on the pilot's phone; else the value of a command, as on the wire.
     data: bytes = b""
-    text: str = ""
+    text: str = ""  #: why, for people (halt)
 
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """Something that happened in the front, for the journal.
+    """Something that happened in the front, for the journal."""
 
-    Attributes:
-        level: ``"info"``, ``"warning"`` or ``"error"``.
-        text: What happened.
-    """
-
-    level: str
-    text: str
+    level: str  #: ``"info"``, ``"warning"`` or ``"error"``
+    text: str  #: what happened
 
 
 Message = (
@@ -567,31 +387,18 @@ class Stage(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """Where the replay of a recorded flight is.
+    """Where the replay of a recorded flight is."""
 
-    Attributes:
-        name: Of the file.
-        utc: POSIX time of then, s.
-        clock: By which its telemetry is received, s.
-        rate: Seconds by which that clock goes on in a second; 0 while it stands.
-        position_s: Seconds that were played.
-        duration_s: Of the whole.
-        speed: Times as fast as it was flown; 0: as fast as it can be.
-        is_paused: Whether it stands still on purpose.
-        is_at_end: Whether everything was played.
-        is_cut_off: Whether the file was not ended.
-    """
-
-    name: str
-    utc: float
-    clock: float
-    rate: float
-    position_s: float
-    duration_s: float
-    speed: float
-    is_paused: bool
-    is_at_end: bool
-    is_cut_off: bool
+    name: str  #: of the file
+    utc: float  #: POSIX time of then, s
+    clock: float  #: by which its telemetry is received, s
+    rate: float  #: seconds by which that clock goes on in a second; 0 while it stands
+    position_s: float  #: seconds that were played
+    duration_s: float  #: of the whole
+    speed: float  #: times as fast as it was flown; 0 for as fast as it can be
+    is_paused: bool  #: whether it stands still on purpose
+    is_at_end: bool  #: whether everything was played
+    is_cut_off: bool  #: whether the file was not ended
 
     def time(self, since: float) -> float:
         """Its clock so many seconds after this was told, s."""

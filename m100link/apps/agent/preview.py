@@ -21,8 +21,6 @@ from m100link.flight.missions.context import check_battery, check_plan
 from m100link.missions.plan import WaypointPlan
 from m100link.telemetry.state import AircraftState
 
-__all__ = ["Preview", "preview", "preview_plan"]
-
 Preview = Foresight
 """Distance, time, battery, and the refusals that are foreseen."""
 

@@ -13,8 +13,6 @@ from m100link import errors
 from m100link.apps.agent.lease import LeaseHeld, LeaseRefused
 from m100link.errors import LinkError, LinkLost, M100Error
 
-__all__ = ["Fault", "MessageError", "agent_gone", "agent_lost", "fault_of"]
-
 
 class MessageError(
     M100Error,
@@ -36,20 +34,13 @@ _TOLD = ("seen", "cause", "remedy")
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """An error of this package on its way.
+    """An error of this package on its way."""
 
-    Attributes:
-        kind: Name of its class.
-        seen: What was observed.
-        cause: The most likely cause.
-        remedy: What to do about it.
-        details: Its other attributes that are texts, numbers, truth values or None.
-    """
-
-    kind: str
-    seen: str
-    cause: str = ""
-    remedy: str = ""
+    kind: str  #: name of its class
+    seen: str  #: what was observed
+    cause: str = ""  #: the most likely cause
+    remedy: str = ""  #: what to do about it
+    #: Its other attributes that are texts, numbers, truth values or None.
     details: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod

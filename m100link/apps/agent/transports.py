@@ -19,16 +19,6 @@ from m100link.apps.agent.messages import Goodbye, Message, Telemetry
 from m100link.apps.agent.remote_error import MessageError
 from m100link.errors import PortFailed, PortNotFound
 
-__all__ = [
-    "Channel",
-    "MemoryChannel",
-    "UnixChannel",
-    "connect_unix",
-    "memory_channels",
-    "private_directory",
-    "serve_unix",
-]
-
 _logger = logging.getLogger(__name__)
 
 

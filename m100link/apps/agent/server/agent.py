@@ -39,12 +39,6 @@ from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, Gimb
 from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.setpoint import Setpoint
 
-__all__ = [
-    "LONGEST_KEPT",
-    "Agent",
-]
-
-
 LONGEST_KEPT = 60.0
 """Seconds that control authority is kept for nobody at most."""
 

@@ -42,15 +42,6 @@ from m100link.protocol.commands.activation import Credentials, Version
 from m100link.protocol.records import RemoteControl
 from m100link.telemetry.subscription import Newest
 
-__all__ = [
-    "TRANSITIONS",
-    "Activation",
-    "Holding",
-    "HoldingInput",
-    "HoldingState",
-    "Inherited",
-]
-
 
 class HoldingState(Enum):
     """Where control authority stands for the clients of one agent."""
@@ -150,19 +141,7 @@ _UNSEEN = (LinkError, TelemetryStalled)
 
 
 class Holding:
-    """Control authority for the clients of one agent.
-
-    Args:
-        journal: Where it is told what happens.
-        background: Where the control block runs.
-        guards: Of every control block; by default all of them.
-
-    Attributes:
-        state: Where it stands.
-        flying: What flies; None outside a control block.
-        on_change: Called after each change with the old and the new state.
-        on_lost: Called when somebody else took authority.
-    """
+    """Control authority for the clients of one agent, by default under all guards."""
 
     def __init__(
         self, journal: Journal, background: BackgroundTasks, guards: Guards | None = None
@@ -171,8 +150,10 @@ class Holding:
         self._background = background
         self._guards = guards or Guards()
         self.state = HoldingState.NONE
-        self.flying: Flying | None = None
+        self.flying: Flying | None = None  # what flies; None outside a control block
+        # Called after each change with the old and the new state.
         self.on_change: list[Callable[[HoldingState, HoldingState], None]] = []
+        # Called when somebody else took authority.
         self.on_lost: list[Callable[[AuthorityLost], None]] = []
         # The task of the control block, and what tells it to give authority back.
         self._block: asyncio.Task[None] | None = None
@@ -351,12 +332,8 @@ class Holding:
         self._wait_for_pilot(aircraft)
 
     def _tell_mission(self, why: str, *, is_seen: bool = True) -> None:
-        """Tell whoever has to see it that a loss of control broke a mission off, if it did.
-
-        Args:
-            why: What control was lost by.
-            is_seen: Whether the aircraft is seen: otherwise it may fly on, and nobody here knows.
-        """
+        """Tell whoever has to see it that a loss of control broke a mission off, if it did."""
+        # Not seen, the aircraft may fly on, and nobody here knows.
         what, self._broken_off = self._broken_off, ""
         if not what:
             return
@@ -406,13 +383,7 @@ def _look_at(future: asyncio.Future[None]) -> None:
 
 
 class Inherited:
-    """Gives back, once, what an agent before may have held.
-
-    Args:
-        journal: Where it is told.
-        background: Where it is done.
-        is_owed: Whether there was an agent before.
-    """
+    """Gives back, once, what an agent before may have held, if there was one (``is_owed``)."""
 
     def __init__(self, journal: Journal, background: BackgroundTasks, *, is_owed: bool) -> None:
         self._journal = journal
@@ -457,23 +428,16 @@ class Inherited:
 
 
 class Activation:
-    """What activates the aircraft.
-
-    Args:
-        credentials: App id and key; without them the aircraft can only be watched.
-        journal: Where it is told what happens.
-
-    Attributes:
-        code: Last answer to an activation, None before the first.
-        error: Why the last one failed, with remedy; None when it did not.
-        on_code: Called with each answer to an activation.
-    """
+    """What activates the aircraft; without credentials it can only be watched."""
 
     def __init__(self, credentials: Credentials | None, journal: Journal) -> None:
         self._credentials = credentials
         self._journal = journal
+        # Last answer to an activation, None before the first.
         self.code: ActivationCode | None = None
+        # Why the last one failed, with remedy; None when it did not.
         self.error: M100Error | None = None
+        # Called with each answer to an activation.
         self.on_code: list[Callable[[ActivationCode], None]] = []
 
     def adopt(self, aircraft: Aircraft) -> None:

@@ -21,13 +21,6 @@ from m100link.protocol.commands.activation import Version
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Newest
 
-__all__ = [
-    "Connect",
-    "Connection",
-    "ConnectionState",
-]
-
-
 RECONNECT_PAUSE = 1.0
 """Seconds between two attempts to open the line: somebody waits for it."""
 
@@ -51,26 +44,16 @@ class Connection:
     A :class:`~m100link.Supervised` ends when another aircraft answers. Nobody flies then: a control
     block ended with the line. So a station begins another supervision, and whoever flew has to
     obtain control of that one.
-
-    Args:
-        connect: Opens the aircraft.
-        journal: Where it is told what happens.
-
-    Attributes:
-        aircraft: The aircraft while it is connected, else None.
-        state: State of the line.
-        error: Why it is not connected.
-        on_aircraft: Called when the aircraft was connected, and with None when it was lost.
-        on_sample: Called with each telemetry package.
     """
 
     def __init__(self, connect: Connect, journal: Journal) -> None:
         self._connect = connect
         self._journal = journal
         self._supervised = self._new()
-        self.aircraft: Aircraft | None = None
+        self.aircraft: Aircraft | None = None  # while it is connected
         self.state = ConnectionState.CONNECTING
-        self.error: M100Error | None = None
+        self.error: M100Error | None = None  # why it is not connected
+        # Called when the aircraft was connected, and with None when it was lost.
         self.on_aircraft: list[Callable[[Aircraft | None], None]] = []
         self.on_sample: list[Callable[[Sample], None]] = []
 

@@ -47,17 +47,6 @@ from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.setpoint import Setpoint
 
-__all__ = [
-    "LEG_TIME",
-    "Flying",
-    "Guiding",
-    "MissionOrder",
-    "Pattern",
-    "limits_of",
-    "pattern",
-]
-
-
 MissionOrder = Literal["pause", "resume", "stop"]
 """What may be told to a mission that flies."""
 
@@ -72,23 +61,13 @@ def _ignore() -> None:
 
 
 class Flying:
-    """What flies during one control block; made when it is entered, ended before it is left.
-
-    Args:
-        control: The block.
-        journal: Where it is told what happens.
-        background: Where tasks and programs run.
-
-    Attributes:
-        task: Name of the task that was asked of the aircraft and has not ended, or None.
-        mission: The waypoint mission, while one flies.
-        guiding: The flight to where somebody points, while one flies.
-    """
+    """What flies during one control block; made when it is entered, ended before it is left."""
 
     def __init__(self, control: Control, journal: Journal, background: BackgroundTasks) -> None:
         self._control = control
         self._journal = journal
         self._background = background
+        # Name of the task that was asked of the aircraft and has not ended, or None.
         self.task: str | None = None
         self.mission = FlyingMission(control, journal, background)
         self.guiding = Guiding(control, journal, background)
@@ -174,10 +153,6 @@ class Flying:
 
     async def fly(self, task: Task, accepted: Callable[[], None] = _ignore) -> None:
         """Take off, land or go home; done when seen to be done.
-
-        Args:
-            task: Which of them.
-            accepted: Called when the aircraft has begun.
 
         Raises:
             NoAuthority, TaskRefused, TaskFailed, NotObserved, AckTimeout: See each class.
@@ -276,10 +251,6 @@ class Flying:
     async def guide(self, order: GuidedOrder, accepted: Callable[[], None] = _ignore) -> None:
         """Fly to where somebody points; done when it is there. Ends a program; the newest one wins.
 
-        Args:
-            order: Where.
-            accepted: Called when it has begun.
-
         Raises:
             MissionRunning, TaskRefused: A mission or a task flies the aircraft.
             NotObserved, GuardRefused, NoAuthority, TelemetryStalled, UsageError: See
@@ -303,10 +274,7 @@ class Flying:
     ) -> None:
         """Upload a plan and let the aircraft fly it; done when it has begun. Ends a program.
 
-        Args:
-            plan: What to fly.
-            take_off: See :meth:`m100link.Control.waypoint_mission`.
-            begun: Called when it has begun; with it this is done when the mission is over.
+        With ``begun``, which is called when it has begun, this is done when the mission is over.
 
         Raises: as :meth:`m100link.Control.waypoint_mission`; with ``begun`` what ended it, too.
         """
@@ -355,9 +323,6 @@ class Flying:
     async def end(self, *, is_lost: bool = False) -> str:
         """Control ends: so does what was using it.
 
-        Args:
-            is_lost: Whether nobody here wanted that.
-
         Returns:
             What the mission is called that a loss of control broke off; empty for none.
         """
@@ -402,33 +367,18 @@ _PATIENCE_S = 30.0
 
 @dataclass(slots=True, eq=False)
 class _Flight:
-    """One of them.
-
-    Attributes:
-        order: What was asked for.
-        accepted: Called when it has begun.
-        work: The task in which it flies.
-        progress: How far it is; None before it has begun.
-        ended_because: Why something else ended it; empty while nothing did.
-        hovers: Whether the aircraft hovers then, as far as this side decides it.
-    """
+    """One of them."""
 
     order: GuidedOrder
-    accepted: Callable[[], None]
-    work: asyncio.Task[None] | None = None
-    progress: GuidanceProgress | None = None
-    ended_because: str = ""
-    hovers: bool = True
+    accepted: Callable[[], None]  # called when it has begun
+    work: asyncio.Task[None] | None = None  # the task in which it flies
+    progress: GuidanceProgress | None = None  # how far it is; None before it has begun
+    ended_because: str = ""  # why something else ended it; empty while nothing did
+    hovers: bool = True  # whether the aircraft hovers then, as far as this side decides it
 
 
 class Guiding:
-    """The guided flight of one control block, if there is one.
-
-    Args:
-        control: The block.
-        journal: Where it is told what happens.
-        background: Where it flies.
-    """
+    """The guided flight of one control block, if there is one."""
 
     def __init__(self, control: Control, journal: Journal, background: BackgroundTasks) -> None:
         self._control = control
@@ -445,10 +395,6 @@ class Guiding:
 
     async def fly(self, order: GuidedOrder, accepted: Callable[[], None]) -> None:
         """Fly there; done when it is there. What flew before ends.
-
-        Args:
-            order: What is asked for.
-            accepted: Called when it has begun.
 
         Raises:
             NotObserved: Something else ended it, or it did not arrive in time.
@@ -553,11 +499,9 @@ class Guiding:
         )
 
     def end(self, why: str, *, hovers: bool = True) -> None:
-        """End it: neutral goes out, the aircraft hovers. Not waited for.
+        """End it: neutral goes out. Not waited for.
 
-        Args:
-            why: For people.
-            hovers: Whether it does; when control is lost somebody else flies, or nobody sees it.
+        The aircraft hovers then; where control is lost somebody else flies, or nobody sees it.
         """
         flight, self._flight = self._flight, None
         if flight is not None and flight.work is not None:

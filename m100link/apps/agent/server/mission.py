@@ -32,15 +32,6 @@ from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
 from m100link.protocol.firmware import FIRMWARE_3_1
 
-__all__ = [
-    "FlyingMission",
-    "MissionListener",
-    "StagedPlan",
-    "push_of",
-    "read_command",
-]
-
-
 C = TypeVar("C", bound=Command)
 F = TypeVar("F", bound=MissionFlight)
 
@@ -55,16 +46,12 @@ MissionListener = Callable[[MissionEvent], None]
 
 
 class StagedPlan:
-    """A plan that comes in pieces, as the aircraft would get it, and is checked as a whole.
-
-    Attributes:
-        plan: The whole, checked; None while a piece is missing.
-    """
+    """A plan that comes in pieces, as the aircraft would get it, and is checked as a whole."""
 
     def __init__(self) -> None:
         self._mission: WaypointMission | None = None
         self._points: dict[int, WaypointPoint] = {}
-        self.plan: WaypointPlan | None = None
+        self.plan: WaypointPlan | None = None  # the whole, checked; None while a piece is missing
 
     def begin(self, mission: WaypointMission) -> None:
         """A new plan: what was there is forgotten."""
@@ -103,16 +90,7 @@ class StagedPlan:
 
 
 class FlyingMission:
-    """The mission of one control block, if there is one.
-
-    Args:
-        control: The block.
-        journal: Where it is told what happens.
-        background: Where it is watched.
-
-    Attributes:
-        on_event: Called with each event.
-    """
+    """The mission of one control block, if there is one."""
 
     def __init__(self, control: Control, journal: Journal, background: BackgroundTasks) -> None:
         self._control = control

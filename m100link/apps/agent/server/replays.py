@@ -13,10 +13,6 @@ from m100link.errors import M100Error, OnlyRecorded, UsageError
 from m100link.log.player import FASTEST, SLOWEST, Player, ReplayedLink
 from m100link.protocol.firmware import profile
 
-__all__ = [
-    "Replays",
-]
-
 
 class Replays:
     """Plays one recording to a station, which stands still at its end.

@@ -61,16 +61,6 @@ from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
 from m100link.protocol.firmware import PROFILES
 from m100link.telemetry.sample import Sample
 
-__all__ = [
-    "MAX_SETPOINT_AGE",
-    "STATE_INTERVAL",
-    "Front",
-    "Orders",
-    "Result",
-    "Service",
-]
-
-
 STATE_INTERVAL = 0.25
 """Seconds between two states that nothing changed in."""
 
@@ -79,11 +69,7 @@ _BOUNDS = (*(str(bound) for bound in ROUND_TRIP_BOUNDS_S), "inf")
 
 
 class Service:
-    """Serves any number of fronts.
-
-    Args:
-        agent: The agent, running.
-    """
+    """Serves any number of fronts."""
 
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
@@ -274,15 +260,7 @@ _LEVELS = ("info", "warning", "error")
 
 
 class Front:
-    """One front.
-
-    Args:
-        agent: What it asks.
-        channel: The way to it.
-        on_gone: Called when it has gone.
-        before_outcome: Called before each outcome, so that the state is there first.
-        on_plan: Called with each plan that it has uploaded.
-    """
+    """One front."""
 
     def __init__(
         self,
@@ -290,8 +268,9 @@ class Front:
         channel: Channel,
         *,
         on_gone: Callable[[Front], None],
+        # Called before each outcome, so that the state is there first.
         before_outcome: Callable[[], None],
-        on_plan: Callable[[PlanTold], None],
+        on_plan: Callable[[PlanTold], None],  # called with each plan that it has uploaded
     ) -> None:
         self._agent = agent
         self._channel = channel
@@ -550,12 +529,7 @@ _TASKS = {
 
 
 class Orders:
-    """What one front may ask for, and the plan that it has uploaded.
-
-    Args:
-        agent: What carries it out.
-        on_plan: Called with each plan that is whole.
-    """
+    """What one front may ask for, and the plan that it has uploaded."""
 
     def __init__(self, agent: Agent, on_plan: Callable[[WaypointPlan], None]) -> None:
         self._agent = agent
@@ -563,13 +537,7 @@ class Orders:
         self._staged, self._staged_under = StagedPlan(), 0  # the lease that it came under
 
     def doing(self, ask: Ask, token: str, accepted: Callable[[], None]) -> Awaitable[Result | None]:
-        """What carries a question out, to be awaited.
-
-        Args:
-            ask: The question.
-            token: Proof of the lease that it is asked under; empty without one.
-            accepted: Called when the aircraft has begun.
-        """
+        """What carries a question out, to be awaited; without a lease the token is empty."""
         agent = self._agent
         task = _TASKS.get(ask.action)
         if task is not None:
