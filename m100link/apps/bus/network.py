@@ -17,26 +17,6 @@ from functools import partial
 from time import perf_counter
 from typing import Any, Protocol, TypeVar
 
-__all__ = [
-    "DEPTH",
-    "Answer",
-    "Answering",
-    "Bundle",
-    "Bus",
-    "Held",
-    "Inbox",
-    "Looks",
-    "Outlet",
-    "Patient",
-    "PolledBus",
-    "Question",
-    "Queue",
-    "Received",
-    "Ring",
-    "TokenChange",
-    "fits",
-]
-
 _logger = logging.getLogger(__name__)
 
 
@@ -55,60 +35,37 @@ class Answering(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A message.
+    """A message."""
 
-    Attributes:
-        payload: The bytes; none of what is longer than its taker reads.
-        attachment: What goes beside them; empty where there is none.
-    """
-
-    payload: bytes
-    attachment: bytes
+    payload: bytes  # none of what is longer than its taker reads
+    attachment: bytes  # what goes beside them; empty where there is none
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """Somebody asks.
+    """Somebody asks."""
 
-    Attributes:
-        key: What was asked, which may be a pattern.
-        payload: The bytes of the question, as in :class:`Received`.
-        answer: Takes the answer, once. Under a key of one's own: of two answers under one key the
-            network hands over one.
-        drop: Ends it without an answer.
-        attachment: As in :class:`Received`.
-    """
-
-    key: str
-    payload: bytes
+    key: str  # what was asked, which may be a pattern
+    payload: bytes  # as in :class:`Received`
+    # Takes the answer, once. Under a key of one's own: of two answers under one key the network
+    # hands over one.
     answer: Answering
-    drop: Callable[[], None]
-    attachment: bytes = b""
+    drop: Callable[[], None]  # ends it without an answer
+    attachment: bytes = b""  # as in :class:`Received`
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What somebody answered.
-
-    Attributes:
-        key: Under which key.
-        payload: The bytes.
-        session: Id of the session that answered, as it says itself; empty when it does not.
-    """
+    """What somebody answered."""
 
     key: str
     payload: bytes
-    session: str = ""
+    session: str = ""  # id of the session that answered, as it says itself; empty when it does not
 
 
 @dataclass(frozen=True, slots=True)
 class TokenChange:
-    """A token appeared, or is gone.
-
-    Attributes:
-        key: The token.
-        is_there: Which of both.
-    """
+    """A token appeared, or is gone."""
 
     key: str
     is_there: bool
@@ -155,10 +112,8 @@ class Bus(Protocol):
     def publish(self, key: str, *, within: float = 0.0) -> Outlet:
         """Offer messages under a key to other sessions; one does not hear itself.
 
-        Args:
-            key: Where.
-            within: Seconds that a message may wait for others to go with it: where many go, that
-                costs a fraction. None waits for longer than it takes until an outlet is closed.
+        ``within``: seconds that a message may wait for others to go with it: where many go, that
+        costs a fraction. None waits for longer than it takes until an outlet is closed.
         """
         ...
 
@@ -167,17 +122,13 @@ class Bus(Protocol):
         pattern: str,
         take: Callable[[str, bytes], None],
         *,
-        depth: int = DEPTH,
+        depth: int = DEPTH,  # what waits at most; of more than that the oldest is lost
         within: float = 0.0,
     ) -> Held:
         """Hear messages.
 
-        Args:
-            pattern: Which keys.
-            take: Called with key and payload.
-            depth: What waits at most; of more than that the oldest is lost.
-            within: Seconds that a message may wait outside of Python for others to be taken with
-                it: where many come, that costs a fraction.
+        ``within``: seconds that a message may wait outside of Python for others to be taken with
+        it: where many come, that costs a fraction.
         """
         ...
 
@@ -188,14 +139,9 @@ class Bus(Protocol):
     async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:
         """Ask everybody who serves it.
 
-        Args:
-            key: A key or a pattern.
-            payload: The bytes of the question.
-            timeout: Seconds after which those who did not answer are not waited for.
-
-        Returns:
-            What was answered. An empty list says nothing at all: nobody is there, or may not
-            answer, or did not in time, or the way there or back is cut.
+        Those who did not answer within ``timeout`` seconds are not waited for. An empty list says
+        nothing at all: nobody is there, or may not answer, or did not in time, or the way there or
+        back is cut.
         """
         ...
 
@@ -223,9 +169,7 @@ class PolledBus(Protocol):
     def publish(self, key: str, *, kept: int = 0) -> Outlet:
         """Offer messages under a key to other sessions; one does not hear itself.
 
-        Args:
-            key: Where.
-            kept: How many messages are kept for who comes late.
+        So many are ``kept`` for who comes late.
         """
         ...
 
@@ -322,11 +266,7 @@ class Queue:
 class Ring(Inbox[T]):
     """A channel of zenoh's with room for ``depth``, and what is made of each thing in it.
 
-    Args:
-        declared: What has the channel.
-        make: Makes of each thing what is taken.
-        depth: How many are taken at most.
-        ended: What it raises when its session has ended.
+    ``depth``: how many are taken at most.
     """
 
     def __init__(
@@ -414,11 +354,7 @@ class Patient(Outlet):
 class Looks(Held):
     """Takes what a ring has, again and again, until it is closed.
 
-    Args:
-        declared: What is closed with it.
-        ring: What it looks at.
-        take: Called with each thing in it.
-        within: Seconds between two looks.
+    ``within``: seconds between two looks.
     """
 
     def __init__(

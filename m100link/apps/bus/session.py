@@ -38,7 +38,6 @@ from m100link.errors.texts import read_json
 if TYPE_CHECKING:
     import zenoh
 
-__all__ = ["LARGEST", "Opening", "ZenohBus", "open_session"]
 
 _logger = logging.getLogger(__name__)
 
@@ -53,26 +52,18 @@ _MOST_ANSWERS = 256
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """How a session is opened, and in whose words it is refused.
+    """How a session is opened, and in whose words it is refused."""
 
-    Attributes:
-        purpose: What needs it, such as ``a fleet``.
-        extra: The extra of this package that brings zenoh.
-        options: Of zenoh, by name, as JSON: where it differs from the default or the file.
-        file: Configuration that is read first, and what told of it; none by default.
-        largest: Bytes of the longest payload that is read.
-        patience_s: Seconds in which a client that found no router tries again.
-        is_patient: It tries as long as it takes.
-        remedies: What to do where no session can be, by the mode; ``""`` for all others.
-    """
-
-    purpose: str
-    extra: str
+    purpose: str  # what needs it, such as ``a fleet``
+    extra: str  # the extra of this package that brings zenoh
+    # Of zenoh, by name, as JSON: where it differs from the default or the file.
     options: Mapping[str, str]
+    # Configuration that is read first, and what told of it; none by default.
     file: tuple[str, str] | None = None
-    largest: int = LARGEST
-    patience_s: float = 0.0
-    is_patient: bool = False
+    largest: int = LARGEST  # bytes of the longest payload that is read
+    patience_s: float = 0.0  # seconds in which a client that found no router tries again
+    is_patient: bool = False  # it tries as long as it takes
+    # What to do where no session can be, by the mode; ``""`` for all others.
     remedies: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -143,9 +134,7 @@ class ZenohBus:
     It is a :class:`m100link.apps.bus.network.Bus` and a
     :class:`m100link.apps.bus.network.PolledBus`.
 
-    Args:
-        session: Of zenoh.
-        largest: Bytes of the longest payload that is read.
+    ``largest``: bytes of the longest payload that is read.
     """
 
     def __init__(self, session: zenoh.Session, largest: int = LARGEST) -> None:
@@ -381,9 +370,6 @@ class ZenohBus:
 @asynccontextmanager
 async def open_session(opening: Opening) -> AsyncIterator[ZenohBus]:
     """A session while the block runs; a router that is lost meanwhile is found again.
-
-    Args:
-        opening: How.
 
     Raises:
         UsageError: The package is missing, the file or an option cannot be, a port is taken, or
