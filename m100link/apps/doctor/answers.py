@@ -34,8 +34,6 @@ from m100link.protocol.records import (
     RemoteControl,
 )
 
-__all__ = ["look_at_aircraft"]
-
 TELEMETRY_S = 1.1
 """Seconds in which an item at 1 Hz, the slowest rate, comes."""
 

@@ -14,8 +14,6 @@ from m100link.link.url import ConnectionString, parse_url
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.firmware import FirmwareProfile
 
-__all__ = ["diagnose", "ignore"]
-
 
 def ignore(_: Finding) -> None:
     """Nobody wants to know before the end."""

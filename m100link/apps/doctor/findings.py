@@ -9,8 +9,6 @@ from typing import Any
 
 from m100link.errors import M100Error
 
-__all__ = ["Finding", "Report", "Stage", "Verdict"]
-
 
 class Stage(Enum):
     """What has to be right, in the order in which it is looked at.
@@ -55,25 +53,16 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One stage as it was found.
+    """One stage as it was found."""
 
-    Attributes:
-        stage: Which.
-        verdict: What became of it.
-        seen: What was observed, in one sentence.
-        causes: What it may come from, the likeliest first.
-        commands: What to run or do, in this order.
-        details: Numbers and names behind it, for programs.
-        error: The typed error that a program would get, if one was raised.
-    """
-
-    stage: Stage
-    verdict: Verdict
-    seen: str
-    causes: tuple[str, ...] = ()
-    commands: tuple[str, ...] = ()
+    stage: Stage  #: which
+    verdict: Verdict  #: what became of it
+    seen: str  #: what was observed, in one sentence
+    causes: tuple[str, ...] = ()  #: what it may come from, the likeliest first
+    commands: tuple[str, ...] = ()  #: what to run or do, in this order
+    #: Numbers and names behind it, for programs.
     details: Mapping[str, Any] = field(default_factory=dict)
-    error: M100Error | None = None
+    error: M100Error | None = None  #: the typed error that a program would get, if one was raised
 
     def to_json(self) -> dict[str, Any]:
         """As JSON has it."""
@@ -95,15 +84,10 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What was found, in order; the last finding failed if one did.
+    """What was found, in order; the last finding failed if one did."""
 
-    Attributes:
-        place: Where the aircraft was looked for, without secrets.
-        findings: One for each stage that was reached.
-    """
-
-    place: str
-    findings: tuple[Finding, ...]
+    place: str  #: where the aircraft was looked for, without secrets
+    findings: tuple[Finding, ...]  #: one for each stage that was reached
 
     @property
     def failure(self) -> Finding | None:

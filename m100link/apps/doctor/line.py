@@ -17,15 +17,6 @@ from m100link.protocol.commands.monitor import PushTelemetry
 from m100link.protocol.firmware import FIRMWARE_1_0
 from m100link.wire.frame import HEADER_SIZE, Frame, FrameDecoder, encode_frame, right_headers
 
-__all__ = [
-    "RATES",
-    "Heard",
-    "Likeness",
-    "hear",
-    "look_at_line",
-]
-
-
 LISTEN_S = 1.2
 """Seconds in which the slowest usual telemetry comes several times."""
 
@@ -354,36 +345,22 @@ _MAVLINK_STARTS = {0xFE: 8, 0xFD: 12}  # version: bytes of a frame beside its da
 
 @dataclass(frozen=True, slots=True)
 class Likeness:
-    """What bytes without one valid frame look like.
+    """What bytes without one valid frame look like."""
 
-    Attributes:
-        name: One word for programs.
-        seen: A sentence.
-        causes: What it may come from, the likeliest first.
-        commands: What to do.
-    """
-
-    name: str
+    name: str  # one word for programs
     seen: str
-    causes: tuple[str, ...]
-    commands: tuple[str, ...]
+    causes: tuple[str, ...]  # what it may come from, the likeliest first
+    commands: tuple[str, ...]  # what to do
 
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """What was on the line for a while.
-
-    Attributes:
-        data: Every byte.
-        frames: Those with good checksums.
-        discarded_bytes: Bytes that belong to no frame.
-        discards: Why, by cause.
-    """
+    """What was on the line for a while."""
 
     data: bytes
-    frames: tuple[Frame, ...]
-    discarded_bytes: int
-    discards: dict[str, int]
+    frames: tuple[Frame, ...]  # those with good checksums
+    discarded_bytes: int  # bytes that belong to no frame
+    discards: dict[str, int]  # why, by cause
 
     @property
     def damaged_share(self) -> float:

@@ -15,27 +15,12 @@ from pathlib import Path
 from m100link.errors import UsageError
 from m100link.errors.texts import read_path
 
-__all__ = [
-    "RULES_FILE",
-    "Adapter",
-    "Machine",
-    "Permission",
-    "Process",
-    "rule",
-]
-
-
 _TTY_MASTER = "/dev/ptmx"
 
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """A program that runs.
-
-    Attributes:
-        pid: Its number.
-        name: Its name.
-    """
+    """A program that runs."""
 
     pid: int
     name: str
@@ -46,21 +31,13 @@ class Process:
 
 @dataclass(frozen=True, slots=True)
 class Permission:
-    """Who may open a device.
+    """Who may open a device."""
 
-    Attributes:
-        mode: As ``ls -l`` shows it.
-        owner: Name of the owner, or the number.
-        group: Name of the group, or the number.
-        is_granted: Whether this program may read and write.
-        is_member: Whether the user belongs to the group by the user database.
-    """
-
-    mode: str
-    owner: str
-    group: str
-    is_granted: bool
-    is_member: bool
+    mode: str  # as ``ls -l`` shows it
+    owner: str  # name of the owner, or the number
+    group: str  # name of the group, or the number
+    is_granted: bool  # whether this program may read and write
+    is_member: bool  # whether the user belongs to the group by the user database
 
     def __str__(self) -> str:
         return f"{self.mode} {self.owner} {self.group}"
@@ -68,23 +45,14 @@ class Permission:
 
 @dataclass(frozen=True, slots=True)
 class Adapter:
-    """What a port hangs on.
+    """What a port hangs on."""
 
-    Attributes:
-        driver: Name of its kernel driver, empty if unknown.
-        vendor: USB vendor id, four hex digits; empty for what is not on USB.
-        product: USB product id.
-        name: As it names itself.
-        serial: Its serial number, empty for many.
-        latency_ms: For how long an FTDI adapter collects bytes; None for others.
-    """
-
-    driver: str
-    vendor: str = ""
-    product: str = ""
-    name: str = ""
-    serial: str = ""
-    latency_ms: int | None = None
+    driver: str  # name of its kernel driver, empty if unknown
+    vendor: str = ""  # USB vendor id, four hex digits; empty for what is not on USB
+    product: str = ""  # USB product id
+    name: str = ""  # as it names itself
+    serial: str = ""  # its serial number, empty for many
+    latency_ms: int | None = None  # for how long an FTDI adapter collects bytes; None for others
 
     @property
     def is_usb(self) -> bool:
@@ -285,13 +253,10 @@ _LATENCY = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{lat
 
 
 def rule(adapter: Adapter, name: str, *, group: str = "dialout", by_serial: bool = False) -> str:
-    """The text of a rules file for one adapter.
+    """The text of a rules file for one adapter, whose port gets a name in ``/dev``.
 
-    Args:
-        adapter: On USB.
-        name: The name that the port gets in ``/dev``: letters, digits, ``-`` and ``_``.
-        group: Whose members may open it.
-        by_serial: For this very adapter, where several of a kind are plugged in.
+    ``group``: whose members may open it. ``by_serial``: for this very adapter, where several of a
+    kind are plugged in.
 
     Raises:
         UsageError: The name cannot be one, or the adapter is not on USB or has no serial number.

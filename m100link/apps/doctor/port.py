@@ -12,8 +12,6 @@ from m100link.errors import M100Error
 from m100link.link.transport import open_transport, serial_ports
 from m100link.link.url import ConnectionString
 
-__all__ = ["Ear", "failed", "look_at_latency", "look_at_port", "open_ear"]
-
 MOST_LATENCY_MS: Final = 4
 """What an FTDI adapter may collect bytes for; 16 is what it does by default."""
 
@@ -185,18 +183,12 @@ def look_at_latency(device: str, machine: Machine) -> Finding:
 
 
 class Ear(asyncio.Protocol):
-    """Keeps what arrives.
-
-    Attributes:
-        data: All of it.
-        lost: Why the line ended; None while it has not.
-        transport: The line.
-    """
+    """Keeps what arrives."""
 
     def __init__(self) -> None:
-        self.data = bytearray()
+        self.data = bytearray()  # all of it
         self.is_lost = False
-        self.lost: Exception | None = None
+        self.lost: Exception | None = None  # why the line ended; None while it has not
         self.transport: asyncio.Transport | None = None
         self._ended = asyncio.Event()
         self._made = asyncio.Event()
