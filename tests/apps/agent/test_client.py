@@ -11,11 +11,20 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.client import AgentClient, OwnLoop
 from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.guided import ChangeHeight
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused
-from m100link.apps.agent.messages import VERSION, Action, Hello, PlanTold, State, Telemetry
+from m100link.apps.agent.messages import (
+    VERSION,
+    Action,
+    Hello,
+    Message,
+    Note,
+    PlanTold,
+    State,
+    Telemetry,
+)
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.server import Service
 from m100link.apps.agent.transports import MemoryChannel, memory_channels
@@ -357,3 +366,34 @@ async def test_an_agent_that_is_started_again_is_heard_from_then_on(
     assert client.is_silent
     client.reopen(memory_channels()[0])
     assert not client.is_silent  # it has two seconds for its first word
+
+
+# -- A channel for one event loop: everybody else is refused, and the channel never hears of it ----
+
+
+def ignore(_: object) -> None:
+    """Nobody listens."""
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda channel: channel.require(),
+        lambda channel: channel.open(ignore, ignore),
+        lambda channel: channel.send(Note("info", "from elsewhere")),
+        lambda channel: channel.close("from elsewhere"),
+    ],
+)
+async def test_only_its_own_event_loop_uses_it(call: Callable[[OwnLoop], None]) -> None:
+    ours, its = memory_channels()
+    inbox: list[Message] = []
+    closed: list[str] = []
+    its.open(inbox.append, closed.append)
+    channel = OwnLoop(ours)
+    assert_told(elsewhere(lambda: plainly(lambda: call(channel))))
+    assert (inbox, closed) == ([], [])
+    call(channel)
+    channel.send(Note("info", "from here"))
+    channel.close("done")
+    assert bool(inbox) is not (closed == ["from elsewhere"])
+    assert closed

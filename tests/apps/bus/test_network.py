@@ -1,10 +1,29 @@
-"""Which keys a pattern names."""
+"""Which keys a pattern names, and what waits on its way out and in."""
 
 from __future__ import annotations
 
+import asyncio
+from collections import Counter
+from functools import partial
+from typing import Any
+
+import anyio
 import pytest
 
-from m100link.apps.bus.network import fits
+from m100link.apps.bus import network
+from m100link.apps.bus.network import (
+    AT_ONCE,
+    TURN,
+    Bundle,
+    Inbox,
+    Looks,
+    Outlet,
+    Patient,
+    Queue,
+    Ring,
+    fits,
+)
+from m100link.sim.clock import virtual_clock_loop
 
 
 @pytest.mark.parametrize(
@@ -29,3 +48,184 @@ from m100link.apps.bus.network import fits
 )
 def test_words_and_stars(pattern: str, key: str, does: bool) -> None:
     assert fits(pattern, key) is does
+
+
+# -- what waits on its way out goes together, none too late and none lost; and on its way in -------
+
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+def anyio_backend() -> tuple[str, dict[str, Any]]:
+    return "asyncio", {"loop_factory": virtual_clock_loop}
+
+
+class Sink(Outlet):
+    def __init__(self) -> None:
+        self.sent: list[tuple[float, bytes]] = []
+        self.is_open = True
+
+    def put(self, payload: bytes, attachment: bytes | None = None) -> None:
+        assert self.is_open
+        self.sent.append((anyio.current_time(), payload))
+
+    def is_wanted(self) -> bool:
+        return self.is_open
+
+    def close(self) -> None:
+        self.is_open = False
+
+
+def bundle() -> Bundle:
+    return Bundle(asyncio.get_running_loop())
+
+
+async def test_messages_go_together_and_none_later_than_it_may() -> None:
+    one, sink = bundle(), Sink()
+    slow, fast = Patient(sink, one, 0.1), Patient(sink, one, 0.02)
+    begin = anyio.current_time()
+    slow.put(b"0")
+    await anyio.sleep(0.05)
+    slow.put(b"1")
+    assert sink.sent == []
+    await anyio.sleep(0.06)
+    slow.put(b"2")
+    fast.put(b"3")
+    await anyio.sleep(0.5)
+    at = [round(when - begin, 3) for when, _ in sink.sent]
+    assert [payload for _, payload in sink.sent] == [b"0", b"1", b"2", b"3"]
+    assert at == [0.1, 0.1, 0.13, 0.13]
+
+
+async def test_many_go_in_pieces_and_in_their_order() -> None:
+    sink = Sink()
+    outlet = Patient(sink, bundle(), 0.02)
+    for number in range(1000):
+        outlet.put(b"%d" % number)
+    await anyio.sleep(0.1)
+    assert [payload for _, payload in sink.sent] == [b"%d" % number for number in range(1000)]
+    assert list(Counter(at for at, _ in sink.sent).values()) == [256, 256, 256, 232]
+
+
+async def test_what_is_made_later_is_made_as_it_goes_and_harms_no_other() -> None:
+    sink = Sink()
+    outlet = Patient(sink, bundle(), 0.02)
+    begin = anyio.current_time()
+
+    def late() -> bytes:
+        return b"%.3f" % (anyio.current_time() - begin)
+
+    def wrong() -> bytes:
+        raise ValueError("nothing can be made of it")
+
+    outlet.put_later(late)
+    outlet.put_later(wrong)
+    outlet.put(b"last")
+    await anyio.sleep(0.1)
+    assert [payload for _, payload in sink.sent] == [b"0.020", b"last"]
+    Sink.put_later(sink, late)  # where nothing waits it is made at once
+    assert sink.sent[-1][1] == b"0.100"
+
+
+async def test_what_waits_goes_before_its_outlet_ends() -> None:
+    sink = Sink()
+    outlet = Patient(sink, bundle(), 10.0)
+    for number in range(200):
+        outlet.put(b"%d" % number)
+    assert outlet.is_wanted()
+    outlet.close()
+    assert len(sink.sent) == 200
+    assert not outlet.is_wanted()
+    await anyio.sleep(20.0)
+    assert len(sink.sent) == 200
+
+
+class Channel:
+    def __init__(self) -> None:
+        self.has: list[int] = []
+        self.is_closed = False
+
+    def try_recv(self) -> int | None:
+        if self.is_closed:
+            raise EOFError
+        return self.has.pop(0) if self.has else None
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+@pytest.mark.parametrize("cost", [0.0, TURN / 100])
+async def test_a_ring_is_looked_at_until_it_is_closed(
+    monkeypatch: pytest.MonkeyPatch, cost: float
+) -> None:
+    """A ring that was full is looked at again at once, and after a part of several turns too."""
+    channel, found = Channel(), list[int]()
+    clock = 0.0
+    monkeypatch.setattr(network, "perf_counter", lambda: clock)
+
+    def take(one: int) -> None:
+        nonlocal clock
+        clock += cost
+        if one == 3:
+            raise ValueError("what one message leads to does not happen to the next one")
+        found.append(one)
+
+    looks = Looks(channel, Ring(channel, int, AT_ONCE, EOFError), take, 0.02)
+    channel.has = list(range(2 * AT_ONCE))
+    await anyio.sleep(0.019)
+    assert found == []  # they wait for others
+    await anyio.sleep(0.002)
+    assert found == [one for one in range(2 * AT_ONCE) if one != 3]
+    channel.has = [7]
+    looks.close()
+    looks.close()
+    await anyio.sleep(1.0)
+    assert len(found) == 2 * AT_ONCE - 1
+    assert Ring(channel, int, 9, EOFError).take() == []
+
+
+async def test_of_too_much_in_a_queue_the_oldest_is_lost() -> None:
+    found: list[int] = []
+    queue = Queue(asyncio.get_running_loop(), found.append, 5)
+    await anyio.to_thread.run_sync(partial(list, map(queue.put, range(3))))
+    await anyio.sleep(0.1)
+    assert found == [0, 1, 2]
+    for number in range(10):
+        queue.put(number)
+    await anyio.sleep(0.1)
+    assert found == [0, 1, 2, 5, 6, 7, 8, 9]
+
+
+@pytest.mark.parametrize("cost", [0.004, 0.006, 1.0])
+async def test_what_is_dear_to_read_leaves_turns_to_others(
+    monkeypatch: pytest.MonkeyPatch, cost: float
+) -> None:
+    """The clock is the processor's: on virtual time nothing takes any."""
+    clock = 0.0
+    taken: list[int] = []
+    loop = asyncio.get_running_loop()
+
+    def take(one: int) -> None:
+        nonlocal clock
+        clock += cost
+        taken.append(one)
+
+    class Full(Inbox[int]):
+        found: tuple[int, ...] = tuple(range(100))
+
+        def take(self) -> list[int]:
+            found, self.found = self.found, ()
+            return list(found)
+
+    monkeypatch.setattr(network, "perf_counter", lambda: clock)
+    queue = Queue(loop, take, 1000)
+    for number in range(100):
+        queue.put(number)
+    looks = Looks(Sink(), Full(), take, 0.0)
+    while len(taken) < 200:
+        began = clock
+        await asyncio.sleep(0)
+        assert clock - began <= 2 * (TURN + cost)  # one turn of each of the two
+    assert sorted(taken) == sorted([*range(100), *range(100)])
+    looks.close()

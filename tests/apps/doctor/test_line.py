@@ -7,14 +7,20 @@ up less than 200 bytes; a port keeps at most 8 KiB from before.
 
 from __future__ import annotations
 
+import random
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from m100link.apps.doctor import answers, line
 from m100link.apps.doctor.findings import Stage, Verdict
 from m100link.apps.doctor.line import Heard, hear
+from m100link.link.serial_transport import read_inverted
 from m100link.link.url import parse_url
 from m100link.wire import Frame
-from tests.apps.doctor.bench import TELEMETRY
+from m100link.wire.frame import encode_frame
+from tests.apps.doctor.bench import CONSOLE, GPS, TELEMETRY, mavlink
 
 pytestmark = pytest.mark.anyio
 
@@ -99,3 +105,150 @@ def test_how_long_it_is_listened_to() -> None:
     assert 0.2 <= line.ANSWER_S <= 0.5
     assert 0.2 <= line.SCAN_S <= 1.0
     assert 1.0 < answers.TELEMETRY_S < 2.0
+
+
+# -- what bytes look like that are no frames -------------------------------------------------------
+
+
+def test_frames_are_counted_and_what_is_cut_off_at_the_end_is_no_damage() -> None:
+    heard = hear(TELEMETRY * 10 + TELEMETRY[:30])
+    assert (len(heard.frames), heard.discarded_bytes, heard.damaged_share) == (10, 0, 0.0)
+    assert heard.count(bytes([2, 0])) == 10
+    assert heard.details()["frames"] == 10
+
+
+def test_damage_is_counted() -> None:
+    spoilt = TELEMETRY[:40] + b"\x00" + TELEMETRY[41:]
+    heard = hear(TELEMETRY + spoilt * 2 + TELEMETRY)
+    assert len(heard.frames) == 2
+    assert heard.discards["frame_crc"] == 2
+    assert heard.damaged_share == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("data", "name"),
+    [
+        (bytes(300), "held low"),
+        (b"\xff" * 300, "one value"),
+        (GPS, "a GPS receiver"),
+        (CONSOLE, "text"),
+        (mavlink(0xFE, 8), "MAVLink"),
+        (b"\x01\x02" + mavlink(0xFD, 12), "MAVLink"),
+        (read_inverted(TELEMETRY) * 5, "inverted"),
+    ],
+)
+def test_what_it_looks_like(data: bytes, name: str) -> None:
+    likeness = hear(data).likeness()
+    assert likeness is not None
+    assert likeness.name == name
+    assert likeness.causes
+    assert likeness.commands
+
+
+def test_a_frame_cut_in_reads_of_an_inverted_line_is_recognised() -> None:
+    """Each burst is a frame; what stands before it is noise."""
+    noise = random.Random(3).randbytes(500)
+    likeness = hear(noise + read_inverted(TELEMETRY) * 4).likeness()
+    assert likeness is not None
+    assert likeness.name == "inverted"
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_noise_looks_like_nothing(seed: int) -> None:
+    assert hear(random.Random(seed).randbytes(8000)).likeness() is None
+
+
+def test_a_wrong_baud_rate_looks_like_nothing() -> None:
+    garbled = bytes((byte * 0x1D ^ 0xE6 ^ index * 7) & 0xFF for index, byte in enumerate(TELEMETRY))
+    assert hear(garbled * 50).likeness() is None
+
+
+def name_of(data: bytes) -> str | None:
+    likeness = hear(data).likeness()
+    return None if likeness is None else likeness.name
+
+
+def text_of(share: float) -> bytes:
+    """A hundred bytes, so many of them printable, the others unlike each other."""
+    printable = round(100 * share)
+    return b"T" * printable + bytes(range(128, 228 - printable))
+
+
+@pytest.mark.parametrize(
+    ("least", "fewer"),
+    [
+        (TELEMETRY[:40] * 3 + TELEMETRY, TELEMETRY[:40] * 2 + TELEMETRY),
+        (text_of(0.90), text_of(0.89)),
+        (mavlink(0xFE, 8)[: 3 * 17], mavlink(0xFE, 8)[: 2 * 17]),
+        (mavlink(0xFD, 12)[: 3 * 21], mavlink(0xFD, 12)[: 2 * 21]),
+        (read_inverted(TELEMETRY) * 3, read_inverted(TELEMETRY) * 2),
+        (b"\x00\x00", b"\x00\x01"),
+    ],
+    ids=["cut", "text", "MAVLink 1", "MAVLink 2", "inverted", "held low"],
+)
+def test_how_much_of_it_is_enough(least: bytes, fewer: bytes) -> None:
+    """Three frames that are cut, of MAVLink or inverted, nine printable bytes of ten, one value."""
+    assert name_of(least) is not None
+    assert name_of(fewer) is None
+
+
+@pytest.mark.parametrize(
+    ("data", "seen", "cause"),
+    [
+        (bytes(7), "all 7 bytes are 00", "held low"),
+        (b"\xff" * 7, "all 7 bytes are ff", "repeats one byte"),
+        (TELEMETRY[:40] * 5 + TELEMETRY, "5 frames begin well", "another program reads"),
+        (b"SSH-2.0-OpenSSH_9.2p1 Debian\r\n", "'SSH-2.0-OpenSSH", "another program listens"),
+        (b"Ubuntu 24.04 tty1\r\nPassword: ", "'Ubuntu", "a login prompt"),
+        (b"T=23.5 RH=40\r\n" * 9, "'T=23.5", "another device that talks text"),
+        (mavlink(0xFE, 8), "it is MAVLink 1", "an autopilot"),
+        (b"\x01\x02" + mavlink(0xFD, 12), "it is MAVLink 2", "an autopilot"),
+        # Half a message at the end is no reason to doubt those before it.
+        (mavlink(0xFD, 12)[: 3 * 21 + 9], "it is MAVLink 2", "an autopilot"),
+        (read_inverted(TELEMETRY) * 4, "4 frames are in it", "RS-232"),
+    ],
+)
+def test_what_is_said_of_it(data: bytes, seen: str, cause: str) -> None:
+    likeness = hear(data).likeness()
+    assert likeness is not None
+    assert seen in likeness.seen
+    assert cause in likeness.causes[0]
+
+
+def test_frames_that_follow_each_other_are_not_cut() -> None:
+    """Of any length that a frame can have: ten bits of the header say it (document 1.3.1)."""
+    long = encode_frame(bytes([2, 0, *(n % 251 for n in range(700))]), session=0, sequence=1)
+    short = encode_frame(b"\x02\x00", session=0, sequence=2)
+    assert hear((long + short) * 5).cut_frames() == 0
+    assert hear(long[:600] + short + long).cut_frames() == 1
+    assert hear(long[:-1] + short).cut_frames() == 1
+
+
+def test_acks_are_no_packages() -> None:
+    package = bytes([2, 0, *range(9)])
+    heard = hear(
+        encode_frame(package, session=0, sequence=1)
+        + encode_frame(package, session=0, sequence=2, is_ack=True)
+        + encode_frame(bytes([2, 1]), session=0, sequence=3)
+    )
+    assert len(heard.frames) == 3
+    assert heard.count(bytes([2, 0])) == 1
+
+
+def test_nothing_at_all_is_no_damage() -> None:
+    assert hear(b"").damaged_share == 0.0
+    assert hear(b"").details() == {
+        "bytes": 0,
+        "frames": 0,
+        "discarded_bytes": 0,
+        "discards": {},
+        "first_bytes": "",
+    }
+    assert hear(bytes(range(200))).details()["first_bytes"] == bytes(range(64)).hex(" ")
+
+
+@given(st.binary(min_size=1, max_size=600))
+def test_no_bytes_raise(data: bytes) -> None:
+    heard = hear(data)
+    heard.likeness()
+    assert heard.details()["bytes"] == len(data)
