@@ -26,8 +26,6 @@ from m100link.apps.bus.network import (
     fits,
 )
 
-__all__ = ["MemoryBus", "MemoryNetwork", "Weather"]
-
 T = TypeVar("T")
 
 _TICK_S = 1e-9
@@ -35,21 +33,13 @@ _TICK_S = 1e-9
 
 @dataclass(slots=True)
 class Weather:
-    """What happens to messages on their way.
+    """What happens to messages on their way."""
 
-    Attributes:
-        loss: Share that is lost, 0 to 1.
-        repeat: Share that arrives twice.
-        delay_s: Least time on the way, s.
-        jitter_s: Up to so much more for each, s: later ones overtake.
-        presence_s: Seconds after which a session that was cut off counts as gone.
-    """
-
-    loss: float = 0.0
-    repeat: float = 0.0
-    delay_s: float = 0.0
-    jitter_s: float = 0.0
-    presence_s: float = 1.5
+    loss: float = 0.0  # share that is lost, 0 to 1
+    repeat: float = 0.0  # share that arrives twice
+    delay_s: float = 0.0  # least time on the way
+    jitter_s: float = 0.0  # up to so much more for each: later ones overtake
+    presence_s: float = 1.5  # after which a session that was cut off counts as gone
 
 
 class _Declared:
@@ -65,16 +55,15 @@ class _Declared:
             self.session.network.forget(self)
 
 
-class _Inbox(Inbox[T]):
+class MemoryInbox(Inbox[T]):
     """What waits to be taken; of too much the oldest is lost."""
 
     def __init__(self, depth: int) -> None:
-        self._waiting: deque[T] = deque(maxlen=depth)
-        self.put = self._waiting.append
+        self.waiting: deque[T] = deque(maxlen=depth)
 
     def take(self) -> list[T]:
-        found = list(self._waiting)
-        self._waiting.clear()
+        found = list(self.waiting)
+        self.waiting.clear()
         return found
 
 
@@ -102,17 +91,7 @@ class _Outlet(Outlet):
 
 
 class _Asking:
-    """A question on its way to each who serves its key, and what they answer on its way back.
-
-    Args:
-        asker: Who asks.
-        key: What.
-        payload: The bytes of the question.
-        hear: Called with each answer.
-
-    Attributes:
-        ended: Set when nobody is waited for any more.
-    """
+    """A question on its way to each who serves its key, and what they answer on its way back."""
 
     def __init__(
         self, asker: MemoryBus, key: str, payload: bytes, hear: Callable[[Answer], None]
@@ -123,7 +102,7 @@ class _Asking:
             one for one in network.takers("serve", key) if not network.is_cut(asker, one.session)
         ]
         self._asked = set(asked)
-        self.ended = asyncio.Event()
+        self.ended = asyncio.Event()  # nobody is waited for any more
         if not asked:
             self.ended.set()
         for one in asked:
@@ -146,12 +125,7 @@ class _Asking:
 
 
 class MemoryNetwork:
-    """The network.
-
-    Args:
-        seed: Of what happens to messages.
-        weather: What happens; may be changed at any time.
-    """
+    """The network, whose weather may be changed at any time."""
 
     def __init__(self, seed: int = 0, weather: Weather | None = None) -> None:
         self.weather = weather or Weather()
@@ -261,10 +235,6 @@ class MemoryNetwork:
 class MemoryBus:
     """A session: a :class:`m100link.apps.bus.network.Bus` and a
     :class:`m100link.apps.bus.network.PolledBus`.
-
-    Args:
-        network: Of which network.
-        number: Which session of it.
     """
 
     def __init__(self, network: MemoryNetwork, number: int = 0) -> None:
@@ -306,26 +276,26 @@ class MemoryBus:
 
     def inbox(self, pattern: str, depth: int) -> Inbox[Received]:
         """Hear messages."""
-        inbox = _Inbox[Received](depth)
-        self.network.add("subscribe", self, pattern, lambda _, what: inbox.put(what))
+        inbox = MemoryInbox[Received](depth)
+        self.network.add("subscribe", self, pattern, lambda _, what: inbox.waiting.append(what))
         return inbox
 
     def questions(self, key: str, depth: int) -> Inbox[Question]:
         """Hear questions."""
-        inbox = _Inbox[Question](depth)
-        self.serve(key, inbox.put)
+        inbox = MemoryInbox[Question](depth)
+        self.serve(key, inbox.waiting.append)
         return inbox
 
     def changes(self, pattern: str) -> Inbox[TokenChange]:
         """See tokens come and go."""
-        inbox = _Inbox[TokenChange](DEPTH)
-        self.watch(pattern, lambda key, is_there: inbox.put(TokenChange(key, is_there)))
+        inbox = MemoryInbox[TokenChange](DEPTH)
+        self.watch(pattern, lambda key, is_there: inbox.waiting.append(TokenChange(key, is_there)))
         return inbox
 
     def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
         """Ask whether anybody answers."""
-        inbox = _Inbox[bool](DEPTH)
-        _Asking(self, key, b"", lambda _: inbox.put(True))
+        inbox = MemoryInbox[bool](DEPTH)
+        _Asking(self, key, b"", lambda _: inbox.waiting.append(True))
         return inbox
 
     async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
@@ -23,6 +22,7 @@ from m100link.log.cdr import decode, encode
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft
+from tests.apps.bus.memory import MemoryInbox
 
 UTC = 1_800_000_000.0
 """POSIX time as the clock of the loop begins."""
@@ -33,17 +33,7 @@ def anyio_backend() -> tuple[str, dict[str, Any]]:
     return "asyncio", {"loop_factory": virtual_clock_loop}
 
 
-class MemoryInbox(Inbox[Any]):
-    def __init__(self, depth: int) -> None:
-        self.waiting: deque[Any] = deque(maxlen=depth)
-
-    def take(self) -> list[Any]:
-        found = list(self.waiting)
-        self.waiting.clear()
-        return found
-
-
-class MemoryOutlet(Outlet):
+class RecordingOutlet(Outlet):
     def __init__(self) -> None:
         self.sent: list[tuple[bytes, bytes]] = []
         self.has_listeners = True
@@ -58,21 +48,25 @@ class MemoryOutlet(Outlet):
         """Nothing is held."""
 
 
-class MemoryBus:
-    """What a session offers and hears."""
+class RecordingBus:
+    """A session without a network: tests read what it offers, and fill what it hears.
+
+    Nothing here needs an event loop, and what is put is there at once; over a network with weather
+    messages go in ``tests/apps/bus/memory.py``.
+    """
 
     session = "0123456789abcdef"
 
     def __init__(self) -> None:
-        self.outlets: dict[str, MemoryOutlet] = {}
-        self.inboxes: dict[str, MemoryInbox] = {}
+        self.outlets: dict[str, RecordingOutlet] = {}
+        self.inboxes: dict[str, MemoryInbox[Any]] = {}
         self.tokens: list[str] = []
-        self.changed = MemoryInbox(1024)
+        self.changed = MemoryInbox[TokenChange](1024)
         self.asked: list[str] = []
         self.answering: set[str] = set()
 
     def publish(self, key: str, *, kept: int = 0) -> Outlet:
-        return self.outlets.setdefault(key, MemoryOutlet())
+        return self.outlets.setdefault(key, RecordingOutlet())
 
     def inbox(self, pattern: str, depth: int) -> Inbox[Received]:
         return self.inboxes.setdefault(pattern, MemoryInbox(depth))
@@ -82,13 +76,13 @@ class MemoryBus:
 
     def declare(self, token: str) -> Held:
         self.tokens.append(token)
-        return MemoryOutlet()
+        return RecordingOutlet()
 
     def changes(self, pattern: str) -> Inbox[TokenChange]:
         return self.changed
 
     def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
-        inbox = MemoryInbox(1)
+        inbox = MemoryInbox[bool](1)
         at, session, every = key.split("/")
         assert (at, every) == ("@", "*")
         self.asked.append(session)
@@ -185,7 +179,7 @@ class Rig:
         self.aircraft = VirtualAircraft(seed=5, firmware=firmware)
         self.driver = Driver(self.aircraft)
         self.agent = Agent(by_driver(self.driver), credentials=self.aircraft.credentials, **more)
-        self.bus = MemoryBus()
+        self.bus = RecordingBus()
         self.names = names or Names.of("/", "m100")
         self.has_dji_names = has_dji_names
 
@@ -215,10 +209,10 @@ class Rig:
             self.work.cancel()
         self.driver.stop()
 
-    def inbox(self, name: str, kind: str) -> MemoryInbox:
+    def inbox(self, name: str, kind: str) -> MemoryInbox[Any]:
         return self.bus.inboxes[data_key(0, self.names.full(name), kind)]
 
-    def outlet(self, name: str) -> MemoryOutlet:
+    def outlet(self, name: str) -> RecordingOutlet:
         return self.bus.outlets[data_key(0, self.names.full(name), OUTPUTS[name].kind)]
 
     def said(self, name: str) -> list[dict[str, Any]]:

@@ -16,7 +16,7 @@ from m100link.apps.ros2.graph import Names, data_key
 from m100link.apps.ros2.node import Node
 from m100link.apps.ros2.publishers import ALL_OUTPUTS
 from m100link.log.cdr import full_name
-from tests.apps.ros2.conftest import MemoryBus, Program, Rig
+from tests.apps.ros2.conftest import Program, RecordingBus, Rig
 from tests.known import KnownAgent
 
 typesys: Any = pytest.importorskip("rosbags.typesys", reason="the judge is not installed")
@@ -26,7 +26,7 @@ class KnownRig(Rig):
     """A node, and a played agent instead of an aircraft."""
 
     def __init__(self) -> None:
-        self.bus = MemoryBus()
+        self.bus = RecordingBus()
         self.names = Names.of("/", "m100")
 
     @asynccontextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from m100link.apps.bus.network import DEPTH, TokenChange
 from m100link.apps.ros2.graph import End, NodeName, Presence, Qos
-from tests.apps.ros2.conftest import MemoryInbox
+from tests.apps.bus.memory import MemoryInbox
 
 TOPIC = "/m100/land"
 
@@ -15,7 +15,7 @@ def token(session: str, end: End = End.CLIENT, topic: str = TOPIC) -> str:
 
 
 def test_those_who_can_call_are_known_until_one_is_gone() -> None:
-    inbox = MemoryInbox(99)
+    inbox = MemoryInbox[TokenChange](99)
     presence = Presence(lambda: inbox)
     others = (token("c", End.SERVER), token("d", topic="/other"), "@ros2_lv/junk")
     for key in (token("a"), token("b"), *others):
@@ -32,7 +32,7 @@ def test_those_who_can_call_are_known_until_one_is_gone() -> None:
 
 
 def test_who_went_and_is_back_within_a_step_was_gone() -> None:
-    inbox = MemoryInbox(99)
+    inbox = MemoryInbox[TokenChange](99)
     presence = Presence(lambda: inbox)
     inbox.waiting.append(TokenChange(token("a"), True))
     presence.look()
@@ -46,7 +46,7 @@ def test_who_went_and_is_back_within_a_step_was_gone() -> None:
 
 
 def test_a_flood_of_tokens_is_not_kept() -> None:
-    inbox = MemoryInbox(DEPTH)
+    inbox = MemoryInbox[TokenChange](DEPTH)
     presence = Presence(lambda: inbox)
     for number in range(10 * DEPTH):
         inbox.waiting.append(TokenChange(token(str(number)), True))
@@ -56,7 +56,7 @@ def test_a_flood_of_tokens_is_not_kept() -> None:
 
 
 def test_of_a_flood_some_is_lost_and_then_all_count_as_gone() -> None:
-    inboxes = [MemoryInbox(DEPTH), MemoryInbox(DEPTH)]
+    inboxes = [MemoryInbox[TokenChange](DEPTH), MemoryInbox(DEPTH)]
     waiting = iter(inboxes)
     presence = Presence(lambda: next(waiting))
     inboxes[0].waiting.append(TokenChange(token("a"), True))
