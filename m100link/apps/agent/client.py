@@ -11,13 +11,12 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from types import TracebackType
 from typing import Any, Self
 
 from m100link.apps.agent.background import BackgroundTasks
 from m100link.apps.agent.codec import plan_of
 from m100link.apps.agent.guided import SETPOINT_LIFETIME, GuidedOrder
-from m100link.apps.agent.lease import Lease, LeaseRefused, TakeOver
+from m100link.apps.agent.lease import Lease, TakeOver, not_in_force
 from m100link.apps.agent.messages import (
     VERSION,
     Action,
@@ -69,25 +68,6 @@ class AgentClient:
     Args:
         channel: The way.
         name: Who this is, for people.
-
-    Attributes:
-        state: Where the agent stands.
-        holder: Who has the lease.
-        link: What was counted on the line to the aircraft; None before, and while there is none.
-        telemetry: Newest values and their ages; None while no aircraft is connected. When the
-            agent itself is gone the values stay, and grow old.
-        events: What happened lately.
-        background: Tasks that end with this client.
-        unread: Telemetry packages and plans that this version cannot read.
-        plan: What somebody uploaded and may start, or flies; None for none.
-        plan_by: Who uploaded it, for people.
-        on_event: Called with each event.
-        on_sample: Called with each telemetry package; :meth:`samples` wakes a task for each.
-        on_activating: Called with each answer of the aircraft to an activation.
-        on_authority_taken: Called when somebody else took control authority.
-        on_steer_refused: Called with the fence and the reason when a setpoint was not flown.
-        on_lease: Called when the lease changed hands.
-        heard_at: When anything of the agent was heard last, s.
     """
 
     def __init__(self, channel: Channel, name: str) -> None:
@@ -95,22 +75,31 @@ class AgentClient:
         self._clock = loop.time
         self._channel = OwnLoop(channel)
         self._name = name
-        self.state = State(at=self.now)
-        self.heard_at = self.now
-        self.holder = LeaseChanged(0, "")
+        self.state = State(at=self.now)  #: where the agent stands
+        self.heard_at = self.now  #: when anything of the agent was heard last, s
+        self.holder = LeaseChanged(0, "")  #: who has the lease
+        #: What was counted on the line to the aircraft; None before, and while there is none.
         self.link: LinkCounted | None = None
+        #: Newest values and their ages; None while no aircraft is connected. When the agent itself
+        #: is gone the values stay, and grow old.
         self.telemetry: AircraftState | None = None
-        self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
-        self.background = BackgroundTasks()
-        self.unread = 0
+        self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)  #: what happened lately
+        self.background = BackgroundTasks()  #: tasks that end with this client
+        self.unread = 0  #: telemetry packages and plans that this version cannot read
+        #: What somebody uploaded and may start, or flies; None for none.
         self.plan: WaypointPlan | None = None
-        self.plan_by = ""
-        self.on_event: list[Callable[[Event], None]] = []
+        self.plan_by = ""  #: who uploaded it, for people
+        self.on_event: list[Callable[[Event], None]] = []  #: called with each event
+        #: Called with each telemetry package; :meth:`samples` wakes a task for each.
         self.on_sample: list[Callable[[Sample], None]] = []
+        #: Called with each answer of the aircraft to an activation.
         self.on_activating: list[Callable[[ActivationCode], None]] = []
+        #: Called when somebody else took control authority.
         self.on_authority_taken: list[Callable[[AuthorityLost], None]] = []
+        #: Called with the fence and the reason when a setpoint was not flown.
         self.on_steer_refused: list[Callable[[int, M100Error], None]] = []
         self.on_mission_told: list[Callable[[MissionTold], None]] = []
+        #: Called when the lease changed hands.
         self.on_lease: list[Callable[[LeaseChanged], None]] = []
         self._samples: Hub[Sample] = Hub()
         self._from_mobile: Hub[bytes] = Hub()
@@ -168,12 +157,7 @@ class AgentClient:
         self._channel.send(Hello(VERSION, self._name, self.now))
         self._channel.open(self._receive, self._closed)
 
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self._channel.require()
         await self.background.end()
         self._channel.close("the front ends")
@@ -334,12 +318,7 @@ class AgentClient:
             LeaseRefused: It is not.
         """
         if lease is None or not self.holds(lease):
-            holder = f"; {self.holder.name} has control" if self.holder.number else ""
-            raise LeaseRefused(
-                f"this lease is not in force{holder}",
-                cause="it expired, was given back or was taken over; an ended lease never returns",
-                remedy="take control anew",
-            )
+            raise not_in_force(self.holder.name if self.holder.number else None)
         return lease
 
     async def acquire(self, name: str) -> Lease:
@@ -439,10 +418,7 @@ class AgentClient:
     ) -> None:
         """Take off, land or go home; done when seen to be done.
 
-        Args:
-            lease: The lease.
-            task: Which of them.
-            accepted: Called when the aircraft has begun.
+        ``accepted`` is called when the aircraft has begun.
 
         Raises: as :meth:`m100link.apps.agent.server.agent.Agent.fly`, and LinkError.
         """
@@ -453,10 +429,8 @@ class AgentClient:
     ) -> None:
         """Fly to where somebody points; done when it is there. :meth:`halt` ends it.
 
-        Args:
-            lease: The lease.
-            order: Where, of :mod:`m100link.apps.agent.guided`; the newest one wins.
-            accepted: Called when it has begun.
+        The newest order of :mod:`m100link.apps.agent.guided` wins; ``accepted`` is called when it
+        has begun.
 
         Raises: as :meth:`m100link.apps.agent.server.agent.Agent.guide`, and LinkError.
         """

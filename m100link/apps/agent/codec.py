@@ -18,6 +18,7 @@ from itertools import product
 from typing import Any, get_args, get_origin, get_type_hints
 
 from m100link.apps.agent.messages import (
+    LEVELS,
     Activating,
     Event,
     Hello,
@@ -392,7 +393,6 @@ def _refuse(text: str) -> float:
 
 
 _CONNECTIONS = ("connecting", "connected", "lost")
-_LEVELS = ("info", "warning", "error")
 _CODES = frozenset(map(int, ActivationCode))
 _LAST_UTC = 253_402_300_799.0
 """POSIX time of the end of the year 9999, s."""
@@ -405,7 +405,7 @@ def _hello(hello: Hello) -> str:
 
 
 def _event(event: Event) -> str:
-    if event.level not in _LEVELS:
+    if event.level not in LEVELS:
         return "level is none"
     return "" if abs(event.at) <= _LONGEST_S else "at is no time"
 

@@ -54,6 +54,15 @@ class LeaseHeld(
         self.holder = holder
 
 
+def not_in_force(holder: str | None) -> LeaseRefused:
+    """What whoever shows a lease that has ended gets; somebody else may have control."""
+    return LeaseRefused(
+        "this lease is not in force" + ("" if holder is None else f"; {holder} has control"),
+        cause="it expired, was given back or was taken over; an ended lease never returns",
+        remedy="take control anew",
+    )
+
+
 class LeaseChange(Enum):
     """Why the lease changed hands."""
 
@@ -186,12 +195,7 @@ class LeaseDesk:
         self.advance(now)
         lease = self._lease
         if lease is None or not secrets.compare_digest(lease.token.encode(), token.encode()):
-            holder = f"; {lease.name} has control" if lease is not None else ""
-            raise LeaseRefused(
-                f"this lease is not in force{holder}",
-                cause="it expired, was given back or was taken over; an ended lease never returns",
-                remedy="take control anew",
-            )
+            raise not_in_force(None if lease is None else lease.name)
         return lease
 
     def renew(self, token: str, now: float) -> Lease:

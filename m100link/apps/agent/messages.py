@@ -36,6 +36,9 @@ from m100link.protocol.setpoint import Setpoint
 VERSION = 10
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
 
+LEVELS = ("info", "warning", "error")
+"""How grave an event or a note is."""
+
 # -- both ways ------------------------------------------------------------------------------------
 
 

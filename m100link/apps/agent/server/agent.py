@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from types import TracebackType
 from typing import Self
 
 from m100link.aircraft import Aircraft, AircraftCamera
@@ -26,7 +25,7 @@ from m100link.apps.agent.server.authority import (
     Inherited,
 )
 from m100link.apps.agent.server.connection import Connect, Connection
-from m100link.apps.agent.server.flight import MissionOrder, Pattern
+from m100link.apps.agent.server.flight import MissionOrder, Pattern, ignore
 from m100link.apps.agent.server.replays import Replays
 from m100link.errors import GuardRefused, UsageError
 from m100link.flight.guards import Envelope, Guards
@@ -50,10 +49,6 @@ _LOST = (LeaseChange.EXPIRED, LeaseChange.FRONT_LOST)
 """How a lease ends when nobody wanted it to."""
 
 
-def _ignore() -> None:
-    """Nobody wants to know that a task was accepted."""
-
-
 class Agent:
     """The aircraft and who may do what with it.
 
@@ -67,17 +62,6 @@ class Agent:
             that one may have held is given back, once the aircraft answers.
         envelope: How far whoever has the lease may fly; that of every control block by default.
         replay: The recording that stands in the place of an aircraft; nobody gets a lease.
-
-    Attributes:
-        journal: What happened.
-        background: Tasks that end with the agent.
-        connection: The line to the aircraft.
-        activation: How the aircraft was activated.
-        desk: Who may steer.
-        holding: Control authority for whoever may.
-        replay: As given.
-        on_lease: Called with the reason, the lease in force, or None, and what was flown for the
-            one before, after each change.
     """
 
     def __init__(
@@ -97,11 +81,13 @@ class Agent:
                 remedy=f"choose 0 to {LONGEST_KEPT:g} s: somebody has to be there to fly",
             )
         self._clock = asyncio.get_running_loop().time
-        self.replay = replay
-        self.journal = Journal(self._clock)
-        self.background = BackgroundTasks()
-        self.connection = Connection(connect, self.journal)
+        self.replay = replay  #: as given
+        self.journal = Journal(self._clock)  #: what happened
+        self.background = BackgroundTasks()  #: tasks that end with the agent
+        self.connection = Connection(connect, self.journal)  #: the line to the aircraft
+        #: How the aircraft was activated.
         self.activation = Activation(credentials, self.journal)
+        #: Who may steer.
         self.desk = LeaseDesk(
             lifetime=lease_lifetime,
             longest_step=_LONGEST_STEP,
@@ -109,6 +95,7 @@ class Agent:
             on_change=self._lease_changed,
         )
         guards = Guards(envelope=envelope or Envelope())
+        #: Control authority for whoever may.
         self.holding = Holding(self.journal, self.background, guards)
         self.holding.on_change.append(self._holding_changed)
         self._inherited = Inherited(self.journal, self.background, is_owed=leases_before > 0)
@@ -117,6 +104,8 @@ class Agent:
         self._unclaimed: asyncio.TimerHandle | None = None
         # After STOP nobody's stream of setpoints flies on: whoever sends it has to begin anew.
         self._is_stopped = False
+        #: Called after each change with the reason, the lease in force, or None, and what was
+        #: flown for the one before.
         self.on_lease: list[Callable[[LeaseChange, Lease | None, Flown], None]] = []
         self.connection.on_aircraft.append(self._aircraft_changed)
 
@@ -130,12 +119,7 @@ class Agent:
         self.background.spawn(self._watch_lease(), "lease")
         return self
 
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self._give_back()
         await self.background.end()
 
@@ -233,8 +217,7 @@ class Agent:
         """Send up to 100 bytes to the app on the pilot's phone.
 
         Raises:
-            LeaseRefused: The token is not in force.
-            PayloadTooLarge, CommandRefused, AckTimeout, LinkError: See each class.
+            LeaseRefused, PayloadTooLarge, CommandRefused, AckTimeout, LinkError: See each class.
         """
         self._renewed(token)
         await self.connection.require_aircraft().send_to_mobile(data)
@@ -345,9 +328,7 @@ class Agent:
     def halt(self, why: str = "", token: str = "") -> None:
         """Stop moving; anybody may call this at any time. A task goes on in the autopilot.
 
-        Args:
-            why: For people.
-            token: Proof of the lease, if whoever steers has let go: after a STOP that begins anew.
+        With the token of the lease whoever steers has let go, and after a STOP begins anew.
         """
         if self.holding.flying is not None:
             self.holding.flying.halt(why)
@@ -372,13 +353,8 @@ class Agent:
             self.journal.note("control authority is given back to end the task", "warning")
             await self._give_back()
 
-    async def fly(self, token: str, task: Task, accepted: Callable[[], None] = _ignore) -> None:
-        """Take off, land or go home; done when seen to be done.
-
-        Args:
-            token: Proof of the lease.
-            task: Which of them.
-            accepted: Called when the aircraft has begun.
+    async def fly(self, token: str, task: Task, accepted: Callable[[], None] = ignore) -> None:
+        """Take off, land or go home; accepted when begun, done when seen to be done.
 
         Raises:
             LeaseRefused: The token is not in force.
@@ -388,17 +364,12 @@ class Agent:
         await self.holding.require().fly(task, accepted)
 
     async def guide(
-        self, token: str, order: GuidedOrder, accepted: Callable[[], None] = _ignore
+        self, token: str, order: GuidedOrder, accepted: Callable[[], None] = ignore
     ) -> None:
         """Fly to where somebody points; done when it is there, and the newest one wins.
 
         It ends, and the aircraft hovers, when whoever asked for it loses the lease, when a stick is
         moved, by :meth:`halt`, and when anything else is asked for.
-
-        Args:
-            token: Proof of the lease.
-            order: Where.
-            accepted: Called when it has begun.
 
         Raises:
             LeaseRefused: The token is not in force.

@@ -23,7 +23,7 @@ from m100link.apps.agent.journal import Journal
 from m100link.apps.agent.lease import Flown
 from m100link.apps.agent.messages import Limits, Topic
 from m100link.apps.agent.server.flight import Flying, limits_of
-from m100link.apps.agent.server.mission import MissionListener
+from m100link.apps.agent.server.mission import MissionListener, look_at
 from m100link.errors import (
     AuthorityLost,
     AuthorityRefused,
@@ -201,11 +201,7 @@ class Holding:
         return self.flying.guiding.order if self.flying is not None else None
 
     def require(self) -> Flying:
-        """What flies.
-
-        Raises:
-            NoAuthority: Authority is not held.
-        """
+        """What flies. Raises NoAuthority: authority is not held."""
         if self.flying is None or not self.has_authority:
             raise NoAuthority(
                 "the station does not hold control authority; nothing was sent",
@@ -273,7 +269,7 @@ class Holding:
     def _begin(self, aircraft: Aircraft) -> None:
         self._let_go = asyncio.Event()
         granted = self._granted = asyncio.get_running_loop().create_future()
-        granted.add_done_callback(_look_at)
+        granted.add_done_callback(look_at)
         self._block = self._background.spawn(self._hold(aircraft, granted), "authority")
 
     async def _hold(self, aircraft: Aircraft, granted: asyncio.Future[None]) -> None:
@@ -367,12 +363,6 @@ class Holding:
         except M100Error:
             pass  # the connection tells it
         self.feed(HoldingInput.LINK_LOST)
-
-
-def _look_at(future: asyncio.Future[None]) -> None:
-    """Nobody may wait for it: then its error has been told in the journal only."""
-    if not future.cancelled():
-        future.exception()
 
 
 # -- control authority that an agent before may have left: nobody here asked for it, so it goes ----

@@ -133,11 +133,7 @@ class Connection:
             callback(self.aircraft)
 
     def require_aircraft(self) -> Aircraft:
-        """The aircraft.
-
-        Raises:
-            LinkError: It is not connected; the error says why.
-        """
+        """The aircraft. Raises LinkError: it is not connected; the error says why."""
         if self.aircraft is None:
             why = f": {self.error.seen}" if self.error else ""
             raise LinkError(

@@ -56,7 +56,7 @@ Pattern = Callable[[Control, Callable[[Setpoint], None]], Coroutine[Any, Any, No
 """A program that flies: takes the control and what sends a setpoint."""
 
 
-def _ignore() -> None:
+def ignore() -> None:
     """Nobody wants to know that a task was accepted."""
 
 
@@ -151,7 +151,7 @@ class Flying:
 
     # -- tasks -----------------------------------------------------------------------------------
 
-    async def fly(self, task: Task, accepted: Callable[[], None] = _ignore) -> None:
+    async def fly(self, task: Task, accepted: Callable[[], None] = ignore) -> None:
         """Take off, land or go home; done when seen to be done.
 
         Raises:
@@ -248,7 +248,7 @@ class Flying:
 
     # -- guided flights --------------------------------------------------------------------------
 
-    async def guide(self, order: GuidedOrder, accepted: Callable[[], None] = _ignore) -> None:
+    async def guide(self, order: GuidedOrder, accepted: Callable[[], None] = ignore) -> None:
         """Fly to where somebody points; done when it is there. Ends a program; the newest one wins.
 
         Raises:
@@ -594,11 +594,7 @@ async def _everything(control: Control, send: Send) -> None:
 
 
 def pattern(number: int) -> Pattern:
-    """The program behind a number.
-
-    Raises:
-        UsageError: There is none, or it is not flown here.
-    """
+    """The program behind a number. Raises UsageError: there is none, or it is not flown here."""
     if number == 3:
         raise UsageError(
             "task 3 sends random commands every 20 ms, take-off and landing among them",

@@ -75,11 +75,7 @@ class StagedPlan:
             self.plan = WaypointPlan.from_wire(mission, in_order)
 
     def require(self) -> WaypointPlan:
-        """The plan.
-
-        Raises:
-            UsageError: There is none, or a waypoint is missing.
-        """
+        """The plan. Raises UsageError: there is none, or a waypoint is missing."""
         if self.plan is None:
             missing = 0 if self._mission is None else self._mission.count - len(self._points)
             raise UsageError(
@@ -116,11 +112,7 @@ class FlyingMission:
         return self.is_flying and self._is_landing
 
     def require_none(self, what: str) -> None:
-        """Refuse what the aircraft would ignore.
-
-        Raises:
-            MissionRunning: A mission flies.
-        """
+        """Refuse what the aircraft would ignore. Raises MissionRunning: a mission flies."""
         if self.is_flying:
             raise MissionRunning(
                 f"{what} was asked for while a mission flies; nothing was sent",
@@ -166,7 +158,7 @@ class FlyingMission:
         loop = asyncio.get_running_loop()
         begun: asyncio.Future[None] = loop.create_future()
         over: asyncio.Future[None] = loop.create_future()
-        over.add_done_callback(_look_at)
+        over.add_done_callback(look_at)
         self._what, self._is_cut_off = what, False
         self._ended_because, self._is_landing = "", False
         self._watch = self._background.spawn(self._fly(flight, what, begun, over), "mission")
@@ -231,11 +223,7 @@ class FlyingMission:
             self.on_event(event)
 
     def flight(self, kind: type[F]) -> F:
-        """The mission.
-
-        Raises:
-            UsageError: None of that kind flies.
-        """
+        """The mission. Raises UsageError: none of that kind flies."""
         if not isinstance(self._flight, kind):
             raise UsageError(f"no {_NAMES[kind]} flies", remedy="start one")
         return self._flight
@@ -284,10 +272,10 @@ class FlyingMission:
             await asyncio.wait([self._watch])
 
 
-def _look_at(over: asyncio.Future[None]) -> None:
-    """Nobody may wait for the end: the journal tells it."""
-    if not over.cancelled():
-        over.exception()
+def look_at(future: asyncio.Future[None]) -> None:
+    """Nobody may wait for it: then the journal alone tells its error."""
+    if not future.cancelled():
+        future.exception()
 
 
 def push_of(event: MissionEvent) -> tuple[int, bytes] | None:

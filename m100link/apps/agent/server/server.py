@@ -12,6 +12,7 @@ from m100link.apps.agent.codec import told_of
 from m100link.apps.agent.guided import GuidedOrder, name_of
 from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseRefused
 from m100link.apps.agent.messages import (
+    LEVELS,
     TAKE_OFF_FIRST,
     UNTIL_OVER,
     VERSION,
@@ -256,7 +257,6 @@ MAX_SETPOINT_AGE = 0.3
 _MAX_ASKS = 64
 _MAX_NOTE = 200
 _NOTES_PER_S, _MAX_NOTES = 5.0, 20.0
-_LEVELS = ("info", "warning", "error")
 
 
 class Front:
@@ -424,7 +424,7 @@ class Front:
         return True
 
     def _on_note(self, note: Note) -> None:
-        if note.level in _LEVELS and self._may_note():
+        if note.level in LEVELS and self._may_note():
             self._agent.journal.note(_line(note.text), note.level)
 
     def _on_ask(self, ask: Ask) -> None:
