@@ -88,9 +88,7 @@ async def look_at_aircraft(
 
 
 def _no_answer(error: NoAircraft) -> Finding:
-    return Finding(
-        Stage.VERSION,
-        Verdict.FAILED,
+    return Stage.VERSION.failed(
         error.seen,
         (
             "the wire from our TX to the aircraft's RX carries nothing: it hears no question",
@@ -107,9 +105,7 @@ def _no_answer(error: NoAircraft) -> Finding:
 
 
 def _fell_silent(stage: Stage, error: M100Error) -> Finding:
-    return Finding(
-        stage,
-        Verdict.FAILED,
+    return stage.failed(
         f"the aircraft has fallen silent while it was looked at: {error.seen}",
         (
             "it was switched off, or restarts",
@@ -127,9 +123,7 @@ async def _unanswered(stage: Stage, aircraft: Aircraft, error: AckTimeout) -> Fi
     counted = aircraft.statistics()
     if counted.bytes_received == before:
         return _fell_silent(stage, error)
-    return Finding(
-        stage,
-        Verdict.FAILED,
+    return stage.failed(
         f"{error.seen}; the aircraft is heard, and has answered {counted.acks} of "
         f"{counted.acks + counted.expired} requests",
         (
@@ -148,10 +142,8 @@ async def _unanswered(stage: Stage, aircraft: Aircraft, error: AckTimeout) -> Fi
 def _version(version: Version) -> Finding:
     details = {"version": version.name, "crc_matches": version.crc_matches}
     if version.crc_matches:
-        return Finding(Stage.VERSION, Verdict.GOOD, version.name, details=details)
-    return Finding(
-        Stage.VERSION,
-        Verdict.DOUBTFUL,
+        return Stage.VERSION.good(version.name, details=details)
+    return Stage.VERSION.doubtful(
         f"{version.name!r}, whose own checksum is another",
         ("a firmware that computes it in another way; nothing follows from it",),
         details=details,
@@ -167,9 +159,7 @@ def _firmware(aircraft: Aircraft, version: Version, *, is_forced: bool) -> Findi
             if is_forced
             else ("a firmware whose version text is like that of another",)
         )
-        return Finding(
-            Stage.FIRMWARE,
-            Verdict.FAILED,
+        return Stage.FIRMWARE.failed(
             f"{mismatches} packages of telemetry do not fit firmware {profile.name}",
             causes,
             ("leave --firmware out",)
@@ -182,18 +172,14 @@ def _firmware(aircraft: Aircraft, version: Version, *, is_forced: bool) -> Findi
             details,
         )
     if version.profile is None and not is_forced:
-        return Finding(
-            Stage.FIRMWARE,
-            Verdict.DOUBTFUL,
+        return Stage.FIRMWARE.doubtful(
             f"the version {version.name!r} is not known: telemetry is read as {profile.name}, and "
             "nothing is flown",
             ("a firmware that nobody has tried with this library",),
             (f"if you know that it fits: --firmware {profile.name}",),
             details,
         )
-    return Finding(
-        Stage.FIRMWARE,
-        Verdict.GOOD,
+    return Stage.FIRMWARE.good(
         f"{profile.name}{' (forced)' if is_forced else ''}: {profile.summary}",
         details=details,
     )
@@ -209,12 +195,10 @@ async def _activation(
             # Whose app it is belongs into no report.
             found = failed(Stage.ACTIVATION, error)
             return replace(found, seen=found.seen.replace(f" of app {credentials.app_id}", ""))
-        return Finding(Stage.ACTIVATION, Verdict.GOOD, "for the app that was given")
+        return Stage.ACTIVATION.good("for the app that was given")
     if version.is_activated:
-        return Finding(Stage.ACTIVATION, Verdict.GOOD, "for some app, by an earlier program")
-    return Finding(
-        Stage.ACTIVATION,
-        Verdict.FAILED,
+        return Stage.ACTIVATION.good("for some app, by an earlier program")
+    return Stage.ACTIVATION.failed(
         "it is not activated: telemetry comes, and no command is obeyed",
         ("nobody activated it since it was switched on",),
         ("m100link activate PORT --app-id ID --key-file FILE", "m100link docs activate"),
@@ -224,13 +208,11 @@ async def _activation(
 async def _key(aircraft: Aircraft, credentials: Credentials | None) -> Finding:
     """An encrypted version query: harmless, and answered by whoever can read it."""
     if credentials is None:
-        return Finding(Stage.KEY, Verdict.SKIPPED, "no app id and key were given")
+        return Stage.KEY.skipped("no app id and key were given")
     try:
         await aircraft.execute(GetVersion(), encrypted=True, tries=2)
     except KeyRejected as error:
-        return Finding(
-            Stage.KEY,
-            Verdict.DOUBTFUL,
+        return Stage.KEY.doubtful(
             "an encrypted version query got no usable answer, a plain one did",
             (
                 "the key is not the one that is registered for this app id",
@@ -242,7 +224,7 @@ async def _key(aircraft: Aircraft, credentials: Credentials | None) -> Finding:
             ),
             error=error,
         )
-    return Finding(Stage.KEY, Verdict.GOOD, "it reads what is encrypted with it")
+    return Stage.KEY.good("it reads what is encrypted with it")
 
 
 def _mode_switch(aircraft: Aircraft) -> Finding:
@@ -256,10 +238,8 @@ def _mode_switch(aircraft: Aircraft) -> Finding:
             ("set it in the PC assistant",),
         )
     if rc.is_in_f:
-        return Finding(Stage.MODE_SWITCH, Verdict.GOOD, "F", details={"mode": rc.mode})
-    return Finding(
-        Stage.MODE_SWITCH,
-        Verdict.FAILED,
+        return Stage.MODE_SWITCH.good("F", details={"mode": rc.mode})
+    return Stage.MODE_SWITCH.failed(
         f"it is in {rc.mode_switch.name}, where nobody but the pilot flies",
         (f"the mode switch of the remote control stands in {rc.mode_switch.name}",),
         (f"put it to {RcMode.F.name}",),
@@ -288,7 +268,7 @@ async def _authority(
         return _refused(aircraft, error)
     except (AuthorityError, KeyRejected, NotActivated) as error:
         return failed(Stage.AUTHORITY, error)
-    return Finding(Stage.AUTHORITY, Verdict.GOOD, "obtained, and given back at once")
+    return Stage.AUTHORITY.good("obtained, and given back at once")
 
 
 def _refused(aircraft: Aircraft, error: AuthorityRefused) -> Finding:
@@ -298,18 +278,14 @@ def _refused(aircraft: Aircraft, error: AuthorityRefused) -> Finding:
         return failed(Stage.AUTHORITY, error)
     holder = aircraft.state.fresh(ControlDevice, within=2.0)
     if holder is not None and holder.device is Device.APP:
-        return Finding(
-            Stage.AUTHORITY,
-            Verdict.FAILED,
+        return Stage.AUTHORITY.failed(
             f"{error.seen}; the mobile app controls the aircraft",
             ("the mobile app holds control",),
             ("let the mobile app release control, and run this again",),
             {"code": error.code},
             error,
         )
-    return Finding(
-        Stage.AUTHORITY,
-        Verdict.FAILED,
+    return Stage.AUTHORITY.failed(
         f"{error.seen}; the switch is in F",
         (
             "API control is not enabled in the PC assistant",
@@ -328,4 +304,4 @@ def _refused(aircraft: Aircraft, error: AuthorityRefused) -> Finding:
 
 
 def _not_asked(why: str, *, may_be: bool = False) -> Finding:
-    return Finding(Stage.AUTHORITY, Verdict.SKIPPED, why, details={"may_be_tried": may_be})
+    return Stage.AUTHORITY.skipped(why, details={"may_be_tried": may_be})

@@ -9,13 +9,12 @@ from typing import Any
 
 from m100link.errors import M100Error
 
+Lines = tuple[str, ...]
+Details = Mapping[str, Any]
+
 
 class Stage(Enum):
-    """What has to be right, in the order in which it is looked at.
-
-    Attributes:
-        title: What is asked, for people.
-    """
+    """What has to be right, in the order in which it is looked at."""
 
     PORT = "the port exists"
     PERMISSION = "it may be opened"
@@ -38,6 +37,36 @@ class Stage(Enum):
         """What is asked, for people."""
         return self.value
 
+    def good(self, seen: str, details: Details | None = None) -> Finding:
+        """It is as it has to be."""
+        return Finding(self, Verdict.GOOD, seen, details=details or {})
+
+    def skipped(self, why: str, details: Details | None = None) -> Finding:
+        """It was not looked at."""
+        return Finding(self, Verdict.SKIPPED, why, details=details or {})
+
+    def doubtful(
+        self,
+        seen: str,
+        causes: Lines = (),
+        commands: Lines = (),
+        details: Details | None = None,
+        error: M100Error | None = None,
+    ) -> Finding:
+        """It works, and may be the cause of something else."""
+        return Finding(self, Verdict.DOUBTFUL, seen, causes, commands, details or {}, error)
+
+    def failed(
+        self,
+        seen: str,
+        causes: Lines = (),
+        commands: Lines = (),
+        details: Details | None = None,
+        error: M100Error | None = None,
+    ) -> Finding:
+        """Nothing behind it can work."""
+        return Finding(self, Verdict.FAILED, seen, causes, commands, details or {}, error)
+
 
 class Verdict(StrEnum):
     """What became of a stage."""
@@ -58,10 +87,10 @@ class Finding:
     stage: Stage  #: which
     verdict: Verdict  #: what became of it
     seen: str  #: what was observed, in one sentence
-    causes: tuple[str, ...] = ()  #: what it may come from, the likeliest first
-    commands: tuple[str, ...] = ()  #: what to run or do, in this order
+    causes: Lines = ()  #: what it may come from, the likeliest first
+    commands: Lines = ()  #: what to run or do, in this order
     #: Numbers and names behind it, for programs.
-    details: Mapping[str, Any] = field(default_factory=dict)
+    details: Details = field(default_factory=dict)
     error: M100Error | None = None  #: the typed error that a program would get, if one was raised
 
     def to_json(self) -> dict[str, Any]:

@@ -56,7 +56,7 @@ async def look_at_line(address: ConnectionString) -> tuple[Finding, ...]:
         raise
     except M100Error as error:
         return (failed(Stage.OPENING, error),)
-    opened = Finding(Stage.OPENING, Verdict.GOOD, str(address))
+    opened = Stage.OPENING.good(str(address))
     try:
         heard = await _listen(ear)
         was_lost = ear.is_lost  # by the other side: closing it here comes next
@@ -66,9 +66,7 @@ async def look_at_line(address: ConnectionString) -> tuple[Finding, ...]:
         return (opened, _went_away(address, ear))
     if not heard.data:
         return (opened, _silence(address))
-    arrived = Finding(
-        Stage.BYTES,
-        Verdict.GOOD,
+    arrived = Stage.BYTES.good(
         f"{len(heard.data)} bytes in {LISTEN_S + 2 * ANSWER_S:g} s",
         details={"bytes": len(heard.data)},
     )
@@ -95,9 +93,7 @@ def _went_away(address: ConnectionString, ear: Ear) -> Finding:
     after = f" after {len(ear.data)} bytes" if ear.data else " at once"
     why = f": {ear.lost}" if ear.lost is not None else ""
     if address.scheme != "serial":
-        return Finding(
-            Stage.BYTES,
-            Verdict.FAILED,
+        return Stage.BYTES.failed(
             f"the other end closed the connection{after}{why}",
             (
                 "the program that listens there has another client, and takes one only",
@@ -105,9 +101,7 @@ def _went_away(address: ConnectionString, ear: Ear) -> Finding:
             ),
             ("end the other client, or look at what that program says",),
         )
-    return Finding(
-        Stage.BYTES,
-        Verdict.FAILED,
+    return Stage.BYTES.failed(
         f"the port went away while it was listened to{after}{why}",
         ("the adapter was unplugged, lost power, or its cable has a bad contact",),
         ("plug it in again and look: dmesg | tail",),
@@ -116,9 +110,7 @@ def _went_away(address: ConnectionString, ear: Ear) -> Finding:
 
 def _silence(address: ConnectionString) -> Finding:
     if address.scheme == "tcp":
-        return Finding(
-            Stage.BYTES,
-            Verdict.FAILED,
+        return Stage.BYTES.failed(
             "it is open, and not one byte comes",
             (
                 "the program that listens there has no aircraft",
@@ -126,9 +118,7 @@ def _silence(address: ConnectionString) -> Finding:
             ),
             ("run m100link doctor on the computer that the cable is plugged into",),
         )
-    return Finding(
-        Stage.BYTES,
-        Verdict.FAILED,
+    return Stage.BYTES.failed(
         f"not one byte in {LISTEN_S + 2 * ANSWER_S:g} s, and no answer to two version queries",
         (
             "TX and RX are swapped",
@@ -157,9 +147,7 @@ def _is_echo(heard: Heard) -> bool:
 
 
 def _echo(heard: Heard) -> Finding:
-    return Finding(
-        Stage.FRAMES,
-        Verdict.FAILED,
+    return Stage.FRAMES.failed(
         "what was sent comes back, and nothing else",
         (
             (
@@ -188,9 +176,7 @@ async def _no_frames(address: ConnectionString, heard: Heard) -> Finding:
         )
     likeness = heard.likeness()
     if likeness is not None:
-        return Finding(
-            Stage.FRAMES,
-            Verdict.FAILED,
+        return Stage.FRAMES.failed(
             f"{seen}: {likeness.seen}",
             likeness.causes,
             likeness.commands,
@@ -204,18 +190,14 @@ async def _no_frames(address: ConnectionString, heard: Heard) -> Finding:
         details["rates_tried"] = [rate for rate in RATES if rate != address.number]
         if found is not None:
             place = f"{address.target}:{found}"
-            return Finding(
-                Stage.FRAMES,
-                Verdict.FAILED,
+            return Stage.FRAMES.failed(
                 f"{seen} at {address.number} baud; at {found} baud they are frames",
                 (f"the aircraft is set to {found} baud in the PC assistant",),
                 (f"m100link doctor {place}", f"or set {address.number} baud in the PC assistant"),
                 {**details, "rate_found": found},
             )
         seen += f" at {address.number} baud, nor at any other usual rate"
-    return Finding(
-        Stage.FRAMES,
-        Verdict.FAILED,
+    return Stage.FRAMES.failed(
         seen,
         (
             "noise: no common ground, wires along a motor cable, 5 V levels on a 3.3 V port",
@@ -231,9 +213,7 @@ async def _no_frames(address: ConnectionString, heard: Heard) -> Finding:
 
 
 def _picked_up(seen: str, heard: Heard) -> Finding:
-    return Finding(
-        Stage.FRAMES,
-        Verdict.FAILED,
+    return Stage.FRAMES.failed(
         f"{seen}: an aircraft sends far more",
         (
             (
@@ -276,10 +256,8 @@ def _frames(heard: Heard) -> Finding:
     # A port that is opened in the middle of a frame has a piece of it at the beginning.
     few = damaged <= max(_MOST_PIECES, _NOISE_SHARE * good)
     if few and heard.damaged_share <= _DISCARDED_SHARE:
-        return Finding(Stage.FRAMES, Verdict.GOOD, seen, details=heard.details())
-    return Finding(
-        Stage.FRAMES,
-        Verdict.DOUBTFUL,
+        return Stage.FRAMES.good(seen, details=heard.details())
+    return Stage.FRAMES.doubtful(
         f"{seen}, and {damaged} damaged ones; {heard.discarded_bytes} of {len(heard.data)} bytes "
         "are part of no frame",
         (
@@ -298,16 +276,12 @@ def _frames(heard: Heard) -> Finding:
 def _telemetry(heard: Heard) -> Finding:
     count = heard.count(_TELEMETRY)
     if count:
-        return Finding(
-            Stage.TELEMETRY,
-            Verdict.GOOD,
+        return Stage.TELEMETRY.good(
             f"{count} packages of telemetry",
             details={"packages": count},
         )
     if not any(one.is_ack for one in heard.frames):
-        return Finding(
-            Stage.TELEMETRY,
-            Verdict.DOUBTFUL,
+        return Stage.TELEMETRY.doubtful(
             f"{len(heard.frames)} frames, and among them neither telemetry nor an answer",
             (
                 "RX is joined to the TX of another computer, not to the aircraft's",
@@ -315,9 +289,7 @@ def _telemetry(heard: Heard) -> Finding:
             ),
             ("follow the wire from RX to the aircraft's TX",),
         )
-    return Finding(
-        Stage.TELEMETRY,
-        Verdict.DOUBTFUL,
+    return Stage.TELEMETRY.doubtful(
         "answers come, and no telemetry",
         ("all telemetry rates are 0 in the PC assistant",),
         ("set them in the PC assistant; with firmware 3.1: m100link rates PORT attitude=50",),

@@ -18,9 +18,7 @@ MOST_LATENCY_MS: Final = 4
 
 def failed(stage: Stage, error: M100Error, *commands: str) -> Finding:
     """A stage at which a typed error came up: its cause, and its remedy before the commands."""
-    return Finding(
-        stage,
-        Verdict.FAILED,
+    return stage.failed(
         error.seen,
         (error.cause,) if error.cause else (),
         tuple(filter(None, (error.remedy, *commands))),
@@ -42,9 +40,7 @@ def _exists(device: str, machine: Machine) -> Finding:
     try:
         is_terminal = machine.is_terminal_device(path)
     except PermissionError as error:
-        return Finding(
-            Stage.PORT,
-            Verdict.FAILED,
+        return Stage.PORT.failed(
             f"nobody can tell whether there is a device {device}: {error.strerror}",
             ("a folder on the way to it belongs to somebody else",),
             (f"ls -ld {machine.device(device).parent}", "m100link ports"),
@@ -54,18 +50,14 @@ def _exists(device: str, machine: Machine) -> Finding:
         causes = ["the adapter is not plugged in, or has another name"]
         if machine.is_container:
             causes.insert(0, f"this is a container, and it was not given: --device={device}")
-        return Finding(
-            Stage.PORT,
-            Verdict.FAILED,
+        return Stage.PORT.failed(
             f"there is no device {device}",
             tuple(causes),
             ("m100link ports", "plug it in, then: dmesg | tail"),
             {"ports": ports, "reason": error.strerror or ""},
         )
     if not is_terminal:
-        return Finding(
-            Stage.PORT,
-            Verdict.FAILED,
+        return Stage.PORT.failed(
             f"{device} is not a serial port",
             ("a file or a folder of that name",),
             ("m100link ports",),
@@ -78,7 +70,7 @@ def _exists(device: str, machine: Machine) -> Finding:
     if adapter.name or adapter.driver:
         seen += f": {adapter.name or adapter.driver}"
     details = {"device": path, "adapter": adapter.name, "driver": adapter.driver}
-    return Finding(Stage.PORT, Verdict.GOOD, seen, details={**details, "stable_names": list(names)})
+    return Stage.PORT.good(seen, details={**details, "stable_names": list(names)})
 
 
 def _permission(device: str, machine: Machine) -> Finding:
@@ -86,10 +78,10 @@ def _permission(device: str, machine: Machine) -> Finding:
     try:
         permission = machine.permission(path)
     except OSError as error:
-        return Finding(Stage.PERMISSION, Verdict.FAILED, f"{device} went away: {error.strerror}")
+        return Stage.PERMISSION.failed(f"{device} went away: {error.strerror}")
     details = {"mode": permission.mode, "owner": permission.owner, "group": permission.group}
     if permission.is_granted:
-        return Finding(Stage.PERMISSION, Verdict.GOOD, str(permission), details=details)
+        return Stage.PERMISSION.good(str(permission), details=details)
     if permission.is_member:
         cause = f"you were added to the group {permission.group} after you logged in"
         commands = ("log out and in again", f"at once, in this shell: newgrp {permission.group}")
@@ -99,9 +91,7 @@ def _permission(device: str, machine: Machine) -> Finding:
     else:
         cause = f"you are not in the group {permission.group}"
         commands = (f"sudo usermod -aG {permission.group} $USER", "log out and in again")
-    return Finding(
-        Stage.PERMISSION,
-        Verdict.FAILED,
+    return Stage.PERMISSION.failed(
         f"you may not read and write {device}: {permission}",
         (cause,),
         commands,
@@ -112,11 +102,9 @@ def _permission(device: str, machine: Machine) -> Finding:
 def _owner(device: str, machine: Machine) -> Finding:
     holders = machine.holders(device)
     if not holders:
-        return Finding(Stage.OWNER, Verdict.GOOD, "no other program has it open")
+        return Stage.OWNER.good("no other program has it open")
     names = ", ".join(map(str, holders))
-    return Finding(
-        Stage.OWNER,
-        Verdict.FAILED,
+    return Stage.OWNER.failed(
         f"in use by {names}",
         ("two programs on one port each get half of the bytes",),
         (
@@ -131,44 +119,36 @@ def _interference(device: str, machine: Machine) -> Finding:
     name = machine.device(device).name
     logins = machine.login_programs(device)
     if logins:
-        return Finding(
-            Stage.INTERFERENCE,
-            Verdict.FAILED,
+        return Stage.INTERFERENCE.failed(
             f"a login prompt runs on it: {', '.join(map(str, logins))}",
             ("the system offers a console on this port and answers what the aircraft says",),
             (f"sudo systemctl disable --now serial-getty@{name}.service",),
         )
     if machine.is_kernel_console(device):
-        return Finding(
-            Stage.INTERFERENCE,
-            Verdict.FAILED,
+        return Stage.INTERFERENCE.failed(
             "the kernel writes its messages to it",
             (f"console={name} is on the kernel's command line",),
             ("remove it there (Raspberry Pi: cmdline.txt), then restart the computer",),
         )
     manager = machine.modem_manager()
     if manager is not None and machine.adapter(device).is_usb and not machine.is_left_alone(device):
-        return Finding(
-            Stage.INTERFERENCE,
-            Verdict.DOUBTFUL,
+        return Stage.INTERFERENCE.doubtful(
             f"{manager} speaks to new serial ports, and no rule keeps it away from this one",
             ("it may send AT commands to the aircraft in the first half minute after plugging in",),
             ("m100link udev --install",),
         )
-    return Finding(Stage.INTERFERENCE, Verdict.GOOD, "nothing of the system talks on it")
+    return Stage.INTERFERENCE.good("nothing of the system talks on it")
 
 
 def look_at_latency(device: str, machine: Machine) -> Finding:
     """How long the adapter keeps bytes back."""
     latency = machine.adapter(device).latency_ms
     if latency is None:
-        return Finding(Stage.LATENCY, Verdict.GOOD, "it has no timer that keeps bytes back")
+        return Stage.LATENCY.good("it has no timer that keeps bytes back")
     if latency <= MOST_LATENCY_MS:
-        return Finding(Stage.LATENCY, Verdict.GOOD, f"latency timer {latency} ms")
+        return Stage.LATENCY.good(f"latency timer {latency} ms")
     name = machine.device(device).name
-    return Finding(
-        Stage.LATENCY,
-        Verdict.DOUBTFUL,
+    return Stage.LATENCY.doubtful(
         f"latency timer {latency} ms: each ack and each package is late by up to that",
         ("an FTDI adapter as it comes",),
         (
