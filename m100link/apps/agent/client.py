@@ -564,11 +564,7 @@ class OwnLoop:
         self._loop = asyncio.get_running_loop()
 
     def require(self) -> None:
-        """Refuse what comes from elsewhere.
-
-        Raises:
-            UsageError: Another event loop runs here, or this one elsewhere or nowhere.
-        """
+        """Raise UsageError where another event loop runs, or this one elsewhere or nowhere."""
         require_loop(self._loop, "the loop in which the client was made")
 
     def open(self, on_message: Callable[[Message], None], on_closed: Callable[[str], None]) -> None:

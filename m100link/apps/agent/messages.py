@@ -22,13 +22,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-from m100link.apps.agent.guided import (
-    ChangeHeading,
-    ChangeHeight,
-    FlyAround,
-    FlyTo,
-    GuidedFlight,
-)
+from m100link.apps.agent.guided import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedFlight
 from m100link.apps.agent.lease import Flown, LeaseChange
 from m100link.apps.agent.remote_error import Fault
 from m100link.protocol.setpoint import Setpoint

@@ -244,10 +244,7 @@ class Queue:
 
 
 class Ring(Inbox[T]):
-    """A channel of zenoh's with room for ``depth``, and what is made of each thing in it.
-
-    ``depth``: how many are taken at most.
-    """
+    """A channel of zenoh's with room for ``depth``, and what is made of each thing in it."""
 
     def __init__(
         self, declared: Any, make: Callable[[Any], T], depth: int, ended: type[Exception]
@@ -332,10 +329,7 @@ class Patient(Outlet):
 
 
 class Looks(Held):
-    """Takes what a ring has, again and again, until it is closed.
-
-    ``within``: seconds between two looks.
-    """
+    """Takes what a ring has, every ``within`` seconds, until it is closed."""
 
     def __init__(
         self, declared: Held, ring: Inbox[T], take: Callable[[T], None], within: float

@@ -132,9 +132,7 @@ class ZenohBus:
     """A session of zenoh.
 
     It is a :class:`m100link.apps.bus.network.Bus` and a
-    :class:`m100link.apps.bus.network.PolledBus`.
-
-    ``largest``: bytes of the longest payload that is read.
+    :class:`m100link.apps.bus.network.PolledBus`, and reads payloads of up to ``largest`` bytes.
     """
 
     def __init__(self, session: zenoh.Session, largest: int = LARGEST) -> None:
@@ -154,11 +152,7 @@ class ZenohBus:
     # -- what goes out ---------------------------------------------------------------------------
 
     def publish(self, key: str, *, kept: int = 0, within: float = 0.0) -> Outlet:
-        """Offer messages under a key.
-
-        Raises:
-            UsageError: They are to be kept, and this session cannot.
-        """
+        """Offer messages under a key; UsageError where they are kept, and this session cannot."""
         import zenoh
 
         drop = zenoh.CongestionControl.DROP

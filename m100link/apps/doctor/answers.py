@@ -107,10 +107,7 @@ def _no_answer(error: NoAircraft) -> Finding:
 def _fell_silent(stage: Stage, error: M100Error) -> Finding:
     return stage.failed(
         f"the aircraft has fallen silent while it was looked at: {error.seen}",
-        (
-            "it was switched off, or restarts",
-            "a wire or plug with a bad contact",
-        ),
+        ("it was switched off, or restarts", "a wire or plug with a bad contact"),
         ("check its power, the plugs and the cable, and run this again",),
         error=error,
     )
@@ -180,8 +177,7 @@ def _firmware(aircraft: Aircraft, version: Version, *, is_forced: bool) -> Findi
             details,
         )
     return Stage.FIRMWARE.good(
-        f"{profile.name}{' (forced)' if is_forced else ''}: {profile.summary}",
-        details=details,
+        f"{profile.name}{' (forced)' if is_forced else ''}: {profile.summary}", details=details
     )
 
 

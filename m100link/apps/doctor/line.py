@@ -276,10 +276,7 @@ def _frames(heard: Heard) -> Finding:
 def _telemetry(heard: Heard) -> Finding:
     count = heard.count(_TELEMETRY)
     if count:
-        return Stage.TELEMETRY.good(
-            f"{count} packages of telemetry",
-            details={"packages": count},
-        )
+        return Stage.TELEMETRY.good(f"{count} packages of telemetry", details={"packages": count})
     if not any(one.is_ack for one in heard.frames):
         return Stage.TELEMETRY.doubtful(
             f"{len(heard.frames)} frames, and among them neither telemetry nor an answer",

@@ -92,10 +92,7 @@ def _permission(device: str, machine: Machine) -> Finding:
         cause = f"you are not in the group {permission.group}"
         commands = (f"sudo usermod -aG {permission.group} $USER", "log out and in again")
     return Stage.PERMISSION.failed(
-        f"you may not read and write {device}: {permission}",
-        (cause,),
-        commands,
-        details,
+        f"you may not read and write {device}: {permission}", (cause,), commands, details
     )
 
 

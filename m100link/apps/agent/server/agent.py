@@ -467,6 +467,7 @@ class Agent:
         Raises:
             LeaseRefused: The token is not in force.
             NoAuthority: Control authority is not held.
+            MissionRunning: A mission flies.
         """
         self._renewed(token)
         self.holding.require().start_pattern(name, fly)

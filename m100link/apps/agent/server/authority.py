@@ -93,9 +93,7 @@ _WAITING: dict[HoldingInput, HoldingState] = {
 }
 
 TRANSITIONS: dict[HoldingState, dict[HoldingInput, HoldingState]] = {
-    _S.NONE: {
-        _I.ASKED: _S.OBTAINING,
-    },
+    _S.NONE: {_I.ASKED: _S.OBTAINING},
     _S.OBTAINING: dict.fromkeys(_LOST, _S.NONE)  # the client that waits is told, and asks anew
     | {
         _I.OBTAINED: _S.HELD,
@@ -103,18 +101,9 @@ TRANSITIONS: dict[HoldingState, dict[HoldingInput, HoldingState]] = {
         _I.LET_GO: _S.RELEASING,
         _I.TAKEN_OVER: _S.RELEASING,  # another client asked for it; the new one has not
     },
-    _S.HELD: _LOST
-    | {
-        _I.LET_GO: _S.RELEASING,
-    },
-    _S.TAKEN: _WAITING
-    | {
-        _I.LEFT_F: _S.PAUSED,
-    },
-    _S.PAUSED: _WAITING
-    | {
-        _I.IN_F: _S.RESUMING,
-    },
+    _S.HELD: _LOST | {_I.LET_GO: _S.RELEASING},
+    _S.TAKEN: _WAITING | {_I.LEFT_F: _S.PAUSED},
+    _S.PAUSED: _WAITING | {_I.IN_F: _S.RESUMING},
     _S.RESUMING: _LOST
     | {
         _I.ASKED: _S.OBTAINING,  # the request under way is now this client's
@@ -123,10 +112,7 @@ TRANSITIONS: dict[HoldingState, dict[HoldingInput, HoldingState]] = {
         _I.LET_GO: _S.RELEASING,
         _I.TAKEN_OVER: _S.RELEASING,  # the pilot came back for another client
     },
-    _S.RELEASING: dict.fromkeys(_LOST, _S.NONE)
-    | {
-        _I.REFUSED: _S.NONE,
-    },
+    _S.RELEASING: dict.fromkeys(_LOST, _S.NONE) | {_I.REFUSED: _S.NONE},
 }
 """State, input, next state."""
 
@@ -227,9 +213,7 @@ class Holding:
     async def obtain(self, aircraft: Aircraft) -> None:
         """Obtain authority; done when it is held. Asked for twice, it is requested once.
 
-        Raises:
-            AuthorityRefused, NotActivated, LinkError, AckTimeout: See each class.
-            NoAuthority: It was given back before it was obtained.
+        NoAuthority says that it was given back before it was obtained.
         """
         await self.settle()
         self.feed(HoldingInput.ASKED)
@@ -436,16 +420,10 @@ class Activation:
             aircraft.use_key(self._credentials)
 
     async def activate(self, aircraft: Aircraft) -> Version:
-        """Activate the aircraft.
-
-        Raises:
-            UsageError: There are no credentials.
-            ActivationRefused, AckTimeout, LinkError: See each class.
-        """
+        """Activate the aircraft."""
         if self._credentials is None:
             raise UsageError(
-                "this station has no app id and key",
-                remedy="start it with --app-id and --key-file",
+                "this station has no app id and key", remedy="start it with --app-id and --key-file"
             )
         self._journal.note("activating")
         try:

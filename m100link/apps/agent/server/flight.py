@@ -112,9 +112,6 @@ class Flying:
         """Fly this setpoint until it is renewed or its lifetime ends. Ends a program.
 
         Letting go of a stick is not steering: a neutral setpoint leaves a program alone.
-
-        Raises:
-            NoAuthority, GuardRefused, UsageError: See :meth:`m100link.Control.send`.
         """
         if self._pattern is not None or self.guiding.order is not None or self.mission.is_flying:
             if setpoint == setpoint.neutral():
@@ -152,11 +149,7 @@ class Flying:
     # -- tasks -----------------------------------------------------------------------------------
 
     async def fly(self, task: Task, accepted: Callable[[], None] = ignore) -> None:
-        """Take off, land or go home; done when seen to be done.
-
-        Raises:
-            NoAuthority, TaskRefused, TaskFailed, NotObserved, AckTimeout: See each class.
-        """
+        """Take off, land or go home; done when seen to be done."""
         name = task.name.lower().replace("_", " ")
         if self.task is not None:
             raise TaskRefused(
@@ -200,11 +193,7 @@ class Flying:
             self._journal.note(outcome, level)
 
     async def switch_motors(self, *, on: bool) -> None:
-        """Start or stop the motors on the ground; ends a program.
-
-        Raises:
-            NoAuthority, GuardRefused, TaskRefused, TelemetryStalled, AckTimeout: See each class.
-        """
+        """Start or stop the motors on the ground; ends a program."""
         name = "arm" if on else "disarm"
         self._end_program(f"{name} was asked for")
         self._last = None
@@ -214,11 +203,7 @@ class Flying:
     # -- programs --------------------------------------------------------------------------------
 
     def start_pattern(self, name: str, fly: Pattern) -> None:
-        """Let a program fly, until it ends, the stick is moved, or anything stops it.
-
-        Raises:
-            MissionRunning: A mission flies.
-        """
+        """Let a program fly, until it ends, the stick is moved, or anything stops it."""
         self.mission.require_none(name)
         self._end_program("another one begins")
         self._pattern = (name, self._background.spawn(self._run_pattern(name, fly), name))
@@ -249,18 +234,11 @@ class Flying:
     # -- guided flights --------------------------------------------------------------------------
 
     async def guide(self, order: GuidedOrder, accepted: Callable[[], None] = ignore) -> None:
-        """Fly to where somebody points; done when it is there. Ends a program; the newest one wins.
-
-        Raises:
-            MissionRunning, TaskRefused: A mission or a task flies the aircraft.
-            NotObserved, GuardRefused, NoAuthority, TelemetryStalled, UsageError: See
-                :meth:`m100link.Control.fly_to`.
-        """
+        """Fly to where somebody points; done when it is there. Ends a program; the newest wins."""
         name = name_of(order)
         if self.task is not None:
             raise TaskRefused(
-                f"a {name} was asked for during {self.task}",
-                remedy="wait for its end, or stop it",
+                f"a {name} was asked for during {self.task}", remedy="wait for its end, or stop it"
             )
         self.mission.require_none(f"a {name}")
         self._end_program(f"a {name} was asked for")
@@ -274,9 +252,8 @@ class Flying:
     ) -> None:
         """Upload a plan and let the aircraft fly it; done when it has begun. Ends a program.
 
-        With ``begun``, which is called when it has begun, this is done when the mission is over.
-
-        Raises: as :meth:`m100link.Control.waypoint_mission`; with ``begun`` what ended it, too.
+        With ``begun``, which is called when it has begun, this is done when the mission is over,
+        and raises what ended it.
         """
         self._end_program("a mission was asked for")
         self._last = None
@@ -286,10 +263,7 @@ class Flying:
             await asyncio.shield(over)
 
     async def start_hotpoint(self, request: HotpointStart) -> None:
-        """Let the aircraft fly around a place; done when it has begun. Ends a program.
-
-        Raises: as :meth:`m100link.Control.hotpoint`.
-        """
+        """Let the aircraft fly around a place; done when it has begun. Ends a program."""
         self._end_program("a hotpoint was asked for")
         self._last = None
         await self.mission.circle(request)
@@ -321,11 +295,7 @@ class Flying:
     # -- the end ---------------------------------------------------------------------------------
 
     async def end(self, *, is_lost: bool = False) -> str:
-        """Control ends: so does what was using it.
-
-        Returns:
-            What the mission is called that a loss of control broke off; empty for none.
-        """
+        """Control ends: so does what was using it. Returns the mission that a loss broke off."""
         self._is_ended = True
         broken_off = ""
         if is_lost:
@@ -394,13 +364,7 @@ class Guiding:
         return None if self._flight is None else self._flight.order
 
     async def fly(self, order: GuidedOrder, accepted: Callable[[], None]) -> None:
-        """Fly there; done when it is there. What flew before ends.
-
-        Raises:
-            NotObserved: Something else ended it, or it did not arrive in time.
-            GuardRefused, NoAuthority, TelemetryStalled, UsageError: See
-                :meth:`m100link.Control.fly_to`.
-        """
+        """Fly there; done when it is there. What flew before ends."""
         self.end("another place was pointed at")
         flight = self._flight = _Flight(order, accepted)
         work = flight.work = self._background.spawn(self._run(flight), name_of(order))

@@ -58,12 +58,7 @@ class StagedPlan:
         self._mission, self._points, self.plan = mission, {}, None
 
     def add(self, point: WaypointPoint) -> None:
-        """One of its points. The last one that is missing makes it whole.
-
-        Raises:
-            UsageError: No plan was begun, or it has no such point.
-            BadPlan: The whole cannot be flown: point, value, limit.
-        """
+        """One of its points. The last one that is missing makes it whole, or raises BadPlan."""
         mission = self._mission
         if mission is None:
             raise UsageError("a waypoint came before the plan that it belongs to")
@@ -123,10 +118,7 @@ class FlyingMission:
     async def start(self, plan: WaypointPlan, *, take_off: bool = False) -> asyncio.Future[None]:
         """Upload a plan and let it fly; done when the aircraft has begun.
 
-        Returns:
-            Its end: done when all of it was flown, or with the error that ended it before.
-
-        Raises: as :meth:`m100link.Control.waypoint_mission`.
+        Returns its end: done when all of it was flown, or with the error that ended it before.
         """
         self.require_none("a waypoint mission")
         flight = self._control.waypoint_mission(plan, take_off=take_off)
@@ -134,10 +126,7 @@ class FlyingMission:
         return await self._begin(flight, f"mission of {len(plan.waypoints)} waypoints")
 
     async def circle(self, request: HotpointStart) -> None:
-        """Let it fly around a place; done when the aircraft has begun.
-
-        Raises: as :meth:`m100link.Control.hotpoint`.
-        """
+        """Let it fly around a place; done when the aircraft has begun."""
         self.require_none("a hotpoint")
         for problem in request.problems():
             raise problem.error(request.NAME)
@@ -292,11 +281,7 @@ def push_of(event: MissionEvent) -> tuple[int, bytes] | None:
 
 
 def read_command(kind: type[C], value: bytes) -> C:
-    """A command of a front, which may have been written by anybody.
-
-    Raises:
-        MessageError: It is not one.
-    """
+    """A command of a front, which may have been written by anybody; else a MessageError."""
     try:
         return kind.parse(value, FIRMWARE_3_1)
     except ValueError as error:

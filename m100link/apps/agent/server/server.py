@@ -521,11 +521,7 @@ def _line(text: str) -> str:
 Result = tuple[str, int]
 """Text and number of an outcome."""
 
-_TASKS = {
-    Action.TAKE_OFF: Task.TAKE_OFF,
-    Action.LAND: Task.LAND,
-    Action.GO_HOME: Task.GO_HOME,
-}
+_TASKS = {Action.TAKE_OFF: Task.TAKE_OFF, Action.LAND: Task.LAND, Action.GO_HOME: Task.GO_HOME}
 
 
 class Orders:
@@ -599,11 +595,7 @@ class Orders:
         )
 
     def _plan_of(self, ask: Ask) -> StagedPlan:
-        """The plan that came under this lease: nobody flies what somebody else left.
-
-        Raises:
-            UsageError: It came under another one.
-        """
+        """The plan that came under this lease: nobody flies what somebody else left."""
         if self._staged_under != ask.fence:
             raise UsageError(
                 "no plan was uploaded under this lease", remedy="upload it again, then start"
