@@ -2,17 +2,41 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncGenerator, Callable
 from contextlib import aclosing
+from dataclasses import replace
 
-from m100link.apps.doctor.answers import look_at_aircraft
-from m100link.apps.doctor.findings import Finding, Report, Verdict
+from m100link.aircraft import Aircraft, connect
+from m100link.apps.doctor.findings import Finding, Report, Stage, Verdict
 from m100link.apps.doctor.line import look_at_line
 from m100link.apps.doctor.machine import Machine
-from m100link.apps.doctor.port import look_at_latency, look_at_port
+from m100link.apps.doctor.port import failed, look_at_latency, look_at_port
+from m100link.errors import (
+    AckTimeout,
+    AuthorityError,
+    AuthorityRefused,
+    CommandRefused,
+    KeyRejected,
+    LinkError,
+    M100Error,
+    NoAircraft,
+    NotActivated,
+    UsageError,
+)
 from m100link.link.url import ConnectionString, parse_url
-from m100link.protocol.commands.activation import Credentials
-from m100link.protocol.firmware import FirmwareProfile
+from m100link.protocol.codes import AuthorityCode
+from m100link.protocol.commands.activation import Credentials, GetVersion, Version
+from m100link.protocol.firmware import PROFILES, FirmwareProfile
+from m100link.protocol.items import BY_RECORD
+from m100link.protocol.records import (
+    ControlDevice,
+    Device,
+    FlightPhase,
+    FlightStatus,
+    RcMode,
+    RemoteControl,
+)
 
 
 def ignore(_: Finding) -> None:
@@ -91,3 +115,275 @@ async def _stages(
     async with aclosing(talk):
         async for finding in talk:
             yield finding
+
+
+# -- the stages at which the aircraft is spoken to: version, activation, key, switch, authority ----
+
+
+TELEMETRY_S = 1.1
+"""Seconds in which an item at 1 Hz, the slowest rate, comes."""
+
+_MANY_MISMATCHES = 3
+_NOT_IN_F = (AuthorityCode.NOT_IN_F, AuthorityCode.NOT_CHANGED)
+
+
+async def look_at_aircraft(
+    url: str,
+    *,
+    baud_rate: int | None,
+    firmware: str | FirmwareProfile | None,
+    credentials: Credentials | None,
+    authority: bool,
+) -> AsyncGenerator[Finding, None]:
+    """Connect and ask, stage by stage; to be closed at the first failure.
+
+    Raises:
+        UsageError: What was asked for cannot be: that is no matter of the aircraft.
+    """
+    try:
+        aircraft = await connect(url, firmware=firmware, baud_rate=baud_rate)
+    except UsageError:
+        raise
+    except NoAircraft as error:
+        yield _no_answer(error) if error.frames_received else _fell_silent(Stage.VERSION, error)
+        return
+    except M100Error as error:
+        yield failed(Stage.VERSION, error)
+        return
+    stage = Stage.VERSION
+    try:
+        await asyncio.sleep(TELEMETRY_S)
+        version = await aircraft.version()
+        yield _version(version)
+        yield _firmware(aircraft, version, is_forced=firmware is not None)
+        stage = Stage.ACTIVATION
+        yield await _activation(aircraft, version, credentials)
+        stage = Stage.KEY
+        yield await _key(aircraft, credentials)
+        yield _mode_switch(aircraft)
+        stage = Stage.AUTHORITY
+        yield await _authority(aircraft, credentials, authority=authority)
+    except LinkError as error:
+        yield failed(stage, error, "dmesg | tail")
+    except AckTimeout as error:
+        yield await _unanswered(stage, aircraft, error)
+    except M100Error as error:
+        yield failed(stage, error, "m100link info PORT shows the counters of the line")
+    finally:
+        await aircraft.aclose()
+
+
+def _no_answer(error: NoAircraft) -> Finding:
+    return Stage.VERSION.failed(
+        error.seen,
+        (
+            "the wire from our TX to the aircraft's RX carries nothing: it hears no question",
+            "another computer on the second UART_CAN2 socket, where only one may talk",
+            "an aircraft that does not speak this protocol: A3, N3 and later ones",
+        ),
+        (
+            "check that wire, from the adapter's TX to the aircraft's RX",
+            "unplug what is on the other UART_CAN2 socket",
+        ),
+        {"bytes": error.bytes_received, "frames": error.frames_received},
+        error,
+    )
+
+
+def _fell_silent(stage: Stage, error: M100Error) -> Finding:
+    return stage.failed(
+        f"the aircraft has fallen silent while it was looked at: {error.seen}",
+        ("it was switched off, or restarts", "a wire or plug with a bad contact"),
+        ("check its power, the plugs and the cable, and run this again",),
+        error=error,
+    )
+
+
+async def _unanswered(stage: Stage, aircraft: Aircraft, error: AckTimeout) -> Finding:
+    """The aircraft was heard before, and a request of this program has no answer."""
+    before = aircraft.statistics().bytes_received
+    await asyncio.sleep(TELEMETRY_S)
+    counted = aircraft.statistics()
+    if counted.bytes_received == before:
+        return _fell_silent(stage, error)
+    return stage.failed(
+        f"{error.seen}; the aircraft is heard, and has answered {counted.acks} of "
+        f"{counted.acks + counted.expired} requests",
+        (
+            "frames are lost on the way: noise, a half-duplex radio, a bad contact",
+            "the answers take longer than this program waits: a slow radio or network",
+        ),
+        (
+            "check plugs and ground wire; lower the telemetry rates in the PC assistant",
+            "m100link info PORT shows the counters of the line",
+        ),
+        {"acks": counted.acks, "repeats": counted.repeats, "late_acks": counted.late_acks},
+        error,
+    )
+
+
+def _version(version: Version) -> Finding:
+    details = {"version": version.name, "crc_matches": version.crc_matches}
+    if version.crc_matches:
+        return Stage.VERSION.good(version.name, details=details)
+    return Stage.VERSION.doubtful(
+        f"{version.name!r}, whose own checksum is another",
+        ("a firmware that computes it in another way; nothing follows from it",),
+        details=details,
+    )
+
+
+def _firmware(aircraft: Aircraft, version: Version, *, is_forced: bool) -> Finding:
+    profile, mismatches = aircraft.firmware, aircraft.telemetry_mismatches
+    details = {"firmware": profile.name, "mismatches": mismatches, "forced": is_forced}
+    if mismatches >= _MANY_MISMATCHES:
+        causes = (
+            ("another firmware than the one that was forced",)
+            if is_forced
+            else ("a firmware whose version text is like that of another",)
+        )
+        return Stage.FIRMWARE.failed(
+            f"{mismatches} packages of telemetry do not fit firmware {profile.name}",
+            causes,
+            ("leave --firmware out",)
+            if is_forced
+            else tuple(
+                f"m100link doctor PORT --firmware {name}"
+                for name in PROFILES
+                if name != profile.name
+            ),
+            details,
+        )
+    if version.profile is None and not is_forced:
+        return Stage.FIRMWARE.doubtful(
+            f"the version {version.name!r} is not known: telemetry is read as {profile.name}, and "
+            "nothing is flown",
+            ("a firmware that nobody has tried with this library",),
+            (f"if you know that it fits: --firmware {profile.name}",),
+            details,
+        )
+    return Stage.FIRMWARE.good(
+        f"{profile.name}{' (forced)' if is_forced else ''}: {profile.summary}", details=details
+    )
+
+
+async def _activation(
+    aircraft: Aircraft, version: Version, credentials: Credentials | None
+) -> Finding:
+    if credentials is not None:
+        try:
+            await aircraft.activate(credentials, timeout=20.0)
+        except CommandRefused as error:
+            # Whose app it is belongs into no report.
+            found = failed(Stage.ACTIVATION, error)
+            return replace(found, seen=found.seen.replace(f" of app {credentials.app_id}", ""))
+        return Stage.ACTIVATION.good("for the app that was given")
+    if version.is_activated:
+        return Stage.ACTIVATION.good("for some app, by an earlier program")
+    return Stage.ACTIVATION.failed(
+        "it is not activated: telemetry comes, and no command is obeyed",
+        ("nobody activated it since it was switched on",),
+        ("m100link activate PORT --app-id ID --key-file FILE", "m100link docs activate"),
+    )
+
+
+async def _key(aircraft: Aircraft, credentials: Credentials | None) -> Finding:
+    """An encrypted version query: harmless, and answered by whoever can read it."""
+    if credentials is None:
+        return Stage.KEY.skipped("no app id and key were given")
+    try:
+        await aircraft.execute(GetVersion(), encrypted=True, tries=2)
+    except KeyRejected as error:
+        return Stage.KEY.doubtful(
+            "an encrypted version query got no usable answer, a plain one did",
+            (
+                "the key is not the one that is registered for this app id",
+                "a firmware that answers no version query that is encrypted",
+            ),
+            (
+                "compare the key file with the enc key of the app at developer.dji.com",
+                "for certainty: m100link doctor PORT --app-id ID --key-file FILE --authority",
+            ),
+            error=error,
+        )
+    return Stage.KEY.good("it reads what is encrypted with it")
+
+
+def _mode_switch(aircraft: Aircraft) -> Finding:
+    rc = aircraft.state.fresh(RemoteControl, within=1.0)
+    if rc is None:
+        return Finding(
+            Stage.MODE_SWITCH,
+            Verdict.SKIPPED,
+            f"{_item(RemoteControl)} does not arrive: nobody knows",
+            ("its telemetry rate is 0, or the remote control is off",),
+            ("set it in the PC assistant",),
+        )
+    if rc.is_in_f:
+        return Stage.MODE_SWITCH.good("F", details={"mode": rc.mode})
+    return Stage.MODE_SWITCH.failed(
+        f"it is in {rc.mode_switch.name}, where nobody but the pilot flies",
+        (f"the mode switch of the remote control stands in {rc.mode_switch.name}",),
+        (f"put it to {RcMode.F.name}",),
+        {"mode": rc.mode},
+    )
+
+
+def _item(record: type) -> str:
+    return f"the telemetry item {BY_RECORD[record].name}"
+
+
+async def _authority(
+    aircraft: Aircraft, credentials: Credentials | None, *, authority: bool
+) -> Finding:
+    if credentials is None:
+        return _not_asked("no app id and key were given")
+    status = aircraft.state.fresh(FlightStatus, within=2.0)
+    if status is None or status.phase is not FlightPhase.STANDBY:
+        return _not_asked("it is not seen standing on the ground with its motors off")
+    if not authority:
+        return _not_asked("it was not to be tried", may_be=True)
+    try:
+        async with aircraft.control():
+            pass
+    except AuthorityRefused as error:
+        return _refused(aircraft, error)
+    except (AuthorityError, KeyRejected, NotActivated) as error:
+        return failed(Stage.AUTHORITY, error)
+    return Stage.AUTHORITY.good("obtained, and given back at once")
+
+
+def _refused(aircraft: Aircraft, error: AuthorityRefused) -> Finding:
+    """With the switch in F, the code that speaks of it has other causes."""
+    rc = aircraft.state.fresh(RemoteControl, within=1.0)
+    if rc is None or not rc.is_in_f or error.code not in _NOT_IN_F:
+        return failed(Stage.AUTHORITY, error)
+    holder = aircraft.state.fresh(ControlDevice, within=2.0)
+    if holder is not None and holder.device is Device.APP:
+        return Stage.AUTHORITY.failed(
+            f"{error.seen}; the mobile app controls the aircraft",
+            ("the mobile app holds control",),
+            ("let the mobile app release control, and run this again",),
+            {"code": error.code},
+            error,
+        )
+    return Stage.AUTHORITY.failed(
+        f"{error.seen}; the switch is in F",
+        (
+            "API control is not enabled in the PC assistant",
+            "the switch was in F when the aircraft was switched on",
+            "the mobile app holds control",
+            "the remote control is switched off, or out of its range",
+        ),
+        (
+            "tick 'enable API control' in the PC assistant",
+            "move the mode switch out of F and back, and run this again",
+            "let the mobile app release control",
+        ),
+        {"code": error.code},
+        error,
+    )
+
+
+def _not_asked(why: str, *, may_be: bool = False) -> Finding:
+    return Stage.AUTHORITY.skipped(why, details={"may_be_tried": may_be})

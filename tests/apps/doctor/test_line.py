@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link.apps.doctor import answers, line
+from m100link.apps.doctor import diagnosis, line
 from m100link.apps.doctor.findings import Stage, Verdict
 from m100link.apps.doctor.line import Heard, hear
 from m100link.link.serial_transport import read_inverted
@@ -104,7 +104,7 @@ def test_how_long_it_is_listened_to() -> None:
     assert 1.0 < line.LISTEN_S < 2.0
     assert 0.2 <= line.ANSWER_S <= 0.5
     assert 0.2 <= line.SCAN_S <= 1.0
-    assert 1.0 < answers.TELEMETRY_S < 2.0
+    assert 1.0 < diagnosis.TELEMETRY_S < 2.0
 
 
 # -- what bytes look like that are no frames -------------------------------------------------------
