@@ -24,19 +24,6 @@ from m100link.apps.mavlink.translator.peers import Address, Peer, Peers
 from m100link.apps.mavlink.translator.vehicle import Vehicle
 from m100link.errors import M100Error, PortBusy, PortFailed, UsageError
 
-__all__ = [
-    "HIGHEST_SYSTEM",
-    "IDLE_STEP_S",
-    "STEP_S",
-    "Bridge",
-    "bind",
-    "is_loopback",
-    "read_address",
-    "serving",
-    "signature_time",
-]
-
-
 STEP_S = 0.02
 """Seconds between two steps: of setpoints, and of telemetry that is due."""
 
@@ -92,31 +79,19 @@ class _Craft:
 class Bridge:
     """The bridge.
 
-    Args:
-        agents: The agents of the aircraft, by system id, each entered.
-        send: Sends a datagram; never waits.
-        to: Addresses that are spoken to first.
-        drain: Forgets all that waits to be read.
-        signer: Signs what goes out, and refuses what is not signed.
-        autopilot: MAV_AUTOPILOT of the heartbeat.
-
-    Attributes:
-        dropped: Datagrams that were not read because too many came.
-        unsent: Messages with a number that does not fit.
-
     Raises:
         UsageError: A system id cannot be one of an aircraft.
     """
 
     def __init__(
         self,
-        agents: Mapping[int, AgentClient],
-        send: Callable[[bytes, Address], None],
+        agents: Mapping[int, AgentClient],  # the agents of the aircraft, by system id, each entered
+        send: Callable[[bytes, Address], None],  # sends a datagram; never waits
         *,
-        to: tuple[Address, ...] = (),
-        drain: Callable[[], None] = lambda: None,
-        signer: Signer | None = None,
-        autopilot: int = AUTOPILOT_PX4,
+        to: tuple[Address, ...] = (),  # addresses that are spoken to first
+        drain: Callable[[], None] = lambda: None,  # forgets all that waits to be read
+        signer: Signer | None = None,  # signs what goes out, and refuses what is not signed
+        autopilot: int = AUTOPILOT_PX4,  # MAV_AUTOPILOT of the heartbeat
     ) -> None:
         for system in agents:
             if not 1 <= system <= HIGHEST_SYSTEM:
@@ -134,8 +109,8 @@ class Bridge:
         # is longer while nothing waits.
         self._shares: dict[Address | None, int] = {None: _READ_PER_STEP}
         self._shared_at = -STEP_S
-        self.dropped = 0
-        self.unsent = 0
+        self.dropped = 0  # datagrams that were not read because too many came
+        self.unsent = 0  # messages with a number that does not fit
         self._ran_at = self._clock()
         # The rest before the next step: what ends it, when it began, and whether it is short.
         self._rest: asyncio.Future[None] | None = None
@@ -369,12 +344,7 @@ class _Datagrams(asyncio.DatagramProtocol):
 async def serving(
     bound: socket.socket, received: Callable[[bytes, Address], None]
 ) -> AsyncIterator[Callable[[bytes, Address], None]]:
-    """Receive while the block runs; gives what sends a datagram, and never waits.
-
-    Args:
-        bound: The socket; it stays open.
-        received: Called with each datagram.
-    """
+    """Receive while the block runs; gives what sends a datagram, and never waits."""
     loop = asyncio.get_running_loop()
     transport, _ = await loop.create_datagram_endpoint(
         lambda: _Datagrams(bound, received), sock=bound.dup()

@@ -57,12 +57,6 @@ from m100link.errors import (
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.control import Task
 
-__all__ = [
-    "Crew",
-    "MissionFlights",
-]
-
-
 _RENEWAL_S = 0.5
 _TAKES_OFF_WITHIN_S = 2.5
 """Seconds after its order in which a take-off shows, if it is flown (DJI's samples wait for 2)."""
@@ -72,21 +66,14 @@ _CLOSE_M = 0.3
 
 
 class Crew:
-    """Asks the agent of one aircraft.
-
-    Args:
-        agent: The agent.
-        world: What is known of the aircraft; it gets the lease.
-        deck: What decides.
-        flights: Told how far a flight is.
-    """
+    """Asks the agent of one aircraft."""
 
     def __init__(
         self,
         agent: AgentClient,
-        world: World,
+        world: World,  # what is known of the aircraft; it gets the lease
         deck: Deck,
-        flights: MissionFlights,
+        flights: MissionFlights,  # told how far a flight is
     ) -> None:
         self._agent = agent
         self._world = world
@@ -342,21 +329,14 @@ _WAYS_DOWN: dict[Mode, Land | GoHome] = {Mode.LAND: Land(), Mode.RTL: GoHome()}
 
 
 class MissionFlights:
-    """Flights of the mission of one aircraft.
-
-    Args:
-        world: What is known of the aircraft.
-        deck: What decides, and gets the orders.
-        missions: The mission that was uploaded.
-        tell: Takes what people have to know.
-    """
+    """Flights of the mission of one aircraft."""
 
     def __init__(
         self,
-        world: World,
-        deck: Deck,
-        missions: Missions,
-        tell: Callable[[Severity, str], None],
+        world: World,  # what is known of the aircraft
+        deck: Deck,  # what decides, and gets the orders
+        missions: Missions,  # the mission that was uploaded
+        tell: Callable[[Severity, str], None],  # takes what people have to know
     ) -> None:
         self._world = world
         self._deck = deck

@@ -25,14 +25,6 @@ from m100link.errors import M100Error, UsageError
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
 
-__all__ = [
-    "FLIGHTS",
-    "Actions",
-    "Flight",
-    "GoalStatus",
-]
-
-
 FEEDBACK_S = 0.5
 """Seconds between two messages of feedback."""
 
@@ -69,27 +61,16 @@ class GoalStatus(IntEnum):
 
 @dataclass(slots=True)
 class _Goal:
-    """A goal.
-
-    Attributes:
-        id: Its UUID.
-        action: Of which action.
-        stamp: When it was accepted.
-        flight: What flies.
-        clients: Those who may have asked, by their tokens.
-        status: Where it stands.
-        message: Why it ended as it did.
-        over: Set when it has.
-    """
+    """A goal."""
 
     id: bytes
     action: _Action
-    stamp: Mapping[str, int]
+    stamp: Mapping[str, int]  # when it was accepted
     flight: Flight
-    clients: Mapping[str, Seen]
-    status: GoalStatus = GoalStatus.ACCEPTED
-    message: str = ""
-    over: asyncio.Event = field(default_factory=asyncio.Event)
+    clients: Mapping[str, Seen]  # those who may have asked, by their tokens
+    status: GoalStatus = GoalStatus.ACCEPTED  # where it stands
+    message: str = ""  # why it ended as it did
+    over: asyncio.Event = field(default_factory=asyncio.Event)  # set when it has
 
     @property
     def info(self) -> dict[str, Any]:
@@ -99,45 +80,27 @@ class _Goal:
 
 @dataclass(frozen=True, slots=True)
 class _Action:
-    """An action.
+    """An action."""
 
-    Attributes:
-        name: Private to the node.
-        topic: Its full name.
-        make: Makes what flies of a goal.
-        feedback: Where it is told how far it is.
-        status: Where the states of goals are told.
-    """
-
-    name: str
+    name: str  # private to the node
     topic: str
-    make: Callable[[AgentClient, Helm, Mapping[str, Any]], Flight]
-    feedback: Topic
-    status: Topic
+    make: Callable[[AgentClient, Helm, Mapping[str, Any]], Flight]  # makes what flies of a goal
+    feedback: Topic  # where it is told how far it is
+    status: Topic  # where the states of goals are told
 
 
 class Actions:
-    """All actions of a node.
-
-    Args:
-        agent: The agent.
-        helm: Where a goal says that it flies.
-        ends: Where services and topics are offered.
-        names: Names of the node.
-        presence: Who is there.
-        heartbeat: Who of them still runs.
-        stamp: Time now, as builtin_interfaces/Time.
-    """
+    """All actions of a node."""
 
     def __init__(
         self,
         agent: AgentClient,
-        helm: Helm,
-        ends: Ends,
-        names: Names,
-        presence: Presence,
-        heartbeat: Heartbeat,
-        stamp: Callable[[], Mapping[str, int]],
+        helm: Helm,  # where a goal says that it flies
+        ends: Ends,  # where services and topics are offered
+        names: Names,  # names of the node
+        presence: Presence,  # who is there
+        heartbeat: Heartbeat,  # who of them still runs
+        stamp: Callable[[], Mapping[str, int]],  # time now, as builtin_interfaces/Time
     ) -> None:
         self._agent, self._helm, self._presence, self._stamp = agent, helm, presence, stamp
         self._heartbeat = heartbeat

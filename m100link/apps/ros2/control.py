@@ -30,18 +30,6 @@ from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightStatus
 from m100link.protocol.setpoint import Setpoint
 
-__all__ = [
-    "IDLE_S",
-    "LIFETIME",
-    "SILENCE_S",
-    "Frames",
-    "Helm",
-    "Stick",
-    "speed",
-    "toward",
-]
-
-
 SILENCE_S = 0.5
 """Seconds without a setpoint after which a publisher has let go."""
 
@@ -53,33 +41,21 @@ _MOST_SENDERS = 32
 
 @dataclass(slots=True)
 class _Sender:
-    """A publisher of setpoints.
+    """A publisher of setpoints."""
 
-    Attributes:
-        heard_at: When it was heard last, s.
-        sent_at: When that was sent, s, by the clock of its sender.
-        sequence: How many it had sent by then, as it counts.
-        way: How long its setpoints are on their way.
-    """
-
-    heard_at: float = -math.inf
-    sent_at: float = -math.inf
-    sequence: int = 0
-    way: WayTime = field(default_factory=WayTime)
+    heard_at: float = -math.inf  # when it was heard last, s
+    sent_at: float = -math.inf  # when that was sent, s, by the clock of its sender
+    sequence: int = 0  # how many it had sent by then, as it counts
+    way: WayTime = field(default_factory=WayTime)  # how long its setpoints are on their way
 
 
 class Stick:
-    """Who has it.
-
-    Attributes:
-        holder: Id of who has it; None for nobody.
-        is_open: Whether anybody may have it: control is held.
-        refused: Setpoints that were not flown, by the reason.
-    """
+    """Who has it."""
 
     def __init__(self) -> None:
-        self.holder: bytes | None = None
-        self.is_open = False
+        self.holder: bytes | None = None  # id of who has it; None for nobody
+        self.is_open = False  # whether anybody may have it: control is held
+        # Setpoints that were not flown, by the reason.
         self.refused = {"late": 0, "other": 0, "closed": 0}
         self._senders: dict[bytes, _Sender] = {}  # who was heard last stands last
         # More of them send than are known: until then nobody counts as beginning.
@@ -99,11 +75,7 @@ class Stick:
     def hear(self, sender: bytes, sent_at: float, now: float, sequence: int = 0) -> str:
         """A setpoint came. Returns why it is not flown, empty where it is.
 
-        Args:
-            sender: Id of its publisher.
-            sent_at: When it was sent, s, by the clock of its sender.
-            now: s.
-            sequence: Its number, as its sender counts.
+        ``sent_at``: when it was sent, s, by the clock of its sender. ``now``: s.
         """
         known = self._senders.pop(sender, None)
         if known is None:
@@ -171,22 +143,13 @@ _NO_ROTATION, _NOT_UNIT = 1e-6, 0.01
 
 
 class Frames:
-    """Which frames mean the ground, and which the body.
-
-    Args:
-        ground: East, north, up.
-        body: Forward, left, up.
-    """
+    """Which frames mean the ground (east, north, up), and which the body (forward, left, up)."""
 
     def __init__(self, ground: Collection[str], body: Collection[str]) -> None:
         self._ground, self._body = set(ground), {"", *body}
 
     def is_body(self, name: str, kind: str) -> bool:
         """Whether a frame turns with the aircraft.
-
-        Args:
-            name: Of the frame.
-            kind: What has it, for people.
 
         Raises:
             UsageError: Nobody knows the frame.
@@ -221,10 +184,9 @@ def toward(
 ) -> Setpoint:
     """A velocity that leads to a geometry_msgs/Pose: the slower, the nearer.
 
-    Args:
-        pose: East, north, up of the origin, m, and the heading; no rotation keeps the present one.
-        here: East, north, up of the aircraft, m.
-        fastest: Horizontal speed that the guards allow, m/s.
+    ``pose``: east, north, up of the origin, m, and the heading; no rotation keeps the present one.
+    ``here``: east, north, up of the aircraft, m. ``fastest``: horizontal speed that the guards
+    allow, m/s.
 
     Raises:
         BadSetpoint: A number that is not finite, or an orientation that is none.
@@ -265,20 +227,12 @@ _STATUS_S = 2.5
 
 
 class Helm:
-    """The lease, and what is asked under it.
-
-    Args:
-        agent: The agent of the aircraft.
-
-    Attributes:
-        stick: Whose setpoints fly.
-        goal: What flies by itself for a program; empty for nothing.
-    """
+    """The lease, and what is asked under it."""
 
     def __init__(self, agent: AgentClient) -> None:
         self._agent = agent
-        self.stick = Stick()
-        self.goal = ""
+        self.stick = Stick()  # whose setpoints fly
+        self.goal = ""  # what flies by itself for a program; empty for nothing
         self._lease: Lease | None = None
         # One request for control, or its end, at a time: they would cross.
         self._changing = asyncio.Lock()
@@ -327,9 +281,6 @@ class Helm:
 
     async def obtain(self, who: str) -> None:
         """Take the lease and obtain control authority.
-
-        Args:
-            who: For people.
 
         Raises:
             LeaseHeld: Somebody else has control.
@@ -426,11 +377,6 @@ class Helm:
 
     async def do(self, action: Action, *, number: int = 0, data: bytes = b"") -> None:
         """Something that needs the lease and is done when it is answered.
-
-        Args:
-            action: What.
-            number: As in :class:`m100link.apps.agent.messages.Ask`.
-            data: Likewise.
 
         Raises:
             M100Error: As :meth:`m100link.apps.agent.client.AgentClient.ask`.

@@ -29,20 +29,6 @@ from m100link.apps.ros2.graph import (
 from m100link.errors import M100Error
 from m100link.log.cdr import DEFINITIONS, SERVICES, decode, describe, encode, full_name, type_hash
 
-__all__ = [
-    "ASK_S",
-    "SILENCE_S",
-    "Call",
-    "Ends",
-    "Heartbeat",
-    "Input",
-    "Topic",
-    "answering",
-    "serve_descriptions",
-    "trigger",
-]
-
-
 _DEPTH = 8
 """Messages of a topic, and requests to a service, that wait for a step."""
 
@@ -57,13 +43,7 @@ Call = Callable[[dict[str, Any]], Awaitable[Mapping[str, Any]]]
 class Topic:
     """A topic that is published.
 
-    Args:
-        outlet: Where it goes.
-        kind: Its type.
-        utc: POSIX time, s.
-
-    Attributes:
-        is_wanted: Whether anybody listens, as of the last look.
+    ``utc``: POSIX time, s.
     """
 
     __slots__ = ("_gid", "_kind", "_outlet", "_sequence", "_utc", "is_wanted")
@@ -72,7 +52,7 @@ class Topic:
         self._outlet, self._kind, self._utc = outlet, kind, utc
         self._gid = os.urandom(GID_SIZE)
         self._sequence = 0
-        self.is_wanted = outlet.is_wanted()
+        self.is_wanted = outlet.is_wanted()  # whether anybody listens, as of the last look
 
     def put(self, payload: bytes) -> None:
         """Send a message that is CDR already."""
@@ -90,12 +70,7 @@ class Topic:
 
 
 class Input:
-    """A topic that is listened to.
-
-    Args:
-        inbox: Where its messages wait.
-        kind: Its type.
-    """
+    """A topic that is listened to."""
 
     def __init__(self, inbox: Inbox[Received], kind: str) -> None:
         self._inbox, self._kind = inbox, kind
@@ -114,40 +89,21 @@ class Input:
 
 @dataclass(slots=True)
 class _Service:
-    """A service that is offered.
-
-    Attributes:
-        topic: Its full name.
-        kind: Its type.
-        key: Where it is asked.
-        requests: What was asked.
-        call: Answers.
-        at_once: How many requests are carried out at once.
-        calls: How many are.
-    """
+    """A service that is offered."""
 
     topic: str
     kind: str
-    key: str
-    requests: Inbox[Question]
+    key: str  # where it is asked
+    requests: Inbox[Question]  # what was asked
     call: Call
-    at_once: int
-    calls: int = 0
+    at_once: int  # how many requests are carried out at once
+    calls: int = 0  # how many are
 
 
 class Ends:
     """All ends of a node.
 
-    Args:
-        bus: Where they are.
-        name: Of the node.
-        background: Where requests are answered.
-        utc: POSIX time, s.
-
-    Attributes:
-        topics: What is published, by full name.
-        inputs: What is listened to, by full name.
-        refused: Requests that could not be read, or were too many.
+    ``utc``: POSIX time, s.
     """
 
     def __init__(
@@ -155,10 +111,10 @@ class Ends:
     ) -> None:
         self._bus, self._name, self._background, self._utc = bus, name, background, utc
         self._count = name.number * 1000  # an end has a number of its own in the session
-        self.topics: dict[str, Topic] = {}
-        self.inputs: dict[str, Input] = {}
+        self.topics: dict[str, Topic] = {}  # what is published, by full name
+        self.inputs: dict[str, Input] = {}  # what is listened to, by full name
         self._services: list[_Service] = []
-        self.refused = 0
+        self.refused = 0  # requests that could not be read, or were too many
         # Tokens end when nobody holds them.
         self._tokens: list[Held] = [bus.declare(name.token)]
 
@@ -168,13 +124,7 @@ class Ends:
         self._tokens.append(self._bus.declare(token))
 
     def publish(self, topic: str, kind: str, qos: Qos) -> Topic:
-        """Offer a topic.
-
-        Args:
-            topic: Its full name.
-            kind: Its type.
-            qos: Its quality of service.
-        """
+        """Offer a topic."""
         kept = qos.depth if qos.is_latched else 0
         outlet = self._bus.publish(data_key(self._name.domain, topic, kind), kept=kept)
         made = self.topics[topic] = Topic(outlet, kind, self._utc)
@@ -190,14 +140,7 @@ class Ends:
         return made
 
     def serve(self, topic: str, kind: str, call: Call, *, at_once: int = _AT_ONCE) -> None:
-        """Offer a service.
-
-        Args:
-            topic: Its full name.
-            kind: Its type.
-            call: Answers a request.
-            at_once: How many requests are carried out at once; what is more is not answered.
-        """
+        """Offer a service; requests beyond so many at once are not answered."""
         key = data_key(self._name.domain, topic, kind)
         requests = self._bus.questions(key, _DEPTH)
         self._services.append(_Service(topic, kind, key, requests, call, at_once))
@@ -214,11 +157,7 @@ class Ends:
             topic.look()
 
     def take_requests(self, *, is_deaf: bool) -> None:
-        """Begin to answer what was asked since.
-
-        Args:
-            is_deaf: What comes now is old, and is not answered.
-        """
+        """Begin to answer what was asked since; to the deaf what comes now is old."""
         for service in self._services:
             for request in service.requests.take():
                 self._take(service, request, is_deaf)
@@ -266,12 +205,7 @@ class Ends:
 
 
 def answering(doing: Callable[[Mapping[str, Any]], Awaitable[None]], done: str) -> Call:
-    """A service whose answer is ``success`` and ``message``.
-
-    Args:
-        doing: Does what is asked for; its errors are the refusal.
-        done: What is told when it is done.
-    """
+    """A service that answers ``success`` and ``message``; an error of the doing is the refusal."""
 
     async def call(request: dict[str, Any]) -> Mapping[str, Any]:
         try:
@@ -304,12 +238,7 @@ _NAMES = {full_name(one): one for one in DEFINITIONS}
 
 
 def serve_descriptions(ends: Ends, names: Names) -> None:
-    """Offer the service.
-
-    Args:
-        ends: Where it is offered.
-        names: Names of the node.
-    """
+    """Offer the service."""
     ends.serve(names.full("~/get_type_description"), _KIND, _answer)
 
 
@@ -376,23 +305,14 @@ _MOST = 16
 
 @dataclass(slots=True)
 class _Session:
-    """A session that is asked.
+    """A session that is asked."""
 
-    Attributes:
-        answered_at: When it answered last, s; infinitely long ago before it did.
-        asked: Where its answers come.
-    """
-
-    answered_at: float = -math.inf
-    asked: list[Inbox[bool]] = field(default_factory=list)
+    answered_at: float = -math.inf  # when it answered last, s; infinitely long ago before it did
+    asked: list[Inbox[bool]] = field(default_factory=list)  # where its answers come
 
 
 class Heartbeat:
-    """Asks those sessions that something depends on.
-
-    Args:
-        bus: Where they are.
-    """
+    """Asks those sessions that something depends on."""
 
     def __init__(self, bus: PolledBus) -> None:
         self._bus = bus
@@ -408,8 +328,7 @@ class Heartbeat:
     def is_missing(self, now: float) -> bool:
         """Whether any of them has answered and does so no more. To be called at each step.
 
-        Args:
-            now: s.
+        ``now``: s.
         """
         for one in self._sessions.values():
             for inbox in one.asked:

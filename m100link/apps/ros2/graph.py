@@ -16,23 +16,6 @@ from m100link.apps.bus.network import DEPTH, Inbox, TokenChange
 from m100link.errors import UsageError
 from m100link.log.cdr import full_name, type_hash
 
-__all__ = [
-    "ADMIN",
-    "Attachment",
-    "End",
-    "Names",
-    "NodeName",
-    "Presence",
-    "Qos",
-    "Seen",
-    "data_key",
-    "dds_name",
-    "read_attachment",
-    "read_token",
-    "write_attachment",
-]
-
-
 ADMIN = "@ros2_lv"
 """What tokens begin with."""
 
@@ -55,17 +38,11 @@ class End(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Qos:
-    """Quality of service, as far as an end here chooses it.
+    """Quality of service, as far as an end here chooses it."""
 
-    Attributes:
-        is_reliable: Else best effort, which sensors have.
-        is_latched: Whether who comes late gets the last one: transient local.
-        depth: How many are kept.
-    """
-
-    is_reliable: bool = True
-    is_latched: bool = False
-    depth: int = 10
+    is_reliable: bool = True  # else best effort, which sensors have
+    is_latched: bool = False  # whether who comes late gets the last one: transient local
+    depth: int = 10  # how many are kept
 
     def __str__(self) -> str:
         """As a token has it; what is the default stays empty."""
@@ -81,13 +58,7 @@ def dds_name(name: str) -> str:
 
 
 def data_key(domain: int, topic: str, kind: str) -> str:
-    """Where the data of a topic goes, or the requests to a service.
-
-    Args:
-        domain: ROS_DOMAIN_ID.
-        topic: With all of its namespaces.
-        kind: Its type, such as ``sensor_msgs/Imu``.
-    """
+    """Where data of a topic goes, or requests to a service; a kind is ``sensor_msgs/Imu``."""
     return f"{domain}/{topic.strip('/')}/{dds_name(kind)}/{type_hash(kind)}"
 
 
@@ -97,21 +68,13 @@ def _mangled(name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class NodeName:
-    """A node of this process.
+    """A node of this process."""
 
-    Attributes:
-        domain: ROS_DOMAIN_ID.
-        session: Id of the zenoh session.
-        namespace: ``/`` or ``/drones/first``.
-        name: Its own name.
-        number: Its number within the session.
-    """
-
-    domain: int
-    session: str
-    namespace: str
+    domain: int  # ROS_DOMAIN_ID
+    session: str  # id of the zenoh session
+    namespace: str  # ``/`` or ``/drones/first``
     name: str
-    number: int = 0
+    number: int = 0  # its number within the session
 
     @property
     def full(self) -> str:
@@ -128,34 +91,19 @@ class NodeName:
         return self._token(self.number, End.NODE)
 
     def token_of(self, number: int, end: End, topic: str, kind: str, qos: Qos) -> str:
-        """What says that one of its ends is there.
-
-        Args:
-            number: Of the end, within the session.
-            end: What it is.
-            topic: Of the topic or service, with all of its namespaces.
-            kind: Its type.
-            qos: Its quality of service.
-        """
+        """What says that one of its ends is there."""
         about = f"{_mangled(topic)}/{dds_name(kind)}/{type_hash(kind)}/{qos}"
         return f"{self._token(number, end)}/{about}"
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """A node or an end of somebody, as its token says.
+    """A node or an end of somebody, as its token says."""
 
-    Attributes:
-        node: Which node: its session and number.
-        node_name: Its name with its namespace.
-        end: What it is.
-        topic: Of which topic or service; empty for the node itself.
-    """
-
-    node: tuple[str, str]
-    node_name: str
+    node: tuple[str, str]  # which node: its session and number
+    node_name: str  # its name with its namespace
     end: End
-    topic: str
+    topic: str  # of which topic or service; empty for the node itself
 
 
 def read_token(key: str) -> Seen | None:
@@ -179,17 +127,11 @@ def read_token(key: str) -> Seen | None:
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """What goes with each sample and request.
+    """What goes with each sample and request."""
 
-    Attributes:
-        sequence: Counts what its sender sent.
-        at_ns: When it was sent, POSIX time in ns by the clock of the sender.
-        gid: Id of the sender; an answer has that of the request.
-    """
-
-    sequence: int
-    at_ns: int
-    gid: bytes
+    sequence: int  # counts what its sender sent
+    at_ns: int  # when it was sent, POSIX time in ns by the clock of the sender
+    gid: bytes  # id of the sender; an answer has that of the request
 
     def __bytes__(self) -> bytes:
         return write_attachment(self.sequence, self.at_ns, self.gid)
@@ -221,26 +163,15 @@ def read_attachment(data: bytes) -> Attachment:
 
 @dataclass(frozen=True, slots=True)
 class Names:
-    """How names of the node become names of the graph.
+    """How names of the node become names of the graph."""
 
-    Attributes:
-        namespace: ``/`` or ``/drones/first``.
-        node: Name of the node.
-        remaps: Full names by full names.
-    """
-
-    namespace: str
+    namespace: str  # ``/`` or ``/drones/first``
     node: str
-    remaps: Mapping[str, str]
+    remaps: Mapping[str, str]  # full names by full names
 
     @classmethod
     def of(cls, namespace: str, node: str, remaps: tuple[str, ...] = ()) -> Names:
-        """From what was asked for.
-
-        Args:
-            namespace: With or without a slash in front.
-            node: One word.
-            remaps: Rules ``from:=to``, with private (``~/imu``), relative and full names.
+        """From what was asked for; rules ``from:=to`` have private (``~/imu``) or other names.
 
         Raises:
             UsageError: A name or a rule cannot be.
@@ -290,11 +221,7 @@ _MOST = 4 * DEPTH
 
 
 class Presence:
-    """The ends of others.
-
-    Args:
-        watch: Begins to see tokens come and go, those first that are there.
-    """
+    """The ends of others."""
 
     def __init__(self, watch: Callable[[], Inbox[TokenChange]]) -> None:
         self._watch = watch

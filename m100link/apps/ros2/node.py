@@ -35,14 +35,6 @@ from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.sample import Sample
 
-__all__ = [
-    "MOST_BYTES",
-    "STEP_S",
-    "Node",
-    "open_ros2",
-]
-
-
 STEP_S = 0.02
 """Seconds between two looks at what has come, with telemetry: it has the process awake anyway."""
 
@@ -72,42 +64,24 @@ Make = Callable[[dict[str, Any]], Setpoint]
 
 
 class Node:
-    """A node for one aircraft.
-
-    Args:
-        agent: The agent of the aircraft.
-        bus: Where it is.
-        names: Its name, its namespace, and what is called otherwise.
-        domain: ROS_DOMAIN_ID.
-        number: Its number within the session.
-        has_clock: Whether it publishes ``/clock``, as for a virtual aircraft.
-        has_dji_names: Whether it publishes by the names of DJI's node, too.
-        utc: POSIX time, s.
-
-    Attributes:
-        name: In the graph.
-        ends: Its topics and services.
-        helm: What ROS programs want of the aircraft.
-        teller: What is published.
-        actions: What flies by itself.
-    """
+    """A node for one aircraft."""
 
     def __init__(
         self,
-        agent: AgentClient,
-        bus: PolledBus,
-        names: Names,
+        agent: AgentClient,  # the agent of the aircraft
+        bus: PolledBus,  # where it is
+        names: Names,  # its name, its namespace, and what is called otherwise
         *,
         domain: int = 0,
-        number: int = 0,
-        has_clock: bool = False,
-        has_dji_names: bool = False,
-        utc: Callable[[], float] = time.time,
+        number: int = 0,  # its number within the session
+        has_clock: bool = False,  # whether it publishes ``/clock``, as for a virtual aircraft
+        has_dji_names: bool = False,  # whether it publishes by the names of DJI's node, too
+        utc: Callable[[], float] = time.time,  # POSIX time, s
     ) -> None:
         self._agent, self._names = agent, names
         self.name = NodeName(domain, bus.session, names.namespace, names.node, number)
-        self.ends = Ends(bus, self.name, agent.background, utc)
-        self.helm = Helm(agent)
+        self.ends = Ends(bus, self.name, agent.background, utc)  # its topics and services
+        self.helm = Helm(agent)  # what ROS programs want of the aircraft
         self._presence = Presence(lambda: bus.changes(f"{ADMIN}/{domain}/**"))
         self._looked_at = self._ran_at = self._deaf_until = agent.now
         self._told: dict[str, float] = {}
@@ -122,7 +96,7 @@ class Node:
             for name, out in ALL_OUTPUTS.items()
             if (has_clock or name != "/clock") and (has_dji_names or name not in DJI_OUTPUTS)
         }
-        self.teller = Teller(agent, names, topics, utc, lambda: self.counted)
+        self.teller = Teller(agent, names, topics, utc, lambda: self.counted)  # what is published
         takes: dict[str, Make] = {
             "~/cmd_vel": self._stamped,
             "~/cmd_vel_unstamped": lambda message: speed(message, is_body=True),
@@ -334,9 +308,6 @@ def open_ros2(
     """A session while the block runs, configured as rmw_zenoh's are.
 
     Without a router it waits for one; who listens is found when that is there.
-
-    Args:
-        environment: Has ``ZENOH_SESSION_CONFIG_URI`` and ``ZENOH_CONFIG_OVERRIDE``.
 
     Raises:
         UsageError: The package is missing, or the configuration cannot be.

@@ -14,8 +14,6 @@ from m100link.apps.ros2.publishers import Teller
 from m100link.apps.ros2.topics import OUTPUTS
 from m100link.errors import UsageError
 
-__all__ = ["MOST_HZ", "Parameters"]
-
 MOST_HZ = 100.0
 """Of a topic; the aircraft says nothing more often."""
 
@@ -37,30 +35,17 @@ _EMPTY: Mapping[str, Any] = {
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter.
-
-    Attributes:
-        kind: Its type.
-        text: What it is.
-        value: Its value now; None where there is none.
-        take: Takes a new value; None for one that cannot be set.
-    """
+    """A parameter."""
 
     kind: int
-    text: str
-    value: Callable[[], float | bool | None]
+    text: str  # what it is
+    value: Callable[[], float | bool | None]  # its value now; None where there is none
+    # Takes a new value; None for one that cannot be set.
     take: Callable[[float], None] | None = None
 
 
 class Parameters:
-    """The parameters of a node, and their services.
-
-    Args:
-        agent: Knows the guards.
-        teller: Has the rates.
-        ends: Where the services are offered.
-        names: Names of the node.
-    """
+    """The parameters of a node, and their services."""
 
     def __init__(self, agent: AgentClient, teller: Teller, ends: Ends, names: Names) -> None:
         self._rows: dict[str, Parameter] = {

@@ -32,17 +32,6 @@ from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.integrity import has_fix
 from m100link.telemetry.sample import Sample
 
-__all__ = [
-    "ALL_OUTPUTS",
-    "Level",
-    "Places",
-    "Stamps",
-    "Status",
-    "Teller",
-    "diagnostics",
-]
-
-
 R = TypeVar("R", bound=tuple[Any, ...])
 
 ALL_OUTPUTS = {**OUTPUTS, **DJI_OUTPUTS}
@@ -68,14 +57,10 @@ _EAST = Attitude(math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))  # turned by nothing 
 
 
 class Places:
-    """Where the aircraft is, from where its GPS was good first.
-
-    Attributes:
-        origin: That place; None before.
-    """
+    """Where the aircraft is, from where its GPS was good first."""
 
     def __init__(self) -> None:
-        self.origin: LocalFrame | None = None
+        self.origin: LocalFrame | None = None  # that place; None before
 
     def local(self, position: Position) -> Place | None:
         """East, north, up in metres; up from the take-off point. None before the first fix."""
@@ -92,23 +77,16 @@ class Places:
 class _Source:
     """A topic that is made of packages of telemetry.
 
-    Args:
-        name: In the table.
-        topic: Where it goes.
-        make: Makes a message of a package; None where that has nothing for it.
-        hz: Messages per second at most.
-
-    Attributes:
-        pause: Seconds between two messages.
-        due_at: From when on the next one is sent, s.
+    ``make``: makes a message of a package; None where that has nothing for it. ``hz``: messages per
+    second at most.
     """
 
     __slots__ = ("due_at", "make", "name", "pause", "topic")
 
     def __init__(self, name: str, topic: Topic, make: _Make, hz: float) -> None:
         self.name, self.topic, self.make = name, topic, make
-        self.pause = 1.0 / hz
-        self.due_at = 0.0
+        self.pause = 1.0 / hz  # seconds between two messages
+        self.due_at = 0.0  # from when on the next one is sent, s
 
     def told(self, now: float) -> None:
         """From when it was due, so that the rate holds; not from long ago, and a little early."""
@@ -116,32 +94,22 @@ class _Source:
 
 
 class Teller:
-    """Makes the messages.
-
-    Args:
-        agent: What tells.
-        names: Frames of the node, and its own name.
-        topics: Where the topics of the table go; those that are missing are not told.
-        utc: POSIX time, s.
-        counted: What the node did not do, by the reason.
-
-    Attributes:
-        places: Where it is.
-        hz: Messages per second at most, by topic; 0 for each that there is.
-    """
+    """Makes the messages."""
 
     def __init__(
         self,
         agent: AgentClient,
-        names: Names,
+        names: Names,  # frames of the node, and its own name
+        # Where the topics of the table go; those that are missing are not told.
         topics: Mapping[str, Topic],
-        utc: Callable[[], float],
-        counted: Callable[[], Mapping[str, int]],
+        utc: Callable[[], float],  # POSIX time, s
+        counted: Callable[[], Mapping[str, int]],  # what the node did not do, by the reason
     ) -> None:
         self._agent, self._names = agent, names
         self._topics, self._counted = topics, counted
         self._stamps = Stamps(lambda: agent.now, utc)
-        self.places = Places()
+        self.places = Places()  # where it is
+        # Messages per second at most, by topic; 0 for each that there is.
         self.hz = {name: row.hz for name, row in OUTPUTS.items()}
         self._placed: tuple[Sample, Place | None] | None = None
         self._read_of: Sample | None = None
@@ -362,19 +330,12 @@ class Level(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """How one thing is.
-
-    Attributes:
-        name: What.
-        level: How bad.
-        message: In a few words.
-        values: Numbers, by name.
-    """
+    """How one thing is."""
 
     name: str
     level: Level
-    message: str
-    values: Mapping[str, object] = field(default_factory=dict)
+    message: str  # in a few words
+    values: Mapping[str, object] = field(default_factory=dict)  # numbers, by name
 
     def told(self, node: str) -> dict[str, Any]:
         """As diagnostic_msgs/msg/DiagnosticStatus."""
@@ -392,10 +353,7 @@ def diagnostics(
 ) -> list[Status]:
     """How everything is.
 
-    Args:
-        agent: What is known of the aircraft.
-        clock: Its clock; None before its first tick.
-        counted: What the node did not do, by the reason.
+    ``clock``: its clock; None before its first tick.
     """
     return [
         _line(agent),
@@ -488,17 +446,12 @@ _ASKED_S = 0.25
 class Stamps:
     """Times of packages as POSIX time.
 
-    Args:
-        now: Time of the event loop, s.
-        utc: POSIX time, s.
-
-    Attributes:
-        clock: Of the aircraft; None before its first tick.
+    ``now``: time of the event loop, s. ``utc``: POSIX time, s.
     """
 
     def __init__(self, now: Callable[[], float], utc: Callable[[], float]) -> None:
         self._now, self._utc = now, utc
-        self.clock: DeviceClock | None = None
+        self.clock: DeviceClock | None = None  # of the aircraft; None before its first tick
         # A tick, and when that was on the event loop's clock; None while nobody knows.
         self._known: tuple[int, float] | None = None
 

@@ -34,16 +34,6 @@ from m100link.missions.waypoint import (
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
 from m100link.protocol.firmware import FIRMWARE_3_1
 
-__all__ = [
-    "ACTIONS",
-    "Missions",
-    "Payload",
-    "angles_of",
-    "plan_of",
-    "rates_of",
-]
-
-
 E = TypeVar("E", bound=IntEnum)
 
 _SPEED, _MAX_SPEED = 5.0, 10.0
@@ -60,11 +50,7 @@ ACTIONS: Mapping[str, Callable[[float], WaypointAction]] = {
 
 
 class Missions:
-    """What the services of missions do.
-
-    Args:
-        helm: Has the lease.
-    """
+    """What the services of missions do."""
 
     def __init__(self, helm: Helm) -> None:
         self._helm = helm
@@ -156,14 +142,7 @@ _PAUSE_S = 0.05
 
 
 class Payload:
-    """What ROS programs want of the gimbal.
-
-    Args:
-        agent: The agent of the aircraft.
-        helm: Has the lease.
-        rates: Where rates come in.
-        tell: Says why something is not done: text and level.
-    """
+    """What ROS programs want of the gimbal."""
 
     def __init__(
         self, agent: AgentClient, helm: Helm, rates: Input, tell: Callable[[str, str], None]
@@ -182,11 +161,7 @@ class Payload:
         await self._helm.do(Action.GIMBAL_ANGLES, data=data)
 
     def advance(self, *, is_deaf: bool) -> None:
-        """Send the newest rates.
-
-        Args:
-            is_deaf: What comes now is old.
-        """
+        """Send the newest rates; to the deaf what comes now is old."""
         waiting, now = [message for _, message in self._rates.take()], self._agent.now
         if not waiting or is_deaf or self._is_busy or now < self._due_at:
             return

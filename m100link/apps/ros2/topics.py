@@ -16,18 +16,6 @@ from m100link.log.cdr import encode
 from m100link.log.ros2 import Messages, Stamp
 from m100link.telemetry.sample import Sample
 
-__all__ = [
-    "DJI_OUTPUTS",
-    "INPUTS",
-    "OUTPUTS",
-    "SERVICES",
-    "Input",
-    "Output",
-    "Service",
-    "dji_makers",
-]
-
-
 SENSOR = Qos(is_reliable=False)
 STATE = Qos(is_latched=True, depth=1)
 EVENTS = Qos(depth=100)
@@ -36,19 +24,12 @@ RELIABLE = Qos()
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """A topic that the node publishes.
-
-    Attributes:
-        kind: Its type.
-        qos: Its quality of service.
-        hz: Messages per second at most; 0 where they come when there is something to say.
-        text: What it is, for the manual.
-    """
+    """A topic that the node publishes."""
 
     kind: str
-    qos: Qos
-    hz: float
-    text: str
+    qos: Qos  # its quality of service
+    hz: float  # messages per second at most; 0 where they come when there is something to say
+    text: str  # what it is, for the manual
 
 
 OUTPUTS: Mapping[str, Output] = {
@@ -109,15 +90,10 @@ OUTPUTS: Mapping[str, Output] = {
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """A topic that the node listens to.
-
-    Attributes:
-        kind: Its type.
-        text: What it does, for the manual.
-    """
+    """A topic that the node listens to."""
 
     kind: str
-    text: str
+    text: str  # what it does, for the manual
 
 
 INPUTS: Mapping[str, Input] = {
@@ -141,15 +117,10 @@ INPUTS: Mapping[str, Input] = {
 
 @dataclass(frozen=True, slots=True)
 class Service:
-    """A service of the node.
-
-    Attributes:
-        kind: Its type.
-        text: What it does, for the manual.
-    """
+    """A service of the node."""
 
     kind: str
-    text: str
+    text: str  # what it does, for the manual
 
 
 _TRIGGER = "std_srvs/srv/Trigger"

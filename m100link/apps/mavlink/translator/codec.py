@@ -27,24 +27,6 @@ import crcmod
 
 from m100link.errors.texts import read_json
 
-__all__ = [
-    "AHEAD",
-    "DEFINITIONS",
-    "LAST_SIGNATURE",
-    "LAYOUTS",
-    "NEW_WITHIN",
-    "Layout",
-    "Message",
-    "Reading",
-    "Sender",
-    "SignatureMemory",
-    "Signer",
-    "Snapshot",
-    "read_datagram",
-    "write_frame",
-]
-
-
 DEFINITIONS = """
 0 HEARTBEAT: u32 custom_mode, u8 type, u8 autopilot, u8 base_mode, u8 system_status, u8
     mavlink_version
@@ -180,20 +162,13 @@ _TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message.
+    """One message."""
 
-    Attributes:
-        name: As in the definitions.
-        fields: Values by name; a text for characters, a tuple for other arrays.
-        system: Who sent it; 0 for what is to be sent.
-        component: Which part of that system.
-        is_signed: Whether it came with a signature that is right.
-    """
-
-    name: str
-    fields: Mapping[str, Any]
-    system: int = 0
-    component: int = 0
+    name: str  # as in the definitions
+    fields: Mapping[str, Any]  # values by name; a text for characters, a tuple for other arrays
+    system: int = 0  # who sent it; 0 for what is to be sent
+    component: int = 0  # which part of that system
+    # Whether it came with a signature that is right.
     is_signed: bool = field(default=False, compare=False)
 
     def __getitem__(self, name: str) -> Any:
@@ -211,20 +186,14 @@ class _Field:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How a message lies on the wire.
-
-    Attributes:
-        number: Its number.
-        name: Its name.
-        crc_extra: The byte that its checksum ends with: two ends with different definitions do not
-            understand each other.
-        least: Bytes without extensions: what version 1 of the protocol carries.
-    """
+    """How a message lies on the wire."""
 
     number: int
     name: str
+    # The byte that its checksum ends with: two ends with different definitions do not understand
+    # each other.
     crc_extra: int
-    least: int
+    least: int  # bytes without extensions: what version 1 of the protocol carries
     _struct: Struct
     _fields: tuple[_Field, ...]
 
@@ -303,30 +272,18 @@ class Signer:
 
     A frame is taken once: its time has to be later than that of any frame before it from the same
     sender, which is noted only when the signature is right.
-
-    Attributes:
-        key: 32 bytes.
-        link: Which of several links signs.
-        refused: Frames that were not taken.
-        sent: Newest time that was signed or taken; later starts begin with it.
-        newest: Newest time that was taken of each sender.
-        oldest: What is not later is not taken from anybody who is heard first.
     """
 
-    key: bytes = field(repr=False)
-    link: int = 0
-    refused: int = 0
-    sent: int = 0
+    key: bytes = field(repr=False)  # 32 bytes
+    link: int = 0  # which of several links signs
+    refused: int = 0  # frames that were not taken
+    sent: int = 0  # newest time that was signed or taken; later starts begin with it
+    # Newest time that was taken of each sender.
     newest: dict[Sender, int] = field(default_factory=dict)
-    oldest: int = 0
+    oldest: int = 0  # what is not later is not taken from anybody who is heard first
 
     def sign(self, frame: bytes, now: int) -> bytes:
-        """What follows the frame.
-
-        Args:
-            frame: From its first byte to its checksum.
-            now: Time in 10 microseconds since 2015.
-        """
+        """What follows a frame that ends with its checksum; ``now`` in 10 µs since 2015."""
         self.sent = max(self.sent + 1, now)
         told = bytes([self.link]) + self.sent.to_bytes(6, "little")
         return told + self._digest(frame + told)
@@ -359,15 +316,7 @@ class Signer:
 def write_frame(
     message: Message, *, system: int, sequence: int, signer: Signer | None = None, now: int = 0
 ) -> bytes:
-    """A frame of version 2 from component 1 of a system.
-
-    Args:
-        message: What to send.
-        system: Whose it is, 1 to 255.
-        sequence: Counts frames of that system; modulo 256 on the wire.
-        signer: Signs it.
-        now: Time for the signature.
-    """
+    """A frame of version 2 from component 1 of a system, 1 to 255; ``now`` in 10 µs since 2015."""
     layout = LAYOUTS[message.name]
     payload = layout.write(message.fields).rstrip(b"\0") or b"\0"
     number = layout.number
@@ -383,23 +332,16 @@ def write_frame(
 class Reading:
     """The valid messages of a datagram, each searched from the end of the one before.
 
-    With a signer only HEARTBEAT is taken without a signature: it moves nothing.
-
-    Args:
-        data: The datagram.
-        signer: Refuses what is not signed.
-        now: Time of signatures, 10 microseconds since 2015.
-        most: What :attr:`checked` may become before the rest is left unread: a datagram can be made
-            to look like many overlapping frames, each of which is checked to its end.
-
-    Attributes:
-        checked: Bytes that looked like a frame, so far, counted again where such frames overlap:
-            what reading cost. Bytes between frames are skipped and cost next to nothing.
+    With a signer only HEARTBEAT is taken without a signature: it moves nothing. ``now`` is the time
+    of signatures, 10 µs since 2015. When :attr:`checked` is ``most``, the rest is left unread: a
+    datagram can be made to look like many overlapping frames, each of which is checked to its end.
     """
 
     def __init__(
         self, data: bytes, *, signer: Signer | None = None, now: int = 0, most: int | None = None
     ) -> None:
+        # Bytes that looked like a frame, so far, counted again where such frames overlap: what
+        # reading cost. Bytes between frames are skipped and cost next to nothing.
         self.checked = 0
         self._data = data
         self._signer = signer
@@ -430,17 +372,11 @@ def read_datagram(data: bytes, *, signer: Signer | None = None, now: int = 0) ->
 
 
 class _Found(NamedTuple):
-    """What stands behind a start byte.
+    """What stands behind a start byte."""
 
-    Attributes:
-        message: The message, if it is one for us.
-        end: Where the frame ends; 0 if there is none.
-        checked: Bytes that were looked at.
-    """
-
-    message: Message | None
-    end: int
-    checked: int
+    message: Message | None  # the message, if it is one for us
+    end: int  # where the frame ends; 0 if there is none
+    checked: int  # bytes that were looked at
 
 
 _NO_FRAME = _Found(None, 0, _HEADER_V2.size)
@@ -518,40 +454,26 @@ _PARTS = 3
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """What is written.
+    """What is written."""
 
-    Attributes:
-        sent: Newest time that was signed or taken.
-        newest: Newest time of each sender; what is not later is not taken.
-    """
-
-    sent: int
-    newest: dict[Sender, int]
+    sent: int  # newest time that was signed or taken
+    newest: dict[Sender, int]  # newest time of each sender; what is not later is not taken
 
 
 class SignatureMemory:
-    """The file of one key.
-
-    Args:
-        folder: Where; it is made when it is not there.
-        signer: Whose times are kept.
-
-    Attributes:
-        path: The file. Its name tells which key it belongs to, and nothing of the key.
-    """
+    """The file of one key."""
 
     def __init__(self, folder: Path, signer: Signer) -> None:
         self._signer = signer
         named = hashlib.sha256(b"m100link MAVLink signatures" + signer.key).hexdigest()[:16]
+        # The file. Its name tells which key it belongs to, and nothing of the key.
         self.path = folder / f"signatures-{named}.json"
         self._written: dict[Sender, int] = {}
 
     def recall(self, now: int) -> str:
         """Give the signer what was kept. Returns why that cannot be, empty where it can.
 
-        Args:
-            now: Time of signatures. What cannot be read may hide anything that was signed up to
-                now, and then nothing of that is taken.
+        What cannot be read may hide anything that was signed up to now: nothing of that is taken.
         """
         try:
             found = _read(self.path)

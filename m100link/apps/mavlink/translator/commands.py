@@ -37,15 +37,6 @@ from m100link.apps.mavlink.translator.world import World
 from m100link.errors import GuardRefused, UsageError
 from m100link.missions.plan import WaypointPlan
 
-__all__ = [
-    "COMMANDS",
-    "Asked",
-    "CommandRow",
-    "Commands",
-    "read_command",
-]
-
-
 _SEA_LEVEL = (Frame.GLOBAL, Frame.GLOBAL_INT)
 _RELATIVE = (Frame.GLOBAL_RELATIVE_ALT, Frame.GLOBAL_RELATIVE_ALT_INT)
 _ORBIT_TURNS = 200.0
@@ -54,24 +45,14 @@ _NO_PLACE = 0x7FFFFFFF
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """A command as it came.
-
-    Attributes:
-        command: Its number.
-        parameters: The first four, NaN where nothing is said.
-        x: Latitude, °, or the fifth parameter.
-        y: Longitude, °, or the sixth.
-        z: Altitude, or the seventh.
-        frame: What the altitude counts from; above sea level where the message does not say it.
-        peer: Who asks.
-    """
+    """A command as it came."""
 
     command: int
-    parameters: tuple[float, float, float, float]
-    x: float
-    y: float
-    z: float
-    frame: int
+    parameters: tuple[float, float, float, float]  # the first four, NaN where nothing is said
+    x: float  # latitude, °, or the fifth parameter
+    y: float  # longitude, °, or the sixth
+    z: float  # altitude, or the seventh
+    frame: int  # what the altitude counts from; above sea level where the message does not say it
     peer: Peer
 
 
@@ -87,29 +68,21 @@ def read_command(message: Message, peer: Peer) -> Asked:
 
 
 class Commands:
-    """Carries commands out, or says why not.
-
-    Args:
-        world: The aircraft.
-        deck: What decides about flights.
-        parameters: Heights and speeds that commands leave open.
-        rates: How often telemetry is sent, which each peer may ask for.
-        tell: Takes reasons.
-        request: Sends a message by its number to whoever asks; False where there is none.
-        mission: Makes the wish that flies the mission; None where there is none.
-        fence: Why nobody may be at a place, with a radius around it; empty where one may.
-    """
+    """Carries commands out, or says why not."""
 
     def __init__(
         self,
         world: World,
-        deck: Deck,
-        parameters: Parameters,
-        rates: Rates,
+        deck: Deck,  # what decides about flights
+        parameters: Parameters,  # heights and speeds that commands leave open
+        rates: Rates,  # how often telemetry is sent, which each peer may ask for
         *,
         tell: Callable[[Severity, str], None],
+        # Sends a message by its number to whoever asks; False where there is none.
         request: Callable[[int, float, Peer, float], bool],
+        # Makes the wish that flies the mission; None where there is none.
         mission: Callable[[Peer, int | None], Wish | None],
+        # Why nobody may be at a place, with a radius around it; empty where one may.
         fence: Callable[[float, float, float], str],
     ) -> None:
         self._world = world
@@ -451,15 +424,10 @@ def _is_byte(value: float) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class CommandRow:
-    """A command that has a meaning here.
+    """A command that has a meaning here."""
 
-    Attributes:
-        handler: What carries it out.
-        meaning: For the manual.
-    """
-
-    handler: Callable[[Commands, Asked, float], Result | None]
-    meaning: str
+    handler: Callable[[Commands, Asked, float], Result | None]  # what carries it out
+    meaning: str  # for the manual
 
 
 COMMANDS: Mapping[int, CommandRow] = {

@@ -45,14 +45,6 @@ from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.world import World
 from m100link.errors import GuardRefused, M100Error, TaskRefused
 
-__all__ = [
-    "IDLE_S",
-    "REMEMBERED_S",
-    "STEER_LIFETIME",
-    "Deck",
-]
-
-
 REMEMBERED_S = 10.0
 """Seconds that a take-off or mission waits for the aircraft to be armed."""
 
@@ -69,36 +61,26 @@ _TAKEN = (Phase.ARMING, Phase.OBTAINING, Phase.ARMED, Phase.AIRBORNE)
 
 
 class Deck:
-    """The flight deck of one aircraft.
-
-    Args:
-        world: What is known of it.
-        tell: Takes what people have to know: severity and text.
-        streams: Where setpoints come from, by mode.
-
-    Attributes:
-        orders: What the crew has to carry out, oldest first.
-        operator: Who armed the aircraft, or moved it first after that one was lost.
-        steering: Whose setpoints came last.
-        running: What flies.
-        is_unwanted: Whether it was disarmed while authority was asked for: it is given back.
-        on_armed: Called with whether and why not, when a request for authority has ended.
-    """
+    """The flight deck of one aircraft."""
 
     def __init__(
         self,
-        world: World,
-        tell: Callable[[Severity, str], None],
-        streams: dict[Mode, Stream],
+        world: World,  # what is known of it
+        tell: Callable[[Severity, str], None],  # takes what people have to know: severity and text
+        streams: dict[Mode, Stream],  # where setpoints come from, by mode
     ) -> None:
         self._world = world
         self._tell = tell
         self._streams = streams
+        # What the crew has to carry out, oldest first.
         self.orders: list[Order | Steer | Errand | Drop] = []
+        # Who armed the aircraft, or moved it first after that one was lost.
         self.operator: Peer | None = None
-        self.steering: Peer | None = None
+        self.steering: Peer | None = None  # whose setpoints came last
         self.running = Running.NOTHING
+        # Whether it was disarmed while authority was asked for: it is given back.
         self.is_unwanted = False
+        # Called with whether and why not, when a request for authority has ended.
         self.on_armed: Callable[[M100Error | None], None] = lambda _: None
         # What the aircraft was asked for last, while it is in force.
         self._mode = Mode.HOLD

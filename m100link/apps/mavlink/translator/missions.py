@@ -16,14 +16,6 @@ from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.route import Refused, Route, read_route
 from m100link.geodesy import LocalFrame
 
-__all__ = [
-    "MOST_ITEMS",
-    "Fence",
-    "Missions",
-    "read_fence",
-]
-
-
 MOST_ITEMS = 1000
 """Of a mission or a fence."""
 
@@ -35,22 +27,13 @@ _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE, _NONE = 2, 3, 4, 5, 1
 
 @dataclass(slots=True)
 class _Upload:
-    """Items on their way in.
+    """Items on their way in."""
 
-    Attributes:
-        peer: Who sends them.
-        kind: Of what.
-        count: How many.
-        items: Those that are there.
-        asked_at: When the next one was asked for last, s.
-        tries: How often.
-    """
-
-    peer: Peer
+    peer: Peer  # who sends them
     kind: int
     count: int
-    asked_at: float
-    items: list[Message] = field(default_factory=list)
+    asked_at: float  # when the next one was asked for last, s
+    items: list[Message] = field(default_factory=list)  # those that are there
     tries: int = 0
 
 
@@ -68,28 +51,17 @@ class _Stored:
 
 
 class Missions:
-    """The missions of one aircraft.
-
-    Args:
-        send: Sends a message to a peer, None for everybody.
-        tell: Takes what people have to know.
-        ground: Altitude of the take-off point above sea level, m.
-        speed: Of missions that do not say it, m/s.
-        may_change: Why a peer may not change the mission now; empty where it may.
-
-    Attributes:
-        fence: What was uploaded last.
-        current: Number of the item that is flown to, or would be.
-        edition: Counts what was uploaded, cleared, or told to begin elsewhere.
-    """
+    """The missions of one aircraft."""
 
     def __init__(
         self,
+        # Sends a message to a peer, None for everybody.
         send: Callable[[Message, Peer | None], None],
-        tell: Callable[[Severity, str], None],
+        tell: Callable[[Severity, str], None],  # takes what people have to know
         *,
-        ground: Callable[[], float | None],
-        speed: Callable[[], float],
+        ground: Callable[[], float | None],  # altitude of the take-off point above sea level, m
+        speed: Callable[[], float],  # of missions that do not say it, m/s
+        # Why a peer may not change the mission now; empty where it may.
         may_change: Callable[[Peer, int], str],
     ) -> None:
         self._send = send
@@ -101,9 +73,9 @@ class Missions:
         self._upload: _Upload | None = None
         # The answer to an upload, for whoever did not get it.
         self._answered: tuple[Peer, int, MissionResult, float] | None = None
-        self.fence = Fence()
-        self.current = 0
-        self.edition = 0
+        self.fence = Fence()  # what was uploaded last
+        self.current = 0  # number of the item that is flown to, or would be
+        self.edition = 0  # counts what was uploaded, cleared, or told to begin elsewhere
         self._reached = -1
         self._told_at = float("-inf")
 
@@ -344,19 +316,12 @@ _Local = tuple[float, float]  # north and east, m
 
 @dataclass(frozen=True, slots=True)
 class _Area:
-    """A polygon, or a circle.
+    """A polygon, or a circle."""
 
-    Attributes:
-        is_inside: Whether to stay in it.
-        frame: Metres from its first corner, or its centre.
-        corners: North and east of that, m; empty for a circle.
-        radius: m.
-    """
-
-    is_inside: bool
-    frame: LocalFrame
-    corners: tuple[tuple[float, float], ...] = ()
-    radius: float = 0.0
+    is_inside: bool  # whether to stay in it
+    frame: LocalFrame  # metres from its first corner, or its centre
+    corners: tuple[tuple[float, float], ...] = ()  # north and east of that, m; empty for a circle
+    radius: float = 0.0  # m
 
     def has(self, latitude_deg: float, longitude_deg: float) -> bool:
         north, east = self.frame.to_local(latitude_deg, longitude_deg)
@@ -411,21 +376,14 @@ def _cross(a: _Local, b: _Local, c: _Local, d: _Local) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Fence:
-    """All areas; without any it refuses nothing.
+    """All areas; without any it refuses nothing."""
 
-    Attributes:
-        areas: To stay in, or out of.
-    """
-
-    areas: tuple[_Area, ...] = ()
+    areas: tuple[_Area, ...] = ()  # to stay in, or out of
 
     def refusal(self, latitude_deg: float, longitude_deg: float, radius: float = 0.0) -> str:
         """Why nobody may be there, empty where one may.
 
-        Args:
-            latitude_deg: WGS 84.
-            longitude_deg: WGS 84.
-            radius: Of a circle around the place, m.
+        ``radius``: of a circle around the place, m.
         """
         if not self.areas:
             return ""

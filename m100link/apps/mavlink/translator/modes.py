@@ -12,25 +12,6 @@ from enum import Enum
 from m100link.apps.mavlink.translator.codec import Message
 from m100link.apps.mavlink.translator.numbers import BaseMode
 
-__all__ = [
-    "ARM_VERDICTS",
-    "DISARM_VERDICTS",
-    "MODES",
-    "REMEDIES",
-    "RUNNING",
-    "VERDICTS",
-    "Mode",
-    "ModeRow",
-    "Phase",
-    "Running",
-    "Step",
-    "Verdict",
-    "available",
-    "current",
-    "mode_of_number",
-    "mode_of_standard",
-]
-
 
 class Mode(Enum):
     """What the aircraft does, as ground stations see it."""
@@ -50,23 +31,14 @@ class Mode(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ModeRow:
-    """A mode's numbers.
+    """A mode's numbers."""
 
-    Attributes:
-        main: Main mode of PX4.
-        sub: Its sub mode.
-        standard: MAV_STANDARD_MODE; 0 for none.
-        base: What else the heartbeat says of it.
-        is_selectable: Whether a ground station may ask for it by its number.
-        meaning: What the M100 does, for the manual.
-    """
-
-    main: int
-    sub: int
-    standard: int
-    base: BaseMode
-    is_selectable: bool
-    meaning: str
+    main: int  # main mode of PX4
+    sub: int  # its sub mode
+    standard: int  # MAV_STANDARD_MODE; 0 for none
+    base: BaseMode  # what else the heartbeat says of it
+    is_selectable: bool  # whether a ground station may ask for it by its number
+    meaning: str  # what the M100 does, for the manual
 
     @property
     def number(self) -> int:

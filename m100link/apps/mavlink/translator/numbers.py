@@ -4,24 +4,6 @@ from __future__ import annotations
 
 from enum import IntEnum, IntFlag
 
-__all__ = [
-    "AUTOPILOT_GENERIC",
-    "AUTOPILOT_PX4",
-    "BaseMode",
-    "Capability",
-    "Command",
-    "Estimator",
-    "Frame",
-    "LandedState",
-    "MissionResult",
-    "MissionType",
-    "Result",
-    "Sensor",
-    "Severity",
-    "SystemStatus",
-]
-
-
 AUTOPILOT_GENERIC, AUTOPILOT_PX4 = 0, 12
 """MAV_AUTOPILOT."""
 

@@ -15,14 +15,6 @@ from m100link.apps.mavlink.translator.parameters import Parameters
 from m100link.apps.mavlink.translator.world import World
 from m100link.protocol.setpoint import Setpoint
 
-__all__ = [
-    "STICKS_LIFETIME",
-    "Manual",
-    "Offboard",
-    "Target",
-]
-
-
 _PLACE, _HEIGHT = 0b11, 0b100
 _SPEED, _CLIMB = 0b11000, 0b100000
 _NO_FORCE, _YAW, _YAW_RATE = 0x1C0, 0x400, 0x800
@@ -42,29 +34,17 @@ _CLIMB_M_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What a program wants; None where it says nothing.
+    """What a program wants; None where it says nothing."""
 
-    Attributes:
-        at: When it came, s.
-        place: North and east of home, m.
-        height: Above home, m.
-        velocity: North and east, or forward and right, m/s.
-        climb: Up, m/s.
-        is_body: Velocities are forward and right.
-        tilt: Roll and pitch, °.
-        yaw_deg: Heading, °.
-        yaw_rate: Turn, °/s, clockwise.
-    """
-
-    at: float
-    place: tuple[float, float] | None = None
-    height: float | None = None
-    velocity: tuple[float, float] | None = None
-    climb: float | None = None
-    is_body: bool = False
-    tilt: tuple[float, float] | None = None
-    yaw_deg: float | None = None
-    yaw_rate: float | None = None
+    at: float  # when it came, s
+    place: tuple[float, float] | None = None  # north and east of home, m
+    height: float | None = None  # above home, m
+    velocity: tuple[float, float] | None = None  # north and east, or forward and right, m/s
+    climb: float | None = None  # up, m/s
+    is_body: bool = False  # velocities are forward and right
+    tilt: tuple[float, float] | None = None  # roll and pitch, °
+    yaw_deg: float | None = None  # heading, °
+    yaw_rate: float | None = None  # turn, °/s, clockwise
 
 
 def _limited(value: float, limit: float) -> float:
@@ -76,20 +56,12 @@ def _turn(yaw: float) -> float:
 
 
 class Offboard:
-    """The newest setpoint of the operator.
-
-    Args:
-        world: The aircraft.
-        parameters: Speeds and times.
-
-    Attributes:
-        target: The newest one; None before the first.
-    """
+    """The newest setpoint of the operator."""
 
     def __init__(self, world: World, parameters: Parameters) -> None:
         self._world = world
         self._parameters = parameters
-        self.target: Target | None = None
+        self.target: Target | None = None  # the newest one; None before the first
 
     def receive(self, message: Message, now: float) -> str:
         """Take a setpoint over. Returns why it cannot be flown, empty where it can."""
@@ -242,13 +214,7 @@ def _stick(value: float) -> float:
 
 
 class Manual:
-    """The newest sticks of the operator.
-
-    Args:
-        world: The aircraft.
-        parameters: Speeds.
-        is_tilt: Whether sticks are tilts.
-    """
+    """The newest sticks of the operator."""
 
     def __init__(self, world: World, parameters: Parameters, *, is_tilt: bool) -> None:
         self._world = world

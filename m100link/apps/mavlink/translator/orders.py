@@ -12,37 +12,12 @@ from m100link.apps.mavlink.translator.peers import Peer
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.setpoint import Setpoint
 
-__all__ = [
-    "Arm",
-    "CallOff",
-    "Disarm",
-    "Do",
-    "Drop",
-    "Errand",
-    "Flight",
-    "GoHome",
-    "Halt",
-    "Land",
-    "Order",
-    "Pause",
-    "Resume",
-    "Steer",
-    "Stream",
-    "TakeOff",
-    "Wish",
-    "running_of",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """Take the lease and obtain control authority.
+    """Take the lease and obtain control authority."""
 
-    Attributes:
-        name: For whom, for people.
-    """
-
-    name: str
+    name: str  # for whom, for people
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,12 +27,9 @@ class Disarm:
 
 @dataclass(frozen=True, slots=True)
 class TakeOff:
-    """Let the autopilot take off, then climb.
+    """Let the autopilot take off, then climb."""
 
-    Attributes:
-        height: To climb to, m above the take-off point; None stays where the autopilot ends.
-    """
-
+    # To climb to, m above the take-off point; None stays where the autopilot ends.
     height: float | None = None
 
 
@@ -73,64 +45,43 @@ class CallOff:
 
 @dataclass(frozen=True, slots=True)
 class Land:
-    """Let the autopilot land in place.
+    """Let the autopilot land in place."""
 
-    Attributes:
-        is_interrupting: End the autopilot's task first, by giving authority back and asking anew.
-    """
-
+    # End the autopilot's task first, by giving authority back and asking anew.
     is_interrupting: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class GoHome:
-    """Let the autopilot fly home and land.
+    """Let the autopilot fly home and land."""
 
-    Attributes:
-        is_interrupting: As in :class:`Land`.
-    """
-
-    is_interrupting: bool = False
+    is_interrupting: bool = False  # as in Land
 
 
 @dataclass(frozen=True, slots=True)
 class Halt:
-    """Hover.
+    """Hover."""
 
-    Attributes:
-        is_interrupting: As in :class:`Land`.
-        why: For people.
-    """
-
-    is_interrupting: bool = False
+    is_interrupting: bool = False  # as in Land
     why: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """Flights of the agent, one after the other.
+    """Flights of the agent, one after the other."""
 
-    Attributes:
-        legs: Each an order of the agent.
-        waits: Seconds to hover after each.
-        takes_off: Take off first.
-        then: The way to the ground that follows them; None hovers.
-        items: Number of the mission's item of each leg, None for a leg of none; empty where no
-            mission is flown.
-        edition: Of the mission.
-        plan: What the aircraft flies by itself in place of the last legs; None where the agent
-            flies them all.
-        why: Why it does, of a mission.
-    """
-
-    legs: tuple[GuidedOrder, ...]
-    waits: tuple[float, ...] = ()
-    takes_off: bool = False
-    then: Land | GoHome | None = None
+    legs: tuple[GuidedOrder, ...]  # each an order of the agent
+    waits: tuple[float, ...] = ()  # seconds to hover after each
+    takes_off: bool = False  # take off first
+    then: Land | GoHome | None = None  # the way to the ground that follows them; None hovers
+    # Number of the mission's item of each leg, None for a leg of none; empty where no mission is
+    # flown.
     items: tuple[int | None, ...] = ()
-    edition: int = 0
+    edition: int = 0  # of the mission
+    # What the aircraft flies by itself in place of the last legs; None where the agent flies them
+    # all.
     plan: WaypointPlan | None = None
-    why: str = ""
+    why: str = ""  # why it does, of a mission
 
     @property
     def by_agent(self) -> int:
@@ -145,37 +96,24 @@ class Flight:
 
 @dataclass(frozen=True, slots=True)
 class Pause:
-    """Let the aircraft hover, and keep the mission that it flies.
+    """Let the aircraft hover, and keep the mission that it flies."""
 
-    Attributes:
-        flight: Of which that is the mission.
-    """
-
-    flight: Flight
+    flight: Flight  # of which that is the mission
 
 
 @dataclass(frozen=True, slots=True)
 class Resume:
-    """Let the aircraft fly on what it has paused.
+    """Let the aircraft fly on what it has paused."""
 
-    Attributes:
-        flight: As in :class:`Pause`.
-    """
-
-    flight: Flight
+    flight: Flight  # as in Pause
 
 
 @dataclass(frozen=True, slots=True)
 class Do:
-    """Something that is asked of the agent and moves nothing by itself.
-
-    Attributes:
-        action: What.
-        number: Of the question.
-    """
+    """Something that is asked of the agent and moves nothing by itself."""
 
     action: Action
-    number: int = 0
+    number: int = 0  # of the question
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,15 +123,10 @@ class Drop:
 
 @dataclass(frozen=True, slots=True)
 class Steer:
-    """A setpoint for as long as its lifetime.
-
-    Attributes:
-        setpoint: What to fly.
-        lifetime: s.
-    """
+    """A setpoint for as long as its lifetime."""
 
     setpoint: Setpoint
-    lifetime: float
+    lifetime: float  # s
 
 
 Order = Arm | Disarm | CallOff | TakeOff | Land | GoHome | Halt | Flight
@@ -239,16 +172,9 @@ class Stream(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What somebody wants to be flown.
+    """What somebody wants to be flown."""
 
-    Attributes:
-        mode: In which mode.
-        order: What the agent is asked for; None where setpoints fly.
-        peer: Who wants it; None for the bridge itself.
-        is_anew: Whether it is another mission than the one that flies or is paused.
-    """
-
-    mode: Mode
-    order: Order | None
-    peer: Peer | None = None
-    is_anew: bool = False
+    mode: Mode  # in which mode
+    order: Order | None  # what the agent is asked for; None where setpoints fly
+    peer: Peer | None = None  # who wants it; None for the bridge itself
+    is_anew: bool = False  # whether it is another mission than the one that flies or is paused

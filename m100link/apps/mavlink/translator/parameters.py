@@ -14,35 +14,20 @@ from dataclasses import dataclass
 from m100link.apps.mavlink.translator.codec import Message
 from m100link.apps.mavlink.translator.world import World
 
-__all__ = [
-    "PARAMETERS",
-    "Parameter",
-    "Parameters",
-]
-
-
 _REAL32, _INT32 = 9, 6
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One of them.
+    """One of them."""
 
-    Attributes:
-        value: At first; of one that tells of the aircraft, None.
-        meaning: For the manual.
-        least: What it may be set to.
-        most: Likewise; where both are the same it is read-only.
-        told: What the aircraft or the agent tells, for those that tell of it.
-        is_whole: Whether it is an integer.
-    """
-
-    value: float | None
-    meaning: str
-    least: float = 0.0
-    most: float = 0.0
+    value: float | None  # at first; of one that tells of the aircraft, None
+    meaning: str  # for the manual
+    least: float = 0.0  # what it may be set to
+    most: float = 0.0  # likewise; where both are the same it is read-only
+    # What the aircraft or the agent tells, for those that tell of it.
     told: Callable[[World, int], float | None] | None = None
-    is_whole: bool = False
+    is_whole: bool = False  # whether it is an integer
 
     @property
     def is_settable(self) -> bool:
@@ -85,12 +70,7 @@ _NAMES = tuple(PARAMETERS)
 
 
 class Parameters:
-    """The parameters of one aircraft.
-
-    Args:
-        world: The aircraft.
-        system: Its system id.
-    """
+    """The parameters of one aircraft."""
 
     def __init__(self, world: World, system: int) -> None:
         self._world = world

@@ -5,16 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-__all__ = [
-    "FORGOTTEN_AFTER",
-    "LOST_AFTER",
-    "MOST_PEERS",
-    "Address",
-    "Peer",
-    "Peers",
-]
-
-
 Address = tuple[str, int]
 """Host and port."""
 
@@ -30,15 +20,9 @@ MOST_PEERS = 16
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """A ground station or program.
+    """A ground station or program."""
 
-    Attributes:
-        address: Where its datagrams come from.
-        system: Its system id.
-        component: Its component id.
-    """
-
-    address: Address
+    address: Address  # where its datagrams come from
     system: int
     component: int
 
@@ -49,11 +33,7 @@ class Peer:
 
 
 class Peers:
-    """Those that have been heard, by address and system id.
-
-    Args:
-        always: Addresses that are sent telemetry before they say anything.
-    """
+    """Those that have been heard, by address and system id."""
 
     def __init__(self, always: tuple[Address, ...] = ()) -> None:
         self._always = always
@@ -65,10 +45,7 @@ class Peers:
     def heartbeat(self, peer: Peer, now: float, *, is_trusted: bool = True) -> bool:
         """It is there. Returns whether it is one of the peers: there may be too many.
 
-        Args:
-            peer: Who says it.
-            now: s.
-            is_trusted: Whether it keeps a flight going: with a key only what is signed with it.
+        ``now``: s. One that is trusted keeps a flight going: with a key only what is signed by it.
         """
         if peer not in self._heard and len(self._heard) >= MOST_PEERS:
             self.forget(now)

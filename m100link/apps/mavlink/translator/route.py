@@ -21,19 +21,6 @@ from m100link.missions.plan import AtEnd, Heading, Stay, Waypoint, WaypointPlan
 from m100link.protocol.commands.waypoint import WaypointMission
 from m100link.protocol.firmware import PROFILES
 
-__all__ = [
-    "FASTEST_M_S",
-    "ITEMS",
-    "Leg",
-    "Refused",
-    "Route",
-    "Unfit",
-    "flies_missions",
-    "plan_of",
-    "read_route",
-]
-
-
 _SEA_LEVEL = (Frame.GLOBAL, Frame.GLOBAL_INT)
 _RELATIVE = (Frame.GLOBAL_RELATIVE_ALT, Frame.GLOBAL_RELATIVE_ALT_INT)
 _LONGEST_WAIT = 600.0
@@ -46,59 +33,39 @@ _CHANGES_THE_WAY = {177, 192, 3000}
 
 
 class Refused(Exception):
-    """The mission cannot be flown.
-
-    Attributes:
-        result: For the ground station.
-        why: For people.
-    """
+    """The mission cannot be flown."""
 
     def __init__(self, result: MissionResult, why: str) -> None:
         super().__init__(why)
-        self.result = result
+        self.result = result  # for the ground station
         self.why = why
 
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """A place that the mission flies to.
+    """A place that the mission flies to."""
 
-    Attributes:
-        item: Number of the item.
-        order: Where to.
-        wait: Seconds to hover there.
-    """
-
-    item: int
+    item: int  # number of the item
     order: FlyTo
-    wait: float = 0.0
+    wait: float = 0.0  # seconds to hover there
 
 
 @dataclass(slots=True)
 class Route:
-    """A mission that can be flown.
-
-    Attributes:
-        legs: In order.
-        height: To climb to after a take-off, m above the ground; None without such an item.
-        then: How it ends: RTL, LAND, or hovering.
-        left_out: Commands of items that are not carried out.
-        speed: Of the legs that follow, m/s.
-    """
+    """A mission that can be flown."""
 
     legs: list[Leg] = field(default_factory=list)
+    # To climb to after a take-off, m above the ground; None without such an item.
     height: float | None = None
-    then: Mode = Mode.HOLD
-    left_out: list[int] = field(default_factory=list)
-    speed: float = 5.0
+    then: Mode = Mode.HOLD  # how it ends: RTL, LAND, or hovering
+    left_out: list[int] = field(default_factory=list)  # commands of items that are not carried out
+    speed: float = 5.0  # of the legs that follow, m/s
 
 
 class _Reader:
     """Reads item after item.
 
-    Args:
-        ground: Altitude of the take-off point above sea level, m; None while nobody knows.
-        speed: Until an item says another one.
+    ``ground``: altitude of the take-off point above sea level, m; None while nobody knows.
     """
 
     def __init__(self, ground: float | None, speed: float) -> None:
@@ -204,15 +171,10 @@ def _seconds(number: int, value: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class ItemRow:
-    """An item that is flown.
+    """An item that is flown."""
 
-    Attributes:
-        reader: What reads it.
-        meaning: For the manual.
-    """
-
-    reader: Callable[[_Reader, int, Message], None]
-    meaning: str
+    reader: Callable[[_Reader, int, Message], None]  # what reads it
+    meaning: str  # for the manual
 
 
 ITEMS: Mapping[int, ItemRow] = {
@@ -231,10 +193,8 @@ ITEMS: Mapping[int, ItemRow] = {
 def read_route(items: Sequence[Message], *, ground: float | None, speed: float) -> Route:
     """The mission as it is flown.
 
-    Args:
-        items: MISSION_ITEM_INT, in order.
-        ground: Altitude of the take-off point above sea level, m; None while nobody knows.
-        speed: Until an item says another one, m/s.
+    ``ground``: altitude of the take-off point above sea level, m; None while nobody knows.
+    ``speed``: until an item says another one, m/s.
 
     Raises:
         Refused: It cannot be flown; with the item and the reason.
@@ -270,10 +230,7 @@ def flies_missions(firmware: str) -> bool:
 def plan_of(legs: Sequence[Leg], then: Mode, *, yaw_deg: float | None) -> WaypointPlan:
     """The plan that flies these legs.
 
-    Args:
-        legs: Places, in order.
-        then: How the mission ends: RTL, LAND, or hovering.
-        yaw_deg: Heading at its start; None while nobody knows.
+    ``yaw_deg``: heading at its start; None while nobody knows.
 
     Raises:
         Unfit: There is none.

@@ -36,19 +36,6 @@ from m100link.protocol.records import (
     RemoteControl,
 )
 
-__all__ = [
-    "LOWEST_BATTERY",
-    "MOST_HZ",
-    "NUMBERS",
-    "STREAMS",
-    "Rates",
-    "Stream",
-    "Texts",
-    "heartbeat",
-    "severity_of",
-]
-
-
 LOWEST_BATTERY = 20
 """Percent below which the agent refuses to take off: not ready to arm."""
 
@@ -329,19 +316,13 @@ def _felt(acceleration: Acceleration, attitude: Attitude) -> tuple[float, float,
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """A message of telemetry.
+    """A message of telemetry."""
 
-    Attributes:
-        hz: How often it is sent; 0 until somebody asks.
-        group: MAV_DATA_STREAM of REQUEST_DATA_STREAM.
-        fields: Makes it; None where what it says is not known.
-        source: What it is made of, for the manual.
-    """
-
-    hz: float
-    group: int
+    hz: float  # how often it is sent; 0 until somebody asks
+    group: int  # MAV_DATA_STREAM of REQUEST_DATA_STREAM
+    # Makes it; None where what it says is not known.
     fields: Callable[[World, float], Fields | None]
-    source: str
+    source: str  # what it is made of, for the manual
 
 
 _SENSORS, _STATUS, _STICKS, _PLACE, _EXTRA1, _EXTRA2, _EXTRA3 = 1, 2, 3, 6, 10, 11, 12
@@ -393,14 +374,7 @@ Audience = Mapping[Address, tuple[Peer, ...]]
 
 
 class Rates:
-    """How often each is sent to whom.
-
-    Args:
-        world: The aircraft.
-
-    Attributes:
-        is_often: Whether anything is sent more often than usual telemetry ever is.
-    """
+    """How often each is sent to whom."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -409,7 +383,7 @@ class Rates:
         self._audience: Audience | None = None
         self._present: set[Peer] = set()
         self._tables: dict[Address, dict[str, float]] = {}
-        self.is_often = False
+        self.is_often = False  # whether anything is sent more often than usual telemetry ever is
         self._due: dict[Address, dict[str, float]] = {}
 
     def hz(self, name: str, peer: Peer) -> float:

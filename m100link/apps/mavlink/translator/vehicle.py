@@ -45,12 +45,6 @@ from m100link.apps.mavlink.translator.world import Known, World
 from m100link.errors import M100Error
 from m100link.geodesy import LocalFrame
 
-__all__ = [
-    "COMPONENT",
-    "Vehicle",
-]
-
-
 COMPONENT = 1
 """MAV_COMP_ID_AUTOPILOT1."""
 
@@ -75,25 +69,14 @@ _MISSION_MESSAGES = (
 
 
 class Vehicle:
-    """The vehicle.
-
-    Args:
-        known: What the agent tells of the aircraft.
-        system: Its system id, 1 to 250.
-        autopilot: MAV_AUTOPILOT of the heartbeat.
-
-    Attributes:
-        world: What is known of the aircraft.
-        deck: What flies.
-        flights: The mission, and how far it is.
-        outbox: What has to be sent: to which peer, to which addresses, or None for everybody.
-    """
+    """The vehicle, with a system id of 1 to 250."""
 
     def __init__(self, known: Known, system: int, *, autopilot: int = AUTOPILOT_PX4) -> None:
         self.system = system
         self._autopilot = autopilot
+        # What has to be sent: to which peer, to which addresses, or None for everybody.
         self.outbox: list[tuple[Message, Peer | tuple[Address, ...] | None]] = []
-        self.world = World(known)
+        self.world = World(known)  # what is known of the aircraft
         self._texts = Texts()
         self._parameters = Parameters(self.world, system)
         self._offboard = Offboard(self.world, self._parameters)
@@ -122,6 +105,7 @@ class Vehicle:
             speed=lambda: self._parameters["MPC_XY_CRUISE"],
             may_change=self._may_change,
         )
+        # The mission, and how far it is.
         self.flights = MissionFlights(self.world, self.deck, self._missions, self._texts.tell)
         self._was_inside = True
         # Who waits for the answer to arming, and when they were told last that it takes time.
@@ -390,10 +374,7 @@ class Vehicle:
     def advance(self, now: float, audience: Audience, lost: Callable[[Peer], bool]) -> None:
         """Let time pass: steer, and send what is due.
 
-        Args:
-            now: s.
-            audience: Where telemetry goes, and which peers are there.
-            lost: Whether a peer is not heard any more.
+        ``now``: s.
         """
         self.world.look()
         operator = self.deck.operator

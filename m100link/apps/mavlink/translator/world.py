@@ -27,14 +27,6 @@ from m100link.protocol.records import (
 from m100link.telemetry.integrity import Integrity, IntegrityState
 from m100link.telemetry.state import AircraftState
 
-__all__ = [
-    "GPS_NEEDED",
-    "Home",
-    "Known",
-    "World",
-]
-
-
 R = TypeVar("R", bound=tuple[Any, ...])
 
 GPS_NEEDED = 3
@@ -70,41 +62,24 @@ class Known(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """Where the aircraft stood last, with a position by GPS.
-
-    Attributes:
-        latitude_deg: WGS 84.
-        longitude_deg: WGS 84.
-        altitude_m: Barometric altitude, as the wire has it.
-        frame: Origin of the local frame.
-    """
+    """Where the aircraft stood last, with a position by GPS."""
 
     latitude_deg: float
     longitude_deg: float
-    altitude_m: float
-    frame: LocalFrame
+    altitude_m: float  # barometric altitude, as the wire has it
+    frame: LocalFrame  # origin of the local frame
 
 
 class World:
-    """One aircraft as it is now.
-
-    Args:
-        known: What the agent tells.
-
-    Attributes:
-        known: The same.
-        lease: The lease that the bridge has taken; None for none.
-        is_arming: Whether control authority is being obtained for the bridge.
-        may_take_off: Whether a take-off was called off, and the aircraft may fly it all the same.
-        home: Where it stood last; None while nobody knows.
-    """
+    """One aircraft as it is now."""
 
     def __init__(self, known: Known) -> None:
         self.known = known
-        self.lease: Lease | None = None
-        self.is_arming = False
+        self.lease: Lease | None = None  # the lease that the bridge has taken; None for none
+        self.is_arming = False  # whether control authority is being obtained for the bridge
+        # Whether a take-off was called off, and the aircraft may fly it all the same.
         self.may_take_off = False
-        self.home: Home | None = None
+        self.home: Home | None = None  # where it stood last; None while nobody knows
 
     # -- telemetry -------------------------------------------------------------------------------
 
