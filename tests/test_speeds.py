@@ -183,7 +183,7 @@ def test_the_list_has_functions_with_their_seconds() -> None:
         ("m100link/wire/frame.py", "tests/browser/test_flying.py", "tests/apps/bus/test_memory.py"),
         (
             "m100link/apps/mavlink/translator/offboard.py",
-            "tests/apps/mavlink/test_commands.py",
+            "tests/apps/mavlink/translator/test_commands.py",
             "tests/apps/ros2/test_node.py",
         ),
         ("m100link/apps/cli/demo.py", "tests/apps/cli/test_demo.py", "tests/flight/test_path.py"),

@@ -17,7 +17,7 @@ from m100link.apps.mavlink.translator.numbers import Command, MissionResult, Res
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.mavlink.conftest import Ground, Rig
 from tests.apps.mavlink.test_bridge import send_velocity
-from tests.apps.mavlink.test_missions import Exchange, waypoint
+from tests.apps.mavlink.translator.test_missions import Exchange, waypoint
 
 pytestmark = pytest.mark.anyio
 

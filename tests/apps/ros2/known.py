@@ -7,8 +7,6 @@ from contextlib import asynccontextmanager
 from functools import cache
 from typing import Any
 
-import pytest
-
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.ros2 import MESSAGES
@@ -17,9 +15,8 @@ from m100link.apps.ros2.node import Node
 from m100link.apps.ros2.publishers import ALL_OUTPUTS
 from m100link.log.cdr import full_name
 from tests.apps.ros2.conftest import Program, RecordingBus, Rig
+from tests.apps.ros2.conftest import MemoryBus, Program, Rig, judge
 from tests.known import KnownAgent
-
-typesys: Any = pytest.importorskip("rosbags.typesys", reason="the judge is not installed")
 
 
 class KnownRig(Rig):
@@ -57,6 +54,7 @@ class KnownRig(Rig):
 
 @cache
 def _store() -> Any:
+    typesys = judge()
     store = typesys.get_typestore(typesys.Stores.LATEST)
     for path in sorted(MESSAGES.rglob("*.msg")):
         name = full_name(f"m100_msgs/{path.stem}")

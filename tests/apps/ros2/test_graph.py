@@ -6,11 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from m100link.apps.bus.network import DEPTH, TokenChange
 from m100link.apps.ros2.graph import (
     Attachment,
     End,
     Names,
     NodeName,
+    Presence,
     Qos,
     Seen,
     data_key,
@@ -20,6 +22,7 @@ from m100link.apps.ros2.graph import (
 from m100link.apps.station.config import Settings
 from m100link.apps.station.ros2 import check_ros2
 from m100link.errors import UsageError
+from tests.apps.ros2.conftest import MemoryInbox
 
 IMU = "RIHS01_7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b"
 TRIGGER = "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
@@ -128,3 +131,71 @@ def test_nothing_that_moves_an_aircraft_has_the_name_of_something_else(
 
 def test_topics_may_come_together() -> None:
     check_ros2(Settings(ros2=True, ros2_remap=("~/imu:=/imu", "~/odom:=/imu")), ["a", "b"])
+
+
+# -- tokens that come and go -----------------------------------------------------------------------
+
+
+TOPIC = "/m100/land"
+
+
+def token(session: str, end: End = End.CLIENT, topic: str = TOPIC) -> str:
+    node = NodeName(0, session, "/", f"node_{session}")
+    return node.token_of(1, end, topic, "std_srvs/srv/Trigger", Qos())
+
+
+def test_those_who_can_call_are_known_until_one_is_gone() -> None:
+    inbox = MemoryInbox(99)
+    presence = Presence(lambda: inbox)
+    others = (token("c", End.SERVER), token("d", topic="/other"), "@ros2_lv/junk")
+    for key in (token("a"), token("b"), *others):
+        inbox.waiting.append(TokenChange(key, True))
+    presence.look()
+    clients = presence.clients(TOPIC)
+    assert set(clients) == {token("a"), token("b")}
+    assert {one.node_name for one in clients.values()} == {"/node_a", "/node_b"}
+    assert not presence.missing(clients)
+    inbox.waiting.append(TokenChange(token("b"), False))
+    presence.look()
+    assert presence.missing(clients)
+    assert set(presence.clients(TOPIC)) == {token("a")}
+
+
+def test_who_went_and_is_back_within_a_step_was_gone() -> None:
+    inbox = MemoryInbox(99)
+    presence = Presence(lambda: inbox)
+    inbox.waiting.append(TokenChange(token("a"), True))
+    presence.look()
+    clients = presence.clients(TOPIC)
+    inbox.waiting.append(TokenChange(token("a"), True))  # the router tells it, too
+    presence.look()
+    assert not presence.missing(clients)
+    inbox.waiting.extend(TokenChange(token("a"), is_there) for is_there in (False, True))
+    presence.look()
+    assert presence.missing(clients)
+
+
+def test_a_flood_of_tokens_is_not_kept() -> None:
+    inbox = MemoryInbox(DEPTH)
+    presence = Presence(lambda: inbox)
+    for number in range(10 * DEPTH):
+        inbox.waiting.append(TokenChange(token(str(number)), True))
+        if number % 1000 == 0:
+            presence.look()
+    assert len(presence.clients(TOPIC)) <= 4 * DEPTH
+
+
+def test_of_a_flood_some_is_lost_and_then_all_count_as_gone() -> None:
+    inboxes = [MemoryInbox(DEPTH), MemoryInbox(DEPTH)]
+    waiting = iter(inboxes)
+    presence = Presence(lambda: next(waiting))
+    inboxes[0].waiting.append(TokenChange(token("a"), True))
+    presence.look()
+    clients = presence.clients(TOPIC)
+    for number in range(2 * DEPTH):
+        inboxes[0].waiting.append(TokenChange(token(str(number)), True))
+    presence.look()
+    assert presence.missing(clients)
+    inboxes[1].waiting.append(TokenChange(token("a"), True))  # told once more
+    presence.look()
+    assert presence.clients(TOPIC) == clients

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
+import os
+import sys
+from collections.abc import Awaitable, Callable
 from functools import partial
 from random import Random
+from typing import Any
 
 import anyio
 import pytest
 
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.lease import Lease
+from m100link.apps.agent.transports import memory_channels
 from m100link.apps.bus.network import Question, Received, TokenChange
 from m100link.apps.ros2.control import IDLE_S
 from m100link.apps.ros2.graph import End, Names, NodeName, data_key, read_token
 from m100link.apps.ros2.topics import INPUTS, OUTPUTS, SERVICES
+from m100link.errors import M100Error
 from m100link.log.cdr import encode
+from m100link.protocol.setpoint import Setpoint
 from tests.apps.ros2.conftest import Program, Rig
+from tests.apps.ros2.test_actions import Client
 
 pytestmark = pytest.mark.anyio
 
@@ -302,3 +313,296 @@ async def test_the_end_of_the_node_gives_control_back(rig: Rig, program: Program
 
 def test_an_empty_request_is_one_byte() -> None:
     assert encode("std_srvs/srv/Trigger_Request", {}) == b"\0\1\0\0\0"
+
+
+# -- random programs: whatever crosses whatever, an aircraft that nobody wants to move hovers ------
+# ``ROS2_SEEDS`` sets how many programs are tried.
+
+
+SEEDS = range(int(os.environ.get("ROS2_SEEDS", "6")))
+
+FIRMWARE = ("1.0", "2.3", "3.1")
+
+QUIET_S = 2.0
+"""Braking from 3 m/s: 0.3 s of lifetime, and one second and a half for the aircraft."""
+
+AT_REST = 0.3
+
+
+class World:
+    """Two publishers, a program of services and goals, a console, a pilot, and who wants what."""
+
+    def __init__(self, rig: Rig, console: AgentClient, random: Random) -> None:
+        self.rig, self.console, self.random = rig, console, random
+        self.client = Client(rig)
+        self.publishers = [Program(rig, 1), Program(rig, 2)]
+        self.streaming: list[str] = ["", ""]
+        self.console_lease: Lease | None = None
+        self.console_steers = False
+        self.wanted_at = rig.client.now
+        # Since somebody stopped it, and until somebody asks for something anew.
+        self.is_stopped = False
+        # Whether a goal may fly: sent, and not ended since by anybody.
+        self.has_goal = False
+        self.log: list[str] = []
+        self.calls: set[asyncio.Task[Any]] = set()
+
+    def told(self, text: str) -> None:
+        self.log.append(f"{self.rig.client.now:7.2f} {text}")
+
+    # -- what happens ----------------------------------------------------------------------------
+
+    def call(self, name: str, after: Callable[[bool], None] = lambda _: None) -> None:
+        """Begin to call a service; others happen meanwhile."""
+
+        async def run() -> None:
+            answer = await self.client.call(name)
+            self.told(f"{name} -> {answer['success']} {answer.get('message', '')[:60]!r}")
+            after(bool(answer["success"]))
+
+        self.told(name)
+        self._spawn(run())
+
+    def _spawn(self, work: Awaitable[None]) -> None:
+        task = asyncio.ensure_future(work)
+        self.calls.add(task)
+        task.add_done_callback(self.calls.discard)
+
+    def anew(self, _: bool = True) -> None:
+        self.is_stopped = False
+
+    def stopped(self, success: bool) -> None:
+        self.is_stopped = self.is_stopped or success
+        self.ended(success)
+
+    def ended(self, success: bool) -> None:
+        self.has_goal = self.has_goal and not success
+
+    def down(self, success: bool) -> None:
+        self.anew()
+        self.ended(success)
+
+    def goal(self) -> None:
+        name = self.random.choice(["~/take_off", "~/fly_to", "~/fly_mission", "~/fly_mission"])
+        far = self.random.choice((2.0, 30.0))
+        place = self.client.place(self.random.uniform(-far, far), self.random.uniform(-far, far))
+        leg = {**place, "height": self.random.uniform(1.0, 8.0)}
+        goals: dict[str, dict[str, Any]] = {
+            "~/take_off": {"height": leg["height"]},
+            "~/fly_to": {**leg, "speed": self.random.uniform(1.0, 4.0)},
+            "~/fly_mission": {
+                "speed": 3.0,
+                "waypoints": [
+                    {**leg, "wait": self.random.uniform(0.0, 30.0)},
+                    {**leg, "latitude": place["latitude"] + 2e-4, "wait": 1.0},
+                ],
+            },
+        }
+
+        async def run() -> None:
+            self.anew()
+            answer = await self.client.ask_goal(name, **goals[name])
+            self.has_goal = self.has_goal or bool(answer.get("accepted"))
+            self.told(f"{name} -> {answer}")
+
+        self.told(f"goal {name}")
+        self._spawn(run())
+
+    def cancel(self) -> None:
+        async def run() -> None:
+            for name in ("~/take_off", "~/fly_to", "~/fly_mission"):
+                answer = await self.client.ask_cancel(name)
+                self.ended(bool(answer.get("goals_canceling")))
+                self.told(f"cancel {name} -> {answer}")
+
+        self._spawn(run())
+
+    def stream(self) -> None:
+        which = self.random.randrange(2)
+        kinds = ["", "speed", "speed", "place", "wild"]
+        self.streaming[which] = self.random.choice(kinds)
+        self.told(f"publisher {which}: {self.streaming[which] or 'silent'}")
+
+    def pilot(self) -> None:
+        mode = self.random.choice("PPFFFF")
+        self.told(f"pilot {mode}")
+        self.rig.aircraft.vehicle.remote.set_mode(mode)
+        self.ended(mode == "P")
+
+    def take_over(self) -> None:
+        async def run() -> None:
+            try:
+                if self.console.holder.number:
+                    offer = await self.console.ask_take_over("the console")
+                    self.console_lease = await self.console.confirm(offer.token)
+                else:
+                    self.console_lease = await self.console.acquire("the console")
+                self.told("console has the lease")
+                self.ended(True)
+                await self.console.obtain(self.console_lease)
+                self.anew()
+                self.console_steers = self.random.random() < 0.5
+                self.told(f"console has control, steers: {self.console_steers}")
+            except M100Error as error:
+                self.told(f"console: {error.seen}")
+
+        self.told("console takes over")
+        self._spawn(run())
+
+    def let_go(self) -> None:
+        self.console_steers = False
+        if self.console_lease is not None:
+            self.told("console lets go")
+            self.console.let_go(self.console_lease)
+
+    def halt(self) -> None:
+        self.told("console halts")
+        self.console.halt("hover")
+        self.ended(True)
+
+    def stop(self) -> None:
+        async def run() -> None:
+            await self.console.stop()
+            self.told("console stopped it")
+            self.stopped(True)
+
+        self.told("console stops")
+        self._spawn(run())
+
+    def stand_still(self) -> None:
+        self.told("node stood still")
+        self.rig.node._ran_at -= 5.0
+        self.ended(True)
+
+    def leave(self) -> None:
+        self.told("client is gone, and back")
+        self.client.leave()
+        self.ended(True)
+        self.client = Client(self.rig)
+
+    def happen(self) -> None:
+        what: list[tuple[float, Callable[[], None]]] = [
+            (3, lambda: self.call("~/obtain_control", self.anew)),
+            (1, lambda: self.call("~/release_control", self.ended)),
+            (3, lambda: self.call("~/takeoff", self.anew)),
+            (1, lambda: self.call("~/land", self.down)),
+            (0.5, lambda: self.call("~/go_home", self.down)),
+            (1, lambda: self.call("~/stop", self.stopped)),
+            (0.3, lambda: self.call("~/disarm")),
+            (5, self.goal),
+            (1, self.cancel),
+            (6, self.stream),
+            (1.5, self.pilot),
+            (0.7, self.take_over),
+            (0.7, self.let_go),
+            (0.7, self.halt),
+            (2, self.stop),
+            (0.3, self.stand_still),
+            (0.5, self.leave),
+        ]
+        weights = [weight for weight, _ in what]
+        self.random.choices([do for _, do in what], weights)[0]()
+
+    # -- what is sent, and what is true ----------------------------------------------------------
+
+    def send(self) -> None:
+        for program, what in zip(self.publishers, self.streaming, strict=True):
+            if what == "speed":
+                program.speed(3.0, 0.0)
+            elif what == "place":
+                header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "odom"}
+                place = {"x": 20.0, "y": 20.0, "z": 4.0}
+                turned = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 0.0}
+                pose = {"position": place, "orientation": turned}
+                program.publish("~/setpoint_position", {"header": header, "pose": pose})
+            elif what == "wild":
+                odd = [math.nan, math.inf, 1e308, -1e308, 50.0, -0.0]
+                program.speed(self.random.choice(odd), self.random.choice(odd))
+        if self.console_steers and self.console_lease is not None:
+            if self.console.holds(self.console_lease):
+                forward = Setpoint.velocity(forward=2.0, right=0.0, up=0.0, yaw_rate_deg_s=0.0)
+                self.console.steer(self.console_lease, forward)
+            else:
+                self.console_steers = False
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether somebody wants it to move now."""
+        flight = self.rig.aircraft.vehicle.flight
+        if flight.tasks.is_executing or flight.phase.name in ("LANDING", "FINISHING_LANDING"):
+            return True  # the autopilot flies
+        if self.rig.agent.holding.guided_order is not None:
+            return self.has_goal
+        return (self.console_steers or any(self.streaming)) and not self.is_stopped
+
+    def check(self) -> None:
+        now = self.rig.client.now
+        if self.is_wanted:
+            self.wanted_at = now
+        quiet = now - self.wanted_at
+        motion = self.rig.aircraft.vehicle.flight.dynamics
+        speed = math.hypot(motion.speed, motion.velocity_up)
+        assert quiet < QUIET_S or speed < AT_REST, f"{speed:.2f} m/s after {quiet:.2f} s"
+        assert not self.rig.work.done()
+
+    async def pass_by(self, seconds: float) -> None:
+        for _ in range(round(20 * seconds)):
+            self.send()
+            await anyio.sleep(0.05)
+            self.check()
+
+
+def is_down(rig: Rig) -> bool:
+    return not rig.motors_on
+
+
+async def fly(rig: Rig, seed: int) -> None:
+    random = Random(seed)
+    ours, its = memory_channels()
+    rig.service.attach(its)
+    async with AgentClient(ours, "the console") as console:
+        world = World(rig, console, random)
+        try:
+            await world.client.up()
+            for _ in range(30):
+                for _ in range(random.choice((1, 1, 1, 2, 3))):
+                    world.happen()
+                await world.pass_by(random.choice((0.05, 0.1, 0.5, 1.0, 3.0, 6.0)))
+            await end(world)
+        except BaseException:
+            sys.stdout.write("\n".join([f"seed {seed}", *world.log, ""]))
+            raise
+
+
+async def end(world: World) -> None:
+    """Stop wins over everything that goes on; then landing does."""
+    rig = world.rig
+    world.console_steers = False
+    world.let_go()
+    rig.aircraft.vehicle.remote.set_mode("F")
+    world.streaming = ["speed", "place"]
+    await world.pass_by(1.0)
+    world.call("~/stop", world.stopped)
+    await world.pass_by(6.0)
+    assert rig.speed < AT_REST
+    if is_down(rig):
+        return
+    accepted: list[bool] = []
+    world.call("~/obtain_control", world.anew)
+    await world.pass_by(1.0)
+    with anyio.fail_after(60.0):  # it is refused while the autopilot takes off
+        while not any(accepted) and not is_down(rig):
+            world.cancel()
+            world.goal()
+            world.call("~/land", accepted.append)
+            await world.pass_by(1.0)
+    with anyio.fail_after(40.0):
+        while not is_down(rig):
+            world.goal()
+            await world.pass_by(0.5)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+async def test_what_nobody_wants_to_move_hovers(seed: int) -> None:
+    async with Rig(firmware=FIRMWARE[seed % 3]).running() as rig:
+        await fly(rig, seed)

@@ -16,7 +16,7 @@ from m100link.sim.line import LineFaults
 from m100link.sim.vehicle.missions.route import MissionSettings
 from m100link.sim.vehicle.settings import AircraftSettings
 from tests.apps.mavlink.conftest import Ground, Rig
-from tests.apps.mavlink.test_missions import SQUARE, Exchange, Item, item, waypoint
+from tests.apps.mavlink.translator.test_missions import SQUARE, Exchange, Item, item, waypoint
 
 pytestmark = pytest.mark.anyio
 

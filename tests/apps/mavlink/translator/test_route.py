@@ -1,4 +1,4 @@
-"""Items of a mission as a table: what each means for the flight, by common.xml."""
+"""Items of a mission: what each means for the flight, by common.xml; and legs as a plan."""
 
 from __future__ import annotations
 
@@ -11,7 +11,16 @@ from m100link.apps.agent.guided import FlyTo
 from m100link.apps.mavlink.translator.codec import Message
 from m100link.apps.mavlink.translator.modes import Mode
 from m100link.apps.mavlink.translator.numbers import MissionResult
-from m100link.apps.mavlink.translator.route import Leg, Refused, Route, read_route
+from m100link.apps.mavlink.translator.route import (
+    Leg,
+    Refused,
+    Route,
+    Unfit,
+    flies_missions,
+    plan_of,
+    read_route,
+)
+from m100link.missions.plan import AtEnd, Heading
 
 GLOBAL, MISSION, RELATIVE, GLOBAL_INT, RELATIVE_INT, TERRAIN = 0, 2, 3, 5, 6, 10
 GROUND = 432.5
@@ -131,3 +140,63 @@ def test_how_it_ends(end: Message, then: Mode, legs: int) -> None:
     if then is Mode.LAND:
         assert route.legs[-1].order.height == 12.0, "it lands from the height of the leg before"
     assert read_route([], ground=None, speed=1.0).legs == []
+
+
+# -- legs of a mission as a plan that the aircraft flies by itself, or why there is none -----------
+
+
+def planned(number: int, yaw: float | None = None, wait: float = 0.0, height: float = 12.0) -> Leg:
+    return Leg(number, FlyTo(47.0 + number * 1e-4, -8.5, height, 3.5, yaw), wait)
+
+
+@pytest.mark.parametrize(
+    ("then", "at_end"),
+    [(Mode.HOLD, AtEnd.HOVER), (Mode.RTL, AtEnd.GO_HOME), (Mode.LAND, AtEnd.LAND)],
+)
+def test_places_speed_and_end(then: Mode, at_end: AtEnd) -> None:
+    plan = plan_of([planned(1), planned(2, height=21.0)], then, yaw_deg=None)
+    assert (plan.speed, plan.at_end, plan.heading) == (3.5, at_end, Heading.AS_AT_START)
+    found = [(one.latitude_deg, one.longitude_deg, one.height) for one in plan.waypoints]
+    assert found == [(47.0001, -8.5, 12.0), (47.0002, -8.5, 21.0)]
+    assert plan.max_speed == 10.0, "the pilot's stick may add to it"
+
+
+def test_a_heading_that_no_item_names_stays_and_turns_the_short_way() -> None:
+    legs = [planned(1), planned(2, 170.0), planned(3), planned(4, -170.0), planned(5, 100.0)]
+    plan = plan_of(legs, Mode.HOLD, yaw_deg=-30.0)
+    assert plan.heading is Heading.BY_WAYPOINT
+    assert [one.heading_deg for one in plan.waypoints] == [-30.0, 170.0, 170.0, -170.0, 100.0]
+    turns = [one.turn_clockwise for one in plan.waypoints]
+    assert turns == [True, False, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("wait", "parts"), [(0.0, 0), (5.0, 1), (32.767, 1), (33.0, 2), (100.0, 4)]
+)
+def test_a_wait_is_made_of_those_that_the_wire_can_say(wait: float, parts: int) -> None:
+    [first, _] = plan_of([planned(1, wait=wait), planned(2)], Mode.HOLD, yaw_deg=None).waypoints
+    assert len(first.actions) == parts
+    assert sum(getattr(one, "seconds", 0.0) for one in first.actions) == pytest.approx(wait)
+
+
+@pytest.mark.parametrize(
+    ("legs", "yaw", "why"),
+    [
+        ([], 0.0, "no place is left"),
+        ([planned(1), planned(2, 90.0)], None, "nobody knows the heading"),
+        ([planned(4), planned(7, wait=9_000.0)], None, "item 7: it hovers for 9000 s"),
+        ([planned(4), planned(7, height=5_000.0)], None, "item 7"),
+        ([planned(4)], None, ""),
+    ],
+)
+def test_what_the_aircraft_cannot_fly_is_told_by_its_item(
+    legs: list[Leg], yaw: float | None, why: str
+) -> None:
+    with pytest.raises(Unfit) as caught:
+        plan_of(legs, Mode.HOLD, yaw_deg=yaw)
+    assert why in str(caught.value)
+
+
+@pytest.mark.parametrize(("firmware", "is_one"), [("3.1", True), ("none", False)])
+def test_which_firmware_flies_missions(firmware: str, is_one: bool) -> None:
+    assert flies_missions(firmware) is is_one

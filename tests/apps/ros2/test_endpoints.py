@@ -1,0 +1,168 @@
+"""Ends of a node: sessions that answer or do so no more, and types that are described."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Any
+
+import pytest
+
+from m100link.apps.bus.network import Inbox
+from m100link.apps.ros2.endpoints import ASK_S, SILENCE_S, Heartbeat
+from m100link.apps.ros2.topics import INPUTS, OUTPUTS, SERVICES
+from m100link.log.cdr import full_name
+from tests.apps.ros2.conftest import MemoryBus, MemoryInbox, Program, Rig, judge
+
+pytestmark = pytest.mark.anyio
+
+STEP_S = 0.02
+
+
+class Clock:
+    def __init__(self, bus: MemoryBus, *sessions: str) -> None:
+        self.now = 0.0
+        self.heartbeat = Heartbeat(bus)
+        self.heartbeat.follow(sessions)
+
+    def until_missing(self, seconds: float) -> float | None:
+        """After how long one is missing; None if none is."""
+        ends = self.now + seconds
+        began = self.now
+        while self.now < ends:
+            self.now += STEP_S
+            if self.heartbeat.is_missing(self.now):
+                return self.now - began
+        return None
+
+
+@pytest.fixture
+def bus() -> MemoryBus:
+    made = MemoryBus()
+    made.answering = {"aa", "bb"}
+    return made
+
+
+def test_who_stops_answering_is_missing_within_two_seconds(bus: MemoryBus) -> None:
+    clock = Clock(bus, "aa", "bb")
+    assert clock.until_missing(5.0) is None
+    bus.answering.remove("bb")
+    took = clock.until_missing(5.0)
+    assert took is not None
+    assert SILENCE_S - ASK_S <= took <= SILENCE_S + 2 * STEP_S
+
+
+def test_who_never_answers_is_left_to_its_lease(bus: MemoryBus) -> None:
+    clock = Clock(bus, "aa", "cc")
+    assert clock.until_missing(10.0) is None
+    assert "cc" in bus.asked
+
+
+def test_one_answer_that_is_lost_is_not_missed(bus: MemoryBus) -> None:
+    clock = Clock(bus, "aa")
+    for _ in range(10):
+        assert clock.until_missing(1.2) is None
+        bus.answering = set()
+        assert clock.until_missing(0.6) is None
+        bus.answering = {"aa"}
+
+
+def test_a_late_answer_is_one(bus: MemoryBus) -> None:
+    clock = Clock(bus, "aa")
+    assert clock.until_missing(2.0) is None
+    waiting = []
+
+    class Slow(MemoryBus):
+        def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
+            waiting.append((clock.now, inbox := MemoryInbox(1)))
+            return inbox
+
+    clock.heartbeat._bus = Slow()
+    for _ in range(500):
+        assert clock.until_missing(STEP_S) is None
+        for at, inbox in waiting:
+            if clock.now - at >= 0.9:
+                inbox.waiting.append(True)
+        waiting = [one for one in waiting if clock.now - one[0] < 0.9]
+
+
+def test_those_of_before_are_not_asked_any_more(bus: MemoryBus) -> None:
+    clock = Clock(bus, "aa")
+    assert clock.until_missing(1.0) is None
+    clock.heartbeat.follow(["bb"])
+    bus.answering = {"bb"}
+    bus.asked.clear()
+    assert clock.until_missing(5.0) is None
+    assert set(bus.asked) == {"bb"}
+
+
+def test_what_a_stranger_calls_his_session_is_not_asked_unless_it_can_be_one(
+    bus: MemoryBus,
+) -> None:
+    bad = ("**", "", "a/b", "A1", "g", "a" * 33, "a?b", "aa$*")
+    clock = Clock(bus, *bad, *(f"{number:x}" for number in range(1000)))
+    assert clock.until_missing(ASK_S) is None
+    assert not set(bad) & set(bus.asked)
+    assert len(set(bus.asked)) == 16
+
+
+# -- types of the node by its service: rosbags makes the same hash of what is answered -------------
+
+KIND = "type_description_interfaces/srv/GetTypeDescription"
+NAME = "~/get_type_description"
+
+
+async def described(program: Program, name: str, **more: Any) -> dict[str, Any]:
+    asked = {"type_hash": "", "include_type_sources": False, **more}
+    return await program.call(NAME, KIND, type_name=name, **asked)
+
+
+def hash_of(description: dict[str, Any]) -> str:
+    """As REP 2016 makes it of a description: without defaults."""
+    types = [description["type_description"], *description["referenced_type_descriptions"]]
+    for one in types:
+        for field in one["fields"]:
+            assert field.pop("default_value") == ""
+    return f"RIHS01_{hashlib.sha256(json.dumps(description).encode()).hexdigest()}"
+
+
+async def test_each_message_of_the_table_is_described(rig: Rig, program: Program) -> None:
+    typesys = judge()
+    store = typesys.get_typestore(typesys.Stores.LATEST)
+    kinds = {full_name(row.kind) for table in (OUTPUTS, INPUTS) for row in table.values()}
+    for kind in sorted(kinds):
+        answer = await described(program, kind)
+        assert answer["successful"], answer
+        if not kind.startswith("m100_msgs/"):
+            assert hash_of(answer["type_description"]) == store.hash_rihs01(kind)
+
+
+async def test_services_and_parts_of_actions_are_described(rig: Rig, program: Program) -> None:
+    for kind in ("m100_msgs/action/FlyTo_SendGoal", KIND, *{s.kind for s in SERVICES.values()}):
+        answer = await described(program, kind, include_type_sources=True)
+        assert answer["type_description"]["type_description"]["type_name"] == kind
+        encodings = {one["type_name"]: one["encoding"] for one in answer["type_sources"]}
+        assert encodings[kind] == ("implicit" if "/action/" in kind else "srv")
+
+
+async def test_sources_are_there_when_they_are_asked_for(rig: Rig, program: Program) -> None:
+    name = "sensor_msgs/msg/Imu"
+    assert (await described(program, name))["type_sources"] == []
+    answer = await described(program, name, include_type_sources=True)
+    texts = {one["type_name"]: one["raw_file_contents"] for one in answer["type_sources"]}
+    assert "float64[9] orientation_covariance" in texts[name]
+    made: dict[str, Any] = {}
+    for kind, text in texts.items():
+        made |= judge().get_types_from_msg(text, kind)
+    assert set(made) == set(texts)
+
+
+async def test_what_is_not_known_is_refused(rig: Rig, program: Program) -> None:
+    for asked in (
+        {"name": "sensor_msgs/msg/Image"},
+        {"name": ""},
+        {"name": "sensor_msgs/msg/Imu", "type_hash": "RIHS01_00"},
+    ):
+        answer = await described(program, **asked)
+        assert not answer["successful"]
+        assert answer["failure_reason"]

@@ -1,0 +1,333 @@
+"""What a node tells: each topic read back by rosbags, /diagnostics, and times of packages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from random import Random
+from types import SimpleNamespace
+from typing import Any, cast
+
+import anyio
+import pytest
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.ros2.graph import read_attachment
+from m100link.apps.ros2.publishers import Level, Stamps, Status, diagnostics
+from m100link.apps.ros2.topics import OUTPUTS
+from m100link.log.cdr import full_name
+from m100link.protocol import encode_telemetry
+from m100link.protocol.firmware import PROFILES, FirmwareProfile
+from m100link.protocol.records import Battery, FlightPhase, Position, Time
+from m100link.telemetry.device_clock import DeviceClock
+from m100link.telemetry.integrity import Integrity, IntegrityState
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.subscription import Newest
+from tests.apps.ros2.conftest import UTC, Program, Rig, judge
+from tests.known import Known
+
+pytestmark = pytest.mark.anyio
+
+AT_EACH_PACKAGE = [name for name, row in OUTPUTS.items() if row.hz >= 50]
+
+
+def read(name: str, data: bytes) -> Any:
+    typesys = judge()
+    store = typesys.get_typestore(typesys.Stores.LATEST)
+    return store.deserialize_cdr(data, full_name(OUTPUTS[name].kind))
+
+
+async def told(rig: Rig, seconds: float) -> tuple[list[Sample], dict[str, list[bytes]]]:
+    """The samples of a while, and what was sent meanwhile."""
+    for outlet in rig.bus.outlets.values():
+        outlet.sent.clear()
+    samples: list[Sample] = []
+    async with rig.client.samples(Newest(10_000)) as subscription:
+        with anyio.move_on_after(seconds):
+            async for sample in subscription:
+                samples.append(sample)
+    return samples, {name: [one for one, _ in rig.outlet(name).sent] for name in OUTPUTS}
+
+
+async def test_every_value_is_that_of_the_sample(rig: Rig, program: Program) -> None:
+    await program.up()
+    samples, sent = await told(rig, 3.0)
+    velocities = [read("~/velocity", one).twist.linear for one in sent["~/velocity"]]
+    expected = {one.velocity.enu for one in samples if one.velocity is not None}
+    assert {(one.x, one.y, one.z) for one in velocities} <= expected
+    assert len(velocities) == pytest.approx(150, abs=3)
+    imus = [read("~/imu", one) for one in sent["~/imu"]]
+    turned = [(i.orientation.x, i.orientation.y, i.orientation.z, i.orientation.w) for i in imus]
+    attitudes = [one.attitude.enu_flu_xyzw for one in samples if one.attitude is not None]
+    assert set(turned) <= set(attitudes)
+    assert len(turned) == pytest.approx(150, abs=3)  # thinned to 50 Hz
+    felt = imus[-1].linear_acceleration
+    assert felt.z == pytest.approx(9.8, abs=0.5)  # it hovers
+    places = {one[Position] for one in samples if one.get(Position) is not None}
+    fixes = [read("~/fix", one) for one in sent["~/fix"]]
+    assert {(f.latitude, f.longitude, f.altitude) for f in fixes} <= {
+        (p.latitude_deg, p.longitude_deg, p.altitude_m) for p in places
+    }
+    assert len(fixes) == pytest.approx(30, abs=2)  # thinned to 10 Hz
+    charges = {one[Battery].percent for one in samples if one.get(Battery) is not None}
+    batteries = [read("~/battery", one) for one in sent["~/battery"]]
+    assert {round(100 * one.percentage) for one in batteries} <= charges
+    assert read("~/odom", sent["~/odom"][-1]).pose.pose.position.z == pytest.approx(
+        rig.height, abs=0.6
+    )
+
+
+async def test_stamps_are_of_the_clock_of_the_aircraft(rig: Rig) -> None:
+    rig.node.teller.set_hz("~/imu", 0.0)  # each that there is
+    await anyio.sleep(8.0)
+    samples, sent = await told(rig, 3.0)
+    stamps = [read("~/imu", one).header.stamp for one in sent["~/imu"]]
+    times = [one.sec + one.nanosec * 1e-9 - UTC for one in stamps]
+    hz = samples[0].profile.tick_hz
+    ticks = [one[Time].tick / hz for one in samples if one.attitude is not None]
+    gaps = [later - before for before, later in pairwise(times)]
+    steps = [later - before for before, later in pairwise(ticks)]
+    assert gaps == pytest.approx(steps[: len(gaps)], abs=1e-4)
+    assert all(one.received_at >= 0.0 for one in samples)
+    assert times[-1] <= rig.client.now
+
+
+async def test_nobody_pays_for_what_nobody_hears(rig: Rig) -> None:
+    for outlet in rig.bus.outlets.values():
+        outlet.has_listeners = False
+    await anyio.sleep(1.0)
+    _, sent = await told(rig, 2.0)
+    assert not any(sent[name] for name in AT_EACH_PACKAGE)
+    for outlet in rig.bus.outlets.values():
+        outlet.has_listeners = True
+    await anyio.sleep(1.0)
+    _, sent = await told(rig, 1.0)
+    assert all(sent[name] for name in AT_EACH_PACKAGE)
+
+
+async def test_what_is_made_of_a_package_goes_out_together(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+
+    def remembered(what: str, doing: Callable[..., Any]) -> Callable[..., Any]:
+        def do(*values: Any) -> Any:
+            done.append(what)
+            return doing(*values)
+
+        return do
+
+    for source in rig.node.teller._sources:
+        monkeypatch.setattr(source, "make", remembered("made", source.make))
+    for outlet in rig.bus.outlets.values():
+        monkeypatch.setattr(outlet, "put", remembered("sent", outlet.put))
+    await anyio.sleep(1.0)
+    turns = [before for before, after in pairwise(done) if before != after]
+    packages = done.count("made") / len(AT_EACH_PACKAGE)
+    # A package, not each message of it, has one turn from making to sending.
+    assert 40 < turns.count("made") <= packages
+
+
+async def test_the_status_is_told_at_each_change(rig: Rig, program: Program) -> None:
+    await program.up()
+    said = rig.said("~/flight_status")
+    assert {one["phase"] for one in said} >= {1, 2, 3}
+    assert said[-1]["has_authority"]
+    assert said[-1]["holder"] == "ROS 2"
+    assert said[-1]["mode_switch"] == "F"
+    assert "take off" in {one["task"] for one in said}
+
+
+async def test_events_are_in_rosout_those_before_the_node_too(rig: Rig, program: Program) -> None:
+    await program.call("~/obtain_control")
+    said = rig.said("/rosout")
+    assert {one["name"] for one in said} == {"m100"}
+    assert [one.text for one in rig.client.events] == [one["msg"] for one in said]
+    assert said[0]["stamp"]["sec"] == pytest.approx(UTC, abs=30)
+
+
+async def test_frames_hang_together(rig: Rig) -> None:
+    [standing] = rig.said("/tf_static")[0]["transforms"]
+    assert (standing["header"]["frame_id"], standing["child_frame_id"]) == ("map", "odom")
+    rotation = standing["transform"]["rotation"]
+    assert [rotation[axis] for axis in "xyzw"] == pytest.approx([0, 0, 0, 1])
+    [moving] = rig.said("/tf")[-1]["transforms"]
+    assert (moving["header"]["frame_id"], moving["child_frame_id"]) == ("odom", "base_link")
+
+
+async def test_each_message_is_counted_by_its_publisher(rig: Rig) -> None:
+    attachments = [read_attachment(one) for _, one in rig.outlet("~/odom").sent]
+    assert [one.sequence for one in attachments] == list(range(1, len(attachments) + 1))
+    assert len({one.gid for one in attachments}) == 1
+    first = [outlet.sent[0][1] for outlet in rig.bus.outlets.values() if outlet.sent]
+    assert len({read_attachment(one).gid for one in first}) == len(first)
+
+
+# -- what /diagnostics says, and that it says it when something is wrong ---------------------------
+
+
+def levels(rig: Rig) -> dict[str, Level]:
+    told = rig.said("/diagnostics")[-1]["status"]
+    assert all(one["name"].startswith("m100: ") for one in told)
+    return {one["name"].removeprefix("m100: "): Level(one["level"]) for one in told}
+
+
+async def test_all_is_well(rig: Rig) -> None:
+    await anyio.sleep(6.0)
+    assert set(levels(rig).values()) == {Level.OK}
+    clock = next(one for one in rig.said("/diagnostics")[-1]["status"] if "clock" in one["name"])
+    values = {one["key"]: one["value"] for one in clock["values"]}
+    assert 0.0 < float(values["bound of stamps ms"]) < 50.0
+
+
+async def test_a_low_battery_and_a_line_that_is_gone(rig: Rig) -> None:
+    rig.aircraft.vehicle.flight.battery_percent = 20.0
+    await anyio.sleep(3.0)
+    assert levels(rig)["battery"] is Level.WARN
+    rig.service.close()  # the agent has gone
+    await anyio.sleep(10.0)
+    assert levels(rig)["line"] is Level.ERROR
+    assert levels(rig)["battery"] is Level.STALE
+
+
+async def test_what_was_not_done_is_counted(rig: Rig, program: Program) -> None:
+    program.speed(1.0)
+    await anyio.sleep(2.0)
+    node = next(one for one in rig.said("/diagnostics")[-1]["status"] if "node" in one["name"])
+    assert {"key": "setpoints closed", "value": "1"} in node["values"]
+
+
+async def test_a_position_that_cannot_be_true(rig: Rig) -> None:
+    flight = rig.aircraft.vehicle.flight
+    flight.start_motors()
+    flight.phase = FlightPhase.IN_AIR
+    flight.dynamics.place(0.0, 0.0, 10.0)
+    await anyio.sleep(6.0)
+    assert levels(rig)["navigation"] is Level.OK
+    flight.dynamics.place(500.0, 0.0, 10.0)
+    await anyio.sleep(1.5)
+    assert levels(rig)["navigation"] is Level.ERROR
+    await anyio.sleep(6.0)
+    assert levels(rig)["navigation"] is Level.OK
+
+
+def found(known: Known, name: str, **clock: Any) -> Status:
+    its = cast(DeviceClock, SimpleNamespace(**clock)) if clock else None
+    every = diagnostics(cast(AgentClient, known), its, {"junk": 9})
+    return next(one for one in every if one.name == name)
+
+
+def test_numbers_are_in_the_units_of_their_names() -> None:
+    known = Known()
+    known.integrity = Integrity(IntegrityState.GOOD, "", 0.25, 0.375, 0.0123)
+    assert found(known, "navigation").values == {
+        "position test ratio": 0.25,
+        "height test ratio": 0.38,  # two places
+        "delay ms": 12.3,
+    }
+    clock = found(known, "clock", uncertainty_s=0.0123, skew_ppm=-4.56, resets=2)
+    assert clock.values == {"bound of stamps ms": 12.3, "skew ppm": -4.56, "jumps": 2}
+    assert found(known, "node").values == {"junk": 9}
+
+
+@pytest.mark.parametrize(
+    ("uncertainty_s", "level"), [(0.05, Level.OK), (0.051, Level.WARN), (float("inf"), Level.WARN)]
+)
+def test_stamps_are_uncertain_beyond_50_ms(uncertainty_s: float, level: Level) -> None:
+    clock = found(Known(), "clock", uncertainty_s=uncertainty_s, skew_ppm=0.0, resets=0)
+    assert clock.level is level
+    assert found(Known(), "clock").level is Level.STALE
+
+
+@pytest.mark.parametrize(
+    ("percent", "level"),
+    [(31, Level.OK), (30, Level.WARN), (0, Level.WARN), (100, Level.OK), (101, Level.STALE)],
+)
+def test_a_battery_is_low_from_thirty_percent_down(percent: int, level: Level) -> None:
+    assert found(Known(Battery(percent)), "battery").level is level
+
+
+@pytest.mark.parametrize(
+    ("age", "level"), [(5.0, Level.OK), (5.1, Level.STALE), (None, Level.STALE)]
+)
+def test_a_line_without_telemetry_is_stale(age: float | None, level: Level) -> None:
+    known = Known()
+    known.newest_age = age
+    assert found(known, "line").level is level
+
+
+# -- times of packages: by the clock of the aircraft, asked now and then ---------------------------
+
+
+PROFILE = PROFILES["1.0"]
+HZ = PROFILE.tick_hz
+
+
+def value(ticks: int, profile: FirmwareProfile) -> bytes:
+    fields = (ticks, *[0] * (len(profile.items["time"].fields) - 1))
+    return encode_telemetry({"time": fields}, profile)
+
+
+class Line:
+    """Packages that come with a delay that jumps about, and the clock of who listens."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+        self.stamps = Stamps(lambda: self.now, lambda: UTC + self.now)
+
+    def package(self, made_at: float, delay: float, *, reboots: float = 0.0) -> float:
+        """A package comes; returns its stamp as a time of the listener's clock, s."""
+        self.now = made_at + delay
+        ticks = round((made_at - reboots) * HZ)
+        sample = Sample(value(ticks, PROFILE), PROFILE, self.now)
+        self.stamps.hear(sample)
+        seconds, nanoseconds = self.stamps.of(sample)
+        return seconds - UTC + nanoseconds * 1e-9
+
+    def flight(self, count: int, chance: Random) -> None:
+        for number in range(count):
+            self.package(101.0 + number / 50, 0.004 + 0.01 * chance.random())
+
+
+@pytest.fixture
+def line() -> Line:
+    made = Line()
+    made.flight(500, Random(11))
+    return made
+
+
+def test_the_clock_says_when_it_was_made_whatever_the_delay(line: Line) -> None:
+    chance = Random(3)
+    for number in range(200):
+        made_at = 111.0 + number / 50
+        stamp = line.package(made_at, 0.004 + 0.08 * chance.random() ** 3)
+        assert stamp == pytest.approx(made_at + 0.004, abs=0.002)
+
+
+def test_it_is_never_later_than_it_came(line: Line) -> None:
+    assert line.package(111.0, 0.0) <= 111.0
+
+
+def test_before_the_clock_is_known_it_is_when_it_came() -> None:
+    assert Line().package(101.0, 0.05) == pytest.approx(101.05, abs=1e-6)
+
+
+def test_a_clock_that_begins_anew_is_asked_at_once(line: Line) -> None:
+    line.package(111.0, 0.004)
+    assert line.package(111.02, 0.03, reboots=111.0) == pytest.approx(111.05, abs=1e-6)
+
+
+def test_ticks_far_ahead_are_asked_about(line: Line) -> None:
+    line.package(111.0, 0.004)
+    assert line.package(140.0, 0.2) == pytest.approx(140.004, abs=0.01)
+
+
+def test_another_firmware_has_another_clock(line: Line) -> None:
+    other = PROFILES["3.1"]
+    assert other.tick_hz != HZ
+    line.now = 120.0
+    sample = Sample(value(7, other), other, 120.0)
+    line.stamps.hear(sample)
+    assert line.stamps.of(sample) == (round(UTC) + 120, 0)
+    assert line.stamps.clock is not None
+    assert line.stamps.clock.tick_hz == other.tick_hz
