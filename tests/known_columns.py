@@ -128,7 +128,7 @@ def are(values: Mapping[str, Any], expected: Mapping[str, float]) -> None:
     Raises:
         AssertionError: One has not, or there are others.
     """
-    assert list(values) == list(expected)
+    assert list(values) == list(expected), set(values) ^ set(expected) or "in another order"
     for name, value in expected.items():
         found = math.nan if values[name] is None else float(values[name])
         exact = "itude_" in name and "alt" not in name

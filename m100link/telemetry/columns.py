@@ -34,7 +34,8 @@ __all__ = [
 # whatever their case.
 
 
-# Item → its name in the document, and its variables in the order of the record's fields.
+# Item → its name in the document, and its variables in the order of the record's fields. An item
+# that the document does not have is known by its own names alone.
 _DOCUMENT = {
     "time": ("time", "time_stamp"),
     "quaternion": ("q", "q0 q1 q2 q3"),
@@ -58,7 +59,7 @@ def snake(record: type[Any]) -> str:
 
 
 ITEM_NAMES: Mapping[str, Item] = {
-    **{_DOCUMENT[item.name][0]: item for item in ITEMS},
+    **{_DOCUMENT[item.name][0]: item for item in ITEMS if item.name in _DOCUMENT},
     **{snake(item.record): item for item in ITEMS},
     **{item.name: item for item in ITEMS},
 }
@@ -68,7 +69,8 @@ ITEM_NAMES: Mapping[str, Item] = {
 def _columns(item: Item) -> dict[str, str]:
     """Column by the names of its field that are understood, the record's own above all."""
     fields = item.record._fields
-    names = dict(zip(_DOCUMENT[item.name][1].split(), fields, strict=False))
+    _, variables = _DOCUMENT.get(item.name, ("", ""))
+    names = dict(zip(variables.split(), fields, strict=False))
     names |= dict(zip(item.fields, fields, strict=False))
     names |= {field: field for field in (*fields, *item.views)}
     return {name: f"{item.name}.{field}" for name, field in names.items()}

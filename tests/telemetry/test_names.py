@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
+from importlib.util import find_spec, module_from_spec
 from pathlib import Path
 
 import pytest
@@ -20,7 +22,24 @@ def test_an_item_is_known_by_its_own_name_that_of_the_state_and_that_of_the_docu
         assert ITEM_NAMES[snake(item.record)] is item
         assert isinstance(getattr(AircraftState, snake(item.record)), property)
     document = "time q acc vel w pos mag rc gimbal flight_status battery ctrl_device"
-    assert [ITEM_NAMES[name] for name in document.split()] == list(ITEMS)
+    named = [ITEM_NAMES[name] for name in document.split()]
+    assert named == list(ITEMS)[: len(named)]
+
+
+def test_an_item_that_the_document_does_not_have_is_known_by_its_own_names(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A table of the document's names is no second list of items: an item is declared once."""
+    another = replace(ITEMS[-1], bit=15, name="airspeed")
+    monkeypatch.setattr("m100link.protocol.items.ITEMS", (*ITEMS, another))
+    spec = find_spec("m100link.telemetry.columns")
+    assert spec is not None
+    assert spec.loader is not None
+    made = module_from_spec(spec)
+    spec.loader.exec_module(made)
+    assert made.ITEM_NAMES["airspeed"] is another
+    assert made.column_named("airspeed.control") == "airspeed.control"
+    assert made.column_named("vgx") == "velocity.north_m_s"
 
 
 def test_every_column_is_known_as_it_is_written() -> None:
@@ -63,7 +82,7 @@ def test_what_is_ambiguous_or_unknown_has_no_column(name: str) -> None:
 
 def test_the_manual_lists_the_names_of_the_document() -> None:
     page = (Path(__file__).parents[2] / "docs/reference/telemetry.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `(\w+)` \| `(\w+)` \| `(\w+)` \|", page, re.MULTILINE)
+    rows = re.findall(r"^\| `(\w+)` \| `(\w+)` \| (?:`(\w+)`|none) \|", page, re.MULTILINE)
     assert [ITEM_NAMES[row[0]] for row in rows] == list(ITEMS)
     for names in rows:
-        assert len({ITEM_NAMES[name.lower()].name for name in names}) == 1
+        assert len({ITEM_NAMES[name.lower()].name for name in filter(None, names)}) == 1
