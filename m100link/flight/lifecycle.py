@@ -122,6 +122,9 @@ STOP_PLANS: dict[StopCause, StopPlan] = {
 }
 """What the stop path does for each cause. Every step still asks whether authority is held."""
 
+if unplanned := [one.name for one in _C if one not in STOP_PLANS]:  # never found out in flight
+    raise LookupError(f"STOP_PLANS has no row for {', '.join(unplanned)}")
+
 
 _S, _I = BlockState, BlockInput
 

@@ -66,6 +66,8 @@ class _Field(NamedTuple):
 
 @cache
 def _fields(name: str) -> tuple[_Field, ...]:
+    if name not in DEFINITIONS:
+        raise LookupError(f"DEFINITIONS has no row for {name}")
     made = []
     for line in (DEFINITIONS[name] or _EMPTY).splitlines():
         kind, field = line.split()

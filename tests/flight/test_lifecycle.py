@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from m100link.errors import AuthorityLost, LinkLost
+from m100link.flight import lifecycle
 from m100link.flight.lifecycle import (
     STOP_PLANS,
     TRANSITIONS,
@@ -249,3 +252,10 @@ def test_each_cause_has_the_plan_that_it_leaves_possible(cause: StopCause) -> No
 def test_authority_is_kept_only_where_nobody_hears_or_another_gives_it_back() -> None:
     kept = {cause for cause, plan in STOP_PLANS.items() if not plan.release}
     assert kept == {C.LINK_LOST, C.GUARDIAN}
+
+
+def test_each_cause_ends_a_block_somewhere() -> None:
+    flight = Path(lifecycle.__file__).parent
+    others = {path for path in flight.rglob("*.py") if path.name != "lifecycle.py"}
+    text = "".join(path.read_text(encoding="utf-8") for path in others)
+    assert [one.name for one in C if f"StopCause.{one.name}" not in text] == []

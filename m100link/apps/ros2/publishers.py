@@ -132,6 +132,8 @@ class Teller:
             "/clock": lambda _, stamp: encode("rosgraph_msgs/Clock", {"clock": _time(stamp)}),
         }
         makers |= dji_makers()
+        if unlisted := makers.keys() - ALL_OUTPUTS.keys():
+            raise LookupError(f"OUTPUTS has no row for {', '.join(sorted(unlisted))}")
         self._sources = [
             _Source(name, topics[name], make, ALL_OUTPUTS[name].hz)
             for name, make in makers.items()

@@ -8,7 +8,7 @@ import pytest
 from m100link.apps.agent.guided import FlyTo
 from m100link.apps.agent.messages import Action, Ask, LeaseAction, LeaseAsk, Message
 from m100link.apps.fleet.client import Fleet, FleetAircraft
-from m100link.apps.fleet.orders import acquires, lands, moves, renews, revokes, takes
+from m100link.apps.fleet.orders import acquires, is_kept, lands, moves, renews, revokes, takes
 from m100link.apps.fleet.payloads import Outcome
 from m100link.errors import M100Error
 from tests.apps.fleet.conftest import OnBoard, Rig
@@ -37,6 +37,16 @@ pytestmark = pytest.mark.anyio
 def test_what_a_message_does(message: Message, does: str) -> None:
     asked = {"l": lands, "r": revokes, "m": moves, "t": takes, "a": acquires, "n": renews}
     assert "".join(one for one, is_so in asked.items() if is_so(message)) == does
+
+
+@pytest.mark.parametrize("action", Action, ids=lambda one: one.name)
+def test_an_action_moves_and_is_done_once_unless_it_is_named(action: Action) -> None:
+    """By hand: what nobody thought of is treated as the most dangerous order."""
+    named = {Action.STOP: "r", Action.HALT: "r", Action.LAND: "lr", Action.VERSION: ""}
+    ask = Ask(1, action)
+    asked = {"l": lands, "r": revokes, "m": moves, "k": is_kept}
+    does = "".join(one for one, is_so in asked.items() if is_so(ask))
+    assert does == named.get(action, "mk")
 
 
 async def take_off(pilot: Fleet, outcomes: list[Outcome]) -> None:

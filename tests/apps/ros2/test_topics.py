@@ -8,8 +8,10 @@ import anyio
 import pytest
 
 from m100link.apps.ros2.graph import data_key
-from m100link.apps.ros2.topics import DJI_OUTPUTS, dji_makers
-from m100link.log.cdr import decode
+from m100link.apps.ros2.publishers import ALL_OUTPUTS
+from m100link.apps.ros2.topics import DJI_OUTPUTS, INPUTS, dji_makers
+from m100link.log.cdr import DEFINITIONS, decode, definition
+from m100link.log.ros2 import TOPICS
 from tests.apps.ros2.conftest import Rig
 
 pytestmark = pytest.mark.anyio
@@ -42,3 +44,12 @@ async def test_each_is_published_with_the_values_of_the_sample() -> None:
 
 async def test_nobody_has_them_unasked(rig: Rig) -> None:
     assert not any("dji_sdk" in key for key in rig.bus.outlets)
+
+
+def test_each_message_that_is_defined_stands_on_a_topic() -> None:
+    """Of a log or of the node, in a service or an action, or within one that does."""
+    found = {row.kind for table in (ALL_OUTPUTS, INPUTS) for row in table.values()}
+    found |= {*TOPICS.values(), "action_msgs/GoalStatusArray"}
+    found |= {one for one in DEFINITIONS if one.count("/") == 2}
+    texts = "\n".join(definition(one) for one in found)
+    assert {one for one in DEFINITIONS.keys() - found if f"MSG: {one}\n" not in texts} == set()

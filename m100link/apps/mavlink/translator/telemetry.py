@@ -349,6 +349,8 @@ STREAMS: Mapping[str, Stream] = {
 """By the name of the message."""
 
 
+if undefined := STREAMS.keys() - LAYOUTS.keys():
+    raise LookupError(f"DEFINITIONS has no row for {', '.join(sorted(undefined))}")
 NUMBERS = {LAYOUTS[name].number: name for name in STREAMS}
 """Names by the number of the message."""
 

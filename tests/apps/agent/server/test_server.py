@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -37,7 +38,7 @@ from m100link.apps.agent.messages import (
 from m100link.apps.agent.server.flight import limits_of
 from m100link.apps.agent.server.server import MAX_SETPOINT_AGE, STATE_INTERVAL, Orders, Service
 from m100link.apps.agent.transports import memory_channels
-from m100link.errors import UsageError
+from m100link.errors import M100Error, UsageError
 from m100link.flight.guards import Envelope, Guards
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import Waypoint, WaypointPlan
@@ -545,6 +546,15 @@ async def test_what_is_asked_for_is_asked_of_the_agent_with_its_unit(
     done = await orders(agent).doing(Ask(1, action, 3, number), "proof", begun)
     assert agent.calls == [call]
     assert done == (("", 4_567) if action is Action.MISSION_SPEED else None)
+
+
+@pytest.mark.parametrize("action", set(Action) - {Action.HALT}, ids=lambda one: one.name)
+async def test_every_action_has_a_row(action: Action) -> None:
+    """A question without one would end as a fault of the agent; a halt waits for no table."""
+    work: Any
+    with suppress(M100Error):  # its data is none: that is another refusal
+        work = orders(Asked()).doing(Ask(1, action), "proof", begun)
+        work.close()
 
 
 @pytest.mark.parametrize(
