@@ -24,19 +24,15 @@ from m100link.apps.mavlink.translator.peers import Address, Peer, Peers
 from m100link.apps.mavlink.translator.vehicle import Vehicle
 from m100link.errors import M100Error, PortBusy, PortFailed, UsageError
 
-STEP_S = 0.02
-"""Seconds between two steps: of setpoints, and of telemetry that is due."""
+STEP_S = 0.02  # seconds between two steps: of setpoints, and of telemetry that is due
 
 IDLE_STEP_S = 0.05
 """The same while nothing waits, no setpoints are flown, and nobody wants more than 20 Hz: most of
 what a step costs is to wake up."""
 
-HIGHEST_SYSTEM = 250
-"""The greatest system id of an aircraft: those above are ground stations."""
-
+HIGHEST_SYSTEM = 250  # the greatest system id of an aircraft: those above are ground stations
 _GCS = 6
-_LARGEST = 1400
-"""Bytes of a datagram that no network cuts up."""
+_LARGEST = 1400  # bytes of a datagram that no network cuts up
 
 _READ_PER_STEP = 32768
 """Bytes of frames that are read and answered in :data:`STEP_S`, shared out evenly among the
@@ -44,15 +40,12 @@ addresses of peers, and one share for all strangers: a flood is dropped, and hol
 setpoints nor others. What does not look like a frame hardly counts: to read it costs little more
 than to drop it, and of who sends commands between much noise none is dropped."""
 
-_SKIPPED = 32
-"""Bytes of a datagram that take as long to be skipped as one of a frame to be read."""
+_SKIPPED = 32  # bytes of a datagram that take as long to be skipped as one of a frame to be read
 
 _MESSAGE_COST = 60
 """What each message counts on top: the shortest ones take as long to read as others."""
 
-_STOOD_STILL_S = 1.0
-"""Seconds without a step after which what waits to be read is old."""
-
+_STOOD_STILL_S = 1.0  # seconds without a step after which what waits to be read is old
 _SINCE_2015 = 1_420_070_400
 
 

@@ -61,8 +61,7 @@ _RENEWAL_S = 0.5
 _TAKES_OFF_WITHIN_S = 2.5
 """Seconds after its order in which a take-off shows, if it is flown (DJI's samples wait for 2)."""
 _LANDS_WITHIN_S, _LANDS_AGAIN_S = 30.0, 0.5
-_CLOSE_M = 0.3
-"""A climb of less than this after the take-off is not asked for."""
+_CLOSE_M = 0.3  # a climb of less than this after the take-off is not asked for
 
 
 class Crew:

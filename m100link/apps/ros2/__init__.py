@@ -1,8 +1,4 @@
-"""A node of ROS 2 without a ROS installation: what rmw_zenoh has on the wire, made here.
-
-Attributes:
-    MESSAGES: Where the package ``m100_msgs`` is, as colcon builds it.
-"""
+"""A node of ROS 2 without a ROS installation: what rmw_zenoh has on the wire, made here."""
 
 from __future__ import annotations
 
@@ -10,4 +6,4 @@ from pathlib import Path
 
 __all__ = ["MESSAGES"]
 
-MESSAGES = Path(__file__).parent / "m100_msgs"
+MESSAGES = Path(__file__).parent / "m100_msgs"  # the package, as colcon builds it

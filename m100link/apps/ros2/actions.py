@@ -25,15 +25,9 @@ from m100link.errors import M100Error, UsageError
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
 
-FEEDBACK_S = 0.5
-"""Seconds between two messages of feedback."""
-
-_KEPT = 32
-"""Goals whose outcome is remembered."""
-
-_MOST_WAITING = 32
-"""Who can wait for the results of an action."""
-
+FEEDBACK_S = 0.5  # seconds between two messages of feedback
+_KEPT = 32  # goals whose outcome is remembered
+_MOST_WAITING = 32  # who can wait for the results of an action
 _STATUS = Qos(is_latched=True, depth=1)
 _NOBODY = bytes(16)
 _NO_TIME = {"sec": 0, "nanosec": 0}
@@ -257,9 +251,7 @@ def _before(one: Mapping[str, int], other: Mapping[str, int]) -> bool:
 # -- what actions fly: each a few orders to the agent, one after the other, and a way to end th ----
 
 
-_CLOSE_M = 0.3
-"""A climb of less than this after the take-off is not asked for."""
-
+_CLOSE_M = 0.3  # a climb of less than this after the take-off is not asked for
 _MOST_WAYPOINTS = 500
 _SPEED, _FASTEST = 5.0, 10.0
 _LONGEST_WAIT_S = 600.0

@@ -30,12 +30,8 @@ from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightStatus
 from m100link.protocol.setpoint import Setpoint
 
-SILENCE_S = 0.5
-"""Seconds without a setpoint after which a publisher has let go."""
-
-_JITTER_S = 0.1
-"""By how much a pause may be shorter where it is made than where it is heard."""
-
+SILENCE_S = 0.5  # seconds without a setpoint after which a publisher has let go
+_JITTER_S = 0.1  # by how much a pause may be shorter where it is made than where it is heard
 _MOST_SENDERS = 32
 
 
@@ -135,9 +131,7 @@ class Stick:
 # -- setpoints of ROS programs in the words of the aircraft: speeds, and places to be flown to -----
 
 
-_GAIN = 0.8
-"""Metres per second for each metre that is missing."""
-
+_GAIN = 0.8  # metres per second for each metre that is missing
 _FASTEST, _CLIMB = 5.0, 2.0
 _NO_ROTATION, _NOT_UNIT = 1e-6, 0.01
 
@@ -219,9 +213,7 @@ def toward(
 LIFETIME = 0.3
 """Seconds that a setpoint flies when no other one comes: after that the aircraft brakes."""
 
-IDLE_S = 60.0
-"""Seconds on the ground without an order after which control is given back."""
-
+IDLE_S = 60.0  # seconds on the ground without an order after which control is given back
 _RENEWAL_S = 0.5
 _STATUS_S = 2.5
 

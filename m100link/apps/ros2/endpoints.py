@@ -29,8 +29,7 @@ from m100link.apps.ros2.graph import (
 from m100link.errors import M100Error
 from m100link.log.cdr import DEFINITIONS, SERVICES, decode, describe, encode, full_name, type_hash
 
-_DEPTH = 8
-"""Messages of a topic, and requests to a service, that wait for a step."""
+_DEPTH = 8  # messages of a topic, and requests to a service, that wait for a step
 
 _AT_ONCE = 8
 """Requests to one service that are carried out at once: nobody is kept from landing by those who
@@ -286,21 +285,12 @@ def _refused(why: str) -> Mapping[str, Any]:
 # Who has answered once and does so no more is gone; of who never does, the lease tells.
 
 
-ASK_S = 0.5
-"""Seconds between two questions."""
-
-SILENCE_S = 1.5
-"""Seconds without an answer after which a session that had answered counts as gone."""
-
-_ANSWER_S = 2.0
-"""Seconds for which an answer of a session is waited for."""
-
-_WAITING = 3
-"""Questions whose answers are still looked for, beside the newest."""
-
+ASK_S = 0.5  # seconds between two questions
+SILENCE_S = 1.5  # seconds without an answer after which a session that had answered counts as gone
+_ANSWER_S = 2.0  # seconds for which an answer of a session is waited for
+_WAITING = 3  # questions whose answers are still looked for, beside the newest
 _SESSION = re.compile(r"[0-9a-f]{1,32}")
-_MOST = 16
-"""Sessions that are asked."""
+_MOST = 16  # sessions that are asked
 
 
 @dataclass(slots=True)

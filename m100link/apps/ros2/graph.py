@@ -16,9 +16,7 @@ from m100link.apps.bus.network import DEPTH, Inbox, TokenChange
 from m100link.errors import UsageError
 from m100link.log.cdr import full_name, type_hash
 
-ADMIN = "@ros2_lv"
-"""What tokens begin with."""
-
+ADMIN = "@ros2_lv"  # what tokens begin with
 GID_SIZE = 16
 
 _HEAD = Struct("<QQB")
@@ -216,8 +214,7 @@ class Names:
 # -- who is in the graph: which nodes could have asked for something, and whether they still ar ----
 
 
-_MOST = 4 * DEPTH
-"""Tokens that are known: a graph of hundreds of nodes has fewer."""
+_MOST = 4 * DEPTH  # tokens that are known: a graph of hundreds of nodes has fewer
 
 
 class Presence:

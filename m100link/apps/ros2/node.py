@@ -38,17 +38,11 @@ from m100link.telemetry.sample import Sample
 STEP_S = 0.02
 """Seconds between two looks at what has come, with telemetry: it has the process awake anyway."""
 
-_STEP_WITHOUT_S = 0.025
-"""The same without telemetry, and while that is late."""
-
+_STEP_WITHOUT_S = 0.025  # the same without telemetry, and while that is late
 _STEP_SOONEST_S = 0.015
 
-_STOOD_STILL_S = 1.0
-"""Seconds without a step after which what waits is old."""
-
-_DEAF_S = 0.3
-"""Seconds after such a standstill in which what comes was sent before."""
-
+_STOOD_STILL_S = 1.0  # seconds without a step after which what waits is old
+_DEAF_S = 0.3  # seconds after such a standstill in which what comes was sent before
 _LOOK_S = 0.5
 _POSITION_S = 1.0
 _TELL_S = 2.0
@@ -270,8 +264,7 @@ class Node:
 # -- A session of ROS 2: configured from where rmw_zenoh takes it ----------------------------------
 
 
-MOST_BYTES = 32768
-"""Of a payload that is read: a mission of 500 places has 20,000."""
+MOST_BYTES = 32768  # of a payload that is read: a mission of 500 places has 20,000
 
 _SESSION = {
     "mode": '"peer"',

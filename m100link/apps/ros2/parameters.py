@@ -14,11 +14,8 @@ from m100link.apps.ros2.publishers import Teller
 from m100link.apps.ros2.topics import OUTPUTS
 from m100link.errors import UsageError
 
-MOST_HZ = 100.0
-"""Of a topic; the aircraft says nothing more often."""
-
-_MOST_NAMES = 64
-"""Of one request, which has to be answered within a step."""
+MOST_HZ = 100.0  # of a topic; the aircraft says nothing more often
+_MOST_NAMES = 64  # of one request, which has to be answered within a step
 
 # Types of rcl_interfaces/msg/ParameterType.
 _NOT_SET, _BOOL, _DOUBLE = 0, 1, 3

@@ -34,20 +34,14 @@ from m100link.telemetry.sample import Sample
 
 R = TypeVar("R", bound=tuple[Any, ...])
 
-ALL_OUTPUTS = {**OUTPUTS, **DJI_OUTPUTS}
-"""With those that are there when they are asked for."""
+ALL_OUTPUTS = {**OUTPUTS, **DJI_OUTPUTS}  # with those that are there when they are asked for
 
-Place = tuple[float, float, float]
-"""East, north, up, m."""
+Place = tuple[float, float, float]  # east, north, up, m
 
 _Make = Callable[[Sample, Stamp], bytes | None]
 
-_FRESH_S = 0.3
-"""Seconds for which an item of another package belongs to this one."""
-
-_EARLY = 0.2
-"""Part of the time between two messages by which a package may be early."""
-
+_FRESH_S = 0.3  # seconds for which an item of another package belongs to this one
+_EARLY = 0.2  # part of the time between two messages by which a package may be early
 _STATE_S, _LOOK_S, _OLD_S = 1.0, 0.1, 2.5
 _LEVELS = {"info": 20, "warning": 30, "error": 40}
 _UNKNOWN = 255

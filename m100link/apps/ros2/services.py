@@ -137,8 +137,7 @@ def _one_of(kind: type[E], field: str, request: Mapping[str, Any]) -> E:
 
 
 _SECONDS = 1.0
-_PAUSE_S = 0.05
-"""Seconds between two rates that are sent: one turns it for half a second."""
+_PAUSE_S = 0.05  # seconds between two rates that are sent: one turns it for half a second
 
 
 class Payload:

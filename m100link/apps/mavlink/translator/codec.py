@@ -143,8 +143,7 @@ NEW_WITHIN = 60_000_00
 LAST_SIGNATURE = 2**48 - 2**40
 """Time of a signature that is still taken: its field is not counted to its end by mistake."""
 
-Sender = tuple[int, int, int]
-"""System, component and link of who signs."""
+Sender = tuple[int, int, int]  # system, component and link of who signs
 
 _TYPES = {
     "u8": ("uint8_t", "B"),
@@ -445,9 +444,7 @@ def _message(
 # holds even if this process is killed before it is written again.
 
 
-AHEAD = 2_000_00
-"""How far ahead times are kept while it runs, in 10 microseconds: 2 s."""
-
+AHEAD = 2_000_00  # how far ahead times are kept while it runs, in 10 microseconds: 2 s
 _LONGEST = 65536
 _PARTS = 3
 

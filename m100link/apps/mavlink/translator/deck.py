@@ -45,11 +45,8 @@ from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.world import World
 from m100link.errors import GuardRefused, M100Error, TaskRefused
 
-REMEMBERED_S = 10.0
-"""Seconds that a take-off or mission waits for the aircraft to be armed."""
-
-IDLE_S = 10.0
-"""Seconds armed on the ground without a take-off after which it is disarmed."""
+REMEMBERED_S = 10.0  # seconds that a take-off or mission waits for the aircraft to be armed
+IDLE_S = 10.0  # seconds armed on the ground without a take-off after which it is disarmed
 
 STEER_LIFETIME = 0.25
 """Seconds that a setpoint lasts on its own: the bridge renews it many times in that."""

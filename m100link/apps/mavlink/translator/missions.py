@@ -16,9 +16,7 @@ from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.route import Refused, Route, read_route
 from m100link.geodesy import LocalFrame
 
-MOST_ITEMS = 1000
-"""Of a mission or a fence."""
-
+MOST_ITEMS = 1000  # of a mission or a fence
 _AGAIN_S, _MOST_TRIES = 0.25, 30
 _CURRENT_S = 1.0
 _LATE_S = 5.0

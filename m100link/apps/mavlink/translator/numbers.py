@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum, IntFlag
 
-AUTOPILOT_GENERIC, AUTOPILOT_PX4 = 0, 12
-"""MAV_AUTOPILOT."""
+AUTOPILOT_GENERIC, AUTOPILOT_PX4 = 0, 12  # MAV_AUTOPILOT
 
 
 class Result(IntEnum):

@@ -21,8 +21,7 @@ _NO_FORCE, _YAW, _YAW_RATE = 0x1C0, 0x400, 0x800
 _NO_ATTITUDE, _NO_THRUST = 0x80, 0x40
 _BODY_RATES = ((1, "body_roll_rate"), (2, "body_pitch_rate"), (4, "body_yaw_rate"))
 
-_GAIN = 0.8
-"""Metres per second for each metre that is missing."""
+_GAIN = 0.8  # metres per second for each metre that is missing
 
 _HOVER, _FULL = 0.5, 0.5
 """Thrust that hovers, and what is above it: PX4's thrust is read as a climb rate."""
@@ -196,9 +195,7 @@ class Offboard:
 # -- sticks of a ground station: MANUAL_CONTROL, as velocities (POSCTL) or as tilts (ALTCTL) -------
 
 
-STICKS_LIFETIME = 0.5
-"""Seconds after which sticks that are not told any more are let go."""
-
+STICKS_LIFETIME = 0.5  # seconds after which sticks that are not told any more are let go
 _FULL_STICK = 1000.0
 _DEAD = 0.03
 

@@ -5,17 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-Address = tuple[str, int]
-"""Host and port."""
+Address = tuple[str, int]  # host and port
 
-LOST_AFTER = 3.0
-"""Seconds without a heartbeat after which a ground station counts as lost."""
-
-FORGOTTEN_AFTER = 10.0
-"""Seconds after which nothing is sent to it any more."""
-
-MOST_PEERS = 16
-"""Ground stations and programs at once: each costs the telemetry of every aircraft."""
+LOST_AFTER = 3.0  # seconds without a heartbeat after which a ground station counts as lost
+FORGOTTEN_AFTER = 10.0  # seconds after which nothing is sent to it any more
+MOST_PEERS = 16  # ground stations and programs at once: each costs the telemetry of every aircraft
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,8 +36,7 @@ from m100link.protocol.records import (
     RemoteControl,
 )
 
-LOWEST_BATTERY = 20
-"""Percent below which the agent refuses to take off: not ready to arm."""
+LOWEST_BATTERY = 20  # percent below which the agent refuses to take off: not ready to arm
 
 Fields = dict[str, Any]
 
@@ -351,8 +350,7 @@ STREAMS: Mapping[str, Stream] = {
 
 if undefined := STREAMS.keys() - LAYOUTS.keys():
     raise LookupError(f"DEFINITIONS has no row for {', '.join(sorted(undefined))}")
-NUMBERS = {LAYOUTS[name].number: name for name in STREAMS}
-"""Names by the number of the message."""
+NUMBERS = {LAYOUTS[name].number: name for name in STREAMS}  # names by the number of the message
 
 
 # -- who is sent which message of telemetry, and how often: each peer what it asked for ------------
@@ -360,15 +358,12 @@ NUMBERS = {LAYOUTS[name].number: name for name in STREAMS}
 # often as the one of them wants that wants it most. What many want at once is made once.
 
 
-MOST_HZ = 50.0
-"""How often a message is sent at most; who asks for more gets this."""
+MOST_HZ = 50.0  # how often a message is sent at most; who asks for more gets this
 
 _MOST_ASKED = 2 * MOST_PEERS
 """Peers whose rates are known, those included that are silent and may come back."""
 
-_ALL = 0
-"""The group of REQUEST_DATA_STREAM that has all others."""
-
+_ALL = 0  # the group of REQUEST_DATA_STREAM that has all others
 _USUAL = {name: stream.hz for name, stream in STREAMS.items()}
 
 Audience = Mapping[Address, tuple[Peer, ...]]

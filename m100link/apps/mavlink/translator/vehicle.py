@@ -45,19 +45,14 @@ from m100link.apps.mavlink.translator.world import Known, World
 from m100link.errors import M100Error
 from m100link.geodesy import LocalFrame
 
-COMPONENT = 1
-"""MAV_COMP_ID_AUTOPILOT1."""
-
+COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
 _HEARTBEAT_S = 1.0
 _PROGRESS_S = 0.3
 _UNKNOWN_PROGRESS = 255
 _VENDOR, _PRODUCT = 0x2CA3, 0x0100  # DJI's number at the USB forum; the product is ours
 _TO_ALL = (0, COMPONENT)
-_AHEAD_S = 1.0
-"""Seconds ahead that the fence is looked at: what the aircraft needs to stop."""
-
-_AWAY_M_S = 0.3
-"""So fast it may be told to move away from the fence while it stands."""
+_AHEAD_S = 1.0  # seconds ahead that the fence is looked at: what the aircraft needs to stop
+_AWAY_M_S = 0.3  # so fast it may be told to move away from the fence while it stands
 
 _FLIGHTS = (Running.FLIGHT, Running.MISSION)
 """What leads back into the fence by itself, if it leads there."""

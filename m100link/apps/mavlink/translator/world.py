@@ -29,8 +29,7 @@ from m100link.telemetry.state import AircraftState
 
 R = TypeVar("R", bound=tuple[Any, ...])
 
-GPS_NEEDED = 3
-"""GPS health from which a position is one (document 2.2.3.1)."""
+GPS_NEEDED = 3  # GPS health from which a position is one (document 2.2.3.1)
 
 _FRESH: dict[type[Any], float] = {FlightStatus: 2.5, Battery: 5.0}
 _FRESH_S = 1.2
