@@ -10,11 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
-
-__all__ = ["DRIFT", "ClockEstimate", "FleetClock", "Offset", "OwnClock", "RemoteClock"]
 
 DRIFT = 100e-6
 """By how much two clocks may run apart, seconds per second: 50 ppm is a cheap crystal."""
@@ -110,58 +106,3 @@ class ClockEstimate:
         each = [one.widened(now) for one in self._seen]
         low, high = max(low for low, _ in each), min(high for _, high in each)
         return (low, high) if low <= high else None
-
-
-class FleetClock(Protocol):
-    """The one clock by which a fleet does something together."""
-
-    def now(self) -> float:
-        """Seconds; whatever its zero is, it is the same for all."""
-        ...
-
-    def bound(self) -> float:
-        """By how much :meth:`now` may be wrong, s; infinite while nobody knows."""
-        ...
-
-
-class OwnClock:
-    """The fleet's clock where it is this machine's own.
-
-    Args:
-        clock: Seconds.
-    """
-
-    def __init__(self, clock: Callable[[], float]) -> None:
-        self._clock = clock
-
-    def now(self) -> float:
-        """See :class:`FleetClock`."""
-        return self._clock()
-
-    def bound(self) -> float:
-        """Nothing is between."""
-        return 0.0
-
-
-class RemoteClock:
-    """The fleet's clock where it is another machine's.
-
-    Args:
-        clock: Our own, s.
-        estimate: What round trips say of the other one.
-    """
-
-    def __init__(self, clock: Callable[[], float], estimate: ClockEstimate) -> None:
-        self._clock = clock
-        self._estimate = estimate
-
-    def now(self) -> float:
-        """See :class:`FleetClock`; while nothing is known, our own time."""
-        here = self._clock()
-        found = self._estimate.offset(here)
-        return here if found is None else here + found.seconds
-
-    def bound(self) -> float:
-        """See :class:`FleetClock`."""
-        found = self._estimate.offset(self._clock())
-        return math.inf if found is None else found.bound

@@ -20,6 +20,20 @@ def track(name: str, *points: tuple[float, float, float, float], **more: Any) ->
     return TimedTrack(name, ORIGIN, tuple(TimedPoint(*point) for point in points), **more)
 
 
+def row(count: int, apart: float = 10.0) -> list[TimedTrack]:
+    """Tracks of so many in a row, each 16 s long: forth, up, back and down."""
+    return [
+        track(
+            f"a{index + 1}",
+            (0, 0, index * apart, 4),
+            (6, 12, index * apart, 6),
+            (10, 12, index * apart + 2, 6),
+            (16, 0, index * apart, 4),
+        )
+        for index in range(count)
+    ]
+
+
 def random_track(chance: random.Random, name: str = "a") -> TimedTrack:
     at, points = chance.choice([0.0, chance.uniform(0, 5)]), []
     for _ in range(chance.randint(2, 7)):

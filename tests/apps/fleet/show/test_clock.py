@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from m100link.apps.fleet.show.clock import DRIFT, ClockEstimate, OwnClock, RemoteClock
+from m100link.apps.fleet.show.clock import DRIFT, ClockEstimate
 
 
 class Other:
@@ -96,14 +96,3 @@ def test_a_clock_that_was_set_is_noticed_and_measured_anew() -> None:
     found = estimate.offset(5.002)
     assert found is not None
     assert found.seconds == pytest.approx(130.0, abs=0.002)
-
-
-def test_a_remote_clock_is_ours_and_the_offset() -> None:
-    estimate, now = ClockEstimate(), 50.0
-    clock = RemoteClock(lambda: now, estimate)
-    assert (clock.now(), clock.bound()) == (50.0, math.inf)
-    estimate.heard(49.0, 149.0, 149.0, 49.002)
-    assert clock.now() == pytest.approx(150.0, abs=0.002)
-    assert clock.bound() < 0.002
-    own = OwnClock(lambda: now)
-    assert (own.now(), own.bound()) == (50.0, 0.0)

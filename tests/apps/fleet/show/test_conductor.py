@@ -29,9 +29,8 @@ from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
 from tests.apps.bus.memory import MemoryBus, Weather
 from tests.apps.fleet.conftest import SITE, OnBoard, Rig, anyio_backend, rig
-from tests.apps.fleet.show.shows import ORIGIN
+from tests.apps.fleet.show.shows import ORIGIN, row
 from tests.apps.fleet.show.shows import track as points_track
-from tests.apps.fleet.show.stage import row
 
 __all__ = ["anyio_backend", "rig"]
 

@@ -305,6 +305,20 @@ async def test_whoever_stands_elsewhere_never_takes_off(stand: Stand) -> None:
     assert stand.one.client.holder.number == 0
 
 
+async def test_it_flies_at_the_heights_of_the_show_where_its_ground_is_lower(stand: Stand) -> None:
+    flown = track("a1", (0, 0, 0, 4), (8, 6, 0, 4), ground_m=-3, heading_deg=90)
+    performer = stand.performer
+    performer.load(flown.to_bytes(), "hover")
+    performer.place("anna")
+    await stand.rig.until(stand.is_ready)
+    performer.start(flown.digest, stand.one.client.now + 2.0, 0.0)
+    await stand.rig.until(lambda: performer.stage is OVER)
+    assert performer.farthest_m < 0.5
+    assert stand.one.height == pytest.approx(7, abs=0.2)
+    yaw = math.degrees(stand.one.aircraft.vehicle.flight.dynamics.yaw)
+    assert yaw == pytest.approx(90, abs=3)
+
+
 async def test_somebody_who_has_control_keeps_it(stand: Stand) -> None:
     pilot = await stand.rig.pilot("bert")
     async with pilot["a1"].control():

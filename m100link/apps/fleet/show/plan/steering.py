@@ -114,16 +114,12 @@ class TrackSteering:
 
     Attributes:
         farthest_m: Farthest from where it should have been.
-        bound_s: The most by which the clock may have been wrong.
-        began_late_s: From the beginning of the show to the first step after it; None before.
     """
 
     def __init__(self, track: TimedTrack, fastest_m_s: float) -> None:
         self._track = track
         self._fastest = fastest_m_s
         self.farthest_m = 0.0
-        self.bound_s = 0.0
-        self.began_late_s: float | None = None
 
     def require_below(self, here: Vector) -> None:
         """Whether it may take off here: below its first point, or above that.
@@ -230,8 +226,6 @@ class TrackSteering:
         self._require_clock(at, bound)  # where it should be means nothing before
         wanted = self._track.moment(at).place
         self._require_near(at, math.dist(here, wanted))
-        if at >= 0 and self.began_late_s is None:
-            self.began_late_s = at
         if at >= self._track.end + _SETTLING_S:
             return None
         # What is wanted once the velocity has followed, and back to where it should be now.
@@ -255,7 +249,6 @@ class TrackSteering:
                 limit=SKEW_S,
                 cause="the fleet's clock has not answered for long",
             )
-        self.bound_s = max(self.bound_s, bound)
 
     def _require_near(self, at: float, off: float) -> None:
         if not off <= self._track.tube_m:
