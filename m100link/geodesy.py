@@ -11,11 +11,14 @@ Three answers of different worth:
 * :func:`geodesic`: length and bearing of the shortest line on the ellipsoid, any two points.
 * :func:`dji_offset`: the sphere that DJI's sample programs use. Up to 0.7 % wrong (7 m in a
   kilometre) but it is what those programs compute, so it has a name.
+
+The maps of plans, shows, logs and notebooks are drawn by :class:`MapView`: text in, text out.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 
 __all__ = [
     "DJI_EARTH_RADIUS_M",
@@ -270,3 +273,125 @@ def dji_offset(
     north = math.radians(to_latitude_deg - from_latitude_deg) * DJI_EARTH_RADIUS_M
     turn = normalize_degrees(to_longitude_deg - from_longitude_deg)
     return north, math.radians(turn) * DJI_EARTH_RADIUS_M * math.cos(mean)
+
+
+# -- maps: SVG, north up and equal scales, in the colours of the text around them ------------------
+
+Spot = tuple[float, float]
+"""A place in a drawing: to the right and down from its upper left corner, in its units."""
+
+_TRACK, _MARGIN, _FOOT = 300.0, 12.0, 34.0
+_MOST_POINTS = 600
+
+
+class MapView:
+    """Where metres north and east of one point stand in a box of a drawing: as large as fits.
+
+    ``least_m``: less is not drawn larger; what stands still is a point, not its noise.
+    """
+
+    def __init__(
+        self,
+        places: Sequence[tuple[float, float]],
+        size: tuple[float, float],
+        edge: float,
+        *,
+        least_m: float = 1.0,
+    ) -> None:
+        norths, easts = zip(*places, strict=True)
+        width, height = size
+        north, east = max(norths) - min(norths), max(easts) - min(easts)
+        room_x, room_y = width - 2 * edge, height - 2 * edge
+        self.scale = min(room_x / max(east, least_m), room_y / max(north, least_m))
+        self._left = (width - east * self.scale) / 2 - min(easts) * self.scale
+        self._top = (height - north * self.scale) / 2 + max(norths) * self.scale
+
+    def spot(self, north: float, east: float) -> Spot:
+        """Where a place is in the drawing."""
+        return self._left + east * self.scale, self._top - north * self.scale
+
+    def bar(self, x: float, y: float, most: float) -> str:
+        """A scale bar from there to the right, at most so long in the drawing, and its length."""
+        metres = round_length(most / self.scale)
+        long = metres * self.scale
+        drawn = f'<path d="M{x:g} {y - 4:g}v4h{long:.1f}v-4" fill="none" stroke="currentColor"/>'
+        return drawn + svg_text((x + long + 6, y), f"{metres:g} m")
+
+
+def round_length(most: float) -> float:
+    """The longest of 1, 2, 5, 10, … that is not longer."""
+    power = 10.0 ** math.floor(math.log10(most))
+    return max(step * power for step in (1, 2, 5) if step * power <= most)
+
+
+def svg(size: tuple[float, float], label: str, parts: Iterable[str]) -> str:
+    """A drawing of those parts; ``label`` is for those who do not see it."""
+    width, height = size
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" '
+        f'width="{width:g}" style="max-width:100%;height:auto" role="img" '
+        f'aria-label="{escaped(label)}" font-family="sans-serif" font-size="11" '
+        f'fill="currentColor">{"".join(parts)}</svg>'
+    )
+
+
+def svg_line(
+    spots: Iterable[Spot], colour: str = "currentColor", width: float = 1.5, more: str = ""
+) -> str:
+    """A line through all of them."""
+    points = " ".join(f"{x:.1f},{y:.1f}" for x, y in spots)
+    more = f'stroke="{colour}" stroke-width="{width:g}"{more}'
+    return f'<polyline points="{points}" fill="none" {more}/>'
+
+
+def svg_text(spot: Spot, words: str, at: str = "start", colour: str = "currentColor") -> str:
+    """Words that begin, have their middle or end there: ``start``, ``middle``, ``end``."""
+    x, y = spot
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{at}" fill="{colour}">{escaped(words)}</text>'
+    )
+
+
+def svg_dot(
+    spot: Spot, radius: float, fill: str = "none", stroke: str = "currentColor", title: str = ""
+) -> str:
+    """A ring or a dot there; ``title`` is what a pointer over it shows."""
+    told = f"><title>{escaped(title)}</title></circle>" if title else "/>"
+    x, y = spot
+    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}" fill="{fill}" stroke="{stroke}"{told}'
+
+
+def escaped(words: str) -> str:
+    """Without ``html.escape``, whose module brings a table of all entities."""
+    for plain, written in ("&", "&amp;"), ("<", "&lt;"), (">", "&gt;"), ('"', "&quot;"):
+        words = words.replace(plain, written)
+    return words
+
+
+def track_svg(places: Iterable[tuple[float, float]]) -> str:
+    """A track seen from above, for a notebook; empty of none.
+
+    A ring is where it begins, a dot where it ends. ``places`` are latitude and longitude, degrees,
+    in order; what is not a number, or so near to a pole that no frame is there, is passed over.
+    """
+    known = [
+        place
+        for place in places
+        if all(map(math.isfinite, place)) and abs(place[0]) <= _MAXIMUM_FRAME_LATITUDE_DEG
+    ]
+    if not known:
+        return ""
+    frame = LocalFrame(*known[0])
+    track = [frame.to_local(*place) for place in known[:: 1 + len(known) // _MOST_POINTS]]
+    track.append(frame.to_local(*known[-1]))
+    side = _TRACK + 2 * _MARGIN
+    view = MapView(track, (side, side), _MARGIN)
+    spots = [view.spot(*place) for place in track]
+    parts = (
+        svg_line(spots),
+        svg_dot(spots[0], 5),
+        svg_dot(spots[-1], 3, "currentColor"),
+        view.bar(_MARGIN, side + _FOOT - _MARGIN, _TRACK / 2),
+        svg_text((side - _MARGIN, side + _FOOT - _MARGIN), "N ↑", "end"),
+    )
+    return svg((side, side + _FOOT), "The track from above, north up", parts)

@@ -57,11 +57,11 @@ except ModuleNotFoundError as error:  # pragma: no cover - every test has pytest
 
 from m100link.aircraft import Aircraft, connect
 from m100link.link import Link
-from m100link.protocol.firmware import FirmwareProfile
 from m100link.sim import Driver, PtyPort, VirtualAircraft, VirtualClockEventLoop
 
 if TYPE_CHECKING:
     from m100link.link import MemoryTransport
+    from m100link.protocol.firmware import FirmwareProfile
 
 __all__ = [
     "ConnectableAircraft",

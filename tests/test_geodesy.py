@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import xml.etree.ElementTree as ET
 
 import pytest
 from geographiclib.geodesic import Geodesic
@@ -11,7 +12,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from m100link import geodesy
-from m100link.geodesy import LocalFrame, bearing_deg, destination, distance_m, dji_offset, geodesic
+from m100link.geodesy import (
+    LocalFrame,
+    MapView,
+    bearing_deg,
+    destination,
+    distance_m,
+    dji_offset,
+    geodesic,
+    round_length,
+    svg,
+    svg_dot,
+    svg_text,
+    track_svg,
+)
 
 LATITUDES = [-80.0, -33.0, 0.0, 22.5, 47.0, 60.0, 80.0]
 
@@ -234,3 +248,88 @@ def test_djis_offset_is_their_formula_and_its_error_is_known() -> None:
     assert north == pytest.approx(math.radians(latitude - 22.5) * 6_378_137.0)
     assert north == pytest.approx(1005.2, abs=0.1)
     assert east == pytest.approx(999.5, abs=0.1)
+
+
+# -- maps ------------------------------------------------------------------------------------------
+
+SVG = "{http://www.w3.org/2000/svg}"
+START = LocalFrame(22.5, 113.9)
+
+
+def drawn(*track: tuple[float, float]) -> tuple[ET.Element, list[tuple[float, float]]]:
+    """The drawing of metres north and east, and the points of its line."""
+    root = ET.fromstring(track_svg(START.to_geodetic(*place) for place in track))
+    line = root.find(f"{SVG}polyline")
+    assert line is not None
+    points = [point.split(",") for point in line.attrib["points"].split()]
+    return root, [(float(x), float(y)) for x, y in points]
+
+
+def test_north_is_up_and_both_axes_have_one_scale() -> None:
+    root, points = drawn((0.0, 0.0), (10.0, 0.0), (10.0, 5.0))
+    (x0, y0), (x1, y1), (x2, y2), last = points
+    assert last == (x2, y2)
+    assert x1 == pytest.approx(x0, abs=0.2)
+    assert y0 - y1 == pytest.approx(300, abs=0.2)
+    assert x2 - x1 == pytest.approx(150, abs=1.5)
+    assert y2 == pytest.approx(y1, abs=0.2)
+    assert [text.text for text in root.findall(f"{SVG}text")] == ["5 m", "N ↑"]
+    width, height = map(float, root.attrib["viewBox"].split()[2:])
+    begin, end = root.findall(f"{SVG}circle")
+    assert (float(begin.attrib["cx"]), float(begin.attrib["cy"])) == (x0, y0)
+    assert (float(end.attrib["cx"]), float(end.attrib["cy"])) == (x2, y2)
+    for x, y in points:
+        assert 0 < x < width
+        assert 0 < y < height
+
+
+def test_what_stands_still_is_not_blown_up_to_its_noise() -> None:
+    _, points = drawn((0.0, 0.0), (0.01, 0.0), (0.0, 0.01))
+    assert max(y for _, y in points) - min(y for _, y in points) < 5.0
+
+
+def test_a_long_track_is_thinned_and_keeps_its_end() -> None:
+    _, points = drawn(*((float(n), math.sin(n / 50)) for n in range(20_000)))
+    assert 300 <= len(points) <= 610
+    assert points[-1][1] == min(y for _, y in points)
+
+
+def test_places_that_are_not_known_are_passed_over() -> None:
+    assert track_svg([]) == ""
+    assert track_svg([(math.nan, 113.9)]) == ""
+    assert track_svg([(22.5, 113.9)]).count("<circle") == 2
+    junk = [(90.0, 0.0), (22.5, 113.9), (1e9, 1e9), (22.6, 1e12), (-90.0, 0.0)]
+    assert ET.fromstring(track_svg(junk)).tag == f"{SVG}svg"
+
+
+@pytest.mark.parametrize(
+    ("most", "length"), [(0.5, 0.5), (0.99, 0.5), (4.2, 2), (73, 50), (100, 100)]
+)
+def test_lengths_are_round(most: float, length: float) -> None:
+    assert round_length(most) == pytest.approx(length)
+
+
+def test_the_antimeridian_is_no_way_around_the_earth() -> None:
+    svg = track_svg([(10.0, 179.9999), (10.0, -179.9999)])
+    assert ">10 m<" in svg
+
+
+def test_words_and_labels_are_no_markup() -> None:
+    root = ET.fromstring(
+        svg((9, 9), '<"&', [svg_text((1, 2), "<b>&"), svg_dot((3, 4), 1, title="<")])
+    )
+    assert root.attrib["aria-label"] == '<"&'
+    assert [one.text for one in root.iter() if one.text] == ["<b>&", "<"]
+
+
+@pytest.mark.parametrize("extent", [0.0, 0.3, 1.0, 7.0, 333.0, 12_345.0])
+def test_a_scale_bar_is_as_long_as_it_says(extent: float) -> None:
+    view = MapView([(0.0, 0.0), (extent, extent / 3)], (480, 320), 28)
+    drawn = ET.fromstring(f"<g>{view.bar(8, 318, 100)}</g>")
+    path, words = drawn
+    long = float(path.attrib["d"].split("h")[1].split("v")[0])
+    (_, y0), (x1, _) = view.spot(0, 0), view.spot(0, 1)
+    metre = x1 - view.spot(0, 0)[0]
+    assert y0 - view.spot(1, 0)[1] == pytest.approx(metre)
+    assert 40 <= long <= 100
+    assert long == pytest.approx(float((words.text or "").removesuffix(" m")) * metre, abs=0.05)

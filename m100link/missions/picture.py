@@ -5,18 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import accumulate
 
-from m100link.geodesy import LocalFrame
+from m100link.geodesy import LocalFrame, MapView, svg_dot, svg_line, svg_text
+from m100link.geodesy import svg as drawing
 from m100link.missions.checks import leg_lengths
 from m100link.missions.waypoint import PlanValues, TakePhoto, Trace
-
-__all__ = ["svg"]
-
-Spot = tuple[float, float]
 
 _WIDTH, _MAP, _PROFILE, _EDGE = 480.0, 320.0, 90.0, 28.0
 _NAMED = 30
 """So many waypoints have room for their numbers."""
-_SCALES_M = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000)
 
 
 def svg(plan: PlanValues) -> str:
@@ -24,14 +20,8 @@ def svg(plan: PlanValues) -> str:
     first = plan.waypoints[0]
     frame = LocalFrame(first.latitude_deg, first.longitude_deg)
     places = [frame.to_local(point.latitude_deg, point.longitude_deg) for point in plan.waypoints]
-    height = _MAP + _PROFILE
     parts = [*_from_above(plan, places), *_from_the_side(plan)]
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH:g} {height:g}" '
-        f'width="{_WIDTH:g}" style="max-width:100%;height:auto" role="img" '
-        f'aria-label="A plan of {len(places)} waypoints" font-family="sans-serif" font-size="11" '
-        f'fill="currentColor">{"".join(parts)}</svg>'
-    )
+    return drawing((_WIDTH, _MAP + _PROFILE), f"A plan of {len(places)} waypoints", parts)
 
 
 def _scaled(values: Sequence[float], begin: float, end: float) -> list[float]:
@@ -40,38 +30,20 @@ def _scaled(values: Sequence[float], begin: float, end: float) -> list[float]:
     return [begin + (value - low) / span * (end - begin) for value in values]
 
 
-def _line(spots: Sequence[Spot]) -> str:
-    points = " ".join(f"{x:.1f},{y:.1f}" for x, y in spots)
-    return f'<polyline points="{points}" fill="none" stroke="currentColor" stroke-width="1.5"/>'
-
-
-def _text(x: float, y: float, words: str, at: str = "start") -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{at}">{words}</text>'
-
-
-def _from_above(plan: PlanValues, places: Sequence[Spot]) -> Iterator[str]:
-    norths, easts = [place[0] for place in places], [place[1] for place in places]
-    north, east = max(norths) - min(norths), max(easts) - min(easts)
-    room_x, room_y = _WIDTH - 2 * _EDGE, _MAP - 2 * _EDGE
-    scale = min(room_x / max(east, 1.0), room_y / max(north, 1.0))
-    left, top = (_WIDTH - east * scale) / 2, (_MAP - north * scale) / 2
-    spots = [(left + (e - min(easts)) * scale, top + (max(norths) - n) * scale) for n, e in places]
-    yield _line(spots)
-    for index, ((x, y), point) in enumerate(zip(spots, plan.waypoints, strict=True)):
+def _from_above(plan: PlanValues, places: Sequence[tuple[float, float]]) -> Iterator[str]:
+    view = MapView(places, (_WIDTH, _MAP), _EDGE)
+    spots = [view.spot(*place) for place in places]
+    yield svg_line(spots)
+    for index, (spot, point) in enumerate(zip(spots, plan.waypoints, strict=True)):
         has_photo = any(isinstance(action, TakePhoto) for action in point.actions)
         fill = "currentColor" if has_photo else "none"
-        yield (
-            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{fill}" stroke="currentColor">'
-            f"<title>{index}: {point.height:g} m</title></circle>"
-        )
+        yield svg_dot(spot, 4, fill, title=f"{index}: {point.height:g} m")
         if len(spots) <= _NAMED or index in (0, len(spots) - 1):
-            yield _text(x + 6, y - 5, str(index))
-    metres = next((one for one in _SCALES_M if one * scale >= 40), _SCALES_M[-1])
-    yield f'<path d="M8 {_MAP - 6:g}v4h{metres * scale:.1f}v-4" fill="none" stroke="currentColor"/>'
-    yield _text(14 + metres * scale, _MAP - 2, f"{metres} m")
-    yield _text(_WIDTH - 8, 14, "N ↑", "end")
+            yield svg_text((spot[0] + 6, spot[1] - 5), str(index))
+    yield view.bar(8, _MAP - 2, 100)
+    yield svg_text((_WIDTH - 8, 14), "N ↑", "end")
     if plan.trace is Trace.COORDINATED_TURNS:
-        yield _text(8, 14, "corners are rounded")
+        yield svg_text((8, 14), "corners are rounded")
 
 
 def _from_the_side(plan: PlanValues) -> Iterator[str]:
@@ -80,8 +52,8 @@ def _from_the_side(plan: PlanValues) -> Iterator[str]:
     top, bottom = _MAP + 16, _MAP + _PROFILE - 18
     across = _scaled(flown, 44, _WIDTH - 8)
     up = _scaled(heights, bottom, top) if min(heights) < max(heights) else [top] * len(heights)
-    yield _line(list(zip(across, up, strict=True)))
-    yield _text(40, top + 4, f"{max(heights):g} m", "end")
+    yield svg_line(zip(across, up, strict=True))
+    yield svg_text((40, top + 4), f"{max(heights):g} m", "end")
     if min(heights) < max(heights):
-        yield _text(40, bottom + 4, f"{min(heights):g} m", "end")
-    yield _text(_WIDTH - 8, _MAP + _PROFILE - 4, f"{flown[-1]:.0f} m", "end")
+        yield svg_text((40, bottom + 4), f"{min(heights):g} m", "end")
+    yield svg_text((_WIDTH - 8, _MAP + _PROFILE - 4), f"{flown[-1]:.0f} m", "end")
