@@ -58,15 +58,6 @@ from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, UsageError
 from m100link.protocol.records import Battery, Position
 from m100link.telemetry.sample import Sample
 
-__all__ = [
-    "GONE_S",
-    "HOLD_S",
-    "FleetAgent",
-    "Namesakes",
-    "Verify",
-]
-
-
 HOLD_S = 0.5
 """Seconds that a question waits for what becomes of its order; then it hears that it runs."""
 
@@ -84,36 +75,20 @@ Verify = Callable[[Order], None]
 
 
 class FleetAgent:
-    """One aircraft of a fleet.
-
-    Args:
-        client: What knows its agent.
-        bus: The network.
-        keys: Its keys.
-        ledger: What outlives it.
-        lost: What happens when whoever flies is lost.
-        verify: Looks at each order; without it the router alone decides who may ask.
-        revoked: Who is shut out.
-        utc: POSIX time, s.
-
-    Attributes:
-        client: As given.
-        boot: Which run of this agent it is.
-        namesakes: Whether another agent has its name.
-        dropped: Setpoints that were not flown, by reason.
-    """
+    """One aircraft of a fleet."""
 
     def __init__(
         self,
-        client: AgentClient,
+        client: AgentClient,  # what knows its agent
         bus: Bus,
         keys: Keys,
-        ledger: Ledger,
+        ledger: Ledger,  # what outlives it
         *,
-        lost: LostPlan | None = None,
+        lost: LostPlan | None = None,  # what happens when whoever flies is lost
+        # Looks at each order; without it the router alone decides who may ask.
         verify: Verify | None = None,
-        revoked: Since = nobody,
-        utc: Callable[[], float] = time.time,
+        revoked: Since = nobody,  # who is shut out
+        utc: Callable[[], float] = time.time,  # POSIX time, s
     ) -> None:
         self.client = client
         self._bus = bus
@@ -122,10 +97,10 @@ class FleetAgent:
         self._lost_plan = lost or LostPlan()
         self._verify = verify
         self._utc = utc
-        self.boot = uuid.uuid4().hex[:8]
-        self.namesakes = Namesakes(keys.name, self.boot)
+        self.boot = uuid.uuid4().hex[:8]  # which run of this agent it is
+        self.namesakes = Namesakes(keys.name, self.boot)  # whether another agent has its name
         self._has_namesake = False
-        self.dropped: Counter[Dropped] = Counter()
+        self.dropped: Counter[Dropped] = Counter()  # setpoints that were not flown, by reason
         unsure_before = client.now if ledger.damaged else -math.inf
         self._book = OrderBook(ledger.begun, unsure_before=unsure_before)
         self._ages = OrderAges()
@@ -517,12 +492,7 @@ _MOST = 16
 
 
 class Namesakes:
-    """What one agent hears under its own name.
-
-    Args:
-        name: Of the aircraft.
-        boot: Which run of the agent this is.
-    """
+    """What one agent hears under its own name."""
 
     def __init__(self, name: str, boot: str) -> None:
         self._name, self._boot = name, boot
@@ -532,9 +502,7 @@ class Namesakes:
     def hear(self, boot: str, now: float) -> None:
         """Something was told under this name.
 
-        Args:
-            boot: By which run of an agent.
-            now: s.
+        ``now``: s.
         """
         if boot == self._boot:
             return

@@ -26,18 +26,6 @@ from m100link.apps.fleet.secret import Half, LeaseRequest
 from m100link.apps.fleet.show.clock import DRIFT
 from m100link.errors import NotAllowed, OutcomeUnknown, StaleLease, Unreachable
 
-__all__ = [
-    "PATIENCE_S",
-    "STEP_S",
-    "Asker",
-    "Questions",
-    "Sign",
-    "believed",
-    "clocks_told",
-    "nobody_there",
-]
-
-
 PATIENCE_S = 10.0
 """Seconds without any answer after which the outcome counts as unknown.
 
@@ -64,34 +52,20 @@ def _unsigned(order: Order) -> Order:
 
 
 class Asker:
-    """Asks one aircraft.
-
-    Args:
-        bus: The network.
-        keys: Of the aircraft.
-        name: Who asks, for people.
-        sign: Signs orders.
-        patience: Seconds without any answer after which the outcome is unknown.
-        sessions: Ids of those that are known to show its token, without asking anybody.
-        utc: POSIX time, s.
-
-    Attributes:
-        patience: As given.
-        heard_at: When it answered last, on the event loop's clock; None: never.
-        its_clock: What the agent's own clock showed in that answer, s.
-        doubtful_clocks: Clocks of several agents that answered; nobody knows which is the aircraft.
-    """
+    """Asks one aircraft."""
 
     def __init__(
         self,
         bus: Bus,
-        keys: Keys,
-        name: str,
+        keys: Keys,  # of the aircraft
+        name: str,  # who asks, for people
         *,
         sign: Sign = _unsigned,
+        # Seconds without any answer after which the outcome is unknown.
         patience: float = PATIENCE_S,
+        # Ids of those that are known to show its token, without asking anybody.
         sessions: Callable[[], Collection[str]] = frozenset,
-        utc: Callable[[], float] = time.time,
+        utc: Callable[[], float] = time.time,  # POSIX time, s
     ) -> None:
         self._known = sessions
         self._found: frozenset[str] = frozenset()
@@ -102,8 +76,10 @@ class Asker:
         self.patience = patience
         self._utc = utc
         self._clock = asyncio.get_running_loop().time
+        # When it answered last, on the event loop's clock; None: never.
         self.heard_at: float | None = None
-        self.its_clock = 0.0
+        self.its_clock = 0.0  # what the agent's own clock showed in that answer, s
+        # Clocks of several agents that answered; nobody knows which is the aircraft.
         self.doubtful_clocks: list[float] = []
 
     async def is_there(self) -> bool:
@@ -119,24 +95,19 @@ class Asker:
 
     async def ask(
         self,
-        message: Message,
+        message: Message,  # what: a question of the agent's messages
         *,
-        fence: int = 0,
-        token: str = "",
+        fence: int = 0,  # number of the lease it is asked under; 0 for none
+        token: str = "",  # secret of that lease; it is proved, and not sent
+        # The agent's own clock, at the earliest, s; by default what follows from its last answer.
+        # What moves has to say it, and is not carried out when it is old.
         clock: float = 0.0,
-        identity: str = "",
+        identity: str = "",  # of the order; a new one by default
         patience: float | None = None,
     ) -> Reply:
         """Ask for something, and wait for what becomes of it.
 
-        Args:
-            message: What: a question of the agent's messages.
-            fence: Number of the lease it is asked under; 0 for none.
-            token: Secret of that lease; it is proved, and not sent.
-            clock: The agent's own clock, at the earliest, s; by default what follows from its last
-                answer. What moves has to say it, and is not carried out when it is old.
-            identity: Of the order; a new one by default.
-            patience: Seconds without any answer after which the outcome is unknown.
+        ``patience``: seconds without any answer after which the outcome is unknown.
 
         Raises:
             Unreachable: No agent of that name is there; nothing was sent.
@@ -154,13 +125,7 @@ class Asker:
     def lease_request(
         self, action: LeaseAction = LeaseAction.ACQUIRE, offer: str = "", *, clock: float = 0.0
     ) -> LeaseRequest:
-        """A request for the lease, for :meth:`take_lease`.
-
-        Args:
-            action: Acquire it, or confirm that it is taken over.
-            offer: What is confirmed.
-            clock: As :meth:`ask`.
-        """
+        """A request for the lease, for :meth:`take_lease`."""
         half = Half()
         ask = encode(LeaseAsk(0, action, self._name, offer))
         order = self._around(ask, clock=clock or self._its_at_least(), key=half.public)
@@ -169,8 +134,7 @@ class Asker:
     async def take_lease(self, request: LeaseRequest) -> tuple[Lease, float]:
         """Ask for the lease, whose secret this side and the agent then know and nobody else.
 
-        Returns:
-            The lease, and the agent's time in its answer, s.
+        Returns the lease, and the agent's time in its answer, s.
 
         Raises:
             M100Error: As :meth:`ask`.
@@ -183,13 +147,9 @@ class Asker:
     async def renew(self, lease: Lease, clock: float, *, within: float) -> Reply | None:
         """Renew a lease: what may be asked again, and nobody else can say.
 
-        Args:
-            lease: Which.
-            clock: As :meth:`ask`.
-            within: Seconds.
+        Returns the answer; None when none came in time that can be read, which says nothing.
 
-        Returns:
-            The answer; None when none came in time that can be read, which says nothing.
+        ``within``: seconds.
 
         Raises:
             M100Error: As :meth:`ask`.
@@ -204,12 +164,9 @@ class Asker:
     async def look(self, order: Order | None = None, *, within: float) -> Reply | None:
         """Ask once what became of an order; of none, what time it is there.
 
-        Args:
-            order: As it was asked.
-            within: Seconds.
+        Returns the answer, whatever it says; None when none came in time that can be read.
 
-        Returns:
-            The answer, whatever it says; None when none came in time that can be read.
+        ``within``: seconds.
 
         Raises:
             OutcomeUnknown: Two agents answered, or the reply belongs to another order.
@@ -371,10 +328,8 @@ _MOST_DOUBLED = 5
 class Questions:
     """Asks again and again; to be used as ``async with``, at whose end nothing is open.
 
-    Args:
-        bus: The network.
-        step: Seconds after which the newest question waits for nothing that the next one would not
-            tell sooner.
+    ``step``: seconds after which the newest question waits for nothing that the next one would not
+    tell sooner.
     """
 
     def __init__(self, bus: Bus, *, step: float = STEP_S) -> None:
@@ -414,15 +369,10 @@ class Questions:
         """Ask; those that were asked before stay open.
 
         A question waits for longer, the more before it got no answer: where two agents serve a key
-        and one of them hangs, the other one's answer is seen when the wait is over.
+        and one of them hangs, the other one's answer is seen when the wait is over. Returns the
+        number of the question.
 
-        Args:
-            key: Whom.
-            payload: What.
-            within: Seconds that an answer is of any use.
-
-        Returns:
-            The number of the question.
+        ``within``: seconds that an answer is of any use.
         """
         self._unanswered += 1
         longest = self._step * 2 ** min(self._unanswered, _MOST_DOUBLED)
@@ -436,11 +386,10 @@ class Questions:
     async def answered(self, within: float) -> tuple[int, list[Answer]] | None:
         """Wait until a question ends.
 
-        Args:
-            within: Seconds.
+        Returns its number, and what was answered: nothing where nobody is there. None when none
+        ended.
 
-        Returns:
-            Its number, and what was answered: nothing where nobody is there. None when none ended.
+        ``within``: seconds.
         """
         if not self._open:
             return None
@@ -480,21 +429,13 @@ def believed(
     answers: Iterable[Answer],
     keys: Keys,
     identity: str,
-    sessions: Collection[str],
-    digest: bytes = b"",
+    sessions: Collection[str],  # ids of the sessions that show the aircraft's token
+    digest: bytes = b"",  # digest of the order, where a reply may name another one of the same id
 ) -> Reply | MessageError | None:
     """Return the answer of an aircraft to an order.
 
-    Args:
-        answers: All answers to one question.
-        keys: Keys of the aircraft.
-        identity: Id of the order.
-        sessions: Ids of the sessions that show the aircraft's token.
-        digest: Digest of the order, where a reply may name another one of the same id.
-
-    Returns:
-        Its reply, or the reason why no reply can be read; None when it did not answer. Answers of
-        other sessions do not count.
+    Returns its reply, or the reason why no reply can be read; None when it did not answer. Answers
+    of other sessions do not count.
 
     Raises:
         OutcomeUnknown: Two agents have that name, two answers say different things, or what they

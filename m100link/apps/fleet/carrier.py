@@ -49,8 +49,6 @@ from m100link.apps.fleet.orders import revokes
 from m100link.apps.fleet.payloads import Reply, unpack_message
 from m100link.errors import M100Error, UsageError
 
-__all__ = ["FleetChannel", "reach"]
-
 _logger = logging.getLogger(__name__)
 
 _GREETING_S = 1.5
@@ -69,11 +67,6 @@ _MOST_ASKS = 64
 async def reach(bus: Bus, keys: Keys, asker: Callable[[str], Asker]) -> FleetChannel:
     """A way to the agent of one aircraft.
 
-    Args:
-        bus: The network.
-        keys: Of the aircraft.
-        asker: What asks it, in the name of somebody.
-
     Raises:
         LinkError: It is not there, or it is older than this front.
     """
@@ -85,18 +78,7 @@ async def reach(bus: Bus, keys: Keys, asker: Callable[[str], Asker]) -> FleetCha
 
 
 class FleetChannel:
-    """A front's end; see :class:`m100link.apps.agent.transports.Channel`.
-
-    Args:
-        bus: The network.
-        keys: Of the aircraft.
-        asker: What asks it, in the name of somebody.
-
-    Attributes:
-        unread: Messages that this version cannot read.
-        old: Messages that were too long on their way to say anything.
-        untaken: Messages that this side failed over; the first is in the log.
-    """
+    """A front's end; see :class:`m100link.apps.agent.transports.Channel`."""
 
     def __init__(self, bus: Bus, keys: Keys, asker: Callable[[str], Asker]) -> None:
         self._bus, self._keys, self._asker_of = bus, keys, asker
@@ -123,6 +105,8 @@ class FleetChannel:
         self._unflown: Fault | None = None
         self._asks = 0
         self._answered_at = self._clock()
+        # Messages that this version cannot read, that were too long on their way to say anything,
+        # and that this side failed over.
         self.unread = self.old = self.untaken = 0
         self._sending: dict[type[Any], Callable[[Any], None]] = {
             LeaseAsk: self._send_lease_ask,

@@ -28,8 +28,6 @@ from m100link.apps.fleet.session import open_fleet
 from m100link.apps.fleet.thinning import WALL_WITHIN_S
 from m100link.errors import GuardRefused, M100Error, OutcomeUnknown
 
-__all__ = ["Change", "Fleet", "FleetAircraft", "connect"]
-
 _ANSWER_S = 1.5
 _LANDINGS_ASKED = 3
 """Once to hear what time it is there, once to be lost on the way."""
@@ -370,9 +368,7 @@ class Fleet:
         return await reach(self.bus, keys, lambda by: self.asker(name, by))
 
     async def each(
-        self,
-        do: Callable[[FleetAircraft], Awaitable[object]],
-        names: Iterable[str] | None = None,
+        self, do: Callable[[FleetAircraft], Awaitable[object]], names: Iterable[str] | None = None
     ) -> dict[str, Result]:
         """Do something with each aircraft, all at once.
 

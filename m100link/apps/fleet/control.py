@@ -37,13 +37,6 @@ from m100link.errors import (
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.setpoint import Setpoint
 
-__all__ = [
-    "MOST_CLOCK_BOUND_S",
-    "FleetControl",
-    "FleetHold",
-    "SetpointSender",
-]
-
 _logger = logging.getLogger(__name__)
 
 
@@ -455,10 +448,7 @@ _PAUSE_S = 0.5
 class SetpointSender:
     """Sends to one aircraft until it is closed.
 
-    Args:
-        bus: The network.
-        keys: Of the aircraft.
-        clock: Its agent's, as far as is known.
+    ``clock``: its agent's, as far as is known.
     """
 
     def __init__(self, bus: Bus, keys: Keys, clock: AgentClock) -> None:
@@ -476,21 +466,14 @@ class SetpointSender:
         fence: int,
         token: str,
         setpoint: Setpoint,
-        lifetime: float,
+        lifetime: float,  # seconds that it lasts at the agent
         *,
+        # When it was decided, on this event loop's clock, s; now by default.
         made_at: float | None = None,
+        # Whether a stream begins with it; by default when none was sent for half a second.
         begins: bool | None = None,
     ) -> None:
         """Send one; never waits.
-
-        Args:
-            fence: Number of the lease.
-            token: Proof of it.
-            setpoint: What to fly.
-            lifetime: Seconds that it lasts at the agent.
-            made_at: When it was decided, on this event loop's clock, s; now by default.
-            begins: Whether a stream begins with it; by default when none was sent for half a
-                second.
 
         Raises:
             UsageError: The agent's clock is not known well enough to say how old a setpoint is.

@@ -12,15 +12,6 @@ from collections import deque
 
 from m100link.errors import GuardRefused
 
-__all__ = [
-    "MOST_AGE_S",
-    "ORDER_AGE",
-    "AgentClock",
-    "OrderAges",
-    "require_young",
-]
-
-
 ORDER_AGE = "order_age"
 """Name of the guard: what it refuses was not carried out."""
 
@@ -33,14 +24,10 @@ agent's computer was started anew, and says nothing of its age."""
 
 
 class OrderAges:
-    """The orders that one agent hears.
-
-    Attributes:
-        not_before: What was made before that time has been revoked.
-    """
+    """The orders that one agent hears."""
 
     def __init__(self) -> None:
-        self.not_before = -math.inf
+        self.not_before = -math.inf  # what was made before that time has been revoked
         # Of the order that was made last of those that were heard: number of its lease, and when.
         self._newest = (0, -math.inf)
 
@@ -51,10 +38,7 @@ class OrderAges:
     def hear(self, fence: int, made_at: float, now: float) -> None:
         """An order is heard for the first time.
 
-        Args:
-            fence: Number of its lease.
-            made_at: When it was made at the earliest, s.
-            now: s.
+        ``made_at``: when it was made at the earliest, s. ``now``: s.
 
         Raises:
             GuardRefused: It is not to be carried out.
@@ -78,9 +62,7 @@ class OrderAges:
 def require_young(made_at: float, now: float) -> None:
     """Whether somebody still waits for an order, whatever else was asked for since.
 
-    Args:
-        made_at: When it was made at the earliest, s.
-        now: s.
+    ``made_at``: when it was made at the earliest, s. ``now``: s.
 
     Raises:
         GuardRefused: Nobody does.
@@ -129,10 +111,8 @@ class AgentClock:
     def heard(self, asked_at: float, its: float, answered_at: float) -> None:
         """An exchange.
 
-        Args:
-            asked_at: Own time as it was asked, s.
-            its: The agent's time in its answer, s.
-            answered_at: Own time as the answer came, s.
+        ``asked_at``: own time as it was asked, s. ``its``: the agent's time in its answer, s.
+        ``answered_at``: own time as the answer came, s.
         """
         way = answered_at - asked_at
         self._exchanges.append((way / 2, its - (asked_at + answered_at) / 2))
@@ -166,9 +146,7 @@ class AgentClock:
         What is asked for after an answer was made after it, however well the clock is known; and no
         order was made before the one before it.
 
-        Args:
-            own: Own time, s.
-            answered: What that clock showed in its agent's last answer, s.
+        ``own``: own time, s. ``answered``: what that clock showed in its agent's last answer, s.
 
         Raises:
             ValueError: Nothing was heard yet.

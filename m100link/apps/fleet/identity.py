@@ -31,27 +31,6 @@ from m100link.errors import NotAllowed, UsageError
 from m100link.errors.texts import read_json, read_toml
 from m100link.link.keyfile import read_watched
 
-__all__ = [
-    "LARGEST",
-    "STOP_WINDOW_S",
-    "WINDOW_S",
-    "BadRevoked",
-    "BadRights",
-    "Claim",
-    "Gate",
-    "Identity",
-    "OrderRefused",
-    "Reason",
-    "Revoked",
-    "Right",
-    "Rights",
-    "Signer",
-    "Since",
-    "nobody",
-    "sign_revoked",
-]
-
-
 # -- who may do what with which aircraft: one small file, from which router and agents take it -----
 # ::
 #     site = "site"
@@ -87,18 +66,12 @@ class Right(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Somebody who is known.
+    """Somebody who is known."""
 
-    Attributes:
-        name: By which orders are signed.
-        common_name: Of the certificate.
-        public_key: Of the signing key, 32 bytes; None for who signs nothing.
-        patterns: Which aircraft, by right: names, or a beginning and ``*``.
-    """
-
-    name: str
-    common_name: str
-    public_key: bytes | None
+    name: str  # by which orders are signed
+    common_name: str  # of the certificate
+    public_key: bytes | None  # of the signing key, 32 bytes; None for who signs nothing
+    # Which aircraft, by right: names, or a beginning and ``*``.
     patterns: Mapping[Right, tuple[str, ...]]
 
     def may(self, right: Right, aircraft: str) -> bool:
@@ -120,16 +93,10 @@ def fits(pattern: str, aircraft: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Rights:
-    """A file of rights.
+    """A file of rights."""
 
-    Attributes:
-        site: Whose aircraft they are.
-        aircraft: Name of each, and the common name of its agent's certificate.
-        identities: By name.
-    """
-
-    site: str
-    aircraft: Mapping[str, str]
+    site: str  # whose aircraft they are
+    aircraft: Mapping[str, str]  # name of each, and the common name of its agent's certificate
     identities: Mapping[str, Identity]
 
     def without(self, names: Collection[str]) -> Self:
@@ -283,17 +250,11 @@ class BadRevoked(
 
 @dataclass(frozen=True, slots=True)
 class Revoked:
-    """What a list says.
+    """What a list says."""
 
-    Attributes:
-        number: Counts lists from 1; 0 for none.
-        names: Who is revoked, and since which day, in words.
-        data: The bytes as they were signed; empty for no list.
-    """
-
-    number: int
-    names: Mapping[str, str]
-    data: bytes = b""
+    number: int  # greater than that of every list before, from 1; 0 for none
+    names: Mapping[str, str]  # who is revoked, and since which day, in words
+    data: bytes = b""  # the bytes as they were signed; empty for no list
 
     @classmethod
     def verified(cls, data: bytes, authority: x509.Certificate) -> Self:
@@ -323,11 +284,6 @@ class Revoked:
 
 def sign_revoked(number: int, names: Mapping[str, str], key: ec.EllipticCurvePrivateKey) -> bytes:
     """The bytes of a list.
-
-    Args:
-        number: Greater than that of every list before.
-        names: Who is revoked, and since when, in words.
-        key: Of the authority.
 
     Raises:
         BadRevoked: They are too many for one list.
@@ -396,40 +352,26 @@ class OrderRefused(
     cause="a key that the agent does not know, a clock that is wrong, or a right that is missing",
     remedy="look at `reason`; nothing was done",
 ):
-    """A signed order is not obeyed.
-
-    Attributes:
-        reason: Why.
-        signer: Who says to have signed it.
-    """
+    """A signed order is not obeyed."""
 
     def __init__(
         self, seen: str, *, reason: Reason, signer: str, cause: str = "", remedy: str = ""
     ) -> None:
         super().__init__(seen, cause=cause, remedy=remedy)
         self.reason = reason
-        self.signer = signer
+        self.signer = signer  # who says to have signed it
 
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """What a signature is over.
+    """What a signature is over."""
 
-    Attributes:
-        id: Of the order.
-        fence: Number of the lease that it is asked under; 0 for none.
-        aircraft: For which one.
-        at: When it was made, POSIX time, s.
-        signer: Whose signature it is.
-        body: What is ordered.
-    """
-
-    id: str
-    fence: int
-    aircraft: str
-    at: float
-    signer: str
-    body: bytes
+    id: str  # of the order
+    fence: int  # number of the lease that it is asked under; 0 for none
+    aircraft: str  # for which one
+    at: float  # when it was made, POSIX time, s
+    signer: str  # whose signature it is
+    body: bytes  # what is ordered
 
     def to_bytes(self) -> bytes:
         """What is signed: the same bytes for the same order, and others for every other one.
@@ -450,9 +392,7 @@ class Claim:
 class Signer:
     """Signs orders.
 
-    Args:
-        name: As the file of rights has it.
-        key: The secret, 32 bytes.
+    ``key``: the secret, 32 bytes.
 
     Raises:
         UsageError: The key is none.
@@ -481,24 +421,18 @@ class Signer:
 
 
 class Gate:
-    """Lets orders through that somebody gave who may, for this aircraft, now, and once.
-
-    Args:
-        rights: Who may do what.
-        aircraft: Which one this is.
-        began_at: When it began to look, POSIX time, s: what was signed before may have been let
-            through by who was there before, and is not, but for what stops. (A clock that is ahead
-            gets around that by so much; what moves the aircraft has to be kept on disk besides.)
-        revoked: Who is shut out.
-    """
+    """Lets orders through that somebody gave who may, for this aircraft, now, and once."""
 
     def __init__(
         self,
-        rights: Rights,
-        aircraft: str,
+        rights: Rights,  # who may do what
+        aircraft: str,  # which one this is
         *,
+        # When it began to look, POSIX time, s: what was signed before may have been let through by
+        # who was there before, and is not, but for what stops. (A clock that is ahead gets around
+        # that by so much; what moves the aircraft has to be kept on disk besides.)
         began_at: float,
-        revoked: Since = nobody,
+        revoked: Since = nobody,  # who is shut out
     ) -> None:
         self._revoked = revoked
         self._rights = rights
@@ -516,11 +450,7 @@ class Gate:
     def check(self, claim: Claim, signature: bytes, right: Right, now: float) -> None:
         """Whether an order may be obeyed; the id of one that may is used up.
 
-        Args:
-            claim: What it says.
-            signature: 64 bytes.
-            right: What it needs.
-            now: POSIX time, s.
+        ``signature``: 64 bytes. ``now``: POSIX time, s.
 
         Raises:
             OrderRefused: It may not, with the reason.

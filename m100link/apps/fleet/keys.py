@@ -8,17 +8,6 @@ from dataclasses import dataclass
 
 from m100link.errors import UsageError
 
-__all__ = [
-    "DEFAULT_SITE",
-    "LIVE",
-    "NAME",
-    "Keys",
-    "check_name",
-    "in_order",
-    "name_in",
-    "session_in",
-]
-
 DEFAULT_SITE = "site"
 
 LIVE = "m100-live"
@@ -72,14 +61,9 @@ def session_in(token: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Keys:
-    """The keys of one aircraft, or with ``*`` for its name those of all.
+    """The keys of one aircraft, or with ``*`` for its name those of all."""
 
-    Attributes:
-        site: Where it flies.
-        name: Which one.
-    """
-
-    site: str = DEFAULT_SITE
+    site: str = DEFAULT_SITE  # where it flies
     name: str = "*"
 
     def __post_init__(self) -> None:

@@ -25,16 +25,6 @@ from m100link.errors import AuthorityLost, LossReason, M100Error, UsageError
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightPhase, FlightStatus, RemoteControl
 
-__all__ = [
-    "INHERITED_S",
-    "KEPT_AGAIN_S",
-    "Aloft",
-    "Lost",
-    "LostAction",
-    "LostPlan",
-]
-
-
 INHERITED_S = 300.0
 """Seconds after which an aircraft in the air is not taken for the one that the agent before flew:
 whoever has the remote control may have flown it since, and nobody here saw him."""
@@ -54,16 +44,12 @@ _MOST_S = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class LostPlan:
-    """What is done when whoever flies is lost.
+    """What is done when whoever flies is lost."""
 
-    Attributes:
-        action: ``hover``, and control authority goes back to the pilot with the remote control;
-            ``land`` in place, or go ``home``.
-        after_s: Seconds after the lease has ended.
-    """
-
+    # ``hover``, and control authority goes back to the pilot with the remote control; ``land`` in
+    # place, or go ``home``.
     action: LostAction = "hover"
-    after_s: float = 10.0
+    after_s: float = 10.0  # seconds after the lease has ended
 
     def __post_init__(self) -> None:
         if self.action not in get_args(LostAction):
@@ -79,21 +65,15 @@ class LostPlan:
 
 
 class Lost:
-    """Watches the lease of one aircraft.
-
-    Args:
-        client: What knows the agent.
-        plan: What to do.
-        descend: Brings it down, for a reason, and takes the lease from nobody.
-        aloft: Keeps who flies for the agent after this one.
-    """
+    """Watches the lease of one aircraft."""
 
     def __init__(
         self,
-        client: AgentClient,
-        plan: LostPlan,
+        client: AgentClient,  # what knows the agent
+        plan: LostPlan,  # what to do
+        # Brings it down, for a reason, and takes the lease from nobody.
         descend: Callable[[Task, str], Awaitable[None]],
-        aloft: Aloft,
+        aloft: Aloft,  # keeps who flies for the agent after this one
     ) -> None:
         self._client = client
         self._aloft = aloft
@@ -163,8 +143,7 @@ class Lost:
     def inherit(self, left: LeftAloft | None) -> None:
         """Take care of what the agent before left in the air.
 
-        Args:
-            left: What its ledger says; None: nobody of the fleet flew.
+        ``left``: what its ledger says; None: nobody of the fleet flew.
         """
         if left is not None:
             self._waiting = self._client.background.spawn(self._inherit(left), "pilot lost before")
@@ -259,12 +238,7 @@ KEPT_AGAIN_S = 30.0
 
 
 class Aloft:
-    """Writes down who flies.
-
-    Args:
-        client: Where a disk that does not take it is told.
-        ledger: Where it is kept.
-    """
+    """Writes down who flies."""
 
     def __init__(self, client: AgentClient, ledger: Ledger) -> None:
         self._client = client

@@ -29,22 +29,6 @@ from m100link.errors import UsageError
 from m100link.errors.texts import read_json
 from m100link.link.keyfile import replace_file
 
-__all__ = [
-    "FENCES_AT_ONCE",
-    "KEPT_S",
-    "MOST_KEPT",
-    "FileLedger",
-    "Ledger",
-    "LeftAloft",
-    "Mark",
-    "MemoryLedger",
-    "OrderBook",
-    "Words",
-    "seal",
-    "since_boot",
-    "words",
-]
-
 _logger = logging.getLogger(__name__)
 
 
@@ -60,33 +44,22 @@ _CLOSE_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class LeftAloft:
-    """The agent before ended while somebody of the fleet flew.
+    """The agent before ended while somebody of the fleet flew."""
 
-    Attributes:
-        fence: Number of the lease that it was flown under.
-        ago_s: Seconds since it said so last; None when no clock tells.
-    """
-
-    fence: int
-    ago_s: float | None
+    fence: int  # number of the lease that it was flown under
+    ago_s: float | None  # seconds since it said so last; None when no clock tells
 
 
 class Ledger(Protocol):
-    """What is kept.
+    """What is kept."""
 
-    Attributes:
-        begun: Orders that were begun lately, and when, s since the computer was started.
-        leases_before: The greatest number that a lease may have had.
-        aloft: How the agent before ended, if somebody flew then.
-        damaged: Words that were on the disk and cannot be read any more, or are gone: each may be
-            an order that was begun, the number of a lease, or who flew.
-        tell: Called in the event loop with what people should know of the disk.
-    """
-
-    tell: Callable[[str], None]
+    tell: Callable[[str], None]  # called in the event loop with what people should know of the disk
+    # Orders that were begun lately, and when, s since the computer was started.
     begun: dict[str, float]
-    leases_before: int
-    aloft: LeftAloft | None
+    leases_before: int  # the greatest number that a lease may have had
+    aloft: LeftAloft | None  # how the agent before ended, if somebody flew then
+    # Words that were on the disk and cannot be read any more, or are gone: each may be an order
+    # that was begun, the number of a lease, or who flew.
     damaged: int
 
     async def begin(self, identity: str) -> None:
@@ -104,10 +77,7 @@ class Ledger(Protocol):
         """
 
     async def flies(self, fence: int) -> None:
-        """Keep under which lease the aircraft is flown now; done when it is kept.
-
-        Args:
-            fence: Its number; 0: nobody of the fleet flies.
+        """Keep the lease it is flown under, 0 for none of the fleet; done when it is kept.
 
         Raises:
             UsageError: It cannot be kept.
@@ -124,11 +94,7 @@ def since_boot() -> tuple[str, float]:
 
 
 class MemoryLedger:
-    """Kept as long as the process lives: for virtual aircraft and tests.
-
-    Args:
-        before: Of the agent before.
-    """
+    """Kept as long as the process lives: for virtual aircraft and tests."""
 
     def __init__(self, before: MemoryLedger | None = None) -> None:
         self.tell: Callable[[str], None] = _logger.warning
@@ -158,19 +124,15 @@ class FileLedger:
     Beside it, in the file of the lock, stands the mark of the newest word. A file that is removed,
     replaced or emptied while the agent runs is made again at the next record, with a report.
 
-    Args:
-        path: The file; its folder is made.
-        utc: POSIX time, s.
-        up: Which run of this computer it is, and for how long, s.
-
     Raises:
         UsageError: It cannot be read or written, or another agent has it.
     """
 
     def __init__(
         self,
-        path: Path,
-        utc: Callable[[], float],
+        path: Path,  # the file; its folder is made
+        utc: Callable[[], float],  # POSIX time, s
+        # Which run of this computer it is, and for how long, s.
         up: Callable[[], tuple[str, float]] = since_boot,
     ) -> None:
         self._path = path
@@ -431,9 +393,8 @@ _MOST = 20_000
 class OrderBook:
     """The orders of one agent.
 
-    Args:
-        before: Ids that an agent of this name begun; what became of them nobody knows.
-        unsure_before: Some of them are lost: what was made before that time may be one, s.
+    ``before``: ids that an agent of this name begun; what became of them nobody knows.
+    ``unsure_before``: some of them are lost: what was made before that time may be one, s.
     """
 
     def __init__(self, before: Iterable[str] = (), *, unsure_before: float = -math.inf) -> None:
@@ -506,15 +467,10 @@ _MARK = re.compile(r"([0-9a-f]{8}) ((\d{18}) (\d{18}))\n")
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """The mark: which records exist. Its file always has the same length.
+    """The mark: which records exist. Its file always has the same length."""
 
-    Attributes:
-        newest: Number of the newest record; 0: none was written yet.
-        first: Number of the first record of the file.
-    """
-
-    newest: int
-    first: int
+    newest: int  # number of the newest record; 0: none was written yet
+    first: int  # number of the first record of the file
 
     def __bytes__(self) -> bytes:
         body = f"{self.newest:018d} {self.first:018d}"
@@ -530,42 +486,26 @@ class Mark:
 
 
 def seal(number: int, first: int, content: dict[str, Any]) -> str:
-    """Return a line of a file.
-
-    Args:
-        number: Its number; one more than that of the line before.
-        first: Number of the first line of the file.
-        content: Its content.
-    """
+    """Return a line of a file."""
     body = f"{number} {first} {json.dumps(content)}"
     return f"{crc32(body.encode()):08x} {body}\n"
 
 
 @dataclass
 class Words:
-    """The content of a file.
+    """The content of a file."""
 
-    Attributes:
-        kept: The readable records by number, in order.
-        damaged: Number of records that are damaged or missing.
-        sure_from: From this number on none is lost.
-        newest: The greatest number that was ever written.
-    """
-
+    # The readable records by number, in order.
     kept: dict[int, dict[str, Any]] = field(default_factory=dict)
-    damaged: int = 0
-    sure_from: int = 0
-    newest: int = 0
+    damaged: int = 0  # number of records that are damaged or missing
+    sure_from: int = 0  # from this number on none is lost
+    newest: int = 0  # the greatest number that was ever written
 
 
 def words(data: bytes, mark: bytes) -> Words:
     """Read a file and its mark.
 
     A file of an older version has lines of JSON alone, and no mark.
-
-    Args:
-        data: The file; nothing when there is none.
-        mark: Its mark; nothing when there is none.
     """
     # What has no end was cut off by the loss of power as it was written: it had not begun.
     lines = data.decode("ascii", "replace").split("\n")[:-1]

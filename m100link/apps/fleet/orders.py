@@ -25,8 +25,6 @@ from m100link.errors import M100Error, MissionRunning, NotAllowed, StaleLease, T
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightPhase, FlightStatus
 
-__all__ = ["Done", "Orders", "acquires", "is_kept", "lands", "moves", "renews", "revokes", "takes"]
-
 _RENEWAL_S = 0.5
 _STATUS_S = 2.5
 _LOOK_S = 0.1
@@ -37,36 +35,22 @@ _UNKEPT = (Action.STOP, Action.HALT, Action.LAND, Action.VERSION)
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """What an order gave.
+    """What an order gave."""
 
-    Attributes:
-        text: Where it is a text.
-        number: Where it is a number.
-        offer: What confirms a take-over.
-        key: Public half of the secret of a lease.
-        fault: Why the last setpoint was not flown.
-    """
-
-    text: str = ""
-    number: int = 0
-    offer: str = ""
-    key: bytes = b""
-    fault: Fault | None = None
+    text: str = ""  # where it is a text
+    number: int = 0  # where it is a number
+    offer: str = ""  # what confirms a take-over
+    key: bytes = b""  # public half of the secret of a lease
+    fault: Fault | None = None  # why the last setpoint was not flown
 
 
 @dataclass(frozen=True, slots=True)
 class Granted:
-    """A lease that was granted to the fleet.
+    """A lease that was granted to the fleet."""
 
-    Attributes:
-        lease: As the agent knows it; its token never leaves the aircraft.
-        secret: What orders and setpoints under it are proved with.
-        signer: Who signed for it, who may be revoked meanwhile; empty when nobody did.
-    """
-
-    lease: Lease
-    secret: str = field(repr=False)
-    signer: str
+    lease: Lease  # as the agent knows it; its token never leaves the aircraft
+    secret: str = field(repr=False)  # what orders and setpoints under it are proved with
+    signer: str  # who signed for it, who may be revoked meanwhile; empty when nobody did
 
 
 def is_kept(message: Message) -> bool:
@@ -109,18 +93,7 @@ def lands(message: Message) -> bool:
 
 
 class Orders:
-    """Carries orders out.
-
-    Args:
-        client: What knows the agent.
-        ledger: What is kept.
-        revoked: Who is shut out.
-
-    Attributes:
-        missions: What flies by plans.
-        leases: Those in force that were granted to the fleet, by number.
-        refused: Why the last setpoint was not flown; told when the lease is renewed.
-    """
+    """Carries orders out."""
 
     def __init__(self, client: AgentClient, ledger: Ledger, revoked: Since = nobody) -> None:
         self._revoked = revoked
@@ -128,8 +101,10 @@ class Orders:
         self._descent_signers: set[str] = set()
         self._client = client
         self._ledger = ledger
-        self.missions = Missions(client)
+        self.missions = Missions(client)  # what flies by plans
+        # Those in force that were granted to the fleet, by number.
         self.leases: dict[int, Granted] = {}
+        # Why the last setpoint was not flown; told when the lease is renewed.
         self.refused: M100Error | None = None
         # A landing that nobody has to hold a lease for, and that all who ask for it wait for.
         self._descent: asyncio.Task[None] | None = None
@@ -295,12 +270,6 @@ class Orders:
         """Land, here or at home, whoever has the lease: it is taken over for that long.
 
         Who asks while the aircraft lands already waits for the same landing.
-
-        Args:
-            task: Land, or go home.
-            who: Under which name.
-            take_over: Whether the lease is taken from who has it.
-            signer: Who asked for it; empty when nobody signed.
 
         Raises:
             LeaseHeld: Somebody has the lease, and it is not to be taken over.

@@ -35,29 +35,6 @@ from m100link.errors import (
 )
 from m100link.errors.texts import read_json
 
-__all__ = [
-    "SHOW",
-    "VERSION",
-    "Card",
-    "MissionCard",
-    "MissionInput",
-    "MissionStage",
-    "Order",
-    "Outcome",
-    "Progress",
-    "Reply",
-    "Result",
-    "after",
-    "body",
-    "outcome_of",
-    "pack",
-    "pack_steer",
-    "unpack",
-    "unpack_message",
-    "unpack_steer",
-]
-
-
 # -- what became of an order: six answers, and none of them is silence -----------------------------
 
 
@@ -222,33 +199,21 @@ class Progress(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """Something is asked of one aircraft.
+    """Something is asked of one aircraft."""
 
-    Attributes:
-        id: Chosen by who asks, 32 hex digits. An order is carried out once for each id.
-        aircraft: For which one it is meant.
-        by: Who asks, for people; what a signature proves is in :attr:`signer`.
-        fence: Number of the lease that it is asked under; 0 for none.
-        at: When it was made, POSIX time, s.
-        message: The agent's message, by :mod:`m100link.apps.agent.codec`.
-        clock: When it was made at the earliest, by the agent's own clock, s; 0: nobody knows.
-        proof: That whoever asks has the lease; empty without one.
-        signer: Whose signature it is; empty for none.
-        signature: Over :meth:`signed`; empty for none.
-        key: Public half of the secret of the lease that it asks for; see
-            :mod:`m100link.apps.fleet.secret`. Empty where it asks for none.
-    """
-
-    id: str
-    aircraft: str
-    by: str
-    fence: int
-    at: float
-    message: bytes
+    id: str  # chosen by who asks, 32 hex digits. An order is carried out once for each id
+    aircraft: str  # for which one it is meant
+    by: str  # who asks, for people; what a signature proves is in :attr:`signer`
+    fence: int  # number of the lease that it is asked under; 0 for none
+    at: float  # when it was made, POSIX time, s
+    message: bytes  # the agent's message, by :mod:`m100link.apps.agent.codec`
+    # When it was made at the earliest, by the agent's own clock, s; 0: nobody knows.
     clock: float = 0.0
-    proof: bytes = b""
-    signer: str = ""
-    signature: bytes = b""
+    proof: bytes = b""  # that whoever asks has the lease; empty without one
+    signer: str = ""  # whose signature it is; empty for none
+    signature: bytes = b""  # over :meth:`signed`; empty for none
+    # Public half of the secret of the lease that it asks for; see
+    # :mod:`m100link.apps.fleet.secret`. Empty where it asks for none.
     key: bytes = b""
 
     def signed(self) -> bytes:
@@ -271,36 +236,21 @@ class Order:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """What an agent says of an order.
+    """What an agent says of an order."""
 
-    Attributes:
-        id: Of the order.
-        name: The aircraft.
-        boot: Which run of its agent this is.
-        progress: How far it is.
-        outcome: What became of it; means something when it is done.
-        fault: Why it is not ``ok``.
-        text: What was asked for, where that is a text.
-        number: What was asked for, where that is a number.
-        offer: What confirms a take-over that was asked for; no secret.
-        key: Public half of the secret of a lease that was granted; empty otherwise.
-        clock: The agent's own clock, s; setpoints are stamped by it.
-        is_repeated: The order had been heard before.
-        order: :meth:`Order.digest` of the order that was heard under the id; empty where none was.
-    """
-
-    id: str
+    id: str  # of the order
     name: str
-    boot: str
-    progress: Progress
-    outcome: Outcome = Outcome.UNKNOWN
-    fault: Fault | None = None
-    text: str = ""
-    number: int = 0
-    offer: str = ""
-    key: bytes = b""
-    clock: float = 0.0
-    is_repeated: bool = False
+    boot: str  # which run of its agent this is
+    progress: Progress  # how far it is
+    outcome: Outcome = Outcome.UNKNOWN  # what became of it; means something when it is done
+    fault: Fault | None = None  # why it is not ``ok``
+    text: str = ""  # what was asked for, where that is a text
+    number: int = 0  # what was asked for, where that is a number
+    offer: str = ""  # what confirms a take-over that was asked for; no secret
+    key: bytes = b""  # public half of the secret of a lease that was granted; empty otherwise
+    clock: float = 0.0  # the agent's own clock, s; setpoints are stamped by it
+    is_repeated: bool = False  # the order had been heard before
+    # :meth:`Order.digest` of the order that was heard under the id; empty where none was.
     order: bytes = b""
 
 
@@ -435,10 +385,6 @@ def body(payload: bytes, most: int = _MOST) -> bytes:
 def unpack(kind: type[Any], payload: bytes) -> Any:
     """The value of these bytes.
 
-    Args:
-        kind: :class:`Order`, :class:`Reply`, :class:`Card` or :class:`MissionCard`.
-        payload: The bytes.
-
     Raises:
         MessageError: They are none of that kind, or of another version.
     """
@@ -461,13 +407,7 @@ def unpack_message(payload: bytes) -> Message:
 
 
 def pack_steer(steer: Steer, token: str, *, begins: bool) -> bytes:
-    """The bytes of a setpoint, with the proof that whoever sends it has the lease.
-
-    Args:
-        steer: The setpoint.
-        token: Secret of the lease.
-        begins: It begins a stream; see :mod:`m100link.apps.fleet.stream`.
-    """
+    """The bytes of a setpoint, with the proof that whoever sends it has the lease."""
     data = bytes([begins]) + encode(steer)
     return bytes([VERSION]) + _proof(token, data) + data
 
@@ -477,12 +417,9 @@ def unpack_steer(
 ) -> tuple[Steer, bool] | None:
     """The setpoint in these bytes, and whether it begins a stream.
 
-    Args:
-        payload: The bytes.
-        token_of: Secret of the lease of a number; None where none was granted.
+    Returns None when the lease that it names is not proved.
 
-    Returns:
-        None when the lease that it names is not proved.
+    ``token_of``: secret of the lease of a number; None where none was granted.
 
     Raises:
         MessageError: They are none.

@@ -33,21 +33,6 @@ from m100link.apps.fleet.revocations import AUTHORITY, LIST, Revocations
 from m100link.errors import UsageError
 from m100link.link.keyfile import read_token, replace_file
 
-__all__ = [
-    "AUTHORITY_DAYS",
-    "ISSUED_DAYS",
-    "BadAuthority",
-    "Issued",
-    "Kind",
-    "explain",
-    "init",
-    "issue",
-    "listed",
-    "revoke",
-    "router_config",
-]
-
-
 ISSUED_DAYS = 30
 AUTHORITY_DAYS = 730
 _EARLY = timedelta(minutes=5)
@@ -74,31 +59,20 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Issued:
-    """What was made.
-
-    Attributes:
-        certificate: PEM file.
-        key: PEM file with its key; mode 0600.
-        ends: When it is not valid any more.
-        signing_key: File with the key that signs orders, for pilots; mode 0600.
-        public_key: What belongs to it, for the file of rights, 64 hex digits.
-    """
+    """What was made."""
 
     certificate: Path
-    key: Path
-    ends: datetime
-    signing_key: Path | None = None
-    public_key: str = ""
+    key: Path  # PEM file with its key; mode 0600
+    ends: datetime  # when it is not valid any more
+    signing_key: Path | None = None  # file with the key that signs orders, for pilots; mode 0600
+    public_key: str = ""  # what belongs to it, for the file of rights, 64 hex digits
 
 
 def init(folder: Path, *, now: datetime, force: bool = False) -> Issued:
-    """Make an authority.
+    """Make an authority, in a folder that is its owner's alone.
 
-    Args:
-        folder: Where its files go; it is made, for its owner alone.
-        now: The time, with its zone.
-        force: Write over one that is there: whatever it has issued is worth nothing then. Who was
-            revoked stays so.
+    ``force`` writes over one that is there: whatever it has issued is worth nothing then. Who was
+    revoked stays so.
 
     Raises:
         BadAuthority: One is there, or the folder cannot be written.
@@ -130,21 +104,13 @@ def init(folder: Path, *, now: datetime, force: bool = False) -> Issued:
 def issue(
     folder: Path,
     kind: Kind,
-    name: str,
+    name: str,  # common name: of an aircraft, a pilot, a router
     *,
     now: datetime,
-    hosts: Sequence[str] = (),
-    force: bool = False,
+    hosts: Sequence[str] = (),  # of a router: names and addresses by which others reach it
+    force: bool = False,  # write over what is there; the signing key of a pilot stays
 ) -> Issued:
     """Make a certificate, its key, and for a pilot a key that signs orders.
-
-    Args:
-        folder: Of the authority.
-        kind: What it is for.
-        name: Common name: of an aircraft, a pilot, a router.
-        now: The time, with its zone.
-        hosts: Of a router: names and addresses by which others reach it.
-        force: Write over what is there under that name; the signing key of a pilot stays.
 
     Raises:
         BadAuthority: There is no authority, it has ended, a file is there, or the name or the hosts
@@ -204,11 +170,6 @@ def issue(
 
 def revoke(folder: Path, names: Sequence[str], *, now: datetime) -> Revoked:
     """Shut out names before their certificates end: write the next list, with all before them.
-
-    Args:
-        folder: Of the authority; the list lies there as ``revoked.list``.
-        names: Common names of certificates, which are names of pilots as well.
-        now: The time, with its zone.
 
     Raises:
         BadAuthority: There is no authority, it has ended, or a name cannot be.

@@ -36,13 +36,6 @@ from m100link.protocol.firmware import PROFILES
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 
-__all__ = [
-    "STATE_S",
-    "AgentTold",
-    "FleetTelemetry",
-]
-
-
 T = TypeVar("T")
 
 STATE_S = 0.25
@@ -56,14 +49,7 @@ _PLAN = 20
 
 
 class AgentTold:
-    """One aircraft's end.
-
-    Args:
-        client: What knows its agent.
-        bus: The network.
-        keys: Its keys.
-        boot: Which run of the agent this is.
-    """
+    """One aircraft's end."""
 
     def __init__(self, client: AgentClient, bus: Bus, keys: Keys, boot: str) -> None:
         self._client = client
@@ -134,33 +120,23 @@ _DEPTH = 20_000
 
 
 class FleetTelemetry:
-    """Hears aircraft until it is closed.
-
-    Args:
-        bus: The network.
-        keys: Of one aircraft, or of all.
-        full: Every package; else what suffices for each item five times a second.
-        on_sample: Called with the name and each package, whose time is that of its arrival here.
-
-    Attributes:
-        states: Newest values by name; ages count from their arrival here.
-        received: Packages by name.
-        unread: Packages that this version cannot read.
-    """
+    """Hears aircraft until it is closed."""
 
     def __init__(
         self,
         bus: Bus,
-        keys: Keys,
+        keys: Keys,  # of one aircraft, or of all
         *,
-        full: bool = False,
+        full: bool = False,  # every package; else what suffices for each item five times a second
+        # Called with the name and each package, whose time is that of its arrival here.
         on_sample: Callable[[str, Sample], None] | None = None,
     ) -> None:
         self._clock = asyncio.get_running_loop().time
         self._on_sample = on_sample
+        # Newest values by name; ages count from their arrival here.
         self.states: dict[str, AircraftState] = {}
-        self.received: Counter[str] = Counter()
-        self.unread = 0
+        self.received: Counter[str] = Counter()  # packages by name
+        self.unread = 0  # packages that this version cannot read
         key = keys.telemetry if full else keys.thinned
         # Whoever looks at one aircraft may fly it; a wall of a thousand is looked at by people.
         within = 0.0 if full else WALL_WITHIN_S

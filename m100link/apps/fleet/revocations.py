@@ -27,8 +27,6 @@ from m100link.apps.fleet.payloads import VERSION, Progress, Reply, body, outcome
 from m100link.errors import M100Error, OutcomeUnknown, UsageError
 from m100link.link.keyfile import replace_file
 
-__all__ = ["AUTHORITY", "LIST", "RevocationService", "Revocations", "bring"]
-
 AUTHORITY = "ca.pem"
 """The file whose key signs lists."""
 
@@ -43,25 +41,15 @@ _AGAIN_S = 0.2
 
 
 class Revocations:
-    """The list in force.
-
-    Args:
-        authority: Whose lists are believed.
-        path: Where the list is kept; None: nowhere.
-        rights: Who has which certificate: a name of either kind is revoked.
-        apart: Does beside the loop what may have to wait for a disk.
-
-    Attributes:
-        revoked: The list.
-        on_change: Called when a newer one is in force.
-    """
+    """The list in force."""
 
     def __init__(
         self,
-        authority: x509.Certificate,
-        path: Path | None = None,
-        rights: Rights | None = None,
+        authority: x509.Certificate,  # whose lists are believed
+        path: Path | None = None,  # where the list is kept; None: nowhere
+        rights: Rights | None = None,  # who has which certificate: a name of either kind is revoked
         *,
+        # Does beside the loop what may have to wait for a disk.
         apart: Callable[..., Awaitable[Any]] = asyncio.to_thread,
     ) -> None:
         self._apart = apart
@@ -72,7 +60,7 @@ class Revocations:
         self._kept = b""
         self._keeping = asyncio.Lock()
         self.revoked = Revoked(0, {})
-        self.on_change: list[Callable[[], None]] = []
+        self.on_change: list[Callable[[], None]] = []  # called when a newer one is in force
 
     @classmethod
     def of_folder(
@@ -189,26 +177,18 @@ class Revocations:
 
 
 class RevocationService:
-    """One aircraft's end: a list comes here, and who is shut out by it is shut out at once.
-
-    Args:
-        bus: The network.
-        keys: Its keys.
-        boot: Which run of the agent this is.
-        revocations: What is believed; agents in one process share it.
-        shut_out: Called in turn when there is a newer list: whoever is in it steers no more.
-        note: Tells people, at a level.
-    """
+    """One aircraft's end: a list comes here, and who is shut out by it is shut out at once."""
 
     def __init__(
         self,
         bus: Bus,
         keys: Keys,
-        boot: str,
-        revocations: Revocations,
+        boot: str,  # which run of the agent this is
+        revocations: Revocations,  # what is believed; agents in one process share it
         *,
+        # Called in turn when there is a newer list: whoever is in it steers no more.
         shut_out: Sequence[Callable[[], None]],
-        note: Callable[[str, str], None],
+        note: Callable[[str, str], None],  # tells people, at a level
     ) -> None:
         self._bus, self._keys, self._boot = bus, keys, boot
         self._revocations = revocations
@@ -271,13 +251,7 @@ class RevocationService:
 async def bring(bus: Bus, keys: Keys, data: bytes = b"") -> int:
     """Bring a list to an agent, which believes it when it is newer.
 
-    Args:
-        bus: The network.
-        keys: Of the aircraft.
-        data: The list; without one it is only asked which is in force.
-
-    Returns:
-        Number of the list in force there; 0 for none.
+    Returns number of the list in force there; 0 for none.
 
     Raises:
         Unreachable: There is no such agent.

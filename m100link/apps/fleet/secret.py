@@ -15,8 +15,6 @@ from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.fleet.payloads import Order, Reply
 
-__all__ = ["Half", "LeaseRequest", "agree"]
-
 _ABOUT = b"m100link lease 2\n"
 
 
@@ -30,10 +28,8 @@ class Half:
     def secret(self, order: Order, theirs: bytes, agents: bytes) -> str:
         """Return the secret of the lease that an order asks for, 64 hexadecimal digits.
 
-        Args:
-            order: The order as it was sent.
-            theirs: The public half of the other side, 32 bytes.
-            agents: The public half of the agent, 32 bytes.
+        ``theirs``: the public half of the other side, 32 bytes. ``agents``: the public half of the
+        agent, 32 bytes.
 
         Raises:
             MessageError: ``theirs`` is no half of a secret.
@@ -60,12 +56,7 @@ def agree(order: Order) -> tuple[bytes, str]:
 
 
 class LeaseRequest:
-    """The asker's side.
-
-    Args:
-        order: The request, with the public half in it.
-        half: The private half, which stays here.
-    """
+    """The asker's side."""
 
     def __init__(self, order: Order, half: Half) -> None:
         self.order, self._half = order, half

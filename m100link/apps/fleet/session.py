@@ -9,8 +9,6 @@ from typing import Literal
 
 from m100link.apps.bus.session import LARGEST, Opening, ZenohBus, open_session
 
-__all__ = ["LEASE_MS", "open_fleet"]
-
 LEASE_MS = 1200
 """Milliseconds after which a silent end of a connection counts as gone; zenoh's own 10 s would
 leave an aircraft on the wall that long after its cable was cut. Where only the way to an agent is
@@ -32,21 +30,14 @@ _REMEDIES = {
 def open_fleet(
     mode: Literal["client", "router"],
     *,
-    connect: tuple[str, ...] = (),
+    connect: tuple[str, ...] = (),  # such as ``tcp/127.0.0.1:7447``: of a router, other routers
     listen: tuple[str, ...] = (),
-    options: Mapping[str, str] | None = None,
-    is_patient: bool = False,
+    options: Mapping[str, str] | None = None,  # more of zenoh's, by name, as JSON
+    is_patient: bool = False,  # wait for the first router as long as it takes
 ) -> AbstractAsyncContextManager[ZenohBus]:
     """A session while the block runs; a router that is lost meanwhile is found again.
 
     Nobody is looked for by multicast or gossip: who is not named is not met.
-
-    Args:
-        mode: What it is.
-        connect: Where to connect to, such as ``tcp/127.0.0.1:7447``: of a router, other routers.
-        listen: Where to be connected to.
-        options: More of zenoh's, by name, as JSON.
-        is_patient: Wait for the first router as long as it takes.
 
     Raises:
         UsageError: The package is missing, an option cannot be, a port is taken, or no router
@@ -72,11 +63,6 @@ def open_fleet(
     given = ours | dict(options or {})
     return open_session(
         Opening(
-            "a fleet",
-            "fleet",
-            given,
-            patience_s=FIRST_S,
-            is_patient=is_patient,
-            remedies=_REMEDIES,
+            "a fleet", "fleet", given, patience_s=FIRST_S, is_patient=is_patient, remedies=_REMEDIES
         )
     )

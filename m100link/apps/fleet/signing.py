@@ -16,8 +16,6 @@ from m100link.apps.fleet.logs.words import LOG
 from m100link.apps.fleet.payloads import SHOW, Order
 from m100link.link.keyfile import read_key
 
-__all__ = ["read_signer", "right_for", "signing", "tls_options", "verifying"]
-
 _BESIDE = {SHOW: Right.FLY, LOG: Right.WATCH}
 _STOPS = (Action.STOP, Action.HALT, Action.LAND)
 
@@ -56,18 +54,11 @@ def signing(signer: Signer) -> Sign:
 
 def verifying(
     rights: Rights,
-    names: Iterable[str],
-    utc: Callable[[], float],
+    names: Iterable[str],  # of their aircraft. An agent looks first whether an order names its own
+    utc: Callable[[], float],  # POSIX time, s
     revoked: Since = nobody,
 ) -> Verify:
-    """What agents look at orders with.
-
-    Args:
-        rights: Who may do what.
-        names: Of their aircraft. An agent looks first whether an order names its own.
-        utc: POSIX time, s.
-        revoked: Who is shut out.
-    """
+    """What agents look at orders with."""
     gates = {name: Gate(rights, name, began_at=utc(), revoked=revoked) for name in names}
 
     def verify(order: Order) -> None:
@@ -88,10 +79,7 @@ def read_signer(folder: Path, name: str) -> Signer:
 def tls_options(folder: Path, name: str, *, listens: bool = False) -> dict[str, str]:
     """Options of a session that shows a certificate of ``fleet pki``, and wants to see one.
 
-    Args:
-        folder: Where ``ca.pem``, ``NAME.pem`` and ``NAME.key`` are.
-        name: Whose certificate.
-        listens: Of a router, which is connected to; it shows the same to other routers.
+    ``listens``: a router is connected to, and shows the same to other routers.
     """
     tls: dict[str, object] = {
         "root_ca_certificate": str(folder / "ca.pem"),

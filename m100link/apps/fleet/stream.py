@@ -13,8 +13,6 @@ from enum import Enum
 from m100link.apps.agent.messages import Steer
 from m100link.errors import GuardRefused
 
-__all__ = ["BROKEN_S", "MAX_AGE_S", "Dropped", "SetpointStream", "broken"]
-
 MAX_AGE_S = 0.2
 """Seconds that a setpoint may have been on its way, by the agent's own clock."""
 
@@ -43,11 +41,7 @@ class SetpointStream:
     def drop(self, steer: Steer, *, begins: bool, fence: int, now: float) -> Dropped | None:
         """Why it is not flown; None when it is.
 
-        Args:
-            steer: The setpoint, stamped by the agent's clock.
-            begins: Its sender begins a stream with it.
-            fence: Number of the lease in force.
-            now: The agent's time, s.
+        ``steer``: the setpoint, stamped by the agent's clock. ``now``: the agent's time, s.
         """
         if steer.fence != fence:
             return Dropped.STALE

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from functools import cache
 
-__all__ = ["WALL_HZ", "WALL_WITHIN_S", "Thinner"]
-
 WALL_HZ = 5.0
 """Times a second that a wall is told of each item."""
 
@@ -28,9 +26,6 @@ class Thinner:
     one, by the time between its last two, would be farther from the interval of the wall than this
     one. So what comes often waits for the package with what comes seldom, one package tells all of
     them, and each is told at its own rate or that of the wall.
-
-    Args:
-        rate_hz: Times a second for each item.
     """
 
     def __init__(self, rate_hz: float = WALL_HZ) -> None:
@@ -41,9 +36,7 @@ class Thinner:
     def goes_on(self, flags: int, at: float) -> bool:
         """Whether a package goes on.
 
-        Args:
-            flags: The items in it, a bit for each.
-            at: When it came, s.
+        ``at``: when it came, s.
         """
         told, seen, is_due = self._told_at, self._seen_at, False
         items = _items(flags)

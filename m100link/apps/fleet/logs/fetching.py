@@ -29,8 +29,6 @@ from m100link.apps.fleet.payloads import Outcome, pack
 from m100link.errors import FleetError, M100Error, Unreachable, UsageError
 from m100link.log.folder import is_log_name
 
-__all__ = ["PIECE", "Fetched", "LogFetcher", "Progress"]
-
 PIECE = 64 * 1024
 """Bytes that are asked for at once: what is under way when somebody else asks is little."""
 
@@ -68,11 +66,7 @@ class Fetched:
 class LogFetcher:
     """Asks one aircraft for its logs.
 
-    Args:
-        bus: The network.
-        keys: Of the aircraft.
-        asker: What asks it.
-        patience: Seconds without any answer after which it counts as gone.
+    ``patience``: seconds without any answer after which it counts as gone.
     """
 
     def __init__(self, bus: Bus, keys: Keys, asker: Asker, *, patience: float = PATIENCE_S) -> None:
@@ -94,11 +88,6 @@ class LogFetcher:
         self, log: str = "", to: Path | str = "", progress: Progress | None = None
     ) -> Fetched:
         """Bring a log here, or what is still missing of it.
-
-        Args:
-            log: Its name; that of the newest by default.
-            to: The folder for it; it is made.
-            progress: Told how far it is.
 
         Raises:
             UsageError: There is no such log, or it cannot be written here.

@@ -40,13 +40,6 @@ from m100link.errors.texts import read_path
 from m100link.log.folder import is_log_name
 from m100link.log.recorder import is_being_written
 
-__all__ = [
-    "RATE",
-    "LogService",
-    "Shelf",
-]
-
-
 T = TypeVar("T")
 
 RATE = 1_000_000
@@ -75,9 +68,6 @@ class OwnThreads:
     """Threads of its own: a disk that hangs must not hold up what others have threads for.
 
     One for the digest that is made at a time, one for everything else.
-
-    Args:
-        name: Of the threads.
     """
 
     def __init__(self, name: str) -> None:
@@ -95,17 +85,6 @@ class OwnThreads:
 class LogService:
     """One aircraft's end.
 
-    Args:
-        bus: The network.
-        keys: Its keys.
-        folder: Where its logs are; None for nowhere.
-        verify: Looks at each question; without it the router alone decides who may ask.
-        rate: Bytes a second, at most.
-        apart: Where the disk is waited for.
-
-    Attributes:
-        dropped: Questions of a flood that were not read.
-
     Raises:
         UsageError: Nothing could ever leave at that rate.
     """
@@ -114,11 +93,12 @@ class LogService:
         self,
         bus: Bus,
         keys: Keys,
-        folder: Path | None,
+        folder: Path | None,  # where its logs are; None for nowhere
         *,
+        # Looks at each question; without it the router alone decides who may ask.
         verify: Verify | None = None,
-        rate: float = RATE,
-        apart: Apart | None = None,
+        rate: float = RATE,  # bytes a second, at most
+        apart: Apart | None = None,  # where the disk is waited for
     ) -> None:
         if not rate > 0.0:
             raise UsageError(f"logs cannot leave at {rate:g} bytes a second")
@@ -132,7 +112,7 @@ class LogService:
         self._is_ended = False
         self._apart = apart or OwnThreads(f"logs of {keys.name}")
         self._digests: OrderedDict[tuple[str, int], asyncio.Task[bytes]] = OrderedDict()
-        self.dropped = 0
+        self.dropped = 0  # questions of a flood that were not read
         self._doing: dict[What, Callable[[LogQuestion, Order], Awaitable[bytes]]] = {
             What.LIST: self._list,
             What.PIECE: self._piece,
@@ -275,8 +255,7 @@ _IDLE = 1.0
 class Shelf:
     """The logs of one aircraft.
 
-    Args:
-        folder: Where they are; None: nowhere, nothing is recorded.
+    ``folder``: where they are; None: nowhere, nothing is recorded.
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -316,11 +295,6 @@ class Shelf:
 
     def digest(self, log: str, length: int, is_wanted: Callable[[], bool]) -> bytes:
         """SHA-256 of its first bytes.
-
-        Args:
-            log: Which.
-            length: How many.
-            is_wanted: Asked now and then; when it says no it ends.
 
         Raises:
             UsageError: There is no such log, it has fewer bytes, or nobody wants it any more.

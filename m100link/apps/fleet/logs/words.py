@@ -27,23 +27,6 @@ from m100link.errors.texts import read_json, read_path
 from m100link.link.keyfile import keep_names
 from m100link.log.folder import is_log_name
 
-__all__ = [
-    "LOG",
-    "MOST_PIECE",
-    "LogEntry",
-    "LogQuestion",
-    "LogReply",
-    "Part",
-    "What",
-    "pack_entries",
-    "pack_question",
-    "pack_reply",
-    "unpack_entries",
-    "unpack_question",
-    "unpack_reply",
-]
-
-
 LOG = b"log\n"
 """What the message of an order about logs begins with; behind it is JSON."""
 
@@ -68,44 +51,26 @@ class What(Enum):
 
 @dataclass(frozen=True, slots=True)
 class LogQuestion:
-    """Something is asked of the logs of one aircraft.
+    """Something is asked of the logs of one aircraft."""
 
-    Attributes:
-        what: What is wanted.
-        log: Name of the log; empty for a list.
-        offset: First byte of a piece.
-        length: Bytes of a piece, or over how many of them the digest is.
-    """
-
-    what: What
-    log: str = ""
-    offset: int = 0
-    length: int = 0
+    what: What  # what is wanted
+    log: str = ""  # name of the log; empty for a list
+    offset: int = 0  # first byte of a piece
+    length: int = 0  # bytes of a piece, or over how many of them the digest is
 
 
 @dataclass(frozen=True, slots=True)
 class LogReply:
-    """What an agent says; the bytes stand behind it.
+    """What an agent says; the bytes stand behind it."""
 
-    Attributes:
-        id: Of the order.
-        name: The aircraft.
-        outcome: Whether it is answered.
-        fault: Why it is not.
-        again_s: Seconds after which to ask again, when it is not ready; 0 when it is.
-        offset: First byte of the piece.
-        size: Bytes that the log has now.
-        is_written: Whether it is being written still.
-    """
-
-    id: str
+    id: str  # of the order
     name: str
-    outcome: Outcome = Outcome.OK
-    fault: Fault | None = None
-    again_s: float = 0.0
-    offset: int = 0
-    size: int = 0
-    is_written: bool = False
+    outcome: Outcome = Outcome.OK  # whether it is answered
+    fault: Fault | None = None  # why it is not
+    again_s: float = 0.0  # seconds after which to ask again, when it is not ready; 0 when it is
+    offset: int = 0  # first byte of the piece
+    size: int = 0  # bytes that the log has now
+    is_written: bool = False  # whether it is being written still
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,23 +194,14 @@ _BLOCK = 1 << 20
 class Part:
     """The part of one log.
 
-    Args:
-        folder: Where; it is made.
-        name: Of the file that it becomes.
-
-    Attributes:
-        whole: The file that it becomes.
-        path: The file that it is.
-        at: Bytes in it.
-
     Raises:
         UsageError: The folder cannot be made.
     """
 
     def __init__(self, folder: Path, name: str) -> None:
-        self.whole = read_path(folder) / name
-        self.path = self.whole.with_name(f"{name}.part")
-        self.at = 0
+        self.whole = read_path(folder) / name  # the file that it becomes
+        self.path = self.whole.with_name(f"{name}.part")  # the file that it is
+        self.at = 0  # bytes in it
         self._file: FileIO | None = None
         # Who is cancelled closes while a thread may still be writing.
         self._lock = threading.Lock()

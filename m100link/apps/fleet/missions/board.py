@@ -34,13 +34,6 @@ from m100link.geodesy import distance_m
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.records import Position
 
-__all__ = [
-    "MissionTeller",
-    "Missions",
-    "digest_of",
-]
-
-
 _FRESH_S = 5.0
 _REACHED, _FINISHED = 2, 1
 _ARRIVED = 4
@@ -55,18 +48,11 @@ def digest_of(plan: PlanTold) -> str:
 
 
 class Missions:
-    """The missions of one aircraft.
-
-    Args:
-        client: What knows its agent.
-
-    Attributes:
-        stage: How far the mission is.
-    """
+    """The missions of one aircraft."""
 
     def __init__(self, client: AgentClient) -> None:
         self._client = client
-        self.stage = MissionStage.NONE
+        self.stage = MissionStage.NONE  # how far the mission is
         self._plan: WaypointPlan | None = None
         self._digest, self._by, self._points = "", "", 0
         # One plan at a time goes to the agent, and none while it begins to fly one.
@@ -84,13 +70,7 @@ class Missions:
     async def upload(self, lease: Lease, plan: PlanTold, by: str) -> str:
         """Take a plan; nothing is told to the aircraft.
 
-        Args:
-            lease: The lease.
-            plan: All of it.
-            by: Who sends it, for people.
-
-        Returns:
-            Its digest, by which it is started.
+        Returns its digest, by which it is started.
 
         Raises:
             UsageError: It is none that this version can read, or cannot be flown.
@@ -127,10 +107,7 @@ class Missions:
     async def start(self, lease: Lease, ask: Ask) -> None:
         """Let the plan fly; done when it has begun, or with ``UNTIL_OVER`` when it is over.
 
-        Args:
-            lease: The lease.
-            ask: What was asked for; its data is the digest of the plan, empty for whichever is
-                there.
+        The data of ``ask`` is the digest of the plan, empty for whichever is there.
 
         Raises:
             UsageError: It is another plan, there is none, or one is being uploaded.
@@ -260,14 +237,7 @@ _AS_GOOD_AS_NEW_S = 0.05
 
 
 class MissionTeller:
-    """One aircraft's end.
-
-    Args:
-        missions: Of that aircraft.
-        bus: The network.
-        keys: Its keys.
-        boot: Which run of its agent this is.
-    """
+    """One aircraft's end."""
 
     def __init__(self, missions: Missions, bus: Bus, keys: Keys, boot: str) -> None:
         self._missions, self._bus, self._keys, self._boot = missions, bus, keys, boot

@@ -34,8 +34,6 @@ from m100link.flight.missions.events import (
 )
 from m100link.missions.plan import WaypointPlan
 
-__all__ = ["FleetMission", "MissionOrders", "mission_card"]
-
 _logger = logging.getLogger(__name__)
 
 _LOOK_S = 0.5

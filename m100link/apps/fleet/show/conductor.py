@@ -30,8 +30,6 @@ from m100link.apps.fleet.show.plan.track import BadShow, TimedTrack
 from m100link.errors import M100Error, Unreachable
 from m100link.errors.texts import read_json
 
-__all__ = ["Conductor", "Part"]
-
 _ANSWER_S = 1.0
 _TRIES = 5
 _PLACING_S = 180.0

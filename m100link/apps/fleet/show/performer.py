@@ -37,8 +37,6 @@ from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Attitude, FlightStatus, Position, Velocity
 from m100link.protocol.setpoint import Setpoint
 
-__all__ = ["ALLOWED", "ATTENDED_S", "Leave", "Order", "Performer", "Stage"]
-
 Leave = Literal["hover", "land"]
 
 ATTENDED_S = 10.0
@@ -90,31 +88,20 @@ _IN_SHOW = (Stage.LOADED, *_BUSY)
 
 
 class Performer:
-    """One aircraft.
-
-    Args:
-        client: What knows its agent.
-        name: Of the aircraft.
-
-    Attributes:
-        stage: How far it is.
-        fault: Why it left; None otherwise.
-        track: What it is loaded with; None for nothing.
-        farthest_m: Farthest from its track, by its own telemetry.
-        neighbours: The others of the show; None when it was loaded without a word about them.
-        ages: Which orders come too late: nobody waits for them, or it was stopped since.
-        run: Who conducts, by a word that is another one each time; empty when none was told.
-    """
+    """One aircraft."""
 
     def __init__(self, client: AgentClient, name: str) -> None:
         self._client = client
         self._name = name
-        self.stage = Stage.EMPTY
-        self.fault: M100Error | None = None
-        self.track: TimedTrack | None = None
-        self.farthest_m = 0.0
+        self.stage = Stage.EMPTY  # how far it is
+        self.fault: M100Error | None = None  # why it left; None otherwise
+        self.track: TimedTrack | None = None  # what it is loaded with; None for nothing
+        self.farthest_m = 0.0  # farthest from its track, by its own telemetry
+        # The others of the show; None when it was loaded without a word about them.
         self.neighbours: Neighbours | None = None
+        # Which orders come too late: nobody waits for them, or it was stopped since.
         self.ages = OrderAges()
+        # Who conducts, by a word that is another one each time; empty when none was told.
         self.run = ""
         self._rest: RestOfTrack | None = None
         # When its show begins, by the agent's clock; None before that is known.
@@ -200,14 +187,9 @@ class Performer:
     ) -> str:
         """Take a track.
 
-        Args:
-            data: Of :meth:`TimedTrack.to_bytes`.
-            leave: What follows the track, or whatever ends it.
-            neighbours: The others of the show; None: they are not looked at.
-            run: Who conducts; until it is over orders of nobody else are carried out.
-
-        Returns:
-            Its digest: whoever sent it compares.
+        Returns its digest: whoever sent it compares. ``leave``: what follows the track, or whatever
+        ends it. ``neighbours``: the others of the show; None: they are not looked at. ``run``: who
+        conducts; until it is over orders of nobody else are carried out.
 
         Raises:
             BadShow: It is none, or another aircraft's.
@@ -229,9 +211,6 @@ class Performer:
     def place(self, who: str) -> None:
         """Begin to take off and to fly to the first point.
 
-        Args:
-            who: Who conducts, for people.
-
         Raises:
             ShowRefused: Its guards do not let it fly as fast as its track.
             UsageError: It is not loaded.
@@ -245,10 +224,8 @@ class Performer:
     def start(self, digest: str, start_at: float, bound: float) -> None:
         """Begin the track at a time.
 
-        Args:
-            digest: Of the track that is meant.
-            start_at: By the agent's clock, s.
-            bound: By how much whoever says so may be wrong about that clock, s.
+        ``start_at``: by the agent's clock, s. ``bound``: by how much whoever says so may be wrong
+        about that clock, s.
 
         Raises:
             ShowRefused: The clock, the time or the place is wrong.

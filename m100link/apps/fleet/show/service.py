@@ -34,8 +34,6 @@ from m100link.apps.fleet.show.plan.track import MAX_POINTS, BadShow
 from m100link.errors import M100Error, NotAllowed
 from m100link.errors.texts import read_json
 
-__all__ = ["Beside", "ShowService"]
-
 _TELL_S = 0.2
 _MOST_ORDER = 4096
 """Bytes: a piece of a track has 2048 with all that is around it."""
@@ -61,25 +59,19 @@ class Beside:
 
 
 class ShowService:
-    """One aircraft's end.
-
-    Args:
-        client: What knows its agent.
-        bus: The network.
-        keys: Its keys.
-        verify: Looks at each order; without it the router alone decides who may ask.
-        namesakes: Whether another agent has its name: then it does not begin.
-        beside: Other aircraft of the same session; None where it has one of its own.
-    """
+    """One aircraft's end."""
 
     def __init__(
         self,
-        client: AgentClient,
+        client: AgentClient,  # what knows its agent
         bus: Bus,
         keys: Keys,
         *,
+        # Looks at each order; without it the router alone decides who may ask.
         verify: Verify | None = None,
+        # Whether another agent has its name: then it does not begin.
         namesakes: Namesakes | None = None,
+        # Other aircraft of the same session; None where it has one of its own.
         beside: Beside | None = None,
     ) -> None:
         self._client = client

@@ -19,20 +19,6 @@ from typing import Self
 from m100link.apps.fleet.show.plan.track import BadShow, TimedTrack, Vector, apart
 from m100link.errors.texts import read_json
 
-__all__ = [
-    "AHEAD_S",
-    "SETTLED_S",
-    "SILENT_S",
-    "Ahead",
-    "Near",
-    "Neighbours",
-    "RestOfTrack",
-    "by_speed",
-    "by_track",
-    "nearest",
-]
-
-
 AHEAD_S = 10.0
 """Seconds that are looked ahead."""
 
@@ -58,21 +44,14 @@ _MOST_M = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Ahead:
-    """Where one aircraft will be.
+    """Where one aircraft will be."""
 
-    Attributes:
-        show: Which show, by its digest.
-        name: Of the aircraft.
-        at: When the first place is, s from the beginning of the show; each half a second later.
-        places: North, east and height, m, from the show's origin.
-        down_from: From when it may be landing, s from the beginning of the show: then it counts as
-            everywhere below its place.
-    """
-
-    show: str
-    name: str
-    at: float
-    places: tuple[Vector, ...]
+    show: str  # which show, by its digest
+    name: str  # of the aircraft
+    at: float  # when the first place is, s from the beginning of the show; each half a second later
+    places: tuple[Vector, ...]  # north, east and height, m, from the show's origin
+    # From when it may be landing, s from the beginning of the show: then it counts as everywhere
+    # below its place.
     down_from: float
 
     def place(self, at: float) -> Vector:
@@ -146,29 +125,20 @@ def by_speed(show: str, name: str, at: float, here: Vector, speed: Vector) -> Ah
 
 @dataclass(frozen=True, slots=True)
 class Near:
-    """Another aircraft will come too near.
-
-    Attributes:
-        name: Which one.
-        at: When it first is nearer than allowed, s from the beginning of the show.
-        distance_m: How near it is then.
-        silent_s: For how long it has been silent, if it is one that may stand there; else 0.
-    """
+    """Another aircraft will come too near."""
 
     name: str
-    at: float
-    distance_m: float
+    at: float  # when it first is nearer than allowed, s from the beginning of the show
+    distance_m: float  # how near it is then
+    # For how long it has been silent, if it is one that may stand there; else 0.
     silent_s: float = 0.0
 
 
 class Neighbours:
     """What one aircraft of a show hears of the others.
 
-    Args:
-        show: Which show, by its digest.
-        name: Of this aircraft.
-        least_m: How near two may come to each other, m.
-        count: How many others there are; 0 where that was not told.
+    ``least_m``: how near two may come to each other, m. ``count``: how many others there are; 0
+    where that was not told.
 
     Raises:
         BadShow: That is no distance.
@@ -200,10 +170,8 @@ class Neighbours:
     def near(self, own: Ahead, now: float, rest: RestOfTrack | None = None) -> Near | None:
         """The first that comes too near; None for nobody.
 
-        Args:
-            own: Where this one will be.
-            now: s, by the clock of :meth:`hear`.
-            rest: What it has to fly still; None if it flies no track.
+        ``now``: s, by the clock of :meth:`hear`. ``rest``: what it has to fly still; None if it
+        flies no track.
         """
         found: list[Near] = []
         for ahead, heard_at in self._heard.values():
@@ -272,11 +240,7 @@ _Box = tuple[float, float, float, float]
 
 
 class RestOfTrack:
-    """What one aircraft has to fly still.
-
-    Args:
-        track: All of it.
-    """
+    """What one aircraft has to fly still."""
 
     def __init__(self, track: TimedTrack) -> None:
         self._track = track
@@ -297,13 +261,10 @@ class RestOfTrack:
     def meets(self, ways: Sequence[Vector], least_m: float, begin: float) -> float | None:
         """When it first comes nearer to one of these places, or to the ground below them.
 
-        Args:
-            ways: Where somebody may stand, or land.
-            least_m: How near it may come, m.
-            begin: From when on, s from the beginning of the show.
+        Returns seconds from the beginning of the show; None if it never does.
 
-        Returns:
-            Seconds from the beginning of the show; None if it never does.
+        ``least_m``: how near it may come, m. ``begin``: from when on, s from the beginning of the
+        show.
         """
         box = _box(ways, least_m)
         for start, end, there in self._chunks:
@@ -320,13 +281,7 @@ class RestOfTrack:
 
 
 def nearest(own: Vector, ways: Sequence[Vector], *, has_ended: bool) -> float:
-    """How near one is to the nearest place where somebody may stand or land, m.
-
-    Args:
-        own: Where it is.
-        ways: The places.
-        has_ended: Whether it may be landing itself.
-    """
+    """How near one is to the nearest place where somebody may stand or land, m."""
     return min(apart(own, way, first_ended=has_ended, second_ended=True) for way in ways)
 
 

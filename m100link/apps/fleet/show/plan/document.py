@@ -30,24 +30,6 @@ from m100link.geodesy import svg as drawing
 from m100link.missions.document import load_object
 from m100link.missions.files import read as read_file
 
-__all__ = [
-    "ACCELERATION_M_S2",
-    "CLIMB_M_S",
-    "FORMAT",
-    "MAX_AIRCRAFT",
-    "SKEW_S",
-    "VERSION",
-    "Closest",
-    "Report",
-    "Show",
-    "check",
-    "distances",
-    "needed_m",
-    "places",
-    "svg",
-]
-
-
 FORMAT = "m100link show"
 VERSION = 1
 MAX_AIRCRAFT = 200

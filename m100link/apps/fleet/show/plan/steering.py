@@ -13,15 +13,6 @@ from m100link.apps.fleet.show.plan.document import SKEW_S
 from m100link.apps.fleet.show.plan.track import TimedTrack, Vector
 from m100link.errors import M100Error
 
-__all__ = [
-    "MOST_EARLY_S",
-    "LeftShow",
-    "ShowRefused",
-    "TrackSteering",
-    "Why",
-]
-
-
 MOST_EARLY_S = 120.0
 """Seconds from the order to begin to the beginning, at most: so long an aircraft hovers at its
 place, and nobody who conducts is missed any more."""
@@ -106,20 +97,12 @@ class LeftShow(
 
 
 class TrackSteering:
-    """Keeps one aircraft to one track.
-
-    Args:
-        track: What it flies.
-        fastest_m_s: The most that may be asked for horizontally.
-
-    Attributes:
-        farthest_m: Farthest from where it should have been.
-    """
+    """Keeps one aircraft to one track."""
 
     def __init__(self, track: TimedTrack, fastest_m_s: float) -> None:
         self._track = track
         self._fastest = fastest_m_s
-        self.farthest_m = 0.0
+        self.farthest_m = 0.0  # farthest from where it should have been
 
     def require_below(self, here: Vector) -> None:
         """Whether it may take off here: below its first point, or above that.
@@ -162,10 +145,8 @@ class TrackSteering:
     def require_ready(self, early: float, bound: float, here: Vector) -> None:
         """Whether it may begin.
 
-        Args:
-            early: Seconds from now to the beginning.
-            bound: By how much the clock may be wrong, s.
-            here: Where it is.
+        ``early``: seconds from now to the beginning. ``bound``: by how much the clock may be wrong,
+        s.
 
         Raises:
             ShowRefused: The clock may be wrong by more than 50 ms, the time is over or more than
@@ -215,10 +196,8 @@ class TrackSteering:
     def step(self, at: float, bound: float, here: Vector) -> Vector | None:
         """What to fly now: velocity north, east and up, m/s; None when the track is flown.
 
-        Args:
-            at: Seconds from the beginning of the show; negative before it.
-            bound: By how much that may be wrong, s.
-            here: Where it is.
+        ``at``: seconds from the beginning of the show; negative before it. ``bound``: by how much
+        that may be wrong, s.
 
         Raises:
             LeftShow: It left its tube, or the time may be wrong by too much.

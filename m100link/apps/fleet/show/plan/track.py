@@ -19,21 +19,6 @@ from typing import Self
 
 from m100link.errors import UsageError
 
-__all__ = [
-    "MAX_NAME",
-    "MAX_POINTS",
-    "BadShow",
-    "Leg",
-    "Moment",
-    "TimedPoint",
-    "TimedTrack",
-    "Vector",
-    "apart",
-    "closest",
-    "under",
-]
-
-
 MAX_POINTS = 10_000
 """Points of a track: three hours with one a second."""
 MAX_NAME = 64
@@ -122,17 +107,11 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """A track between two of its points.
+    """A track between two of its points."""
 
-    Attributes:
-        begin: Seconds from the beginning of the show.
-        end: See ``begin``.
-        curve: Where it goes.
-    """
-
-    begin: float
+    begin: float  # seconds from the beginning of the show
     end: float
-    curve: Cubic
+    curve: Cubic  # where it goes
 
     @property
     def duration(self) -> float:
@@ -430,10 +409,7 @@ def closest(
 ) -> tuple[float, float] | None:
     """The least distance of two tracks and when it is, m and s.
 
-    Args:
-        first: One of them.
-        second: The other one.
-        below: Farther is of no interest: None then, and quickly.
+    ``below``: farther is of no interest: None then, and quickly.
     """
     last = max(first.end, second.end)
     found = (_apart_at(first, second, last), last)  # hovering or landing, from then on
