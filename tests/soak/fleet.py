@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from m100link.apps.fleet.thinning import WALL_HZ
+from m100link.apps.fleet.publisher import WALL_HZ
 from tests.soak.fleet_end import FULL_HZ, LOOKED_AT
 from tests.soak.run import Grown, Level, require_flat
 

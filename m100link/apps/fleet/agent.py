@@ -25,7 +25,7 @@ from m100link.apps.agent.codec import decode
 from m100link.apps.agent.messages import Event, Message, Telemetry
 from m100link.apps.agent.remote_error import MessageError, fault_of
 from m100link.apps.bus.network import Bus, Held, Question
-from m100link.apps.fleet.expiry import OrderAges, require_young
+from m100link.apps.fleet.expiry import Dropped, OrderAges, SetpointStream, broken, require_young
 from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.lost_link import Aloft, Lost, LostPlan
@@ -52,8 +52,7 @@ from m100link.apps.fleet.payloads import (
     unpack,
     unpack_steer,
 )
-from m100link.apps.fleet.stream import Dropped, SetpointStream, broken
-from m100link.apps.fleet.thinning import WALL_WITHIN_S, Thinner
+from m100link.apps.fleet.publisher import WALL_WITHIN_S, Thinner
 from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, UsageError
 from m100link.protocol.records import Battery, Position
 from m100link.telemetry.sample import Sample

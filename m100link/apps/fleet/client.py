@@ -24,8 +24,8 @@ from m100link.apps.fleet.logs.fetching import Fetched, LogFetcher, Progress
 from m100link.apps.fleet.logs.words import LogEntry
 from m100link.apps.fleet.missions.flight import mission_card
 from m100link.apps.fleet.payloads import Card, MissionCard, Result, unpack
+from m100link.apps.fleet.publisher import WALL_WITHIN_S
 from m100link.apps.fleet.session import open_fleet
-from m100link.apps.fleet.thinning import WALL_WITHIN_S
 from m100link.errors import GuardRefused, M100Error, OutcomeUnknown
 
 _ANSWER_S = 1.5

@@ -14,7 +14,7 @@ import pytest
 from m100link.apps.cli.outcome import ExitCode
 from m100link.apps.fleet.pki import Kind, init, issue, revoke
 from tests.apps.cli.test_fleet import Site
-from tests.apps.fleet.test_acl import free_port, until
+from tests.apps.fleet.test_pki import free_port, until
 from tests.waiting import PATIENCE
 
 pytest.importorskip("zenoh", reason="the extra fleet is not installed")

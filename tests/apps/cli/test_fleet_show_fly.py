@@ -14,7 +14,7 @@ from m100link.geodesy import LocalFrame
 from tests.apps.cli.conftest import CommandLine
 from tests.apps.cli.test_fleet import Site
 from tests.apps.fleet.show.shows import FIVE
-from tests.apps.fleet.test_acl import free_port
+from tests.apps.fleet.test_pki import free_port
 
 pytest.importorskip("zenoh", reason="the extra fleet is not installed")
 

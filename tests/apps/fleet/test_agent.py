@@ -24,6 +24,7 @@ from m100link.apps.agent.messages import (
     Telemetry,
 )
 from m100link.apps.fleet.agent import FleetAgent
+from m100link.apps.fleet.expiry import Dropped
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.order_log import MemoryLedger
 from m100link.apps.fleet.payloads import (
@@ -38,7 +39,6 @@ from m100link.apps.fleet.payloads import (
     unpack_message,
 )
 from m100link.apps.fleet.secret import Half, LeaseRequest
-from m100link.apps.fleet.stream import Dropped
 from m100link.errors import NotAllowed, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.setpoint import Setpoint

@@ -9,10 +9,10 @@ import pytest
 
 from m100link.apps.fleet.agent import GONE_S, Namesakes
 from m100link.apps.fleet.client import Fleet
+from m100link.apps.fleet.expiry import Dropped
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.payloads import SHOW, Order, Outcome, Reply, pack, unpack
 from m100link.apps.fleet.show.service import ShowService
-from m100link.apps.fleet.stream import Dropped
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.fleet.conftest import SITE, OnBoard, Rig

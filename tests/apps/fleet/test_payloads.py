@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from m100link.apps.agent.lease import LeaseHeld, LeaseRefused
 from m100link.apps.agent.messages import Steer, Telemetry
 from m100link.apps.agent.remote_error import Fault, MessageError
 from m100link.apps.fleet.payloads import (
@@ -18,11 +19,26 @@ from m100link.apps.fleet.payloads import (
     Outcome,
     Progress,
     Reply,
+    Result,
+    outcome_of,
     pack,
     pack_steer,
     unpack,
     unpack_message,
     unpack_steer,
+)
+from m100link.errors import (
+    AckTimeout,
+    AuthorityLost,
+    GuardRefused,
+    LinkError,
+    LinkLost,
+    M100Error,
+    NotAllowed,
+    NotObserved,
+    OutcomeUnknown,
+    StaleLease,
+    Unreachable,
 )
 from m100link.protocol.setpoint import Setpoint
 
@@ -93,3 +109,36 @@ def test_whatever_comes_nothing_but_a_message_error_is_raised(data: bytes) -> No
                 unpack(kind, payload)
         with contextlib.suppress(MessageError):
             unpack_steer(payload, {0: ""}.get)
+
+
+# -- what an error means for whoever asked ---------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("error", "outcome"),
+    [
+        (None, Outcome.OK),
+        (GuardRefused("low", guard="battery"), Outcome.REFUSED),
+        (LeaseHeld("held", holder="other"), Outcome.REFUSED),
+        (LeaseRefused("ended"), Outcome.STALE_LEASE),
+        (StaleLease("ended"), Outcome.STALE_LEASE),
+        (NotAllowed("no"), Outcome.NOT_ALLOWED),
+        (Unreachable("nobody"), Outcome.UNREACHABLE),
+        (OutcomeUnknown("silence"), Outcome.UNKNOWN),
+        # The aircraft itself gave no answer: it may have done it.
+        (AckTimeout("no ack", tries=3), Outcome.UNKNOWN),
+        # It had begun: the aircraft may have done it, or do it yet.
+        (NotObserved("not seen to be done"), Outcome.UNKNOWN),
+        (AuthorityLost("the pilot left F"), Outcome.UNKNOWN),
+        (LinkLost("unplugged"), Outcome.UNKNOWN),
+        (LinkError("not connected: nothing was sent"), Outcome.REFUSED),
+    ],
+)
+def test_each_error_has_one(error: M100Error | None, outcome: Outcome) -> None:
+    assert outcome_of(error) is outcome
+    assert Result.of("a1", error).is_ok is (error is None)
+
+
+def test_a_result_says_why() -> None:
+    assert str(Result.of("a1", None)) == "ok"
+    assert str(Result.of("a1", StaleLease("it ended"))) == "stale_lease (it ended)"

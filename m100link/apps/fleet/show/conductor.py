@@ -20,9 +20,9 @@ from typing import Any
 from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.bus.network import Bus
 from m100link.apps.fleet.asking import Sign, believed
+from m100link.apps.fleet.expiry import ClockEstimate
 from m100link.apps.fleet.keys import Keys, session_in
 from m100link.apps.fleet.payloads import SHOW, Order, Reply, pack
-from m100link.apps.fleet.show.clock import ClockEstimate
 from m100link.apps.fleet.show.performer import Leave, Stage
 from m100link.apps.fleet.show.plan.document import SKEW_S, Show
 from m100link.apps.fleet.show.plan.steering import ShowRefused, Why

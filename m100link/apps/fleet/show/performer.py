@@ -18,8 +18,7 @@ from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.guided import ChangeHeight, FlyTo
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import Event, Topic
-from m100link.apps.fleet.expiry import OrderAges
-from m100link.apps.fleet.show.clock import DRIFT
+from m100link.apps.fleet.expiry import DRIFT, OrderAges
 from m100link.apps.fleet.show.plan.conflicts import (
     Ahead,
     Neighbours,

@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import hashlib
 import json
+import os
 import random
+import resource
+from collections.abc import Callable
+from io import FileIO
+from pathlib import Path
 
 import pytest
 
@@ -15,6 +22,7 @@ from m100link.apps.fleet.logs.words import (
     LogEntry,
     LogQuestion,
     LogReply,
+    Part,
     What,
     pack_entries,
     pack_question,
@@ -25,6 +33,7 @@ from m100link.apps.fleet.logs.words import (
 )
 from m100link.apps.fleet.payloads import VERSION, Outcome
 from m100link.errors import UsageError
+from tests.disk import Disk
 
 NAME = "m100link-20260101-000000.mcap"
 
@@ -99,3 +108,155 @@ def test_junk_is_refused_and_raises_nothing_else() -> None:
     for text in ("[" * 100_000, "{}", "null", json.dumps({"what": "list"})):
         with pytest.raises(MessageError):
             unpack_question(LOG + text.encode())
+
+
+# -- A log on its way: what is there is a beginning of it, whatever ended the one before -----------
+
+
+def opened(folder: Path, size: int = 100) -> Part:
+    part = Part(folder, "a1-x.mcap")
+    part.open(size)
+    return part
+
+
+def test_it_goes_on_where_it_ended_and_becomes_the_log(tmp_path: Path) -> None:
+    first = opened(tmp_path / "new")
+    first.add(b"abc")
+    first.close()
+    second = opened(tmp_path / "new")
+    assert second.at == 3
+    second.add(b"def")
+    assert second.digest() == hashlib.sha256(b"abcdef").digest()
+    second.finish()
+    second.close()
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["a1-x.mcap"]
+    assert second.whole_digest() == (6, hashlib.sha256(b"abcdef").digest())
+
+
+def test_two_programs_do_not_write_one_part(tmp_path: Path) -> None:
+    first = opened(tmp_path)
+    with pytest.raises(UsageError, match="another program fetches it"):
+        opened(tmp_path)
+    first.add(b"a")
+    first.close()
+    opened(tmp_path).close()
+
+
+@pytest.mark.parametrize("ends", [Part.finish, Part.close])
+def test_who_comes_as_the_one_before_ends_does_not_get_what_became_of_its_part(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ends: Callable[[Part], None]
+) -> None:
+    """It was opened while the other program had it, and locked when that had it no more."""
+    first = opened(tmp_path)
+    if ends is Part.finish:
+        first.add(b"abc")
+    lock = fcntl.flock
+
+    def late(file: FileIO, how: int) -> None:
+        monkeypatch.setattr(fcntl, "flock", lock)
+        ends(first)
+        lock(file, how)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    second = opened(tmp_path, size=2)
+    assert second.at == 0
+    second.add(b"de")
+    assert second.path.read_bytes() == b"de"
+    if ends is Part.finish:
+        assert second.whole.read_bytes() == b"abc", "and a fetched log is whole"
+    second.close()
+
+
+def test_where_no_byte_came_nothing_is_left(tmp_path: Path) -> None:
+    opened(tmp_path).close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_longer_than_the_log_is_of_another_one(tmp_path: Path) -> None:
+    first = opened(tmp_path)
+    first.add(b"abc")
+    first.close()
+    second = opened(tmp_path, size=2)
+    assert second.at == 0
+    second.close()
+
+
+def test_the_file_of_before_stays_until_the_new_one_is_whole(tmp_path: Path) -> None:
+    (tmp_path / "a1-x.mcap").write_bytes(b"abc")
+    part = opened(tmp_path)
+    part.take_up()
+    part.add(b"d")
+    assert (tmp_path / "a1-x.mcap").read_bytes() == b"abc"
+    part.finish()
+    part.close()
+    assert (tmp_path / "a1-x.mcap").read_bytes() == b"abcd"
+
+
+def test_a_log_that_is_there_is_on_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever has fetched it may remove it on board."""
+    disk = Disk(monkeypatch, tmp_path)
+    part = opened(tmp_path)
+    part.add(b"abc")
+    part.add(b"def")
+    part.finish()
+    part.close()
+    assert disk.content(tmp_path / "a1-x.mcap") == b"abcdef"
+    assert disk.files["a1-x.mcap"] == b"abcdef", "and under its name"
+
+
+def test_a_disk_that_takes_no_more_is_told_and_what_came_stays(tmp_path: Path) -> None:
+    import signal
+
+    part = opened(tmp_path, size=1 << 20)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        with pytest.raises(UsageError, match="File too large"):
+            part.add(bytes(4000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    part.close()
+    assert (tmp_path / "a1-x.mcap.part").stat().st_size == part.at == 1000
+
+
+def test_a_folder_that_cannot_be_is_told(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(UsageError, match="--to"):
+        Part(tmp_path / "file" / "below", "x")
+    part = Part(tmp_path, "y" * 300)
+    with pytest.raises(UsageError):
+        part.open(3)
+
+
+def test_what_was_closed_meanwhile_is_not_written(tmp_path: Path) -> None:
+    part = opened(tmp_path)
+    part.close()
+    with pytest.raises(UsageError, match="it is closed"):
+        part.add(b"late")
+
+
+def test_a_log_has_its_name_when_it_is_on_the_disk_and_not_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a computer without power nobody may find half of one under its name."""
+    synced: list[tuple[bytes, list[str]]] = []
+    part = opened(tmp_path)
+    part.add(b"abcdef")
+
+    def fsync(handle: int) -> None:
+        names = sorted(path.name for path in tmp_path.iterdir())
+        if os.path.samestat(os.fstat(handle), tmp_path.stat()):
+            synced.append((b"the folder", names))
+        else:
+            assert os.path.samestat(os.fstat(handle), part.path.stat())
+            synced.append((part.path.read_bytes(), names))
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    part.finish()
+    part.close()
+    assert synced == [(b"abcdef", [part.path.name]), (b"the folder", [part.whole.name])]
+    assert part.whole.read_bytes() == b"abcdef"

@@ -14,7 +14,7 @@ from m100link.apps.fleet.control import FleetControl
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.lost_link import LostAction, LostPlan
 from m100link.apps.fleet.missions.board import digest_of
-from m100link.apps.fleet.payloads import MissionCard, MissionStage, Outcome
+from m100link.apps.fleet.payloads import MissionCard, MissionInput, MissionStage, Outcome, after
 from m100link.errors import GuardRefused, M100Error, MissionRunning, StaleLease, UsageError
 from tests.apps.bus.memory import Weather
 from tests.apps.fleet.conftest import SITE, OnBoard, Rig
@@ -319,3 +319,79 @@ async def test_of_a_flood_of_questions_few_cost_anything(
     before = made
     assert (await pilot["a1"].mission()).stage is MissionStage.NONE
     assert made == before + 1
+
+
+# -- every stage of a mission with everything that may happen, by hand -----------------------------
+
+
+NONE, UPLOADED, STARTING, FLYING, OVER = MissionStage
+PLAN, ASKED, BEGUN, ENDED, LEASE = MissionInput
+
+EXPECTED = {
+    (NONE, PLAN): UPLOADED,
+    (NONE, ASKED): STARTING,  # of a plan that a front has brought in pieces
+    (NONE, BEGUN): NONE,
+    (NONE, ENDED): NONE,
+    (NONE, LEASE): NONE,
+    (UPLOADED, PLAN): UPLOADED,  # the newer one
+    (UPLOADED, ASKED): STARTING,
+    (UPLOADED, BEGUN): UPLOADED,
+    (UPLOADED, ENDED): UPLOADED,
+    (UPLOADED, LEASE): NONE,  # nobody flies what somebody else left
+    (STARTING, PLAN): None,
+    (STARTING, ASKED): None,
+    (STARTING, BEGUN): FLYING,
+    (STARTING, ENDED): OVER,  # refused, or stopped before it began
+    (STARTING, LEASE): OVER,
+    (FLYING, PLAN): None,
+    (FLYING, ASKED): None,
+    (FLYING, BEGUN): FLYING,
+    (FLYING, ENDED): OVER,
+    (FLYING, LEASE): OVER,
+    (OVER, PLAN): UPLOADED,
+    (OVER, ASKED): STARTING,  # the plan lies there still
+    (OVER, BEGUN): OVER,  # what a lost lease overtook does not fly
+    (OVER, ENDED): OVER,
+    (OVER, LEASE): OVER,
+}
+
+
+def test_the_table_is_whole() -> None:
+    assert EXPECTED.keys() == {(stage, one) for stage in MissionStage for one in MissionInput}
+
+
+@pytest.mark.parametrize(("stage", "happens"), EXPECTED)
+def test_each_pair(stage: MissionStage, happens: MissionInput) -> None:
+    expected = EXPECTED[stage, happens]
+    if expected is None:
+        with pytest.raises(MissionRunning, match="nothing was changed"):
+            after(stage, happens)
+    else:
+        assert after(stage, happens) is expected
+
+
+# -- the agent is killed while a mission flies: the aircraft flies on, until the next one is th ----
+
+
+@pytest.mark.parametrize("action", ["hover", "land"])
+async def test_the_next_agent_ends_the_mission_and_does_what_lost_says(
+    rig: Rig, action: LostAction
+) -> None:
+    plan = LostPlan(action, 4.0)
+    one = await on_board(rig, lost=plan)
+    pilot = await rig.pilot()
+    with pytest.raises(M100Error):
+        async with pilot["a1"].control() as control:
+            digest = await control.missions.upload(away(one, 20, 140))
+            await control.missions.start(digest, take_off=True)
+            await rig.until(lambda: one.speed > 2.0)
+            one.kill()
+            await anyio.sleep(60.0)
+    assert one.speed > 1.0, "nobody told the aircraft to stop"
+    second = await one.next(lost=plan)
+    await rig.until(lambda: second.speed < 0.3, within=5.0)
+    assert kind(second) == "no mission"
+    await anyio.sleep(30.0)
+    assert second.speed < 0.3
+    assert second.height < 0.1 if action == "land" else second.height > 5.0
+    assert second.fleet_agent.missions.stage is MissionStage.NONE

@@ -10,14 +10,20 @@ from zlib import crc32
 
 import pytest
 
+from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.fleet.order_log import (
     FENCES_AT_ONCE,
     KEPT_S,
     FileLedger,
     LeftAloft,
+    Mark,
     MemoryLedger,
+    OrderBook,
+    seal,
     since_boot,
+    words,
 )
+from m100link.apps.fleet.payloads import Outcome, Progress, Reply
 from m100link.errors import UsageError
 from tests.disk import Disk
 
@@ -441,3 +447,135 @@ async def test_nobody_else_reads_a_ledger_or_holds_its_lock(tmp_path: Path) -> N
     assert {path.stat().st_mode & 0o777 for path in files} == {0o600}
     assert (tmp_path / "site").stat().st_mode & 0o777 == 0o700
     ledger.close()
+
+
+# -- what was heard is known, for a while ----------------------------------------------------------
+
+
+def reply(identity: str) -> Reply:
+    return Reply(identity, "a1", "boot", Progress.DONE, Outcome.OK, order=identity.encode())
+
+
+def test_an_order_runs_then_has_an_outcome() -> None:
+    book = OrderBook()
+    assert not book.is_known("a")
+    book.begin("a", b"a", 0.0)
+    assert book.is_known("a")
+    assert book.reply("a") is None
+    book.end(reply("a"), 0.0)
+    assert book.reply("a") == reply("a")
+
+
+def test_what_is_old_is_forgotten_but_not_what_runs() -> None:
+    book = OrderBook()
+    book.begin("a", b"a", 0.0)
+    book.end(reply("a"), 0.0)
+    book.begin("b", b"b", KEPT_S - 1)
+    assert book.is_known("a")
+    book.begin("c", b"c", KEPT_S)
+    assert not book.is_known("a")
+    assert book.is_known("b")
+    book.begin("d", b"d", 3 * KEPT_S)
+    assert book.is_known("b"), "it runs"
+
+
+def test_an_id_is_that_of_one_order() -> None:
+    book = OrderBook()
+    assert not book.heard("a", b"a")
+    book.begin("a", b"a", 0.0)
+    for _ in range(2):
+        assert book.heard("a", b"a")
+        with pytest.raises(MessageError, match="another order came under the id a"):
+            book.heard("a", b"b")
+        book.end(reply("a"), 0.0)
+
+
+def test_what_an_agent_before_began_is_known_as_that() -> None:
+    book = OrderBook(["a"])
+    assert book.was_begun_before("a")
+    assert not book.is_known("a")
+    assert not book.was_begun_before("b")
+
+
+def test_what_was_made_before_words_were_lost_may_have_been_begun() -> None:
+    book = OrderBook(["a"], unsure_before=10.0)
+    assert book.is_unsure(9.9)
+    assert not book.is_unsure(10.0)
+    assert not OrderBook(["a"]).is_unsure(-1e9)
+
+
+def test_it_does_not_grow_without_end() -> None:
+    book = OrderBook()
+    for number in range(50_000):
+        book.begin(str(number), b"", number * 1e-3)
+        book.end(reply(str(number)), number * 1e-3)
+    assert sum(book.is_known(str(number)) for number in range(50_000)) <= 20_001
+
+
+def test_one_that_runs_for_long_keeps_no_other_one() -> None:
+    """A mission of half an hour, begun first: what ended since is forgotten all the same."""
+    book = OrderBook()
+    book.begin("mission", b"", 0.0)
+    for number in range(50_000):
+        book.begin(str(number), b"", number * 1e-3)
+        book.end(reply(str(number)), number * 1e-3)
+    book.begin("last", b"", 2000.0)
+    assert not any(book.is_known(str(number)) for number in range(50_000))
+    assert book.is_known("mission")
+    assert book.reply("mission") is None
+    book.end(reply("mission"), 2000.0)
+    book.begin("another", b"", 2000.0 + KEPT_S - 1)
+    assert book.reply("mission") == reply("mission"), "whoever asked for it may still ask"
+
+
+# -- A word that was changed or is gone is noticed, whatever became of it --------------------------
+
+
+LINES = [seal(number, 7, {"id": f"{number}"}) for number in (7, 8, 9)]
+MARK = bytes(Mark(9, 7))
+
+
+def test_what_was_written_is_read() -> None:
+    read = words("".join(LINES).encode(), MARK)
+    assert read.kept == {number: {"id": f"{number}"} for number in (7, 8, 9)}
+    assert (read.damaged, read.sure_from, read.newest) == (0, 0, 9)
+
+
+@pytest.mark.parametrize("bit", range(8))
+def test_no_bit_of_file_or_mark_turns_over_unnoticed(bit: int) -> None:
+    whole = "".join(LINES).encode()
+    for at in range(len(whole)):
+        data = whole[:at] + bytes((whole[at] ^ 1 << bit,)) + whole[at + 1 :]
+        read = words(data, MARK)
+        assert read.damaged, (at, bit)
+        assert all(read.kept[number] == {"id": f"{number}"} for number in read.kept)
+    for at in range(len(MARK)):
+        mark = MARK[:at] + bytes((MARK[at] ^ 1 << bit,)) + MARK[at + 1 :]
+        assert words(whole, mark).damaged == 1
+
+
+@pytest.mark.parametrize(
+    ("kept", "mark", "damaged", "sure_from"),
+    [
+        ([], MARK, 3, 10),
+        ([8, 9], MARK, 1, 8),
+        ([7, 9], MARK, 1, 9),
+        ([7, 8], MARK, 1, 10),
+        ([9, 7, 8], MARK, 0, 0),  # sectors that changed places say the same
+        ([7, 8, 9], bytes(Mark(8, 7)), 0, 0),  # the power went before the mark was on the disk
+        ([7, 8, 9], bytes(Mark(6, 1)), 0, 0),  # or just after the file was written anew
+        ([7, 8, 9], b"", 1, 10),
+        ([], b"", 0, 0),
+        ([], bytes(Mark(0, 0)), 0, 0),
+    ],
+)
+def test_what_is_gone_is_counted(
+    kept: list[int], mark: bytes, damaged: int, sure_from: int
+) -> None:
+    read = words("".join(LINES[number - 7] for number in kept).encode(), mark)
+    assert (read.damaged, read.sure_from) == (damaged, sure_from)
+
+
+def test_a_mark_is_as_long_whatever_it_says() -> None:
+    assert {len(bytes(Mark(newest, 1))) for newest in (0, 9, 10**9, 10**17)} == {len(MARK)}
+    assert Mark.read(MARK) == Mark(9, 7)

@@ -1,0 +1,350 @@
+"""Files of shows: what they say, and what is refused by its name."""
+
+from __future__ import annotations
+
+import json
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from m100link.apps.fleet.show.plan.document import SKEW_S, Show, check, distances, needed_m, svg
+from m100link.apps.fleet.show.plan.track import BadShow
+from m100link.flight.guards import Envelope
+from m100link.geodesy import LocalFrame
+from tests.apps.fleet.show.shows import FIVE, five, show_of, track
+
+
+def parse(found: dict[str, Any]) -> Show:
+    return Show.parse(json.dumps(found))
+
+
+def test_the_example_says_what_it_shows() -> None:
+    show = Show.read(FIVE)
+    assert show.name == "Five in a row become a wedge"
+    assert [track.name for track in show.tracks] == ["a1", "a2", "a3", "a4", "a5"]
+    assert (show.duration, show.least_distance_m) == (36, 3)
+    assert show.tracks[2].moment(36).place == (42, 0, 5)
+    assert {track.tube_m for track in show.tracks} == {1.5}
+
+
+def test_degrees_are_where_metres_are() -> None:
+    found = five()
+    frame = LocalFrame(52.1, 4.31)
+    for aircraft in found["aircraft"]:
+        for point in aircraft["waypoints"]:
+            latitude, longitude = frame.to_geodetic(point.pop("north"), point.pop("east"))
+            point |= {"latitude_deg": latitude, "longitude_deg": longitude}
+    for by_degrees, by_metres in zip(parse(found).tracks, Show.read(FIVE).tracks, strict=True):
+        for a, b in zip(by_degrees.points, by_metres.points, strict=True):
+            assert a.place == pytest.approx(b.place, abs=1e-5)
+    del found["origin"]  # then it is the first waypoint
+    first = found["aircraft"][0]["waypoints"][0]
+    show = parse(found)
+    assert show.tracks[0].origin == (first["latitude_deg"], first["longitude_deg"])
+    assert show.tracks[0].points[0].place[:2] == pytest.approx((0, 0))
+    assert show.tracks[4].points[0].east == pytest.approx(40, abs=1e-3)
+
+
+def test_what_an_aircraft_may_have_besides() -> None:
+    found = five() | {"tube_m": 2.5}
+    found["aircraft"][1] |= {"ground_m": -3, "heading_deg": 90}
+    first, second, *_ = parse(found).tracks
+    assert (first.ground_m, first.heading_deg, first.tube_m) == (0, None, 2.5)
+    assert (second.ground_m, second.heading_deg) == (-3, 90)
+
+
+Change = Callable[[dict[str, Any]], Any]
+
+
+def at(*path: Any) -> Callable[[Any], Change]:
+    """What puts a value there."""
+
+    def value(new: Any) -> Change:
+        def change(found: dict[str, Any]) -> None:
+            place: Any = found
+            for name in path[:-1]:
+                place = place[name]
+            place[path[-1]] = new
+
+        return change
+
+    return value
+
+
+POINT = ("aircraft", 1, "waypoints", 2)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (at("format")("m100link waypoint plan"), "the format is"),
+        (at("version")(2), "version 2"),
+        (at("version")(True), "version true"),
+        (at("speed")(3), 'the show: there is no field "speed"'),
+        (at("name")(3), "name is 3"),
+        (at("least_distance_m")(0), "least_distance_m is 0"),
+        (at("least_distance_m")("3"), 'least_distance_m is "3"'),
+        (at("tube_m")(-1), "the tube is -1 m"),
+        (at("origin")(None), "the show has no origin"),
+        (at("origin")([52, 4]), "origin is [52, 4]"),
+        (at("origin")({"latitude_deg": 52}), "origin: longitude_deg is missing"),
+        (at("origin", "latitude_deg")(91), "the origin is 91°"),
+        (at("aircraft")([]), "aircraft is []"),
+        (at("aircraft")([{}] * 201), "aircraft is [{}"),
+        (at("aircraft", 1)(7), "aircraft 1 is 7"),
+        (at("aircraft", 1, "name")("a1"), "a1 stands twice"),
+        (at("aircraft", 1, "colour")("red"), 'a2: there is no field "colour"'),
+        (at("aircraft", 1, "waypoints")("x"), 'a2: waypoints is "x"'),
+        (at("aircraft", 1, "heading_deg")(270), "a2: the heading is 270°"),
+        (at(*POINT)(3), "a2, point 2 is 3"),
+        (at(*POINT, "up")(3), 'a2, point 2: there is no field "up"'),
+        (at(*POINT, "latitude_deg")(52), 'a2, point 2: there is no field "north"'),
+        (at(*POINT, "height")(True), "a2, point 2: height is true"),
+        (at(*POINT, "north")(math.nan), "a2, point 2: north is NaN"),
+        (at(*POINT, "at")(12), "a2: point 2 is at 12 s, the one before at 12 s"),
+        (at(*POINT, "at")(10**400), "an integer of 401 digits"),
+        (
+            at(*POINT)({"at": 24, "latitude_deg": 95, "longitude_deg": 4, "height": 5}),
+            "a2, point 2 is at 95° 4°",
+        ),
+    ],
+)
+def test_every_mistake_is_named(change: Change, said: str) -> None:
+    found = five()
+    change(found)
+    with pytest.raises(BadShow) as caught:
+        parse(found)
+    assert said in caught.value.seen
+
+
+def test_what_is_missing_is_named() -> None:
+    found = five()
+    del found["aircraft"][1]["waypoints"][2]["height"]
+    with pytest.raises(BadShow, match="a2, point 2: height is missing"):
+        parse(found)
+
+
+@pytest.mark.parametrize("text", ["", "[1]", "{", b"\xff", '{"name": 1, "name": 2}'])
+def test_what_is_no_json_is_no_show(text: str | bytes) -> None:
+    with pytest.raises(BadShow) as caught:
+        Show.parse(text)
+    assert caught.value.remedy == "give a show as JSON"
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(BadShow, match=r"nowhere\.json' cannot be read"):
+        Show.read(tmp_path / "nowhere.json")
+
+
+# -- what is wrong with a show: every rule by a show that breaks this one --------------------------
+
+
+HERE = track("a1", (0, 0, 0, 5), (20, 20, 0, 5))
+
+
+def said(show: Show, envelope: Envelope | None = None) -> list[str]:
+    report = check(show, envelope)
+    assert report.ok == (not report.problems)
+    return [problem.seen for problem in report.problems]
+
+
+def test_the_example_may_be_flown() -> None:
+    report = check(Show.read(FIVE))
+    assert report.ok
+    assert report.remarks == ()
+    assert report.closest is not None
+    assert {report.closest.first, report.closest.second} <= {"a1", "a2", "a3", "a4", "a5"}
+    assert report.closest.distance_m == pytest.approx(10.0, abs=2e-3)
+    assert report.closest.needed_m < 7
+
+
+def test_one_alone_comes_near_to_nobody() -> None:
+    assert check(show_of(HERE)).closest is None
+    assert distances(show_of(HERE)) == []
+
+
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [
+        ([(0, 0, 0, 5), (60, 0, 0, 60)], "a height of 60.0 m was refused"),
+        ([(0, 0, 0, 5), (200, 160, 0, 5)], "160 m from the start was refused"),
+        ([(0, 0, 0, 5), (20, 20, 0, 0.5)], "flies 0.5 m above its take-off point"),
+        ([(0, 0, 0, 5), (15, 90, 0, 5)], "flies 9.0 m/s between 0 and 15 s"),
+        ([(0, 0, 0, 5), (10, 0, 0, 25)], "climbs or descends at 3.0 m/s between 0 and 10 s"),
+        ([(0, 0, 0, 5), (2, 3, 0, 5)], "accelerates by 4.5 m/s² between 0 and 2 s"),
+    ],
+)
+def test_limits_of_one_aircraft(
+    points: list[tuple[float, float, float, float]], words: str
+) -> None:
+    assert words in "\n".join(said(show_of(track("a1", *points))))
+
+
+def test_what_is_advised_is_enough() -> None:
+    """A leg that gets the time which the message names passes."""
+    for points, field in (
+        ([(0.0, 0.0, 0.0, 5.0), (15.0, 90.0, 0.0, 5.0)], "flies"),
+        ([(0.0, 0.0, 0.0, 5.0), (2.0, 3.0, 0.0, 5.0)], "accelerates"),
+    ):
+        [problem] = [p for p in check(show_of(track("a1", *points))).problems if field in p.seen]
+        seconds = float(problem.remedy.removeprefix("give it ").split(" s")[0])
+        slower = [points[0], (seconds + 0.1, *points[1][1:])]
+        assert not [one for one in said(show_of(track("a1", *slower))) if field in one]
+
+
+def test_heights_are_those_above_its_own_take_off_point() -> None:
+    points = (0, 0, 0, 5), (60, 0, 0, 45)
+    assert said(show_of(track("a1", *points))) == []
+    assert "a height of 55.0 m" in said(show_of(track("a1", *points, ground_m=-10)))[0]
+    assert "-5.0 m above its take-off" in said(show_of(track("a1", *points, ground_m=10)))[0]
+
+
+def test_the_envelope_may_be_another_one() -> None:
+    far = show_of(track("a1", (0, 0, 0, 5), (100, 160, 0, 5)))
+    assert len(said(far)) == 1
+    assert said(far, Envelope(max_radius_m=200)) == []
+    assert "1.6 m/s may be flown" in said(far, Envelope(max_radius_m=200, max_speed_m_s=2))[0]
+
+
+# -- together -------------------------------------------------------------------------------------
+
+
+def test_take_off_spots_and_ends_are_far_enough_apart() -> None:
+    over = track("a2", (0, 0, 5, 20), (20, 40, 5, 20))
+    assert (
+        "a1 and a2 take off 5.0 m from each other, seen from above; 6.0 m"
+        in said(show_of(HERE, over))[0]
+    )
+    ending = track("a2", (0, 60, 0, 20), (60, 25, 0, 20))
+    assert "a1 and a2 end 5.0 m from each other" in said(show_of(HERE, ending))[0]
+
+
+def test_two_that_come_too_near_are_named_with_the_time_and_the_distance() -> None:
+    first = track("a1", (0, 0, 0, 5), (20, 30, 0, 5))
+    second = track("a2", (0, 30, 3, 5), (20, 0, 3, 5))
+    [problem] = check(show_of(first, second)).problems
+    assert "a1 and a2 come as near as 3.0 m at 10.00 s; 6.2 m are needed" in problem.seen
+    assert problem.aircraft == ("a1", "a2")
+    assert problem.at == pytest.approx(10.0, abs=0.1)
+    assert problem.measured == pytest.approx(3.0, abs=2e-3)
+    assert check(show_of(first, track("a2", (0, 30, 7, 5), (20, 0, 7, 5)))).ok
+
+
+def test_what_two_need_is_their_tubes_and_what_clocks_are_wrong_by() -> None:
+    first = track("a1", (0, 0, 0, 5), (20, 40, 0, 5), tube_m=2.0)  # 3 m/s in the middle
+    second = track("a2", (0, 0, 9, 5), (20, 0, 9, 15), tube_m=1.0)  # 0.75 m/s
+    expected = 4.0 + 2.0 + 1.0 + SKEW_S * (3.0 + 0.75)
+    assert needed_m(show_of(first, second, least=4.0), first, second) == pytest.approx(
+        expected, abs=0.01
+    )
+
+
+def test_who_is_above_whom_is_remarked() -> None:
+    lower = track("a1", (0, 0, 0, 5), (20, 30, 0, 5))
+    upper = track("a2", (0, 30, 0, 20), (20, 0, 0, 20))
+    report = check(show_of(lower, upper))
+    assert report.ok
+    [remark] = report.remarks
+    assert remark.startswith("a2 is above a1 at ")
+    assert remark.endswith("if it has to land there, it comes down on it")
+
+
+def test_the_curve_of_distances_never_goes_below_the_nearest() -> None:
+    show = Show.read(FIVE)
+    nearest = check(show).closest
+    assert nearest is not None
+    found = distances(show)
+    assert (found[0][0], found[-1][0]) == (0, 36)
+    assert min(distance for _, distance in found) >= nearest.distance_m - 1e-3
+    assert all(math.isfinite(distance) for _, distance in found)
+
+
+# -- the picture of a show: well-formed, with everybody in it and what the check found -------------
+
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def words(root: ET.Element) -> list[str]:
+    return [one.text or "" for one in root.iter(f"{SVG}text")]
+
+
+def drawn(show: Show) -> ET.Element:
+    return ET.fromstring(svg(show, check(show)))
+
+
+def test_every_aircraft_has_a_line_and_a_name() -> None:
+    root = drawn(Show.read(FIVE))
+    titles = [one.text for one in root.iterfind(f"{SVG}g/{SVG}title")]
+    assert titles == ["a1", "a2", "a3", "a4", "a5"]
+    assert {"a1", "a5", "N ↑", "36 s"} <= set(words(root))
+    assert len(root.findall(f"{SVG}g/{SVG}polyline")) == 5
+
+
+def test_the_nearest_two_are_told_at_their_time() -> None:
+    first = track("a1", (0, 0, 0, 5), (20, 30, 0, 5))
+    second = track("a2", (0, 30, 3, 5), (20, 0, 3, 5))
+    told = words(drawn(show_of(first, second)))
+    assert "a1 and a2: 3.0 m at 10.0 s" in told
+    assert "6.2 m needed" in told
+
+
+def test_north_is_up_and_scales_are_equal() -> None:
+    root = drawn(show_of(track("a1", (0, 0, 0, 5), (20, 30, 0, 5), (40, 30, 10, 5))))
+    line = root.find(f"{SVG}g/{SVG}polyline")
+    assert line is not None
+    spots = [tuple(map(float, pair.split(","))) for pair in line.get("points", "").split()]
+    (x0, y0), (x2, y2) = spots[0], spots[-1]
+    assert y2 < y0
+    assert (y0 - y2) / (x2 - x0) > 2.9
+
+
+def test_names_are_words_and_no_markup() -> None:
+    root = drawn(show_of(track("<b>&", (0, 0, 0, 5), (20, 30, 0, 5))))
+    assert "<b>&" in words(root)
+
+
+def spots_of(line: ET.Element) -> list[tuple[float, float]]:
+    pairs = (pair.split(",") for pair in line.get("points", "").split())
+    return [(float(x), float(y)) for x, y in pairs]
+
+
+@pytest.mark.parametrize("far", [(200.0, 3.0), (3.0, 200.0), (0.2, 0.1)])
+def test_everything_is_inside_of_the_picture(far: tuple[float, float]) -> None:
+    """However long and narrow the show is; its tracks fill the map one way and leave an edge."""
+    first = track("a1", (0, 0, 0, 5), (60, far[0], far[1], 5))
+    second = track("a2", (0, 0, 9, 5), (60, far[0], far[1] + 9, 15))
+    root = drawn(show_of(first, second))
+    width, height = map(float, root.get("viewBox", "").split()[2:])
+    tracks = [spot for line in root.iterfind(f"{SVG}g/{SVG}polyline") for spot in spots_of(line)]
+    lines = [spot for line in root.iter(f"{SVG}polyline") for spot in spots_of(line)]
+    words = [(float(one.get("x", "")), float(one.get("y", ""))) for one in root.iter(f"{SVG}text")]
+    for x, y in [*lines, *words]:
+        assert 0 <= x <= width
+        assert 0 <= y <= height
+    assert min(x for x, _ in tracks) >= 8
+    assert min(y for _, y in tracks) >= 8
+    wide = max(x for x, _ in tracks) - min(x for x, _ in tracks)
+    tall = max(y for _, y in tracks) - min(y for _, y in tracks)
+    assert wide > 0.5 * width or tall > 0.25 * height
+
+
+def test_the_distance_is_drawn_from_its_first_to_its_last_second_and_upwards() -> None:
+    first = track("a1", (0, 0, 0, 5), (20, 30, 0, 5))
+    second = track("a2", (0, 30, 3, 5), (20, 0, 3, 5))
+    axes, needed, curve = (
+        spots_of(line) for line in drawn(show_of(first, second)).findall(f"{SVG}polyline")
+    )
+    (left, top), (_, bottom), (right, _) = axes
+    assert (curve[0][0], curve[-1][0]) == (left, right)
+    assert [x for x, _ in needed] == [left, right]
+    lowest = max(curve, key=lambda spot: spot[1])
+    assert lowest[0] == pytest.approx((left + right) / 2, abs=5), "they pass each other at 10 s"
+    metre = (bottom - lowest[1]) / 3.0  # and are 3 m apart then
+    assert bottom - needed[0][1] == pytest.approx(6.2 * metre, rel=0.03)
+    assert bottom - curve[0][1] == pytest.approx(30.15 * metre, rel=0.03)
+    assert top < curve[0][1] < bottom
