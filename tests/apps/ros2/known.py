@@ -14,8 +14,7 @@ from m100link.apps.ros2.graph import Names, data_key
 from m100link.apps.ros2.node import Node
 from m100link.apps.ros2.publishers import ALL_OUTPUTS
 from m100link.log.cdr import full_name
-from tests.apps.ros2.conftest import Program, RecordingBus, Rig
-from tests.apps.ros2.conftest import MemoryBus, Program, Rig, judge
+from tests.apps.ros2.conftest import Program, RecordingBus, Rig, judge
 from tests.known import KnownAgent
 
 

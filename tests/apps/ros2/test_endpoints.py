@@ -12,7 +12,8 @@ from m100link.apps.bus.network import Inbox
 from m100link.apps.ros2.endpoints import ASK_S, SILENCE_S, Heartbeat
 from m100link.apps.ros2.topics import INPUTS, OUTPUTS, SERVICES
 from m100link.log.cdr import full_name
-from tests.apps.ros2.conftest import MemoryBus, MemoryInbox, Program, Rig, judge
+from tests.apps.bus.memory import MemoryInbox
+from tests.apps.ros2.conftest import Program, RecordingBus, Rig, judge
 
 pytestmark = pytest.mark.anyio
 
@@ -20,7 +21,7 @@ STEP_S = 0.02
 
 
 class Clock:
-    def __init__(self, bus: MemoryBus, *sessions: str) -> None:
+    def __init__(self, bus: RecordingBus, *sessions: str) -> None:
         self.now = 0.0
         self.heartbeat = Heartbeat(bus)
         self.heartbeat.follow(sessions)
@@ -37,13 +38,13 @@ class Clock:
 
 
 @pytest.fixture
-def bus() -> MemoryBus:
-    made = MemoryBus()
+def bus() -> RecordingBus:
+    made = RecordingBus()
     made.answering = {"aa", "bb"}
     return made
 
 
-def test_who_stops_answering_is_missing_within_two_seconds(bus: MemoryBus) -> None:
+def test_who_stops_answering_is_missing_within_two_seconds(bus: RecordingBus) -> None:
     clock = Clock(bus, "aa", "bb")
     assert clock.until_missing(5.0) is None
     bus.answering.remove("bb")
@@ -52,13 +53,13 @@ def test_who_stops_answering_is_missing_within_two_seconds(bus: MemoryBus) -> No
     assert SILENCE_S - ASK_S <= took <= SILENCE_S + 2 * STEP_S
 
 
-def test_who_never_answers_is_left_to_its_lease(bus: MemoryBus) -> None:
+def test_who_never_answers_is_left_to_its_lease(bus: RecordingBus) -> None:
     clock = Clock(bus, "aa", "cc")
     assert clock.until_missing(10.0) is None
     assert "cc" in bus.asked
 
 
-def test_one_answer_that_is_lost_is_not_missed(bus: MemoryBus) -> None:
+def test_one_answer_that_is_lost_is_not_missed(bus: RecordingBus) -> None:
     clock = Clock(bus, "aa")
     for _ in range(10):
         assert clock.until_missing(1.2) is None
@@ -67,14 +68,14 @@ def test_one_answer_that_is_lost_is_not_missed(bus: MemoryBus) -> None:
         bus.answering = {"aa"}
 
 
-def test_a_late_answer_is_one(bus: MemoryBus) -> None:
+def test_a_late_answer_is_one(bus: RecordingBus) -> None:
     clock = Clock(bus, "aa")
     assert clock.until_missing(2.0) is None
-    waiting = []
+    waiting: list[tuple[float, MemoryInbox[bool]]] = []
 
-    class Slow(MemoryBus):
+    class Slow(RecordingBus):
         def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
-            waiting.append((clock.now, inbox := MemoryInbox(1)))
+            waiting.append((clock.now, inbox := MemoryInbox[bool](1)))
             return inbox
 
     clock.heartbeat._bus = Slow()
@@ -86,7 +87,7 @@ def test_a_late_answer_is_one(bus: MemoryBus) -> None:
         waiting = [one for one in waiting if clock.now - one[0] < 0.9]
 
 
-def test_those_of_before_are_not_asked_any_more(bus: MemoryBus) -> None:
+def test_those_of_before_are_not_asked_any_more(bus: RecordingBus) -> None:
     clock = Clock(bus, "aa")
     assert clock.until_missing(1.0) is None
     clock.heartbeat.follow(["bb"])
@@ -97,7 +98,7 @@ def test_those_of_before_are_not_asked_any_more(bus: MemoryBus) -> None:
 
 
 def test_what_a_stranger_calls_his_session_is_not_asked_unless_it_can_be_one(
-    bus: MemoryBus,
+    bus: RecordingBus,
 ) -> None:
     bad = ("**", "", "a/b", "A1", "g", "a" * 33, "a?b", "aa$*")
     clock = Clock(bus, *bad, *(f"{number:x}" for number in range(1000)))

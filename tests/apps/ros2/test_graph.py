@@ -22,7 +22,7 @@ from m100link.apps.ros2.graph import (
 from m100link.apps.station.config import Settings
 from m100link.apps.station.ros2 import check_ros2
 from m100link.errors import UsageError
-from tests.apps.ros2.conftest import MemoryInbox
+from tests.apps.bus.memory import MemoryInbox
 
 IMU = "RIHS01_7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b"
 TRIGGER = "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
@@ -145,7 +145,7 @@ def token(session: str, end: End = End.CLIENT, topic: str = TOPIC) -> str:
 
 
 def test_those_who_can_call_are_known_until_one_is_gone() -> None:
-    inbox = MemoryInbox(99)
+    inbox = MemoryInbox[TokenChange](99)
     presence = Presence(lambda: inbox)
     others = (token("c", End.SERVER), token("d", topic="/other"), "@ros2_lv/junk")
     for key in (token("a"), token("b"), *others):
@@ -162,7 +162,7 @@ def test_those_who_can_call_are_known_until_one_is_gone() -> None:
 
 
 def test_who_went_and_is_back_within_a_step_was_gone() -> None:
-    inbox = MemoryInbox(99)
+    inbox = MemoryInbox[TokenChange](99)
     presence = Presence(lambda: inbox)
     inbox.waiting.append(TokenChange(token("a"), True))
     presence.look()
@@ -176,7 +176,7 @@ def test_who_went_and_is_back_within_a_step_was_gone() -> None:
 
 
 def test_a_flood_of_tokens_is_not_kept() -> None:
-    inbox = MemoryInbox(DEPTH)
+    inbox = MemoryInbox[TokenChange](DEPTH)
     presence = Presence(lambda: inbox)
     for number in range(10 * DEPTH):
         inbox.waiting.append(TokenChange(token(str(number)), True))
@@ -186,7 +186,7 @@ def test_a_flood_of_tokens_is_not_kept() -> None:
 
 
 def test_of_a_flood_some_is_lost_and_then_all_count_as_gone() -> None:
-    inboxes = [MemoryInbox(DEPTH), MemoryInbox(DEPTH)]
+    inboxes = [MemoryInbox[TokenChange](DEPTH), MemoryInbox[TokenChange](DEPTH)]
     waiting = iter(inboxes)
     presence = Presence(lambda: next(waiting))
     inboxes[0].waiting.append(TokenChange(token("a"), True))
