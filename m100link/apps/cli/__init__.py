@@ -7,8 +7,6 @@ import os
 import signal
 import sys
 
-__all__ = ["end_at_once", "main"]
-
 
 def main() -> None:
     """Entry point of the ``m100link`` command.

@@ -18,13 +18,6 @@ from m100link.errors import AckTimeout
 from m100link.link.statistics import ROUND_TRIP_BOUNDS_S, RoundTrips
 from m100link.protocol.items import BY_RECORD
 
-__all__ = [
-    "activate",
-    "info",
-    "link",
-    "telemetry_rates",
-]
-
 
 def info(
     url: Url = None,

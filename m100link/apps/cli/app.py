@@ -14,8 +14,6 @@ from m100link.apps.cli.outcome import ExitCode, complain
 from m100link.apps.cli.terminal import ReaderGone, speak_to_anybody
 from m100link.errors import M100Error, UsageError
 
-__all__ = ["VERBS", "app", "run"]
-
 # Verb → where it is, and the first sentence of its help. A module is loaded when its verb is used,
 # and none for the list of verbs.
 VERBS = {
@@ -152,12 +150,7 @@ _FORMER = {
 
 
 def application(*, overview: bool = False) -> App:
-    """The commands under one name.
-
-    Args:
-        overview: For the list of verbs only: a sentence that is given here would take the place of
-            the verb's own help.
-    """
+    """The commands under one name; with ``overview`` for the list of verbs only."""
     made = App(
         name="m100link",
         help="Fly and watch a DJI Matrice 100 through its Onboard API, or a virtual one.",
@@ -167,6 +160,7 @@ def application(*, overview: bool = False) -> App:
     )
     for verb, (place, sentence) in VERBS.items():
         plain = sentence.replace("`", "")
+        # What is given here takes the place of the verb's own help.
         made.command(f"m100link.apps.cli.{place}", name=verb, help=plain if overview else None)
     return made
 

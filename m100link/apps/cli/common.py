@@ -24,19 +24,6 @@ from m100link.link.url import parse_url
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.firmware import PROFILES
 
-__all__ = [
-    "AppOptions",
-    "LinkOptions",
-    "Place",
-    "Told",
-    "Url",
-    "err",
-    "out",
-    "places",
-    "run_async",
-]
-
-
 out = Console(highlight=False)
 """Standard output: data."""
 
@@ -78,15 +65,10 @@ class AppOptions(_OfTheApp):  # type: ignore[misc] # a class that is made has no
 
 @dataclass(frozen=True)
 class Place:
-    """Where the aircraft is, how to talk to it, and whose app it is: from all sources.
+    """Where the aircraft is, how to talk to it, and whose app it is: from all sources."""
 
-    Attributes:
-        url: Where the aircraft is.
-        settings: Everything else; each names its source.
-    """
-
-    url: str
-    settings: Settings
+    url: str  # where the aircraft is
+    settings: Settings  # everything else; each names its source
 
     def arguments(self) -> dict[str, Any]:
         """Keyword arguments of :func:`m100link.connect`."""
@@ -174,17 +156,11 @@ class LinkOptions:
 
     def place_among(
         self,
-        words: Iterable[str],
-        is_other: Callable[[str], bool],
+        words: Iterable[str],  # arguments of which the first may be a URL or a name
+        is_other: Callable[[str], bool],  # whether a word has the shape of what follows
         app: AppOptions | None = None,
     ) -> tuple[Place, tuple[str, ...]]:
-        """Where the aircraft is, and the words that follow.
-
-        Args:
-            words: Arguments of which the first may be a URL or a name.
-            is_other: Whether a word has the shape of what follows.
-            app: As in :meth:`place`.
-        """
+        """Where the aircraft is, and the words that follow."""
         first, *rest = words = tuple(words) or ("",)
         if not first or is_other(first):
             return self.place(None, app), tuple(filter(None, words))

@@ -26,8 +26,6 @@ from m100link.link.url import EXAMPLES, parse_url
 from m100link.protocol.firmware import PROFILES
 from m100link.telemetry.columns import ITEM_NAMES
 
-__all__ = ["Configuration", "configuration_path", "read_configuration", "shown"]
-
 FILE = "m100link.toml"
 
 _OF_ALL = (
@@ -51,31 +49,23 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Configuration:
-    """What the file says.
+    """What the file says."""
 
-    Attributes:
-        path: Where it is, or would be.
-        exists: Whether it is there.
-        default: Name of the aircraft that is meant when nobody names one.
-        defaults: What holds for every aircraft that is not a virtual one.
-        aircraft: What holds for one aircraft, by its name; ``url`` is always among it.
-        station: Settings of ``serve`` and ``console``.
-    """
-
-    path: Path
-    exists: bool = False
-    default: str | None = None
+    path: Path  # where it is, or would be
+    exists: bool = False  # whether it is there
+    default: str | None = None  # name of the aircraft that is meant when nobody names one
+    # What holds for every aircraft that is not a virtual one.
     defaults: Mapping[str, Any] = field(default_factory=dict)
+    # What holds for one aircraft, by its name; ``url`` is always among it.
     aircraft: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    # Settings of ``serve`` and ``console``.
     station: Mapping[str, Any] = field(default_factory=dict)
 
     def sources(self, word: str | None) -> list[tuple[str, Mapping[str, Any]]]:
         """What it says of an aircraft, strongest first; a ``url`` is what the word stands for.
 
         The defaults are a real aircraft's: they do not hold for ``sim://`` and ``replay://``.
-
-        Args:
-            word: A name or a URL; None: nobody says which.
+        The word is a name or a URL; None: nobody says which.
 
         Raises:
             BadURL: It is neither; the names that are near are told.
@@ -115,12 +105,7 @@ class Configuration:
 def configuration_path(
     environment: Mapping[str, str] | None = None, platform: str = sys.platform
 ) -> Path:
-    """Where the file belongs: in XDG_CONFIG_HOME, else where the platform has such files.
-
-    Args:
-        environment: Environment variables; by default those of the process.
-        platform: As :data:`sys.platform`.
-    """
+    """Where the file belongs: in XDG_CONFIG_HOME, else where the platform has such files."""
     environment = os.environ if environment is None else environment
     # The standard has a relative path there passed over.
     for variable in ("XDG_CONFIG_HOME", "APPDATA" if platform == "win32" else ""):
@@ -133,9 +118,6 @@ def configuration_path(
 
 def read_configuration(path: Path | None = None) -> Configuration:
     """The user's file; an empty configuration when there is none.
-
-    Args:
-        path: Another file.
 
     Raises:
         UsageError: It cannot be read, everybody may write it, or something in it is not known; the

@@ -16,8 +16,6 @@ from m100link.protocol.describing import Describer
 from m100link.protocol.firmware import FirmwareProfile, profile
 from m100link.wire import Cipher
 
-__all__ = ["decode", "decode_stream"]
-
 
 def decode(
     *streams: str,

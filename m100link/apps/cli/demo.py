@@ -43,8 +43,6 @@ from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim import Driver, PtyPort, VirtualAircraft, loop_factory
 
-__all__ = ["demo"]
-
 _STAGES = ("connect", "activate", "obtain control", "take off", "square", "land", "release")
 
 _FASTEST = 50.0

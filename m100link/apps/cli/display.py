@@ -19,18 +19,7 @@ from m100link.apps.cli.outcome import ExitCode
 from m100link.errors import UsageError
 from m100link.log import FlightLog, read
 from m100link.protocol.items import BY_NAME, BY_RECORD, ITEMS
-from m100link.telemetry.columns import ITEM_NAMES, columns_of
-
-__all__ = [
-    "columns_of",
-    "items_named",
-    "line_plot",
-    "reading",
-    "row",
-    "status",
-    "track_plot",
-]
-
+from m100link.telemetry.columns import ITEM_NAMES
 
 # Bit of each dot of a braille character, by row (0 to 3) and column (0 to 1).
 _DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
@@ -84,7 +73,7 @@ def _span(values: Iterable[float], at_least: float) -> tuple[float, float]:
 
 
 def track_plot(
-    points: Sequence[Point],
+    points: Sequence[Point],  # north and east in metres
     *,
     columns: int = 44,
     rows: int = 16,
@@ -92,16 +81,7 @@ def track_plot(
     marks: Sequence[tuple[Point, str]] = (),
     dots: Sequence[Point] = (),
 ) -> list[str]:
-    """A track seen from above, equal scales, north up.
-
-    Args:
-        points: North and east in metres.
-        columns: Width in characters.
-        rows: Height in characters.
-        names: Of the points, in their order; those for which there is no room are left out.
-        marks: Places beside the track, and the word that stands there; likewise.
-        dots: Places that no line joins.
-    """
+    """A track seen from above, equal scales, north up; names without room are left out."""
     canvas = _Canvas(columns, rows)
     everything = [*points, *(place for place, _ in marks), *dots]
     if not everything:
@@ -131,22 +111,14 @@ def track_plot(
 
 
 def line_plot(
-    points: Sequence[Point],
+    points: Sequence[Point],  # time in seconds, and value
     *,
-    unit: str = "",
+    unit: str = "",  # unit of the value, for the scale
     over: str = "s",
-    columns: int = 44,
+    columns: int = 44,  # width in characters, scale not included
     rows: int = 10,
 ) -> list[str]:
-    """A value over time, or over something else.
-
-    Args:
-        points: Time in seconds, and value.
-        unit: Unit of the value, for the scale.
-        over: Unit of the time, likewise.
-        columns: Width in characters, scale not included.
-        rows: Height in characters.
-    """
+    """A value over time, or over something else."""
     canvas = _Canvas(columns, rows)
     if not points:
         return canvas.lines()
@@ -185,10 +157,6 @@ def status(*flights: FlightLog) -> int:
 @contextlib.contextmanager
 def reading(file: Path, *, passes: int = 1) -> Iterator[FlightLog]:
     """A log; while the block runs, a terminal shows how far it is read. A pipe shows nothing.
-
-    Args:
-        file: The log.
-        passes: How often it will be read.
 
     Raises:
         UsageError: As :func:`m100link.log.read`.

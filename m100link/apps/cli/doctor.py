@@ -26,8 +26,6 @@ from m100link.apps.doctor.machine import RULES_FILE, rule
 from m100link.errors import AckTimeout, LinkError, PortNotFound, UsageError
 from m100link.link.transport import serial_ports
 
-__all__ = ["doctor", "exit_status", "ports", "udev"]
-
 _MARKS = {
     Verdict.GOOD: "[green]✓[/]",
     Verdict.DOUBTFUL: "[yellow]![/]",
@@ -117,11 +115,7 @@ def _only_port(link: LinkOptions) -> str | None:
 
 
 class _Patient:
-    """What is diagnosed, once or twice.
-
-    Args:
-        place: Where the aircraft is.
-    """
+    """What is diagnosed, once or twice."""
 
     def __init__(self, place: Place) -> None:
         app = place.settings

@@ -31,38 +31,15 @@ from m100link.errors import M100Error, OutcomeUnknown, UsageError
 from m100link.errors.texts import read_json
 from m100link.log.folder import state_folder
 
-__all__ = [
-    "NO_OPTIONS",
-    "ROUTER",
-    "All",
-    "Begun",
-    "FleetOptions",
-    "Left",
-    "Names",
-    "app",
-    "borrowed",
-    "lease_file",
-    "shared",
-    "tell_results",
-    "told_when_interrupted",
-    "wanted_names",
-]
-
-
 # -- what goes on on board when a verb of the fleet is ended by Ctrl-C, and how to see and end  ----
 
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """What an order leaves behind that was given, and whose end nobody waited for.
+    """What an order leaves behind that was given, and whose end nobody waited for."""
 
-    Attributes:
-        seen: What goes on, or ends.
-        remedy: How to see it and how to end it, with ``{name}`` for the aircraft.
-    """
-
-    seen: str
-    remedy: str
+    seen: str  # what goes on, or ends
+    remedy: str  # how to see it and how to end it, with ``{name}`` for the aircraft
 
     def of(self, name: str) -> Result:
         """What is told of one aircraft: nobody knows what became of the order."""
@@ -71,12 +48,7 @@ class Left:
 
 
 class Begun:
-    """What was asked of several aircraft, and what of it has ended.
-
-    Args:
-        do: What is asked of each.
-        left: What it leaves behind.
-    """
+    """What was asked of several aircraft, and what of it has ended."""
 
     def __init__(self, do: Callable[[FleetAircraft], Awaitable[object]], left: Left) -> None:
         self._do, self._left = do, left
@@ -132,11 +104,6 @@ def lease_file(site: str, name: str, environment: Mapping[str, str] | None = Non
 @contextmanager
 def shared(site: str, name: str, proof: tuple[int, str]) -> Iterator[None]:
     """Let other commands of this account order under a lease while the block runs.
-
-    Args:
-        site: Of the fleet.
-        name: Of the aircraft.
-        proof: Number and secret of the lease.
 
     Raises:
         UsageError: The file cannot be written.

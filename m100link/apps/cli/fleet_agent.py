@@ -51,13 +51,6 @@ from m100link.apps.station.log_output import tell_elsewhere
 from m100link.apps.station.supervisor import leave_what_stays
 from m100link.errors import UsageError
 
-__all__ = [
-    "agent",
-    "console",
-    "router",
-]
-
-
 _FromSettings: Any = options_of(
     Settings,
     (

@@ -33,8 +33,6 @@ from m100link.errors import UsageError
 from m100link.flight.missions.events import Finished, MissionEvent, MissionProgress, Reached
 from m100link.missions.plan import AtEnd, WaypointPlan
 
-__all__ = ["app"]
-
 app = cyclopts.App(
     name="mission",
     help="Let an aircraft fly a plan by itself, and act on a mission that flies (firmware 3.1).",

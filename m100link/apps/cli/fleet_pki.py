@@ -30,8 +30,6 @@ from m100link.apps.fleet.pki import revoke as revoke_names
 from m100link.apps.fleet.revocations import LIST, Revocations, bring
 from m100link.errors import UsageError
 
-__all__ = ["acl", "pki"]
-
 pki = cyclopts.App(
     name="pki",
     help="Certificates and signing keys of a fleet: an authority of its own, and what it issues.",

@@ -23,8 +23,6 @@ from m100link.apps.fleet.show.plan.track import BadShow
 from m100link.errors import UsageError
 from m100link.flight.guards import Envelope
 
-__all__ = ["app"]
-
 app = cyclopts.App(
     name="show",
     help="Formations whose aircraft fly timed tracks: check them, draw them, fly them.",

@@ -10,7 +10,5 @@ from m100link.apps.cli.fleet_show import app as show
 from m100link.apps.cli.fleet_watch import app as log
 from m100link.apps.cli.fleet_watch import lease, monitor, watch
 
-__all__ = ["app"]
-
 for _verb in (router, agent, console, monitor, watch, lease, mission, log, show, pki, acl):
     app.command(_verb)

@@ -42,14 +42,6 @@ from m100link.protocol.records import Battery, FlightStatus, Position, Velocity
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 
-__all__ = [
-    "app",
-    "lease",
-    "monitor",
-    "watch",
-]
-
-
 _OLD_S = 2.0
 
 

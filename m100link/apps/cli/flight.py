@@ -45,22 +45,6 @@ from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import Gimbal
 from m100link.telemetry.columns import ITEM_NAMES
 
-__all__ = [
-    "activate_app",
-    "camera",
-    "confirm",
-    "fly",
-    "gimbal",
-    "hear_of_mission",
-    "home",
-    "land",
-    "rates",
-    "release",
-    "require_no_mission",
-    "takeoff",
-]
-
-
 Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=())]
 
 _PUSHES_S = 1.0  # in which an aircraft that tells of its mission has done so

@@ -36,23 +36,6 @@ from m100link.log.story import Story, read_story
 from m100link.protocol.items import BY_NAME
 from m100link.wire import Cipher
 
-__all__ = [
-    "app",
-    "cannot_write",
-    "compare_files",
-    "csv",
-    "frames",
-    "layout",
-    "new_file",
-    "parquet",
-    "plot",
-    "record",
-    "ros2",
-    "wireshark",
-    "write_new",
-]
-
-
 # -- ``m100link log ros2`` and ``layout``: flights for the tools of others -------------------------
 
 

@@ -14,8 +14,6 @@ from cyclopts import Parameter
 
 from m100link.errors import UsageError
 
-__all__ = ["AS_IT_IS", "LogOptions", "logging_as_asked", "show_warnings"]
-
 
 @Parameter(name="*", group="Log")
 @dataclass(frozen=True)
@@ -71,9 +69,8 @@ def show_warnings() -> None:
 def logging_as_asked(arguments: Iterable[Any]) -> Iterator[None]:
     """Log as the options of a verb say while the block runs; without them it stays as it is.
 
-    Args:
-        arguments: What the verb is called with. The options are one of them, or the attribute
-            ``log`` of one, or of how a station is run.
+    The options are one of the verb's arguments, or the attribute ``log`` of one, or of how a
+    station is run.
     """
     runs = (getattr(argument, "run", argument) for argument in arguments)
     found = (getattr(run, "log", run) for run in runs)

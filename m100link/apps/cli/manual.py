@@ -32,13 +32,6 @@ from m100link.apps.cli.options import offered
 from m100link.apps.cli.outcome import ExitCode
 from m100link.errors import M100Error, UsageError
 
-__all__ = [
-    "completion",
-    "docs",
-    "error_classes",
-]
-
-
 _FOLDERS = ("tutorial", "howto", "explanation", "reference")
 _WIDEST = 100
 """Longer lines are hard to read."""
@@ -242,12 +235,7 @@ _SILENT = ("testsetup", "toctree")
 
 
 def _plain(text: str, root: Path) -> str:
-    """MyST as plain Markdown.
-
-    Args:
-        text: A page.
-        root: The folder of the manual; the examples are in it, or beside it.
-    """
+    """MyST as plain Markdown."""
     return _LINK.sub(
         _named, _ROLE.sub(r"`\1`", _FENCE.sub(lambda found: _unfenced(found, root), text))
     )

@@ -46,8 +46,6 @@ from m100link.protocol.commands.missions import MissionStatus
 from m100link.protocol.records import FlightPhase, Position
 from m100link.telemetry.subscription import Latest
 
-__all__ = ["app", "event_name", "event_words"]
-
 app = cyclopts.App(
     name="mission",
     help="Let the aircraft fly a plan by itself, and act on a mission that flies (firmware 3.1).",
@@ -277,22 +275,13 @@ async def _with_control(
     credentials: Credentials,
     flight: Callable[[Aircraft, Control], Awaitable[object]],
     *,
-    what: str | None = None,
+    what: str | None = None,  # what the person is asked for; None asks nothing
     guards: Guards | None = None,
+    # Raises what would be refused anyway, before anybody is asked.
     is_admitted: Callable[[Aircraft], Awaitable[None]] | None = None,
-    is_new: bool = False,
+    is_new: bool = False,  # refused while a mission flies, before control is obtained
 ) -> int:
-    """Connect, ask, activate, obtain control.
-
-    Args:
-        place: Where the aircraft is.
-        credentials: The app's; what is wrong with them is told before anything is announced.
-        flight: What is done with control.
-        what: What the person is asked for; None asks nothing.
-        guards: Of the control block.
-        is_admitted: Raises what would be refused anyway, before anybody is asked.
-        is_new: A mission is to begin: refused while one flies, before control is obtained.
-    """
+    """Connect, ask, activate, obtain control."""
     async with connect(place.url, **place.arguments()) as aircraft:
         if what is not None and not place.is_virtual:
             if is_admitted is not None:

@@ -17,8 +17,6 @@ from cyclopts import Parameter, validators
 
 from m100link.protocol.firmware import PROFILES
 
-__all__ = ["Above0", "Counted", "Firmware", "attribute_texts", "offered", "options_of"]
-
 if TYPE_CHECKING:
     Firmware = str
 else:
@@ -41,9 +39,6 @@ def offered(candidates: Iterable[str] | Callable[[], Iterable[str]]) -> Any:
     """What a shell offers for a word when the tabulator is pressed.
 
     With a cyclopts that cannot (before 5) nothing is offered.
-
-    Args:
-        candidates: The words, or what finds them out then.
     """
     if not hasattr(Parameter, "completer"):
         return Parameter()
@@ -78,14 +73,8 @@ def options_of(
 ) -> Any:
     """A dataclass with an option for each of these fields.
 
-    Args:
-        source: The dataclass that declares them.
-        names: Which of its fields.
-        environment: Environment variables by field, named in the help.
-        called: Name of the option by field, where it is not that of the field.
-        defaults: Default by field, where people at a shell want another one than programs.
-        is_layer: The options are one source of several: what was not given is None or empty, and
-            the environment is read by somebody else.
+    As a layer the options are one source of several: what was not given is None or empty, and
+    somebody else reads the environment.
     """
     texts, hints = attribute_texts(source), get_type_hints(source)
     fields = {field.name: field for field in dataclasses.fields(source)}

@@ -9,9 +9,6 @@ from typing import Any
 
 from m100link import errors
 
-__all__ = ["ExitCode", "complain", "exit_code", "finite", "print_json"]
-
-
 _TYPED = {
     "await control.take_off() first; a waypoint mission takes take_off=True": "m100link takeoff "
     "first; or --take-off",

@@ -21,8 +21,6 @@ from m100link.missions.plan import WaypointPlan
 from m100link.missions.survey import survey as lines_over
 from m100link.missions.waypoint import GimbalPitch, Heading, Stay, TurnTo, Waypoint, WaypointAction
 
-__all__ = ["File", "FileOptions", "app", "read_plan", "require_free"]
-
 app = cyclopts.App(
     name="plan",
     help="Look at plans of waypoints, check and convert them; no aircraft is needed.",

@@ -21,8 +21,6 @@ from m100link.apps.cli.sim import read_keys
 from m100link.apps.station.config import namespace_of
 from m100link.errors import M100Error, UsageError
 
-__all__ = ["replay"]
-
 KEYS = {
     " ": "toggle",
     "LEFT": "by -10",

@@ -33,23 +33,6 @@ if TYPE_CHECKING:
     from m100link.apps.station.listeners import Sockets
     from m100link.apps.station.supervisor import Child
 
-__all__ = [
-    "AS_USUAL",
-    "RunOptions",
-    "StationOptions",
-    "Teller",
-    "aircraft_of",
-    "console",
-    "mavlink",
-    "require_packages",
-    "ros2",
-    "run_station",
-    "serve",
-    "settings_of",
-    "show",
-    "warn_of",
-]
-
 
 _MOST_UNTOLD = 200
 _LAST_WORDS = 1.0
@@ -86,17 +69,9 @@ def run_station(
     with_console: bool = False,
     with_rosbridge: bool = True,
     open_browser: bool = False,
-    keys: Keys | None = None,
+    keys: Keys | None = None,  # takes what is pressed at the terminal while it runs
 ) -> int:
     """Run a station until it is told to end.
-
-    Args:
-        aircraft: Settings by name.
-        options: How.
-        with_console: Serve the console.
-        with_rosbridge: Serve rosbridge.
-        open_browser: Open the console.
-        keys: Takes what is pressed at the terminal while it runs.
 
     Raises:
         UsageError: Something is missing, or cannot be.
@@ -357,17 +332,12 @@ class SettingsOptions(Protocol):
     """Options of the command line that are one source of the settings."""
 
     @property
-    def run(self) -> RunOptions: ...
+    def run(self) -> RunOptions:
+        """How the station runs."""
 
 
 def settings_of(options: SettingsOptions, *, launch: Path | None = None, **more: Any) -> Settings:
-    """The settings from all sources.
-
-    Args:
-        options: From the command line.
-        launch: ROS launch file of DJI's node.
-        more: Other settings from the command line.
-    """
+    """The settings from all sources; ``launch`` is a ROS launch file of DJI's node."""
     known = {one.name for one in fields(Settings)}
     given = {name: value for name, value in vars(options).items() if name in known}
     flags = {name: value for name, value in given.items() if value != ()}
@@ -390,12 +360,6 @@ def aircraft_of(
     options: SettingsOptions, words: Sequence[str], *, is_sim: bool = False, **more: Any
 ) -> dict[str, Settings]:
     """The settings by the name of each aircraft, those of the only one without words.
-
-    Args:
-        options: From the command line.
-        words: URLs, names of the configuration file, or ``name=URL``.
-        is_sim: Whether a virtual one was asked for by an option.
-        more: Other settings from the command line.
 
     Raises:
         UsageError: Two are called alike or are the same, or something cannot be.

@@ -16,8 +16,6 @@ from m100link.apps.cli.options import offered
 from m100link.apps.cli.outcome import ExitCode, print_json
 from m100link.apps.station.config import resolve
 
-__all__ = ["config"]
-
 _EXAMPLE = """\
 [defaults]
 aircraft = "lab-m100"      # when nobody names one

@@ -45,12 +45,6 @@ if TYPE_CHECKING:
 
     from m100link.sim.virtual import VirtualAircraft
 
-__all__ = [
-    "KEYS",
-    "LiveView",
-    "app",
-]
-
 
 app = cyclopts.App(
     name="sim",

@@ -18,7 +18,7 @@ from rich.text import Text
 
 from m100link.aircraft import Aircraft, connect
 from m100link.apps.cli.common import LinkOptions, Place, Url, err, out, places, run_async
-from m100link.apps.cli.display import columns_of, items_named, line_plot, row
+from m100link.apps.cli.display import items_named, line_plot, row
 from m100link.apps.cli.options import Above0, Counted, offered
 from m100link.apps.cli.outcome import ExitCode, complain, print_json
 from m100link.errors import UsageError
@@ -37,18 +37,9 @@ from m100link.protocol.records import (
     Time,
     Velocity,
 )
-from m100link.telemetry.columns import ITEM_NAMES, column_named
+from m100link.telemetry.columns import ITEM_NAMES, column_named, columns_of
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Lossless
-
-__all__ = [
-    "describe",
-    "echo",
-    "hz",
-    "monitor",
-    "plot",
-]
-
 
 _SILENT_S = 2.0
 """The slowest rate that can be set is 1 Hz: what was silent for so long is at 0."""

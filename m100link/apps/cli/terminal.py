@@ -17,8 +17,6 @@ import sys
 from collections.abc import Iterator
 from typing import TextIO, cast
 
-__all__ = ["ReaderGone", "read_line", "speak_to_anybody"]
-
 _LOOK_S = 0.2
 
 _BRAILLE = range(0x2800, 0x2900)

@@ -6,10 +6,11 @@ import math
 
 import pytest
 
-from m100link.apps.cli.display import columns_of, items_named, row
+from m100link.apps.cli.display import items_named, row
 from m100link.errors import UsageError
 from m100link.protocol.items import BY_NAME, ITEMS, Item
 from m100link.protocol.records import Attitude, Battery, FlightStatus, Position, RemoteControl
+from m100link.telemetry.columns import columns_of
 
 
 def test_a_row_has_the_fields_and_their_views_in_the_units_of_the_api() -> None:
