@@ -31,7 +31,6 @@ def info(
 
     Args:
         url: Where the aircraft is.
-        link: How to talk to it.
         duration: Seconds to watch telemetry.
         json: One JSON object instead of tables.
     """
@@ -107,8 +106,6 @@ def activate(
 
     Args:
         url: Where the aircraft is.
-        app: The app that is registered with DJI.
-        link: How to talk to it.
         wait: Seconds until it gives up.
         json: One JSON object instead of talk.
     """
@@ -169,7 +166,6 @@ def link(
 
     Args:
         url: Where the aircraft is.
-        options: How to talk to it.
         duration: Seconds to measure.
         rate: Questions per second; the next one waits for the answer.
         json: One JSON object instead of tables.

@@ -143,7 +143,6 @@ def demo(
         record: Folder for the flight log; by default m100link/flights of the user's state folder
             (~/.local/state), where the oldest make room.
         no_record: Record nothing.
-        log: What is logged meanwhile.
     """
     flight = _Flight(flights=None if no_record else _flights(record))
     began_at = time.monotonic()

@@ -64,8 +64,6 @@ def doctor(
 
     Args:
         url: Where the aircraft is; without one, the only serial port of this machine.
-        app: The app that is registered with DJI, to look at activation and key, too.
-        link: How to talk to it.
         authority: Obtain control authority for a moment, without asking at a terminal: only on
             the ground with its motors off, and given back at once.
         report: Write what was found into this file, to attach to a question; no secret is in it.

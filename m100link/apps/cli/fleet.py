@@ -222,11 +222,7 @@ NO_OPTIONS = FleetOptions()
 
 @app.command(name="list")
 def list_(*, options: FleetOptions = NO_OPTIONS) -> int:
-    """List the aircraft that are there: where each stands, and who has control.
-
-    Args:
-        options: Which fleet.
-    """
+    """List the aircraft that are there: where each stands, and who has control."""
 
     async def run() -> None:
         async with options.open() as fleet:
@@ -356,7 +352,6 @@ def takeoff(*names: Names, everybody: All = False, options: FleetOptions = NO_OP
     Args:
         names: Which.
         everybody: All of them.
-        options: Which fleet.
     """
     return _each(names, everybody, options, FleetAircraft.take_off, _TAKE_OFF)
 
@@ -368,7 +363,6 @@ def land(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIO
     Args:
         names: Which.
         everybody: All of them.
-        options: Which fleet.
     """
     return _each(names, everybody, options, FleetAircraft.land, _LANDING)
 
@@ -380,7 +374,6 @@ def stop(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIO
     Args:
         names: Which.
         everybody: All of them.
-        options: Which fleet.
     """
     return _each(names, everybody, options, FleetAircraft.stop, _STOP)
 
@@ -404,7 +397,6 @@ def goto(
         longitude: Degrees, WGS 84.
         height: Metres above the take-off point.
         speed: At most, m/s.
-        options: Which fleet.
     """
 
     async def fly(aircraft: FleetAircraft) -> None:

@@ -105,7 +105,6 @@ def router(
             somebody is stands in the certificate. Who is in revoked.list there may do nothing; a
             newer list counts from the next start.
         json_output: Print one line of JSON when it runs.
-        log: What is logged.
     """
     options = {} if pki is None else tls_options(pki, name, listens=True)
     if rights is not None and connect:
@@ -172,7 +171,6 @@ def agent(
         rights: File of rights: orders that are not signed by who may are refused. With --pki so
             are those of who is in revoked.list there, which fleet pki push brings up to date.
         log_rate: Megabytes of flight logs a second that each aircraft gives away at most.
-        options: See below.
     """
     words = url
     if count > 1:
@@ -271,8 +269,6 @@ def console(
 
     Args:
         names: Names of aircraft.
-        options: Which fleet.
-        page: See below.
     """
     known = {one.name for one in fields(Settings)}
     given = {name: value for name, value in vars(page).items() if name in known and value != ()}

@@ -64,11 +64,9 @@ def fly(
     Args:
         name: Which aircraft.
         plan: A file, JSON or .plan; - is standard input.
-        file: How a .plan is read.
         take_off: Take off first, from the ground.
         take_over: Take control from whoever has it.
         yes: Do not ask.
-        options: Which fleet.
     """
     found = read_plan(plan, file)
     show = _Show(name, found, as_json=options.json_output)
@@ -212,8 +210,6 @@ def upload(
     Args:
         name: Which aircraft.
         plan: A file, JSON or .plan; - is standard input.
-        file: How a .plan is read.
-        options: Which fleet.
     """
     found = read_plan(plan, file)
 
@@ -231,7 +227,6 @@ def start(name: str, /, *, take_off: TakeOff = False, options: FleetOptions = NO
     Args:
         name: Which aircraft.
         take_off: Take off first, from the ground.
-        options: Which fleet.
     """
 
     async def do(orders: MissionOrders, aircraft: FleetAircraft) -> str:
@@ -253,7 +248,6 @@ def pause(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
 
     Args:
         name: Which aircraft.
-        options: Which fleet.
     """
 
     async def do(orders: MissionOrders, _: FleetAircraft) -> str:
@@ -269,7 +263,6 @@ def resume(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
 
     Args:
         name: Which aircraft.
-        options: Which fleet.
     """
 
     async def do(orders: MissionOrders, _: FleetAircraft) -> str:
@@ -288,7 +281,6 @@ def stop(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
 
     Args:
         name: Which aircraft.
-        options: Which fleet.
     """
 
     async def run() -> int:
@@ -310,7 +302,6 @@ def progress(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
 
     Args:
         name: Which aircraft.
-        options: Which fleet.
     """
 
     async def run() -> int:

@@ -148,7 +148,6 @@ def push(
         names: Which aircraft.
         everybody: All that are there.
         folder: With revoked.list; that of --pki by default.
-        options: Which fleet.
     """
     wanted = wanted_names(names, everybody)
     place = (options.pki if folder is None else folder) / LIST

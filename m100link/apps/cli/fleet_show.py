@@ -71,7 +71,6 @@ def check(
 
     Args:
         show: A file of JSON; - is standard input.
-        guards: What each aircraft may fly.
         json: One JSON object instead of text; the default when output is not a terminal.
     """
     as_json = (not sys.stdout.isatty()) if json is None else json
@@ -145,7 +144,6 @@ def preview(
     Args:
         show: A file of JSON; - is standard input.
         picture: An SVG file to write; - is standard output.
-        guards: What each aircraft may fly.
         force: Write over a file that is there.
     """
     found = _read(show)
@@ -182,8 +180,6 @@ def fly(
         show: A file of JSON; - is standard input.
         leave: What each does at its end, and when it has to leave: hover or land.
         yes: Do not ask before they take off.
-        guards: What each aircraft may fly.
-        options: Which fleet.
     """
     found = _read(show)
     report = report_on(found, guards.envelope)

@@ -67,7 +67,6 @@ def monitor(
     Args:
         rate: Times a second that the table is drawn.
         duration: Seconds until it ends by itself.
-        options: Which fleet.
     """
 
     async def run() -> None:
@@ -144,7 +143,6 @@ def watch(
     Args:
         name: Which.
         duration: Seconds until it ends by itself.
-        options: Which fleet.
     """
 
     async def run() -> None:
@@ -199,7 +197,6 @@ def lease(
     Args:
         name: Which.
         take_over: Take it from whoever has it.
-        options: Which fleet.
     """
 
     async def run() -> None:
@@ -258,7 +255,6 @@ def list_(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTI
     Args:
         names: Which aircraft.
         everybody: All of them.
-        options: Which fleet.
     """
 
     async def run() -> int:
@@ -305,7 +301,6 @@ def fetch(
         last: The newest log of each, as without --file.
         file: The log of that name, as `m100link fleet log list` shows it.
         to: Folder for it.
-        options: Which fleet.
     """
     if last and file:
         raise UsageError("--last and --file name two logs", remedy="leave out one of them")

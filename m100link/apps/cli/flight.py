@@ -64,8 +64,6 @@ def takeoff(
 
     Args:
         url: Where the aircraft is.
-        app: The app that is registered with DJI.
-        link: How to talk to it.
         yes: Do not ask.
     """
     place = (link or LinkOptions()).place(url, app)
@@ -87,8 +85,6 @@ def land(
 
     Args:
         url: Where the aircraft is.
-        app: The app that is registered with DJI.
-        link: How to talk to it.
         yes: Not needed: nobody is asked before a landing.
     """
     place = (link or LinkOptions()).place(url, app)
@@ -109,8 +105,6 @@ def home(
 
     Args:
         url: Where the aircraft is.
-        app: The app that is registered with DJI.
-        link: How to talk to it.
         yes: Do not ask.
     """
     place = (link or LinkOptions()).place(url, app)
@@ -136,8 +130,6 @@ def fly(
     Args:
         place: Where the aircraft is (else that of --url or M100LINK_URL), and metres north, east
             and up, such as: sim:// -5 0 1.5
-        app: The app that is registered with DJI.
-        link: How to talk to it.
         max_height: Height above the take-off point that is not exceeded, m.
         max_radius: Distance from here that is not exceeded, m.
         yes: Do not ask.
@@ -199,8 +191,6 @@ def release(
 
     Args:
         url: Where the aircraft is.
-        app: The app that is registered with DJI.
-        link: How to talk to it.
     """
     place = (link or LinkOptions()).place(url, app)
 
@@ -369,8 +359,6 @@ def gimbal(
         relative: Angles count from the present ones.
         rates: The numbers are degrees per second, -180 to 180, not angles.
         wait: Wait until telemetry shows the angles.
-        app: The app that is registered with DJI.
-        link: How to talk to it.
         json: One JSON object; the default in a pipe.
     """
     place = (link or LinkOptions()).place(url, app)
@@ -436,8 +424,6 @@ def camera(
 
     Args:
         words: Where the aircraft is (else that of --url or M100LINK_URL), and what to do.
-        app: The app that is registered with DJI.
-        link: How to talk to it.
         json: One JSON object; the default in a pipe.
     """
     actions = [word for word in words if word in _CAMERA]
@@ -491,7 +477,6 @@ def rates(
     Args:
         words: Where the aircraft is (else that of --url or M100LINK_URL), and rates, such as:
             attitude=50 battery=1. 0, 1, 10, 50 or 100 Hz.
-        link: How to talk to it.
         json: One JSON object; the default in a pipe.
     """
     place, asked = (link or LinkOptions()).place_among(words, _is_rate)

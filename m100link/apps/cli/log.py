@@ -431,7 +431,6 @@ def record(
 
     Args:
         url: Where the aircraft is.
-        link: How to talk to it.
         output: A file that is not there yet, or a folder for one that is named by the time; by
             default a file in the folder where you are.
         rate: Decoded telemetry at most so often, Hz; 0 for every package. The bytes of every

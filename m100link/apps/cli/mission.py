@@ -80,9 +80,6 @@ def fly(
     Args:
         plan: A file, JSON or .plan; - is standard input.
         url: See `m100link mission --help`.
-        file: How a .plan is read.
-        app: The app that is registered with DJI.
-        link: How to talk to it.
         take_off: Take off first, from the ground.
         allow_far: Let it begin more than 500 m from here.
         max_height: Height above the take-off point that is not exceeded, m.
@@ -327,8 +324,6 @@ def stop(
 
     Args:
         url: See `m100link mission --help`.
-        app: The app that is registered with DJI.
-        link: How to talk to it.
     """
     place = (link or LinkOptions()).place(url, app)
 
@@ -347,8 +342,6 @@ def pause(
 
     Args:
         url: See `m100link mission --help`.
-        app: The app that is registered with DJI.
-        link: How to talk to it.
     """
     place = (link or LinkOptions()).place(url, app)
 
@@ -373,8 +366,6 @@ def resume(
 
     Args:
         url: See `m100link mission --help`.
-        app: The app that is registered with DJI.
-        link: How to talk to it.
         yes: Do not ask.
     """
     place = (link or LinkOptions()).place(url, app)
@@ -402,8 +393,6 @@ def download(
 
     Args:
         url: See `m100link mission --help`.
-        app: The app that is registered with DJI.
-        link: How to talk to it.
         output: The file to write, for QGroundControl if its name ends in .plan; - is standard
             output, as JSON.
         force: Write over a file that is there.

@@ -137,8 +137,6 @@ def check(
 
     Args:
         plan: A file, JSON or .plan; - is standard input.
-        file: How a .plan is read.
-        reckoning: For the estimate.
         json: One JSON object instead of text; the default when output is not a terminal.
     """
     as_json = (not sys.stdout.isatty()) if json is None else json
@@ -207,8 +205,6 @@ def show(
 
     Args:
         plan: A file, JSON or .plan; - is standard input.
-        file: How a .plan is read.
-        reckoning: For the estimate.
     """
     from m100link.apps.cli.common import out
 
@@ -313,7 +309,6 @@ def convert(
     Args:
         source: A file, JSON or .plan; - is standard input.
         target: The file to write; - is standard output.
-        file: How a .plan is read.
         to: What is written, whatever the name says; JSON on standard output without it.
         force: Write over a file that is there.
     """

@@ -61,7 +61,6 @@ def replay(
         console_port: Port of the console (M100LINK_CONSOLE_PORT).
         tiles: Folder with map tiles {z}/{x}/{y}.png; without it the track is drawn on a grid.
         open_browser: Open the console in the browser.
-        options: See below.
     """
     if not file:
         raise UsageError("no flight log was named", remedy="m100link replay flight.mcap")

@@ -461,7 +461,6 @@ def serve(*url: _Url, options: StationOptions = StationOptions()) -> int:
     Args:
         url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for a station
             with several.
-        options: See below.
     """
     aircraft = aircraft_of(options, url, is_sim=options.sim, launch=options.launch)
     return run_station(aircraft, options.run, with_console=False)
@@ -482,7 +481,6 @@ def console(
         console_port: Port of the console (M100LINK_CONSOLE_PORT).
         tiles: Folder with map tiles {z}/{x}/{y}.png; without it the track is drawn on a grid.
         open_browser: Open the console in the browser.
-        options: See below.
     """
     more: dict[str, Any] = {"console_port": console_port, "tiles": tiles, "launch": options.launch}
     aircraft = aircraft_of(options, url, is_sim=options.sim, **more)
@@ -531,7 +529,6 @@ def mavlink(
 
     Args:
         url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for several.
-        options: See below.
     """
     aircraft = aircraft_of(options, url)
     first = next(iter(aircraft.values()))
@@ -584,6 +581,5 @@ def ros2(*url: Annotated[str, offered(places)], options: Ros2Options = Ros2Optio
 
     Args:
         url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for several.
-        options: See below.
     """
     return run_station(aircraft_of(options, url, ros2=True), options.run, with_rosbridge=False)

@@ -189,11 +189,6 @@ def run(
         scenario: TOML file of what happens when.
         duration: End by itself after so many seconds of its own time.
         json_output: Print the line of JSON on a terminal, too, and show nothing live.
-        assistant: The assistant's settings.
-        faults: Line faults.
-        site: Site and sensors.
-        missions: Missions.
-        log: What is logged: what happens to the aircraft (info).
     """
     if seed is None:
         seed = secrets.randbits(32)

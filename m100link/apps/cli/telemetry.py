@@ -80,7 +80,6 @@ def echo(
     Args:
         url: Where the aircraft is.
         items: Item names, such as position; all without one.
-        link: How to talk to it.
         rate: At most so many packages per second.
         duration: Seconds until it ends by itself.
         count: Packages until it ends by itself.
@@ -176,7 +175,6 @@ def hz(
 
     Args:
         url: Where the aircraft is.
-        link: How to talk to it.
         duration: Seconds to measure.
         json: One JSON object instead of the table; the default in a pipe.
     """
@@ -273,7 +271,6 @@ def plot(
     Args:
         source: A URL, or a CSV file.
         fields: Columns, such as position.height_m; that one without any.
-        link: How to talk to the aircraft.
         duration: Seconds to plot live.
     """
     if source is not None and column_named(source):
@@ -403,7 +400,6 @@ def monitor(
 
     Args:
         url: Where the aircraft is.
-        link: How to talk to it.
         duration: Seconds until it ends by itself.
         json: One JSON object per second instead of the table; the default in a pipe.
     """
