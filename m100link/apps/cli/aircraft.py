@@ -11,7 +11,17 @@ from rich.table import Table
 
 from m100link.aircraft import Aircraft, connect
 from m100link.aircraft.activation import ActivationProgress
-from m100link.apps.cli.common import AppOptions, LinkOptions, Place, Url, err, out, run_async
+from m100link.apps.cli.common import (
+    AS_SET,
+    BY_LINK,
+    AircraftOptions,
+    LinkOptions,
+    Place,
+    Url,
+    err,
+    out,
+    run_async,
+)
 from m100link.apps.cli.options import Above0
 from m100link.apps.cli.outcome import ExitCode, print_json
 from m100link.errors import AckTimeout
@@ -23,7 +33,7 @@ def info(
     url: Url = None,
     /,
     *,
-    link: LinkOptions | None = None,
+    link: LinkOptions = BY_LINK,
     duration: Annotated[float, Above0] = 1.1,
     json: bool = False,
 ) -> int:
@@ -34,7 +44,6 @@ def info(
         duration: Seconds to watch telemetry.
         json: One JSON object instead of tables.
     """
-    link = link or LinkOptions()
     as_json = json or not sys.stdout.isatty()
     return run_async(_info(link.place(url), duration, as_json))
 
@@ -97,8 +106,7 @@ def activate(
     url: Url = None,
     /,
     *,
-    app: AppOptions | None = None,
-    link: LinkOptions | None = None,
+    options: AircraftOptions = AS_SET,
     wait: Annotated[float, Above0] = 60.0,
     json: bool = False,
 ) -> int:
@@ -109,8 +117,7 @@ def activate(
         wait: Seconds until it gives up.
         json: One JSON object instead of talk.
     """
-    link = link or LinkOptions()
-    return run_async(_activate(link.place(url, app), wait, json))
+    return run_async(_activate(options.place(url), wait, json))
 
 
 async def _activate(place: Place, wait: float, as_json: bool) -> int:
@@ -155,7 +162,7 @@ def link(
     url: Url = None,
     /,
     *,
-    options: LinkOptions | None = None,
+    options: LinkOptions = BY_LINK,
     duration: Annotated[float, Above0] = 5.0,
     rate: Annotated[float, Above0] = 10.0,
     json: bool = False,
@@ -170,7 +177,6 @@ def link(
         rate: Questions per second; the next one waits for the answer.
         json: One JSON object instead of tables.
     """
-    options = options or LinkOptions()
     as_json = json or not sys.stdout.isatty()
     return run_async(_link(options.place(url), duration, 1.0 / rate, as_json))
 

@@ -126,10 +126,7 @@ VERBS = {
         "serve:mavlink",
         "Let MAVSDK, QGroundControl and other MAVLink programs see and fly the aircraft.",
     ),
-    "ros2": (
-        "serve:ros2",
-        "Be a node of ROS 2, without a ROS installation, until Ctrl-C.",
-    ),
+    "ros2": ("serve:ros2", "Be a node of ROS 2, without a ROS installation, until Ctrl-C."),
     "fleet": (
         "fleet_verbs:app",
         "Many aircraft on many machines: a router, agents on board, pilots, formations.",

@@ -43,7 +43,7 @@ Url = Annotated[
     Parameter(
         help="Where the aircraft is: serial:///dev/ttyUSB0:230400, /dev/ttyUSB0, "
         "tcp://host:port, sim://, or its name in the configuration file; without it, that of "
-        "--url or M100LINK_URL",
+        "--url or M100LINK_URL"
     ),
     offered(places),
 ]
@@ -108,7 +108,7 @@ class Place:
 
 
 @Parameter(name="*")
-@dataclass
+@dataclass(frozen=True)
 class LinkOptions:
     """How to talk to it.
 
@@ -165,6 +165,36 @@ class LinkOptions:
         if not first or is_other(first):
             return self.place(None, app), tuple(filter(None, words))
         return self.place(first, app), tuple(rest)
+
+
+BY_LINK = LinkOptions()
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class AircraftOptions:
+    """Whose app it is, and how to talk to the aircraft."""
+
+    app: AppOptions = AppOptions()
+    link: LinkOptions = BY_LINK
+
+    @property
+    def log(self) -> LogOptions:
+        """What is logged meanwhile."""
+        return self.link.log
+
+    def place(self, argument: str | None) -> Place:
+        """As :meth:`LinkOptions.place`."""
+        return self.link.place(argument, self.app)
+
+    def place_among(
+        self, words: Iterable[str], is_other: Callable[[str], bool]
+    ) -> tuple[Place, tuple[str, ...]]:
+        """As :meth:`LinkOptions.place_among`."""
+        return self.link.place_among(words, is_other, self.app)
+
+
+AS_SET = AircraftOptions()
 
 
 def _shown(url: str) -> str:

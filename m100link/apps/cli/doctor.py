@@ -16,7 +16,7 @@ from typing import Annotated, Any
 from rich.table import Table
 
 from m100link import __version__
-from m100link.apps.cli.common import AppOptions, LinkOptions, Place, Url, err, out
+from m100link.apps.cli.common import AS_SET, AircraftOptions, LinkOptions, Place, Url, err, out
 from m100link.apps.cli.options import offered
 from m100link.apps.cli.outcome import ExitCode, finite, print_json
 from m100link.apps.cli.terminal import read_line
@@ -52,8 +52,7 @@ def doctor(
     url: Url = None,
     /,
     *,
-    app: AppOptions | None = None,
-    link: LinkOptions | None = None,
+    options: AircraftOptions = AS_SET,
     authority: bool = False,
     report: Path | None = None,
     json: bool = False,
@@ -69,8 +68,7 @@ def doctor(
         report: Write what was found into this file, to attach to a question; no secret is in it.
         json: One JSON object instead of talk.
     """
-    link = link or LinkOptions()
-    place = link.place(url or _only_port(link), app)
+    place = options.place(url or _only_port(options.link))
     as_json = json or not sys.stdout.isatty()
     try:
         found = _diagnosed(_Patient(place), authority=authority, as_json=as_json)

@@ -256,9 +256,7 @@ class PageOptions(_ConsoleFromSettings):  # type: ignore[misc] # a class that is
 
 
 def console(
-    *names: str,
-    options: FleetOptions = NO_OPTIONS,
-    page: PageOptions = PageOptions(),
+    *names: str, options: FleetOptions = NO_OPTIONS, page: PageOptions = PageOptions()
 ) -> int:
     """Serve the console for a fleet, until Ctrl-C: all on a list and a map, one to look at and fly.
 

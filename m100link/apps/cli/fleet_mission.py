@@ -78,10 +78,7 @@ def fly(
         assert here is not None
         loop.add_signal_handler(signal.SIGTERM, here.cancel)
         try:
-            async with (
-                options.open() as fleet,
-                fleet[name].control(take_over=take_over) as control,
-            ):
+            async with options.open() as fleet, fleet[name].control(take_over=take_over) as control:
                 with shared(options.site, name, control.proof):
                     mission = control.waypoint_mission(found, take_off=take_off)
                     show.mission = mission

@@ -12,14 +12,7 @@ import cyclopts
 from cyclopts import Parameter
 
 from m100link.apps.cli.common import err, run_async
-from m100link.apps.cli.fleet import (
-    NO_OPTIONS,
-    All,
-    FleetOptions,
-    Names,
-    tell_results,
-    wanted_names,
-)
+from m100link.apps.cli.fleet import NO_OPTIONS, All, FleetOptions, Names, tell_results, wanted_names
 from m100link.apps.cli.outcome import ExitCode, print_json
 from m100link.apps.cli.plan import File, require_free
 from m100link.apps.fleet.identity import BadRights, Right, Rights
@@ -155,8 +148,7 @@ def push(
         data = place.read_bytes()
     except OSError as error:
         raise UsageError(
-            f"{place} cannot be read: {error.strerror}",
-            remedy="m100link fleet pki revoke makes it",
+            f"{place} cannot be read: {error.strerror}", remedy="m100link fleet pki revoke makes it"
         ) from error
 
     async def run() -> int:

@@ -21,7 +21,9 @@ from m100link.aircraft.activation import ActivationProgress
 from m100link.aircraft.gimbal import angles_command, rates_command
 from m100link.aircraft.rates import rates_by_item
 from m100link.apps.cli.common import (
-    AppOptions,
+    AS_SET,
+    BY_LINK,
+    AircraftOptions,
     LinkOptions,
     Place,
     Url,
@@ -52,32 +54,18 @@ _PUSHES_S = 1.0  # in which an aircraft that tells of its mission has done so
 _Flight = Callable[[Control], Awaitable[object]]
 
 
-def takeoff(
-    url: Url = None,
-    /,
-    *,
-    app: AppOptions | None = None,
-    link: LinkOptions | None = None,
-    yes: Yes = False,
-) -> int:
+def takeoff(url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False) -> int:
     """Start the motors and climb to about 1.2 m; the aircraft hovers there.
 
     Args:
         url: Where the aircraft is.
         yes: Do not ask.
     """
-    place = (link or LinkOptions()).place(url, app)
+    place = options.place(url)
     return run_async(_fly(place, yes, "take off", lambda control: control.take_off(progress=_tell)))
 
 
-def land(
-    url: Url = None,
-    /,
-    *,
-    app: AppOptions | None = None,
-    link: LinkOptions | None = None,
-    yes: Yes = False,
-) -> int:
+def land(url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False) -> int:
     """Land in place and stop the motors.
 
     Nobody is asked, and whatever mission flies is stopped first. Ctrl-C ends the landing, and the
@@ -87,18 +75,11 @@ def land(
         url: Where the aircraft is.
         yes: Not needed: nobody is asked before a landing.
     """
-    place = (link or LinkOptions()).place(url, app)
+    place = options.place(url)
     return run_async(_come_down(place, True, "land", lambda control: control.land(progress=_tell)))
 
 
-def home(
-    url: Url = None,
-    /,
-    *,
-    app: AppOptions | None = None,
-    link: LinkOptions | None = None,
-    yes: Yes = False,
-) -> int:
+def home(url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False) -> int:
     """Fly to the home point and land there.
 
     Whatever mission flies is stopped first.
@@ -107,7 +88,7 @@ def home(
         url: Where the aircraft is.
         yes: Do not ask.
     """
-    place = (link or LinkOptions()).place(url, app)
+    place = options.place(url)
     return run_async(
         _come_down(place, yes, "go home", lambda control: control.go_home(progress=_tell))
     )
@@ -115,12 +96,9 @@ def home(
 
 def fly(
     *place: Annotated[
-        str,
-        Parameter(name=["[URL] NORTH EAST UP"], allow_leading_hyphen=True),
-        offered(places),
+        str, Parameter(name=["[URL] NORTH EAST UP"], allow_leading_hyphen=True), offered(places)
     ],
-    app: AppOptions | None = None,
-    link: LinkOptions | None = None,
+    options: AircraftOptions = AS_SET,
     max_height: Annotated[float, Above0] = 50.0,
     max_radius: Annotated[float, Above0] = 150.0,
     yes: Yes = False,
@@ -136,7 +114,7 @@ def fly(
     """
     has_place = bool(place) and not _is_number(place[0])
     north, east, up = _metres(place[1:] if has_place else place)
-    where = (link or LinkOptions()).place(place[0] if has_place else None, app)
+    where = options.place(place[0] if has_place else None)
     if where.is_virtual:
         err.print("sim:// is a new aircraft for each command, on the ground; `m100link sim` stays")
     envelope = Envelope(max_height_m=max_height, max_radius_m=max_radius)
@@ -184,15 +162,13 @@ def _metres(words: Sequence[str]) -> tuple[float, float, float]:
     return north, east, up
 
 
-def release(
-    url: Url = None, /, *, app: AppOptions | None = None, link: LinkOptions | None = None
-) -> int:
+def release(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> int:
     """Give control authority back; the aircraft hovers and the pilot flies on.
 
     Args:
         url: Where the aircraft is.
     """
-    place = (link or LinkOptions()).place(url, app)
+    place = options.place(url)
 
     async def run() -> None:
         credentials = place.credentials()
@@ -344,8 +320,7 @@ def gimbal(
     relative: bool = False,
     rates: bool = False,
     wait: bool = True,
-    app: AppOptions | None = None,
-    link: LinkOptions | None = None,
+    options: AircraftOptions = AS_SET,
     json: bool = False,
 ) -> int:
     """Point the gimbal, and show where it looks; without an angle it only shows that.
@@ -361,7 +336,7 @@ def gimbal(
         wait: Wait until telemetry shows the angles.
         json: One JSON object; the default in a pipe.
     """
-    place = (link or LinkOptions()).place(url, app)
+    place = options.place(url)
     named = {"yaw": yaw, "pitch": pitch, "roll": roll}
     angles = {axis: angle for axis, angle in named.items() if angle is not None}
     if rates and (relative or not angles):
@@ -416,8 +391,7 @@ def camera(
         Parameter(name=["[URL] photo|start-video|stop-video"]),
         offered(lambda: [*_CAMERA, *places()]),
     ],
-    app: AppOptions | None = None,
-    link: LinkOptions | None = None,
+    options: AircraftOptions = AS_SET,
     json: bool = False,
 ) -> int:
     """Take a photograph, start or stop video. It is sent; nobody confirms it.
@@ -432,7 +406,7 @@ def camera(
             _not_an_action(words),
             remedy=f"the aircraft, if it is named at all, then one of: {', '.join(_CAMERA)}",
         )
-    place, _ = (link or LinkOptions()).place_among(words, lambda word: word in _CAMERA, app)
+    place, _ = options.place_among(words, lambda word: word in _CAMERA)
     return run_async(_camera(place, actions[0], json or not sys.stdout.isatty()))
 
 
@@ -469,7 +443,7 @@ def rates(
         Parameter(name=["[URL] ITEM=HZ..."]),
         offered(lambda: [*(f"{name}=" for name in ITEM_NAMES), *places()]),
     ],
-    link: LinkOptions | None = None,
+    link: LinkOptions = BY_LINK,
     json: bool = False,
 ) -> int:
     """Set telemetry rates (firmware 3.1), and show how items arrive; without any only that.
@@ -479,7 +453,7 @@ def rates(
             attitude=50 battery=1. 0, 1, 10, 50 or 100 Hz.
         json: One JSON object; the default in a pipe.
     """
-    place, asked = (link or LinkOptions()).place_among(words, _is_rate)
+    place, asked = link.place_among(words, _is_rate)
     return run_async(_rates(place, _pairs(asked), json or not sys.stdout.isatty()))
 
 

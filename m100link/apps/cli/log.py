@@ -19,7 +19,7 @@ import cyclopts
 from cyclopts import Parameter
 
 from m100link.aircraft import Aircraft, connect
-from m100link.apps.cli.common import LinkOptions, Place, Url, err, out, run_async
+from m100link.apps.cli.common import BY_LINK, LinkOptions, Place, Url, err, out, run_async
 from m100link.apps.cli.display import items_named, reading, status
 from m100link.apps.cli.options import Above0, Firmware, offered
 from m100link.apps.cli.outcome import ExitCode, complain, print_json
@@ -420,7 +420,7 @@ def record(
     url: Url = None,
     /,
     *,
-    link: LinkOptions | None = None,
+    link: LinkOptions = BY_LINK,
     output: Annotated[Path, Parameter(name=("--output", "-o"))] = Path(),
     rate: float = 10.0,
     duration: Annotated[float | None, Above0] = None,
@@ -437,7 +437,7 @@ def record(
             package are recorded whatever it is.
         duration: Seconds until it ends by itself.
     """
-    return run_async(_record((link or LinkOptions()).place(url), output, rate, duration))
+    return run_async(_record(link.place(url), output, rate, duration))
 
 
 async def _record(place: Place, output: Path, rate: float, duration: float | None) -> int:
@@ -539,10 +539,7 @@ def _told(flight: FlightLog) -> Iterator[dict[str, Any]]:
 
 @app.command(name="recover")
 def recover_file(
-    file: Log,
-    /,
-    *,
-    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    file: Log, /, *, output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None
 ) -> int:
     """Write a whole file from one that was cut off or damaged; the old one stays as it is.
 

@@ -17,7 +17,7 @@ from rich.live import Live
 from rich.text import Text
 
 from m100link.aircraft import Aircraft, connect
-from m100link.apps.cli.common import AppOptions, LinkOptions, Place, Url, err, out, run_async
+from m100link.apps.cli.common import AS_SET, AircraftOptions, Place, Url, err, out, run_async
 from m100link.apps.cli.display import Point, track_plot
 from m100link.apps.cli.flight import activate_app, confirm, hear_of_mission, require_no_mission
 from m100link.apps.cli.options import Above0
@@ -64,8 +64,7 @@ def fly(
     /,
     *,
     file: FileOptions | None = None,
-    app: AppOptions | None = None,
-    link: LinkOptions | None = None,
+    options: AircraftOptions = AS_SET,
     take_off: Annotated[bool, Parameter(negative=())] = False,
     allow_far: Annotated[bool, Parameter(negative=())] = False,
     max_height: Annotated[float, Above0] = 50.0,
@@ -87,7 +86,7 @@ def fly(
         yes: Do not ask.
     """
     found = read_plan(plan, file)  # first: it tells of arguments that are exchanged
-    place = (link or LinkOptions()).place(url, app)
+    place = options.place(url)
     envelope = Envelope(max_height_m=max_height, max_radius_m=max_radius)
     check_envelope(envelope, found)  # before the aircraft is asked anything
     credentials = place.credentials()
@@ -317,15 +316,13 @@ async def _require_airborne(aircraft: Aircraft) -> None:
 
 
 @app.command
-def stop(
-    url: Url = None, /, *, app: AppOptions | None = None, link: LinkOptions | None = None
-) -> int:
+def stop(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> int:
     """Stop whatever mission flies, whoever started it; the aircraft hovers.
 
     Args:
         url: See `m100link mission --help`.
     """
-    place = (link or LinkOptions()).place(url, app)
+    place = options.place(url)
 
     async def flight(aircraft: Aircraft, control: Control) -> None:
         kind = await control.stop_mission()
@@ -335,15 +332,13 @@ def stop(
 
 
 @app.command
-def pause(
-    url: Url = None, /, *, app: AppOptions | None = None, link: LinkOptions | None = None
-) -> int:
+def pause(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> int:
     """Pause whatever mission flies; the aircraft hovers in it, and authority is kept.
 
     Args:
         url: See `m100link mission --help`.
     """
-    place = (link or LinkOptions()).place(url, app)
+    place = options.place(url)
 
     async def flight(aircraft: Aircraft, control: Control) -> None:
         kind = await control.pause_mission()
@@ -358,8 +353,7 @@ def resume(
     url: Url = None,
     /,
     *,
-    app: AppOptions | None = None,
-    link: LinkOptions | None = None,
+    options: AircraftOptions = AS_SET,
     yes: Annotated[bool, Parameter(name=["--yes", "-y"], negative=())] = False,
 ) -> int:
     """Let a mission that is paused go on, by itself; authority is kept.
@@ -368,7 +362,7 @@ def resume(
         url: See `m100link mission --help`.
         yes: Do not ask.
     """
-    place = (link or LinkOptions()).place(url, app)
+    place = options.place(url)
 
     async def flight(aircraft: Aircraft, control: Control) -> None:
         kind = await control.resume_mission()
@@ -384,8 +378,7 @@ def download(
     url: Url = None,
     /,
     *,
-    app: AppOptions | None = None,
-    link: LinkOptions | None = None,
+    options: AircraftOptions = AS_SET,
     output: Annotated[File, Parameter(name=["--output", "-o"])] = "-",
     force: Annotated[bool, Parameter(negative=())] = False,
 ) -> int:
@@ -397,7 +390,7 @@ def download(
             output, as JSON.
         force: Write over a file that is there.
     """
-    place = (link or LinkOptions()).place(url, app)
+    place = options.place(url)
     if output != "-":
         require_free(output, force=force)
 

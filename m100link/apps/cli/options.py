@@ -89,9 +89,7 @@ def options_of(
             if variable is not None:
                 text = f"{text.removesuffix('.')} ({variable})."
         parameter = Parameter(
-            name=(called or {}).get(name),
-            help=text,
-            env_var=None if is_layer else variable,
+            name=(called or {}).get(name), help=text, env_var=None if is_layer else variable
         )
         made.append((name, Annotated[kind, parameter], dataclasses.field(default=default)))
     return dataclasses.make_dataclass(f"{source.__name__}Options", made, frozen=True)

@@ -195,11 +195,7 @@ def _say(*lines: str) -> None:
 
 @app.command
 def show(
-    plan: File,
-    /,
-    *,
-    file: FileOptions | None = None,
-    reckoning: EstimateOptions | None = None,
+    plan: File, /, *, file: FileOptions | None = None, reckoning: EstimateOptions | None = None
 ) -> int:
     """Draw a plan: the way from above, its heights, and a table of its waypoints.
 

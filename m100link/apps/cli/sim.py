@@ -47,9 +47,7 @@ if TYPE_CHECKING:
 
 
 app = cyclopts.App(
-    name="sim",
-    help="A virtual Matrice 100, for people and other programs.",
-    version_flags=(),
+    name="sim", help="A virtual Matrice 100, for people and other programs.", version_flags=()
 )
 
 
@@ -123,9 +121,7 @@ class AssistantOptions(_OfTheAssistant):  # type: ignore[misc] # a class that is
     def settings(self, *, cold: bool) -> AssistantSettings:
         """As the aircraft takes them."""
         return AssistantSettings(
-            api_control_enabled=not cold,
-            baud_rate=self.baud_rate,
-            rates_hz=_read_rates(self.rate),
+            api_control_enabled=not cold, baud_rate=self.baud_rate, rates_hz=_read_rates(self.rate)
         )
 
 
@@ -498,12 +494,7 @@ class LiveView:
                 "velocity",
                 f"N {north:+.1f} E {east:+.1f} up {up:+.1f} m/s",
             ),
-            (
-                "control",
-                control,
-                "place",
-                f"N {state['north']:+.1f} E {state['east']:+.1f} m",
-            ),
+            ("control", control, "place", f"N {state['north']:+.1f} E {state['east']:+.1f} m"),
             (
                 "RC",
                 f"{state['rc_mode']}" + ("" if state["rc_is_on"] else ", off"),

@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from m100link.aircraft import Aircraft, connect
-from m100link.apps.cli.common import LinkOptions, Place, Url, err, out, places, run_async
+from m100link.apps.cli.common import BY_LINK, LinkOptions, Place, Url, err, out, places, run_async
 from m100link.apps.cli.display import items_named, line_plot, row
 from m100link.apps.cli.options import Above0, Counted, offered
 from m100link.apps.cli.outcome import ExitCode, complain, print_json
@@ -65,7 +65,7 @@ def echo(
     url: Url = None,
     /,
     *items: Annotated[str, offered(BY_NAME)],
-    link: LinkOptions | None = None,
+    link: LinkOptions = BY_LINK,
     rate: Annotated[float | None, Above0] = None,
     duration: Annotated[float | None, Above0] = None,
     count: Annotated[int | None, Counted] = None,
@@ -88,7 +88,6 @@ def echo(
     """
     if csv and json:
         return complain(UsageError("--csv and --json exclude each other"))
-    link = link or LinkOptions()
     place, names = link.place_among([url or "", *items], _is_item)
     return run_async(_echo(place, names, rate, duration, count, csv))
 
@@ -167,7 +166,7 @@ def hz(
     url: Url = None,
     /,
     *,
-    link: LinkOptions | None = None,
+    link: LinkOptions = BY_LINK,
     duration: Annotated[float, Above0] = 5.0,
     json: bool = False,
 ) -> int:
@@ -178,7 +177,6 @@ def hz(
         duration: Seconds to measure.
         json: One JSON object instead of the table; the default in a pipe.
     """
-    link = link or LinkOptions()
     return run_async(_hz(link.place(url), duration, json or not sys.stdout.isatty()))
 
 
@@ -263,7 +261,7 @@ def plot(
     ] = None,
     /,
     *fields: Annotated[str, offered(columns_of(BY_RECORD))],
-    link: LinkOptions | None = None,
+    link: LinkOptions = BY_LINK,
     duration: Annotated[float, Above0] = 10.0,
 ) -> int:
     """Plot columns over time: live from an aircraft, or of a recorded span.
@@ -283,7 +281,6 @@ def plot(
         wanted.append(column)
     if source is not None and source.endswith(".csv"):
         return _plot_file(Path(source), tuple(wanted))
-    link = link or LinkOptions()
     return run_async(_plot_live(link.place(source), tuple(wanted), duration))
 
 
@@ -390,7 +387,7 @@ def monitor(
     url: Url = None,
     /,
     *,
-    link: LinkOptions | None = None,
+    link: LinkOptions = BY_LINK,
     duration: Annotated[float | None, Above0] = None,
     json: bool = False,
 ) -> int:
@@ -404,7 +401,6 @@ def monitor(
         json: One JSON object per second instead of the table; the default in a pipe.
     """
     as_json = json or not sys.stdout.isatty()
-    link = link or LinkOptions()
     return run_async(_monitor(link.place(url), duration, as_json))
 
 
