@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("zenoh", reason="the extra fleet is not installed")
 
-from m100link.apps.cli.outcome import ExitCode
+from m100link.apps.cli.terminal import ExitCode
 from tests.attacks.fleet_show import ATTACKED, NAMES, STOOD_M, attacked, company
 
 pytestmark = [pytest.mark.anyio, pytest.mark.pty]

@@ -39,7 +39,7 @@ _REASONS: dict[str, tuple[str, ...]] = {
     ),
     "hands bytes on as they are, to readers that have targets": (
         "aircraft/replaying.py open_replay",
-        "cli/fleet_pki.py push",
+        "cli/fleet_setup.py push",
         "link/serial_transport.py SerialTransport._deliver",
         "link/tap.py TappedProtocol.data_received",
         "log/player.py Player._take",

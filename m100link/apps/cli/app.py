@@ -9,9 +9,14 @@ from cyclopts import App, CycloptsError, CycloptsPanel, UnusedCliTokensError
 
 import m100link
 from m100link.apps.cli import end_at_once
-from m100link.apps.cli.logs import logging_as_asked, show_warnings
-from m100link.apps.cli.outcome import ExitCode, complain
-from m100link.apps.cli.terminal import ReaderGone, speak_to_anybody
+from m100link.apps.cli.terminal import (
+    ExitCode,
+    ReaderGone,
+    complain,
+    logging_as_asked,
+    show_warnings,
+    speak_to_anybody,
+)
 from m100link.errors import M100Error, UsageError
 
 # Verb → where it is, and the first sentence of its help. A module is loaded when its verb is used,
@@ -22,24 +27,24 @@ VERBS = {
         "Fly the virtual aircraft over a real pseudo-terminal: a square, from take-off to landing.",
     ),
     "info": (
-        "aircraft:info",
+        "connection:info",
         "Show what is at the other end: version, firmware profile, telemetry items, line quality.",
     ),
     "link": (
-        "aircraft:link",
+        "connection:link",
         "Measure the line: damage and its causes, how long answers take, rates of telemetry.",
     ),
     "doctor": (
-        "doctor:doctor",
+        "connection:doctor",
         "Find out why the line is silent: stage by stage, the first that fails with its cause.",
     ),
-    "ports": ("doctor:ports", "List serial ports: adapter, who may open it, who has it open."),
+    "ports": ("connection:ports", "List serial ports: adapter, who may open it, who has it open."),
     "udev": (
-        "doctor:udev",
+        "connection:udev",
         "Print a udev rule for the adapter: a stable name, its group, no ModemManager, no delay.",
     ),
     "activate": (
-        "aircraft:activate",
+        "connection:activate",
         "Activate the aircraft for an app; waits while the aircraft asks DJI's server.",
     ),
     "monitor": (
@@ -106,7 +111,7 @@ VERBS = {
         "Decode frames from hex: one stream per argument, or per line of standard input.",
     ),
     "config": (
-        "settings:config",
+        "manual:config",
         "Show the configuration file: where it is, which aircraft it names, what is in force.",
     ),
     "completion": (

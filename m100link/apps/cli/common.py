@@ -14,9 +14,8 @@ from rich.console import Console
 
 from m100link import errors
 from m100link.apps.cli.configuration import read_configuration
-from m100link.apps.cli.logs import AS_IT_IS, LogOptions
 from m100link.apps.cli.options import Above0, Counted, offered, options_of
-from m100link.apps.cli.outcome import ExitCode, complain
+from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, complain
 from m100link.apps.station.config import ENVIRONMENT, Settings, resolve
 from m100link.apps.station.log_output import log_of
 from m100link.errors import UsageError

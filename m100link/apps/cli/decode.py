@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from m100link.apps.cli.options import Firmware
-from m100link.apps.cli.outcome import ExitCode, complain, print_json
+from m100link.apps.cli.terminal import ExitCode, complain, print_json
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.describing import Describer
 from m100link.protocol.firmware import FirmwareProfile, profile

@@ -30,8 +30,7 @@ from m100link.aircraft.activation import ActivationProgress
 from m100link.apps.agent.connect import by_driver, by_url
 from m100link.apps.cli.common import err, out
 from m100link.apps.cli.display import line_plot, track_plot
-from m100link.apps.cli.logs import AS_IT_IS, LogOptions
-from m100link.apps.cli.outcome import ExitCode, complain, print_json
+from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, complain, print_json
 from m100link.apps.station.config import RECORD_KEEP, RECORD_KEEP_MB
 from m100link.errors import M100Error, NotObserved
 from m100link.flight.control import Control

@@ -15,7 +15,7 @@ from typing import IO, Any
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from m100link.apps.cli.common import err
-from m100link.apps.cli.outcome import ExitCode
+from m100link.apps.cli.terminal import ExitCode
 from m100link.errors import UsageError
 from m100link.log import FlightLog, read
 from m100link.protocol.items import BY_NAME, BY_RECORD, ITEMS

@@ -1,4 +1,4 @@
-"""``m100link fleet``: many aircraft on many machines, by zenoh."""
+"""What verbs of a fleet share: which fleet, who asks, whose lease, what an order leaves behind."""
 
 from __future__ import annotations
 
@@ -10,22 +10,19 @@ import platform
 import sys
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import AbstractAsyncContextManager, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import cyclopts
 from cyclopts import Parameter
-from rich.table import Table
 
-from m100link.apps.cli.common import err, out, run_async
-from m100link.apps.cli.logs import AS_IT_IS, LogOptions
+from m100link.apps.cli.common import err, out
 from m100link.apps.cli.options import Above0
-from m100link.apps.cli.outcome import ExitCode, print_json
+from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, print_json
 from m100link.apps.fleet.asking import PATIENCE_S, Sign
 from m100link.apps.fleet.client import Fleet, FleetAircraft, connect
 from m100link.apps.fleet.keys import DEFAULT_SITE, check_name, in_order
-from m100link.apps.fleet.payloads import Card, Result
+from m100link.apps.fleet.payloads import Result
 from m100link.apps.fleet.signing import read_signer, signing, tls_options
 from m100link.errors import M100Error, OutcomeUnknown, UsageError
 from m100link.errors.texts import read_json
@@ -149,11 +146,6 @@ def borrowed(site: str, name: str) -> tuple[int, str]:
 
 # -- fleet -----------------------------------------------------------------------------------------
 
-app = cyclopts.App(
-    name="fleet",
-    help="Many aircraft on many machines: a router, agents on board, pilots, formations.",
-    version_flags=(),
-)
 ROUTER = "tcp/127.0.0.1:7447"
 
 Names = Annotated[str, Parameter(help="Names of aircraft.")]
@@ -217,71 +209,6 @@ class FleetOptions:
 NO_OPTIONS = FleetOptions()
 
 
-# -- who is there ---------------------------------------------------------------------------------
-
-
-@app.command(name="list")
-def list_(*, options: FleetOptions = NO_OPTIONS) -> int:
-    """List the aircraft that are there: where each stands, and who has control."""
-
-    async def run() -> None:
-        async with options.open() as fleet:
-            names, cards = await fleet.names(), await fleet.cards()
-        # An agent of an older release shows another token, and tells where it stands all the same.
-        names = in_order({*names, *cards})
-        if options.json_output:
-            for name in names:
-                print_json(asdict(cards[name]) if name in cards else {"name": name})
-            return
-        if not names:
-            err.print(f"no agent is there at site {options.site}")
-        else:
-            out.print(_table(names, cards))
-
-    return run_async(run())
-
-
-def _table(names: list[str], cards: dict[str, Card]) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for title in ("name", "link", "phase", "height", "battery", "flies", "control", "when lost"):
-        table.add_column(title)
-    for name in names:
-        card = cards.get(name)
-        if card is None:
-            table.add_row(name, "no answer")
-            continue
-        if card.fault is not None and not card.boot:
-            table.add_row(name, f"{card.connection}: {card.fault.seen}")
-            continue
-        height = "" if card.height_m is None else f"{card.height_m:.1f} m"
-        battery = "" if card.battery_percent is None else f"{card.battery_percent} %"
-        lost = f"{card.lost} after {card.lost_after:g} s"
-        row = (name, card.connection, card.phase, height, battery, card.task, card.holder, lost)
-        table.add_row(*row)
-    return table
-
-
-# -- what they are asked --------------------------------------------------------------------------
-
-_GOES_BACK = "control goes back, within 3 s at the latest: "
-_TAKE_OFF = Left(
-    f"{_GOES_BACK}what has left the ground hovers",
-    "m100link fleet list shows it, m100link fleet land {name} lands it",
-)
-_LANDING = Left(
-    "a landing that it has heard of goes on",
-    "m100link fleet list shows it, m100link fleet stop {name} ends it: it hovers",
-)
-_STOP = Left(
-    "it stops if it has heard of it",
-    "m100link fleet list shows it, m100link fleet stop {name} again",
-)
-_GOTO = Left(
-    f"{_GOES_BACK}it brakes and hovers",
-    "m100link fleet list shows it, m100link fleet land {name} lands it",
-)
-
-
 def wanted_names(names: tuple[str, ...], everybody: bool) -> list[str] | None:
     """The names, None for all that are there.
 
@@ -294,31 +221,6 @@ def wanted_names(names: tuple[str, ...], everybody: bool) -> list[str] | None:
             remedy="name them, or give --all",
         )
     return None if everybody else list(names)
-
-
-def _each(
-    names: tuple[str, ...],
-    everybody: bool,
-    options: FleetOptions,
-    do: Callable[[FleetAircraft], Awaitable[object]],
-    left: Left,
-) -> int:
-    wanted = wanted_names(names, everybody)
-    begun = Begun(do, left)
-
-    async def run() -> int:
-        async with options.open() as fleet:
-            try:
-                results = await fleet.each(begun, wanted)
-            except asyncio.CancelledError:
-                tell_results(begun.results, as_json=options.json_output)
-                raise
-        if not results:
-            err.print(f"no agent is there at site {options.site}")
-            return ExitCode.NO_LINK
-        return tell_results(results, as_json=options.json_output)
-
-    return run_async(run())
 
 
 def tell_results(results: dict[str, Result], *, as_json: bool) -> int:
@@ -343,66 +245,3 @@ def tell_results(results: dict[str, Result], *, as_json: bool) -> int:
         sys.stdout.flush()
         err.print(f"{len(results) - len(bad)} ok, {len(bad)} not", markup=False)
     return ExitCode.FAILED if bad else ExitCode.OK
-
-
-@app.command
-def takeoff(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
-    """Let aircraft take off, all at once; each hovers at about 1.2 m, and control goes back.
-
-    Args:
-        names: Which.
-        everybody: All of them.
-    """
-    return _each(names, everybody, options, FleetAircraft.take_off, _TAKE_OFF)
-
-
-@app.command
-def land(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
-    """Let aircraft land, all at once, whoever has control of them. Nobody is asked.
-
-    Args:
-        names: Which.
-        everybody: All of them.
-    """
-    return _each(names, everybody, options, FleetAircraft.land, _LANDING)
-
-
-@app.command
-def stop(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
-    """Stop whatever aircraft do, all at once, whoever has control: each hovers.
-
-    Args:
-        names: Which.
-        everybody: All of them.
-    """
-    return _each(names, everybody, options, FleetAircraft.stop, _STOP)
-
-
-@app.command
-def goto(
-    name: str,
-    latitude: Annotated[float, Parameter(allow_leading_hyphen=True)],
-    longitude: Annotated[float, Parameter(allow_leading_hyphen=True)],
-    height: Annotated[float, Above0],
-    /,
-    *,
-    speed: Annotated[float, Above0] = 5.0,
-    options: FleetOptions = NO_OPTIONS,
-) -> int:
-    """Let one fly straight to a place and hover there; the way is flown on board.
-
-    Args:
-        name: Which.
-        latitude: Degrees, WGS 84.
-        longitude: Degrees, WGS 84.
-        height: Metres above the take-off point.
-        speed: At most, m/s.
-    """
-
-    async def fly(aircraft: FleetAircraft) -> None:
-        async with aircraft.control() as control:
-            await control.fly_to(
-                latitude_deg=latitude, longitude_deg=longitude, height=height, speed=speed
-            )
-
-    return _each((name,), False, options, fly, _GOTO)

@@ -1,14 +1,198 @@
-"""All verbs of ``m100link fleet``, wherever they stand."""
+"""``m100link fleet``: who is there, orders to many at once, and the verbs of the other files."""
 
 from __future__ import annotations
 
-from m100link.apps.cli.fleet import app
-from m100link.apps.cli.fleet_agent import agent, console, router
-from m100link.apps.cli.fleet_mission import app as mission
-from m100link.apps.cli.fleet_pki import acl, pki
-from m100link.apps.cli.fleet_show import app as show
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import asdict
+from typing import Annotated
+
+import cyclopts
+from cyclopts import Parameter
+from rich.table import Table
+
+from m100link.apps.cli.common import err, out, run_async
+from m100link.apps.cli.fleet import (
+    NO_OPTIONS,
+    All,
+    Begun,
+    FleetOptions,
+    Left,
+    Names,
+    tell_results,
+    wanted_names,
+)
+from m100link.apps.cli.fleet_plans import missions, shows
+from m100link.apps.cli.fleet_setup import acl, agent, console, pki, router
 from m100link.apps.cli.fleet_watch import app as log
 from m100link.apps.cli.fleet_watch import lease, monitor, watch
+from m100link.apps.cli.options import Above0
+from m100link.apps.cli.terminal import ExitCode, print_json
+from m100link.apps.fleet.client import FleetAircraft
+from m100link.apps.fleet.keys import in_order
+from m100link.apps.fleet.payloads import Card
 
-for _verb in (router, agent, console, monitor, watch, lease, mission, log, show, pki, acl):
+app = cyclopts.App(
+    name="fleet",
+    help="Many aircraft on many machines: a router, agents on board, pilots, formations.",
+    version_flags=(),
+)
+
+
+# -- who is there ---------------------------------------------------------------------------------
+
+
+@app.command(name="list")
+def list_(*, options: FleetOptions = NO_OPTIONS) -> int:
+    """List the aircraft that are there: where each stands, and who has control."""
+
+    async def run() -> None:
+        async with options.open() as fleet:
+            names, cards = await fleet.names(), await fleet.cards()
+        # An agent of an older release shows another token, and tells where it stands all the same.
+        names = in_order({*names, *cards})
+        if options.json_output:
+            for name in names:
+                print_json(asdict(cards[name]) if name in cards else {"name": name})
+            return
+        if not names:
+            err.print(f"no agent is there at site {options.site}")
+        else:
+            out.print(_table(names, cards))
+
+    return run_async(run())
+
+
+def _table(names: list[str], cards: dict[str, Card]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for title in ("name", "link", "phase", "height", "battery", "flies", "control", "when lost"):
+        table.add_column(title)
+    for name in names:
+        card = cards.get(name)
+        if card is None:
+            table.add_row(name, "no answer")
+            continue
+        if card.fault is not None and not card.boot:
+            table.add_row(name, f"{card.connection}: {card.fault.seen}")
+            continue
+        height = "" if card.height_m is None else f"{card.height_m:.1f} m"
+        battery = "" if card.battery_percent is None else f"{card.battery_percent} %"
+        lost = f"{card.lost} after {card.lost_after:g} s"
+        row = (name, card.connection, card.phase, height, battery, card.task, card.holder, lost)
+        table.add_row(*row)
+    return table
+
+
+# -- what they are asked --------------------------------------------------------------------------
+
+_GOES_BACK = "control goes back, within 3 s at the latest: "
+_TAKE_OFF = Left(
+    f"{_GOES_BACK}what has left the ground hovers",
+    "m100link fleet list shows it, m100link fleet land {name} lands it",
+)
+_LANDING = Left(
+    "a landing that it has heard of goes on",
+    "m100link fleet list shows it, m100link fleet stop {name} ends it: it hovers",
+)
+_STOP = Left(
+    "it stops if it has heard of it",
+    "m100link fleet list shows it, m100link fleet stop {name} again",
+)
+_GOTO = Left(
+    f"{_GOES_BACK}it brakes and hovers",
+    "m100link fleet list shows it, m100link fleet land {name} lands it",
+)
+
+
+def _each(
+    names: tuple[str, ...],
+    everybody: bool,
+    options: FleetOptions,
+    do: Callable[[FleetAircraft], Awaitable[object]],
+    left: Left,
+) -> int:
+    wanted = wanted_names(names, everybody)
+    begun = Begun(do, left)
+
+    async def run() -> int:
+        async with options.open() as fleet:
+            try:
+                results = await fleet.each(begun, wanted)
+            except asyncio.CancelledError:
+                tell_results(begun.results, as_json=options.json_output)
+                raise
+        if not results:
+            err.print(f"no agent is there at site {options.site}")
+            return ExitCode.NO_LINK
+        return tell_results(results, as_json=options.json_output)
+
+    return run_async(run())
+
+
+@app.command
+def takeoff(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
+    """Let aircraft take off, all at once; each hovers at about 1.2 m, and control goes back.
+
+    Args:
+        names: Which.
+        everybody: All of them.
+    """
+    return _each(names, everybody, options, FleetAircraft.take_off, _TAKE_OFF)
+
+
+@app.command
+def land(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
+    """Let aircraft land, all at once, whoever has control of them. Nobody is asked.
+
+    Args:
+        names: Which.
+        everybody: All of them.
+    """
+    return _each(names, everybody, options, FleetAircraft.land, _LANDING)
+
+
+@app.command
+def stop(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
+    """Stop whatever aircraft do, all at once, whoever has control: each hovers.
+
+    Args:
+        names: Which.
+        everybody: All of them.
+    """
+    return _each(names, everybody, options, FleetAircraft.stop, _STOP)
+
+
+@app.command
+def goto(
+    name: str,
+    latitude: Annotated[float, Parameter(allow_leading_hyphen=True)],
+    longitude: Annotated[float, Parameter(allow_leading_hyphen=True)],
+    height: Annotated[float, Above0],
+    /,
+    *,
+    speed: Annotated[float, Above0] = 5.0,
+    options: FleetOptions = NO_OPTIONS,
+) -> int:
+    """Let one fly straight to a place and hover there; the way is flown on board.
+
+    Args:
+        name: Which.
+        latitude: Degrees, WGS 84.
+        longitude: Degrees, WGS 84.
+        height: Metres above the take-off point.
+        speed: At most, m/s.
+    """
+
+    async def fly(aircraft: FleetAircraft) -> None:
+        async with aircraft.control() as control:
+            await control.fly_to(
+                latitude_deg=latitude, longitude_deg=longitude, height=height, speed=speed
+            )
+
+    return _each((name,), False, options, fly, _GOTO)
+
+
+# -- in the order of their help --------------------------------------------------------------------
+
+for _verb in (router, agent, console, monitor, watch, lease, missions, log, shows, pki, acl):
     app.command(_verb)

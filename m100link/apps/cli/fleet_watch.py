@@ -29,8 +29,7 @@ from m100link.apps.cli.fleet import (
     wanted_names,
 )
 from m100link.apps.cli.options import Above0
-from m100link.apps.cli.outcome import ExitCode, print_json
-from m100link.apps.cli.terminal import ReaderGone
+from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json
 from m100link.apps.fleet.client import Fleet, FleetAircraft
 from m100link.apps.fleet.keys import Keys, in_order
 from m100link.apps.fleet.logs.fetching import Fetched

@@ -33,8 +33,7 @@ from m100link.apps.cli.common import (
     run_async,
 )
 from m100link.apps.cli.options import Above0, offered
-from m100link.apps.cli.outcome import print_json
-from m100link.apps.cli.terminal import read_line
+from m100link.apps.cli.terminal import print_json, read_line
 from m100link.errors import AckTimeout, MissionRefused, MissionRunning, NotObserved, UsageError
 from m100link.flight.control import Control
 from m100link.flight.guards import Envelope, Guards

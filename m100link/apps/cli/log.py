@@ -22,7 +22,7 @@ from m100link.aircraft import Aircraft, connect
 from m100link.apps.cli.common import BY_LINK, LinkOptions, Place, Url, err, out, run_async
 from m100link.apps.cli.display import items_named, reading, status
 from m100link.apps.cli.options import Above0, Firmware, offered
-from m100link.apps.cli.outcome import ExitCode, complain, print_json
+from m100link.apps.cli.terminal import ExitCode, complain, print_json
 from m100link.errors import LinkError, UsageError
 from m100link.link.keyfile import read_key
 from m100link.log import FlightLog, Recorder, read, recover

@@ -21,9 +21,8 @@ from m100link.apps.cli.common import AS_SET, AircraftOptions, Place, Url, err, o
 from m100link.apps.cli.display import Point, track_plot
 from m100link.apps.cli.flight import activate_app, confirm, hear_of_mission, require_no_mission
 from m100link.apps.cli.options import Above0
-from m100link.apps.cli.outcome import ExitCode, print_json
 from m100link.apps.cli.plan import File, FileOptions, read_plan, require_free
-from m100link.apps.cli.terminal import ReaderGone
+from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json
 from m100link.errors import UsageError
 from m100link.flight.control import Control
 from m100link.flight.guards import Envelope, Guards

@@ -12,7 +12,7 @@ import cyclopts
 from cyclopts import Parameter
 
 from m100link.apps.cli.options import Above0
-from m100link.apps.cli.outcome import ExitCode, print_json
+from m100link.apps.cli.terminal import ExitCode, print_json
 from m100link.errors import BadPlan, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.missions import files

@@ -21,9 +21,8 @@ from cyclopts import Parameter
 
 from m100link.apps.cli.common import Told, err, out, places, run_async
 from m100link.apps.cli.configuration import read_configuration
-from m100link.apps.cli.logs import AS_IT_IS, LogOptions
 from m100link.apps.cli.options import offered, options_of
-from m100link.apps.cli.outcome import ExitCode, print_json
+from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, print_json
 from m100link.apps.station.config import ENVIRONMENT, ONLY_NAME, Settings, namespace_of, resolve
 from m100link.apps.station.log_output import log_of, tell_elsewhere
 from m100link.errors import UsageError

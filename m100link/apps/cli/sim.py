@@ -22,9 +22,8 @@ from rich.table import Table
 from rich.text import Text
 
 from m100link.apps.cli.common import out
-from m100link.apps.cli.logs import AS_IT_IS, LogOptions
 from m100link.apps.cli.options import Above0, Firmware, options_of
-from m100link.apps.cli.outcome import print_json
+from m100link.apps.cli.terminal import AS_IT_IS, LogOptions, print_json
 from m100link.errors import UsageError
 from m100link.link.keyfile import read_key
 from m100link.sim.clock import loop_factory

@@ -20,7 +20,7 @@ from m100link.aircraft import Aircraft, connect
 from m100link.apps.cli.common import BY_LINK, LinkOptions, Place, Url, err, out, places, run_async
 from m100link.apps.cli.display import items_named, line_plot, row
 from m100link.apps.cli.options import Above0, Counted, offered
-from m100link.apps.cli.outcome import ExitCode, complain, print_json
+from m100link.apps.cli.terminal import ExitCode, complain, print_json
 from m100link.errors import UsageError
 from m100link.protocol.items import BY_NAME, BY_RECORD
 from m100link.protocol.records import (

@@ -12,10 +12,20 @@ from __future__ import annotations
 import codecs
 import contextlib
 import io
+import json
+import logging
+import math
 import os
 import sys
-from collections.abc import Iterator
-from typing import TextIO, cast
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, TextIO, cast
+
+from cyclopts import Parameter
+
+from m100link import errors
+from m100link.errors import UsageError
 
 _LOOK_S = 0.2
 
@@ -160,3 +170,167 @@ async def read_line() -> str:
         return line.result().decode(errors="replace").strip()
     finally:
         loop.remove_reader(descriptor)
+
+
+# -- how a command ends and what it prints for programs; loads neither an aircraft nor a consol ----
+
+
+_TYPED = {
+    "await control.take_off() first; a waypoint mission takes take_off=True": "m100link takeoff "
+    "first; or --take-off",
+    "await control.take_off()": "m100link takeoff",
+    "asyncio.Runner(loop_factory=m100link.sim.loop_factory(SPEED)), ": "leave the speed out; ",
+    "infinity for max; or m100link.sync, which makes its own; or ": "an aircraft with one is ",
+    "connect(..., firmware='3.1')": "--firmware 3.1",
+    "control(guards=Guards(envelope=Envelope(max_height_m=…)))": "--max-height",
+    "control(guards=Guards(envelope=Envelope(max_radius_m=…)))": "--max-radius",
+    "fly slower, or control(guards=Guards(envelope=Envelope(max_speed_m_s=…)))": "fly slower",
+    "close what is open, or fly without one: control(guardian=False)": "close other programs",
+    "docs: howto/silent-line": "m100link docs silent-line",
+}
+"""What remedies ask a program to do, and what a person types for it."""
+
+
+class ExitCode:
+    """Exit status classes."""
+
+    OK = 0
+    FAILED = 1
+    USAGE = 2
+    PORT = 3
+    NO_LINK = 4
+    ACTIVATION = 5
+    AUTHORITY = 6
+    REFUSED = 7
+    TIMEOUT = 8
+    INTERRUPTED = 130
+
+
+# The first class that fits decides, so subclasses stand before their bases.
+_EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
+    (errors.UsageError, ExitCode.USAGE),
+    (errors.NoAircraft, ExitCode.NO_LINK),
+    (errors.LinkLost, ExitCode.NO_LINK),
+    (errors.LineBlocked, ExitCode.NO_LINK),
+    (errors.LinkError, ExitCode.PORT),
+    (errors.ActivationRefused, ExitCode.ACTIVATION),
+    (errors.NotActivated, ExitCode.ACTIVATION),
+    (errors.LevelTooLow, ExitCode.ACTIVATION),
+    (errors.KeyRejected, ExitCode.ACTIVATION),
+    (errors.AuthorityRefused, ExitCode.AUTHORITY),
+    (errors.AuthorityError, ExitCode.AUTHORITY),
+    (errors.GuardRefused, ExitCode.REFUSED),
+    (errors.CommandRefused, ExitCode.REFUSED),
+    (TimeoutError, ExitCode.TIMEOUT),
+    (errors.M100Error, ExitCode.FAILED),
+)
+
+
+def exit_code(error: BaseException) -> int:
+    """The exit status for an error."""
+    return next((code for kind, code in _EXIT_CODES if isinstance(error, kind)), ExitCode.FAILED)
+
+
+def complain(error: BaseException) -> int:
+    """Tell an error on standard error; returns the exit status for it."""
+    # The console takes longer to load than a frame to decode.
+    from rich.console import Console
+
+    err = Console(stderr=True, highlight=False)
+    err.print("[bold red]error:[/] ", end="")
+    text = str(error)
+    for written, typed in _TYPED.items():
+        text = text.replace(written, typed)
+    if isinstance(error, errors.M100Error):
+        text += f"\n  code:         {error.error_code}"
+    err.print(text, markup=False)
+    return exit_code(error)
+
+
+def print_json(value: Any) -> None:
+    """One JSON object on one line of standard output."""
+    sys.stdout.write(json.dumps(finite(value), allow_nan=False, default=str) + "\n")
+    sys.stdout.flush()
+
+
+def finite(value: Any) -> Any:
+    """JSON has no NaN and no infinity: they become their names."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else str(value)
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    return value
+
+
+# -- what is logged on standard error, and the options that say it ---------------------------------
+
+
+@Parameter(name="*", group="Log")
+@dataclass(frozen=True)
+class LogOptions:
+    """What is logged on standard error.
+
+    Attributes:
+        log_level: Lowest level that is shown (M100LINK_LOG): warning by default; debug has every
+            frame, cut short. No key, no token and no app id is in it.
+        log_json: One JSON object per line: time, level, logger, message, aircraft.
+    """
+
+    log_level: Literal["debug", "info", "warning", "error"] | None = None
+    log_json: Annotated[bool, Parameter(negative=())] = False
+
+
+AS_IT_IS = LogOptions()
+"""Nothing was asked for."""
+
+
+class _ToStandardError(logging.StreamHandler[TextIO]):
+    """To what standard error is now: a live display takes it over, and writes above itself."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.stream = sys.stderr  # the one before is flushed by each line, and may be closed
+        super().emit(record)
+
+
+def _level() -> str:
+    """The level that the environment asks for."""
+    level = os.environ.get("M100LINK_LOG", "WARNING").upper()
+    if level not in logging.getLevelNamesMapping():
+        raise UsageError(
+            f"M100LINK_LOG is {level!r}", remedy="set it to DEBUG, INFO, WARNING or ERROR"
+        )
+    return level
+
+
+def show_warnings() -> None:
+    """Warnings of the library go to standard error, like everything that is not data.
+
+    Raises:
+        UsageError: The environment names a level that does not exist.
+    """
+    handler = _ToStandardError()
+    handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
+    logger = logging.getLogger("m100link")
+    logger.addHandler(handler)
+    logger.setLevel(_level())
+
+
+@contextmanager
+def logging_as_asked(arguments: Iterable[Any]) -> Iterator[None]:
+    """Log as the options of a verb say while the block runs; without them it stays as it is.
+
+    The options are one of the verb's arguments, or the attribute ``log`` of one, or of how a
+    station is run.
+    """
+    runs = (getattr(argument, "run", argument) for argument in arguments)
+    found = (getattr(run, "log", run) for run in runs)
+    asked = next((one for one in found if isinstance(one, LogOptions)), AS_IT_IS)
+    if asked == AS_IT_IS:
+        yield
+        return
+    from m100link.apps.station.log_output import LogOutput, writing_log
+
+    with writing_log(LogOutput(asked.log_level or _level().lower(), asked.log_json)):
+        yield

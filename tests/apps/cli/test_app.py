@@ -11,7 +11,7 @@ import pytest
 
 import m100link
 from m100link.apps.cli.app import VERBS, app, application
-from m100link.apps.cli.outcome import ExitCode
+from m100link.apps.cli.terminal import ExitCode
 from tests.apps.cli.conftest import CommandLine
 from tests.waiting import PATIENCE
 

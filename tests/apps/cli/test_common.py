@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import serial
 
-from m100link.apps.cli.outcome import ExitCode
+from m100link.apps.cli.terminal import ExitCode
 from m100link.testing import VirtualPort
 from m100link.wire import encode_frame
 from tests.apps.cli.conftest import CommandLine

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("cyclopts")
 from m100link.apps.cli.configuration import configuration_path, read_configuration
-from m100link.apps.cli.outcome import ExitCode
+from m100link.apps.cli.terminal import ExitCode
 from m100link.errors import BadURL, UsageError
 from m100link.sim.vehicle.activation import DEMO_APP_ID
 from tests.apps.cli.conftest import CommandLine

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import csv
+import errno
+import json
+import re
 import signal
 import subprocess
 import sys
@@ -11,9 +14,11 @@ from pathlib import Path
 import pytest
 
 from m100link import Aircraft
-from m100link.apps.cli.outcome import ExitCode
-from m100link.errors import LinkError, LinkLost
+from m100link.apps.cli.log import new_file
+from m100link.apps.cli.terminal import ExitCode
+from m100link.errors import LinkError, LinkLost, UsageError
 from m100link.log import read, recorder
+from m100link.sim.vehicle.activation import DEMO_KEY
 from tests.apps.cli.conftest import ROOT, CommandLine
 from tests.waiting import PATIENCE
 
@@ -146,3 +151,200 @@ def test_each_verb_says_what_a_damaged_log_lacks_and_ends_with_1(
     shown = cli("log", "compare", str(flight), str(bad))
     assert shown.status == ExitCode.FAILED
     assert f"{lost} messages are missing" in " ".join(shown.err.split())
+
+
+# -- ``m100link log ros2`` and ``layout`` as people type them --------------------------------------
+
+
+def test_a_log_becomes_a_bag_beside_it(cli: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    cli("record", "sim://", "-o", str(path), "--duration", "0.5")
+    before = path.read_bytes()
+    outcome = cli("log", "ros2", str(path))
+    assert outcome.status == ExitCode.OK
+    assert (tmp_path / "flight-ros2.mcap").read_bytes()[8:100].find(b"ros2") > 0
+    assert path.read_bytes() == before
+    again = cli("log", "ros2", str(path))
+    assert again.status == ExitCode.USAGE
+    assert "is there already" in again.err
+    itself = cli("log", "ros2", str(path), "-o", str(path))
+    assert itself.status == ExitCode.USAGE
+    assert path.read_bytes() == before
+
+
+def test_a_layout_is_json_in_a_pipe_or_a_file(cli: CommandLine, tmp_path: Path) -> None:
+    target = tmp_path / "layout.json"
+    assert cli("log", "layout", "-o", str(target)).status == ExitCode.OK
+    assert json.loads(cli("log", "layout").out) == json.loads(target.read_text("utf-8"))
+    assert cli("log", "layout", "-o", str(target)).status == ExitCode.USAGE
+
+
+# -- ``m100link log frames`` and ``compare`` as people type them -----------------------------------
+
+
+def test_frames_are_json_in_a_pipe_and_lines_for_people(cli: CommandLine, flight: Path) -> None:
+    frames = cli("log", "frames", str(flight)).objects
+    assert [one["command"] for one in frames][:2] == ["get_version", "get_version"]
+    assert frames[1]["version"].startswith("SDK-v1.0")
+    lines = cli("log", "frames", str(flight), "--table").out.splitlines()
+    assert len(lines) == len(frames)
+    assert " rx " in lines[1]
+    assert "ack" in lines[1]
+
+
+def test_the_head_of_many_frames_ends_without_a_word(flight: Path) -> None:
+    command = f"{sys.executable} -m m100link log frames {flight} | head -n 2"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert len(done.stdout.splitlines()) == 2
+    assert all(json.loads(line) for line in done.stdout.splitlines())
+    assert done.stderr == ""
+
+
+def test_a_key_that_others_can_read_is_not_used(
+    cli: CommandLine, flight: Path, tmp_path: Path
+) -> None:
+    key = tmp_path / "key"
+    key.write_bytes(DEMO_KEY.reveal())
+    key.chmod(0o644)
+    outcome = cli("log", "frames", str(flight), "--key-file", str(key))
+    assert outcome.status == ExitCode.USAGE
+    assert "can be read by others" in " ".join(outcome.err.split())
+    key.chmod(0o600)
+    assert cli("log", "frames", str(flight), "--key-file", str(key)).status == ExitCode.OK
+
+
+def test_a_flight_does_not_differ_from_itself(cli: CommandLine, flight: Path) -> None:
+    [found] = cli("log", "compare", str(flight), str(flight), "--json").objects
+    assert {one["by"] for one in found["values"]} <= {0, None}
+    assert found["commands"] == found["alarms"] == []
+    text = cli("log", "compare", str(flight), str(flight)).out
+    assert "commands: the same" in text
+
+
+# -- ``m100link log plot`` as people type it -------------------------------------------------------
+
+
+def test_a_page_is_made_beside_the_log(cli: CommandLine, flight: Path) -> None:
+    outcome = cli("log", "plot", str(flight))
+    assert outcome.status == ExitCode.OK
+    assert outcome.err == ""
+    assert "flight.mcap</h1>" in flight.with_suffix(".html").read_text("utf-8")
+
+
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left"), KeyboardInterrupt()])
+def test_half_of_a_file_is_not_left_behind(tmp_path: Path, error: BaseException) -> None:
+    target = tmp_path / "half"
+    with pytest.raises((UsageError, KeyboardInterrupt)):
+        break_off(target, error)
+    assert not target.exists()
+
+
+def break_off(target: Path, error: BaseException) -> None:
+    with new_file(target) as stream:
+        stream.write(b"half")
+        raise error
+
+
+def test_what_cannot_be_is_told_and_nothing_is_written(
+    cli: CommandLine, flight: Path, tmp_path: Path
+) -> None:
+    there = tmp_path / "there.html"
+    there.write_text("mine", encoding="utf-8")
+    junk = tmp_path / "junk.mcap"
+    junk.write_bytes(b"no log")
+    for words, why in (
+        ((str(flight), "-o", str(tmp_path / "x.svg")), "neither a page nor a picture"),
+        ((str(flight), "-o", str(there)), "is there already"),
+        ((str(flight), "-o", str(tmp_path / "no/where.html")), "cannot be written"),
+        ((str(junk),), "is not a flight log"),
+        ((str(tmp_path / "none.mcap"),), "No such file"),
+    ):
+        outcome = cli("log", "plot", *words)
+        assert outcome.status == ExitCode.USAGE, words
+        assert why in " ".join(outcome.err.split()), words
+    assert there.read_text("utf-8") == "mine"
+    assert sorted(path.name for path in tmp_path.glob("*.html")) == ["there.html"]
+
+
+# -- ``m100link log csv`` and ``parquet`` as people type them, and the recipes of the manual -------
+
+
+MANUAL = Path(__file__).parents[3] / "docs/howto/flight-logs.md"
+
+
+def test_parquet_holds_what_csv_holds(cli: CommandLine, flight: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet", reason="the extra `analysis` is not there")
+    outcome = cli("log", "parquet", str(flight), "position")
+    assert outcome.status == ExitCode.OK
+    table = parquet.read_table(flight.with_suffix(".parquet"))
+    rows = list(csv.DictReader(cli("log", "csv", str(flight), "position").out.splitlines()))
+    assert table.column_names == list(rows[0])
+    assert table.num_rows == len(rows)
+    assert f"{len(rows)} rows in" in outcome.out
+
+
+def test_a_file_that_is_there_stays(cli: CommandLine, flight: Path) -> None:
+    there = flight.with_suffix(".parquet")
+    there.write_bytes(b"mine")
+    outcome = cli("log", "parquet", str(flight))
+    assert outcome.status == ExitCode.USAGE
+    assert "is there already" in outcome.err
+    assert there.read_bytes() == b"mine"
+
+
+def test_half_of_a_table_is_not_left_behind(cli: CommandLine, tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow", reason="the extra `analysis` is not installed")
+    junk = tmp_path / "junk.mcap"
+    junk.write_bytes(b"\x89MCAP0\r\n")  # no firmware is known
+    for verb in ("parquet", "csv"):
+        target = tmp_path / f"table.{verb}"
+        outcome = cli("log", verb, str(junk), "-o", str(target))
+        assert outcome.status == ExitCode.USAGE
+        assert "firmware" in outcome.err
+        assert not target.exists()
+
+
+@pytest.mark.parametrize("library", ["pandas", "polars", "numpy"])
+def test_the_recipes_of_the_manual_run(
+    library: str, flight: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip(library, reason="only the recipe needs it")
+    blocks = re.findall(r"```python\n(.*?)```", MANUAL.read_text("utf-8"), re.DOTALL)
+    recipes = [block for block in blocks if f"import {library}\n" in block]
+    assert recipes
+    monkeypatch.chdir(flight.parent)
+    for recipe in recipes:
+        exec(compile(recipe, str(MANUAL), "exec"), {})
+
+
+# -- ``m100link log wireshark`` as people type it --------------------------------------------------
+
+
+def test_a_log_becomes_packets(cli: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "flight.mcap"
+    cli("record", "sim://", "-o", str(path), "--duration", "0.5")
+    outcome = cli("log", "wireshark", str(path))
+    assert outcome.status == ExitCode.OK
+    assert path.with_suffix(".pcapng").read_bytes().startswith(b"\x0a\x0d\x0d\x0a")
+    again = cli("log", "wireshark", str(path))
+    assert again.status == ExitCode.USAGE
+    assert "is there already" in again.err
+
+
+def test_the_plugin_goes_where_wireshark_looks_for_it(
+    cli: CommandLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for _ in range(2):  # a newer one replaces it
+        assert cli("log", "wireshark", "--install").status == ExitCode.OK
+    installed = tmp_path / ".local/lib/wireshark/plugins/m100.lua"
+    plugin = tmp_path / "elsewhere.lua"
+    assert cli("log", "wireshark", "--plugin", str(plugin)).status == ExitCode.OK
+    assert plugin.read_text("utf-8") == installed.read_text("utf-8")
+    assert "waypoint_point" in plugin.read_text("utf-8")
+
+
+def test_nothing_at_all_is_asked_about(cli: CommandLine) -> None:
+    outcome = cli("log", "wireshark")
+    assert outcome.status == ExitCode.USAGE
+    assert "--install" in outcome.err

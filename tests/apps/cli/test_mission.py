@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from m100link import Stay, Waypoint, WaypointPlan
-from m100link.apps.cli.outcome import ExitCode
+from m100link.apps.cli.terminal import ExitCode
 from m100link.geodesy import LocalFrame
 from m100link.link.gate import GUARDIAN_NAME
 from m100link.sim.vehicle.settings import AircraftSettings

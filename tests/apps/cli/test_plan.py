@@ -23,7 +23,7 @@ from m100link import (
     WaypointPlan,
 )
 from m100link.apps.cli.common import out
-from m100link.apps.cli.outcome import ExitCode
+from m100link.apps.cli.terminal import ExitCode
 from tests.apps.cli.conftest import ROOT, CommandLine
 from tests.waiting import PATIENCE
 

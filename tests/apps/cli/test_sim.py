@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import pty
@@ -17,13 +18,16 @@ from typing import Any
 import pytest
 import serial
 from cyclopts import CycloptsError
+from rich.console import Console
 
 from m100link.apps.cli.app import app
+from m100link.apps.cli.sim import KEYS, LiveView, read_keys
 from m100link.errors import M100Error
+from m100link.protocol.commands.waypoint import WaypointPauseResume
+from m100link.sim import VirtualAircraft
 from m100link.wire import FrameDecoder, encode_frame
+from tests.sim.vehicle.missions.flights import begin, host, point
 from tests.waiting import PATIENCE, blocking_until
-
-pytestmark = pytest.mark.pty
 
 KEY = "5837313ef98f1f7f1c50eebb0b06363d523a369289e042c4d00b66d8e49337a7"
 
@@ -93,6 +97,7 @@ def version_of(port: Any) -> bytes:
     raise AssertionError("no version")
 
 
+@pytest.mark.pty
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_one_line_of_json_once_it_answers_and_a_clean_end(
     start: Any, tmp_path: Path, number: int
@@ -112,6 +117,7 @@ def test_one_line_of_json_once_it_answers_and_a_clean_end(
     assert not Path(hello["control_socket"]).exists()
 
 
+@pytest.mark.pty
 @pytest.mark.parametrize(
     ("option", "least", "most"), [("--pace", 0, 960), ("--no-pace", 5000, 2**30)]
 )
@@ -129,6 +135,7 @@ def test_bytes_take_their_time_unless_told_otherwise(
     assert count >= least
 
 
+@pytest.mark.pty
 def test_orders_from_another_shell(start: Any) -> None:
     simulator = start("--seed", "2")
     answer = simulator.ctl("rc-mode", "P")
@@ -140,6 +147,7 @@ def test_orders_from_another_shell(start: Any) -> None:
     assert "rc-mode P|A|F" in simulator.ctl().stdout
 
 
+@pytest.mark.pty
 def test_tcp_many_and_scenario(start: Any, tmp_path: Path) -> None:
     file = tmp_path / "scenario.toml"
     file.write_text('[[step]]\nat = 0.2\ndo = "gps 1"\n')
@@ -156,6 +164,7 @@ def test_tcp_many_and_scenario(start: Any, tmp_path: Path) -> None:
     blocking_until(lambda: json.loads(simulator.ctl("status").stdout)["gps_health"] == 1)
 
 
+@pytest.mark.pty
 def test_it_starts_activated_for_a_program_that_does_not_activate(start: Any) -> None:
     simulator = start("--tcp", "0", "--activated")
     url = simulator.hello["port"].replace("tcp://", "socket://")
@@ -163,11 +172,13 @@ def test_it_starts_activated_for_a_program_that_does_not_activate(start: Any) ->
         assert version_of(port)[:2] == b"\0\0"
 
 
+@pytest.mark.pty
 def test_it_ends_by_itself_after_its_time(start: Any) -> None:
     simulator = start("--duration", "2")
     assert simulator.process.wait(timeout=PATIENCE) == 0
 
 
+@pytest.mark.pty
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -200,6 +211,7 @@ def test_wrong_arguments_end_with_a_sentence_and_no_traceback(
     assert capfd.readouterr().out == ""
 
 
+@pytest.mark.pty
 def test_on_a_terminal_it_is_shown_live_and_has_keys(tmp_path: Path) -> None:
     environment = os.environ | {"XDG_RUNTIME_DIR": str(tmp_path), "TERM": "xterm", "COLUMNS": "120"}
     child, master = pty.fork()
@@ -223,3 +235,58 @@ def test_on_a_terminal_it_is_shown_live_and_has_keys(tmp_path: Path) -> None:
     _, status = os.waitpid(child, 0)
     assert os.waitstatus_to_exitcode(status) == 0
     assert not keys
+
+
+# -- the live view of the simulator: keys and pictures, without a terminal -------------------------
+
+
+def shown(view: LiveView) -> str:
+    console = Console(width=200, file=io.StringIO())
+    with console.capture() as captured:
+        console.print(view.render())
+    return captured.get()
+
+
+def test_arrows_and_letters_are_told_apart_in_one_read() -> None:
+    assert read_keys(b"p\x1b[A\x1b[DX ") == ["p", "UP", "LEFT", "X", " "]
+    assert read_keys(b"") == []
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_every_key_is_an_order_that_exists(key: str) -> None:
+    aircraft = VirtualAircraft(seed=1)
+    view = LiveView(aircraft, ["/dev/pts/9"])
+    view.press(key)
+    assert f"> {KEYS[key][0]}" in shown(view)
+
+
+def test_a_key_does_what_it_says_and_is_shown() -> None:
+    aircraft = VirtualAircraft(seed=7)
+    view = LiveView(aircraft, ["/dev/pts/9"])
+    view.press("p")
+    text = shown(view)
+    for part in ("/dev/pts/9", "seed 7", "> rc-mode P", "the mode switch is not in F"):
+        assert part in text
+
+
+def test_a_mission_is_shown_and_how_it_ended() -> None:
+    program = host()
+    view = LiveView(program.aircraft, [])
+    assert "mission" not in shown(view)
+    begin(program, [point(0, 0, 0, 10), point(1, 30, 0, 10)])
+    program.wait(12.0)
+    for part in ("waypoint: flies", "1 of 0 to 1", "waypoint 0 reached"):
+        assert part in shown(view)
+    program.ask(WaypointPauseResume(0))
+    assert "waypoint: paused" in shown(view)
+    program.aircraft.leave_f()
+    program.wait(0.1)
+    assert "last mission" in shown(view)
+    assert "waypoint: broken off: the remote controller is not in F position" in shown(view)
+
+
+def test_any_other_key_does_nothing() -> None:
+    view = LiveView(VirtualAircraft(seed=1), [])
+    before = shown(view)
+    view.press("?")
+    assert shown(view) == before

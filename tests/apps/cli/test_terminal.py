@@ -2,21 +2,35 @@
 
 from __future__ import annotations
 
+import ast
 import asyncio
 import io
+import json
+import logging
 import os
 import re
 import signal
+import struct
 import subprocess
 import sys
 import threading
 
 import pytest
 
-from m100link.apps.cli.outcome import ExitCode
-from m100link.apps.cli.terminal import ReaderGone, read_line, speak_to_anybody
-from tests.apps.cli.conftest import ROOT, Simulator
+from m100link import errors
+from m100link.apps.cli.terminal import (
+    _TYPED,
+    ExitCode,
+    ReaderGone,
+    complain,
+    exit_code,
+    print_json,
+    read_line,
+    speak_to_anybody,
+)
+from tests.apps.cli.conftest import ROOT, CommandLine, Simulator
 from tests.apps.cli.terminal import terminal
+from tests.test_house import MODULES, programs, tree
 from tests.waiting import PATIENCE
 
 ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii"}
@@ -217,3 +231,160 @@ def test_ctrl_c_that_interrupts_no_wait_ends_a_question_all_the_same(
         with pytest.raises(KeyboardInterrupt):
             asyncio.run(ask())
     striking.join()
+
+
+# -- how a command ends: its exit status by what went wrong, and JSON that every reader takes ------
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (errors.UsageError("x"), 2),
+        (errors.BadURL("x"), 2),
+        (errors.BadKey("x"), 2),
+        (errors.PortNotFound("x"), 3),
+        (errors.PortPermissionDenied("x"), 3),
+        (errors.PortBusy("x"), 3),
+        (errors.PortFailed("x"), 3),
+        (errors.SilentLine("x"), 4),
+        (errors.NoValidFrame("x"), 4),
+        (errors.NoAnswer("x"), 4),
+        (errors.LinkLost("x"), 4),
+        (errors.ActivationRefused("x"), 5),
+        (errors.NotActivated("x"), 5),
+        (errors.LevelTooLow("x"), 5),
+        (errors.KeyRejected("x"), 5),
+        (errors.AuthorityRefused("x"), 6),
+        (errors.AuthorityLost("x"), 6),
+        (errors.NoAuthority("x"), 6),
+        (errors.TaskRefused("x"), 7),
+        (errors.TaskFailed("x"), 7),
+        (errors.GuardRefused("x"), 7),
+        (errors.CommandNotSupported("x"), 7),
+        (errors.AckTimeout("x"), 8),
+        (errors.NotObserved("x"), 8),
+        (errors.TelemetryStalled("x"), 8),
+        (errors.BadAck("x"), 1),
+        (errors.TelemetryOverflow("x"), 1),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, Exception) else "",
+)
+def test_each_class_of_error_has_its_exit_status(error: Exception, status: int) -> None:
+    """2 usage, 3 port, 4 no link, 5 activation, 6 authority, 7 refused, 8 time, 1 the rest."""
+    assert exit_code(error) == status
+
+
+def test_an_error_is_told_on_standard_error_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    assert complain(errors.BadURL("[bold]x[/]", remedy="write y")) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err == "error: [bold]x[/]\n  what to do:   write y\n  code:         M100-BAD-URL\n"
+
+
+def test_a_remedy_for_programs_is_told_as_what_is_typed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    complain(errors.UsageError("x", remedy="take off first: await control.take_off()"))
+    assert "take off first: m100link takeoff\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("written", _TYPED)
+def test_what_is_told_otherwise_is_what_the_library_says(written: str) -> None:
+    sources = "".join(path.read_text() for path in programs("m100link") if "cli" not in path.parts)
+    assert written in sources
+
+
+def test_json_has_no_number_that_json_does_not_know(capsys: pytest.CaptureFixture[str]) -> None:
+    print_json({"a": float("nan"), "b": [float("-inf"), 1.5], "c": {"d": (float("inf"),)}})
+    told = json.loads(capsys.readouterr().out)
+    assert told == {"a": "nan", "b": ["-inf", 1.5], "c": {"d": ["inf"]}}
+
+
+# -- --log-level and --log-json, and that no secret is in what they show ---------------------------
+
+
+APP_ID = 3_141_592_653
+KEY = "c0ffee5a" * 8
+BUNDLE_ID = "org.example.secret"
+
+
+@pytest.fixture
+def secretive(cli: CommandLine, monkeypatch: pytest.MonkeyPatch) -> CommandLine:
+    """A command line with an app of its own."""
+    monkeypatch.setenv("M100LINK_APP_ID", str(APP_ID))
+    monkeypatch.setenv("M100LINK_KEY", KEY)
+    return cli
+
+
+def find_secrets(text: str) -> list[str]:
+    """The secrets that a text has, however they are written."""
+    raw = bytes.fromhex(KEY)
+    secrets = {
+        "app id": [str(APP_ID), f"{APP_ID:x}", struct.pack("<I", APP_ID).hex(), repr(APP_ID)],
+        "key": [KEY[:8], repr(raw)[2:8], str(list(raw[:3]))[1:-1]],
+        "bundle id": [BUNDLE_ID, BUNDLE_ID[:5].encode().hex()],
+    }
+    return [name for name, ways in secrets.items() for way in ways if way in text.lower()]
+
+
+def test_secrets_would_be_found() -> None:
+    assert find_secrets(f"x{APP_ID}x") == ["app id", "app id"]
+    assert find_secrets("4DE640BB".lower()) == ["app id"]
+    assert find_secrets(KEY.upper()) == ["key"]
+
+
+@pytest.mark.parametrize("form", [(), ("--log-json",)])
+@pytest.mark.parametrize("has_other_app", [False, True], ids=["activated", "refused"])
+def test_everything_that_is_logged_of_an_activation_has_no_secret(
+    secretive: CommandLine, form: tuple[str, ...], has_other_app: bool
+) -> None:
+    url = f"sim://?app_id={APP_ID + has_other_app}&key={KEY}"
+    words = ("release", url, "--bundle-id", BUNDLE_ID, "--log-level", "debug", *form)
+    outcome = secretive(*words)
+    assert outcome.status == (ExitCode.ACTIVATION if has_other_app else ExitCode.OK), outcome.err
+    assert "0001…" in outcome.err.replace("\\u2026", "…")
+    assert find_secrets(outcome.err + outcome.out) == []
+    if form:
+        lines = [json.loads(line) for line in outcome.err.splitlines() if line.startswith("{")]
+        assert {line["aircraft"] for line in lines} == {"sim://?app_id=…&key=…"}
+        assert {line["level"] for line in lines} >= {"DEBUG", "INFO"}
+
+
+def test_the_environment_says_the_level_of_json_lines(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("M100LINK_LOG", "INFO")
+    demo = ("demo", "--speed", "max", "--side", "1", "--json", "--no-record")  # a disk may warn
+    outcome = cli(*demo, "--log-json")
+    lines = [json.loads(line) for line in outcome.err.splitlines()]
+    assert {line["level"] for line in lines} == {"INFO"}
+    assert outcome.objects[0]["flown"]
+
+
+def test_a_level_that_does_not_exist_is_refused(cli: CommandLine) -> None:
+    outcome = cli("info", "sim://", "--log-level", "loud")
+    assert outcome.status == ExitCode.USAGE
+    assert "warning" in outcome.err
+
+
+LONG = ("serve", "console", "sim", "demo", "takeoff", "fly", "land", "home", "monitor", "echo")
+
+
+@pytest.mark.parametrize("verb", [*LONG, "hz", "plot", "activate", "doctor", "info", "mission fly"])
+def test_verbs_that_run_long_have_the_options(cli: CommandLine, verb: str) -> None:
+    told = cli(*verb.split(), "--help").out
+    assert "--log-level" in told
+    assert "--log-json" in told
+
+
+def test_every_logger_is_that_of_its_module() -> None:
+    """So that one room, or one module, can be asked for its log."""
+    package = {"m100link.link", "m100link.apps.cli.terminal", "m100link.apps.station.log_output"}
+    package.add("m100link.flight.reserves")  # it hands the records of others to their loggers
+    for module, path in MODULES.items():
+        for node in ast.walk(tree(path)):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "logging.getLogger":
+                asked = ast.unparse(node.args[0])
+                is_right = asked in {"__name__", "JOURNAL_LOG"} or module in package
+                assert is_right, f"{module}: {asked}"
+    assert logging.getLogger("m100link.flight.control").parent is not logging.root

@@ -21,7 +21,7 @@ from typing import Any
 import pytest
 
 from m100link import Credentials
-from m100link.apps.cli.doctor import exit_status
+from m100link.apps.cli.connection import exit_status
 from m100link.apps.doctor import Report, Stage, diagnose
 from m100link.apps.doctor.machine import Process
 from m100link.protocol.commands.activation import GetVersion

@@ -1,7 +1,7 @@
 """Set-ups that are broken, made by script: is the diagnosis the right one?
 
 They are in setups.py, what the port itself may have in test_port.py, some of them over a real
-pseudo-terminal in tests/apps/cli/test_doctor.py.
+pseudo-terminal in tests/apps/cli/test_connection.py.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any, cast
 import pytest
 
 from m100link import Credentials
-from m100link.apps.cli.doctor import exit_status
+from m100link.apps.cli.connection import exit_status
 from m100link.apps.doctor import Finding, Stage, Verdict, diagnose
 from m100link.apps.doctor.diagnosis import _firmware
 from m100link.apps.doctor.line import look_at_line

@@ -26,8 +26,7 @@ pytest.importorskip("zenoh")
 import m100link
 from m100link.apps.agent.messages import Event, LeaseChanged, State, Steer, Telemetry
 from m100link.apps.agent.remote_error import Fault
-from m100link.apps.cli import fleet as fleet_verbs
-from m100link.apps.cli import fleet_watch
+from m100link.apps.cli import fleet_verbs, fleet_watch
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.lost_link import LostPlan

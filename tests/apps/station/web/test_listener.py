@@ -15,7 +15,7 @@ import pytest
 
 from m100link.apps.station.web.intake import Intake, Listener
 from m100link.apps.station.web.limits import ConnectionLimit
-from tests.apps.cli.test_station import certificate
+from tests.apps.cli.test_serve import certificate
 from tests.waiting import PATIENCE, until
 
 pytestmark = pytest.mark.anyio

@@ -13,8 +13,6 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("zenoh", reason="the extra fleet is not installed")
-
 from m100link.apps.agent.messages import Action, Ask
 from m100link.apps.fleet.asking import Asker
 from m100link.apps.fleet.keys import Keys
@@ -25,7 +23,13 @@ from m100link.log import read
 from tests.apps.cli.test_fleet import Site, site
 from tests.waiting import PATIENCE
 
-__all__ = ["site"]
+__all__ = [
+    "site",
+]
+
+
+pytest.importorskip("zenoh", reason="the extra fleet is not installed")
+
 
 pytestmark = pytest.mark.pty
 

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from m100link.apps.cli import doctor as doctor_module
-from m100link.apps.cli.doctor import _EXIT_CODES
+from m100link.apps.cli import connection as doctor_module
+from m100link.apps.cli.connection import _EXIT_CODES
 from m100link.apps.doctor import Machine, Stage
 from m100link.apps.doctor.machine import Adapter
-from m100link.sim.vehicle.activation import DEMO_KEY
-from tests.apps.cli.conftest import CommandLine, Simulator, process
+from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
+from tests.apps.cli.conftest import NEARLY_100, CommandLine, Simulator, process
 from tests.apps.cli.terminal import Terminal
 
 FTDI = Adapter("ftdi_sio", "0403", "6001", "FTDI FT232R", "A50285BI", 16)
@@ -219,3 +219,93 @@ def test_an_end_of_input_is_a_no(tmp_path: Path, app: list[str]) -> None:
     finally:
         terminal.close()
         running.close()
+
+
+# -- ``m100link info`` and ``activate`` over a real pseudo-terminal. Real time ---------------------
+
+
+@pytest.mark.pty
+def test_info_tells_what_is_there(simulator: Simulator) -> None:
+    outcome = process("info", simulator.port, "--json")
+    assert (outcome.status, outcome.err) == (0, "")
+    [described] = outcome.objects
+    assert described["firmware"] == "1.0"
+    assert described["firmware_is_forced"] is False
+    assert described["activated"] is False
+    assert described["version"].startswith("SDK-v1.0")
+    assert described["telemetry"]["quaternion"] == NEARLY_100
+    assert described["telemetry"]["rc"] == pytest.approx(50, rel=0.3)
+    assert "magnetometer" not in described["telemetry"]
+    assert described["telemetry_mismatches"] == 0
+    assert described["line"]["discarded_bytes"] <= 200  # a port opened in the middle of a frame
+
+
+@pytest.mark.pty
+def test_info_of_later_firmware_and_with_a_forced_profile(tmp_path: Path) -> None:
+    running = Simulator(tmp_path, "--firmware", "3.1")
+    try:
+        [described] = process("info", running.port, "--json", "--duration", "0.3").objects
+        assert described["firmware"] == "3.1"
+        assert len(described["serial"]) == 10
+        [forced] = process(
+            *("info", running.port, "--json", "--duration", "0.3", "--firmware", "2.3")
+        ).objects
+        assert forced["firmware"] == "2.3"
+        assert forced["firmware_is_forced"] is True
+        assert forced["telemetry_mismatches"] > 10
+    finally:
+        running.close()
+
+
+@pytest.mark.pty
+def test_activate_waits_for_the_server_and_a_second_time_is_success(
+    simulator: Simulator, app: list[str]
+) -> None:
+    first = process("activate", simulator.port, *app)
+    assert first.status == 0
+    [told] = first.objects
+    assert told["activated"] is True
+    assert told["app_id"] == DEMO_APP_ID
+    assert told["attempts"] == 2
+    assert "attempt 1: first activation" in first.err
+    assert "again in 2 s" in first.err
+    second = process("activate", simulator.port, *app)
+    assert second.objects[0]["attempts"] == 1
+    [described] = process("info", simulator.port, "--json", "--duration", "0.1").objects
+    assert described["activated"] is True
+
+
+# -- ``m100link link``, on virtual time ------------------------------------------------------------
+
+
+def test_the_line_is_measured(cli: CommandLine) -> None:
+    url = "sim://?seed=1&delay=0.02&key=" + "5a" * 32
+    outcome = cli("link", url, "--duration", "0.4", "--rate", "50")
+    assert outcome.status == 0
+    [found] = outcome.objects
+    assert "5a5a" not in outcome.out
+    assert found["asked"] >= 5
+    assert found["unanswered"] == 0
+    assert found["round_trips"]["count"] >= found["asked"]
+    assert sum(found["round_trips"]["up_to_ms"].values()) == found["round_trips"]["count"]
+    assert found["round_trips"]["mean_ms"] == pytest.approx(40.0, abs=0.1)  # there and back
+    assert found["line"]["frames_received"] > 10
+    assert found["telemetry"]["position"] is not None
+    assert "round_trips" not in found["line"]
+
+
+def test_people_get_tables_and_what_is_wrong(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    outcome = cli("link", "sim://?seed=1&damage=0.3", "--duration", "0.6", "--firmware", "3.1")
+    assert outcome.status == 0
+    assert "frame_crc" in outcome.out
+    assert "answers after" in outcome.out
+    assert "do not fit this firmware" in outcome.out
+    assert "█" in outcome.out
+
+
+@pytest.mark.parametrize("wrong", [("--rate", "0"), ("--duration", "-1")])
+def test_what_cannot_be_measured_is_refused(cli: CommandLine, wrong: tuple[str, str]) -> None:
+    assert cli("link", "sim://", *wrong).status == 2

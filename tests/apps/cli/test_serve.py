@@ -6,33 +6,38 @@ import asyncio
 import datetime
 import json
 import os
+import re
 import signal
+import socket
 import ssl
 import subprocess
 import sys
+import threading
+import time
 import urllib.request
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-from tests.apps.cli.conftest import CommandLine
-from tests.sockets import connect
-from tests.waiting import PATIENCE
-
-pytest.importorskip("cyclopts")
-pytest.importorskip("uvicorn")
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
-from m100link.apps.cli.serve import StationOptions, aircraft_of
+from m100link.apps.cli import serve as serving
+from m100link.apps.cli.serve import _MOST_UNTOLD, StationOptions, Teller, aircraft_of
+from m100link.apps.mavlink.translator.codec import Message, read_datagram, write_frame
 from m100link.errors import M100Error
+from tests.apps.cli.conftest import CommandLine
 from tests.apps.station.test_run import Pilot
+from tests.sockets import connect
+from tests.waiting import PATIENCE
+
+pytest.importorskip("uvicorn")
+
 
 COMMAND = (sys.executable, "-c", "from m100link.apps.cli import main; main()")
-pytestmark = pytest.mark.anyio
 
 
 @pytest.fixture
@@ -124,6 +129,7 @@ def test_a_mistake_ends_the_process() -> None:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.anyio
 async def test_the_process_of_the_fronts_serves_the_numbers() -> None:
     process = await asyncio.create_subprocess_exec(
         *(*COMMAND, "serve", "--sim", "--port", "0", "--metrics", "0", "--json"),
@@ -164,6 +170,7 @@ def test_without_the_package_it_says_what_to_install() -> None:
     assert "pip install '.[station]'" in done.stderr
 
 
+@pytest.mark.anyio
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 async def test_a_signal_ends_it_and_control_goes_back(number: signal.Signals) -> None:
     process = await asyncio.create_subprocess_exec(
@@ -189,6 +196,7 @@ async def test_a_signal_ends_it_and_control_goes_back(number: signal.Signals) ->
     assert b"Traceback" not in talk
 
 
+@pytest.mark.anyio
 @pytest.mark.parametrize("more", [(), ("/dev/no-port-either",)])
 async def test_the_end_without_an_aircraft_says_nothing_of_one(more: tuple[str, ...]) -> None:
     process = await asyncio.create_subprocess_exec(
@@ -206,6 +214,7 @@ async def test_the_end_without_an_aircraft_says_nothing_of_one(more: tuple[str, 
     assert talk.splitlines()[-1] == b"ending"
 
 
+@pytest.mark.anyio
 async def test_a_front_that_died_is_told_once_and_its_console_can_be_opened_again(
     tmp_path: Path,
 ) -> None:
@@ -247,6 +256,7 @@ async def _takes_off(pilot: Pilot) -> bool:
     return True
 
 
+@pytest.mark.anyio
 async def test_a_terminal_that_is_gone_ends_no_flight() -> None:
     read, write = os.pipe()
     process = await asyncio.create_subprocess_exec(
@@ -267,6 +277,7 @@ async def test_a_terminal_that_is_gone_ends_no_flight() -> None:
         assert await process.wait() == 0
 
 
+@pytest.mark.anyio
 @pytest.mark.parametrize("host", ["::1", "127.0.0.2", "localhost"])
 async def test_somebody_listens_where_it_says(host: str) -> None:
     process = await asyncio.create_subprocess_exec(
@@ -318,6 +329,7 @@ def certificate(folder: Path) -> tuple[Path, Path]:
     return paths
 
 
+@pytest.mark.anyio
 async def test_tls(tmp_path: Path) -> None:
     from m100link.apps.station.config import Settings
     from m100link.apps.station.run import running
@@ -383,3 +395,96 @@ def test_aircraft_of_the_configuration_file_keep_their_names(
         "crow": ("/dev/ttyUSB1", None),
         "m100_3": ("tcp://b:1", None),
     }
+
+
+# -- how a station is run from the command line: seen as a whole in test_station.py ----------------
+
+
+def test_what_is_not_read_holds_up_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serving, "_LAST_WORDS", PATIENCE)  # the machine may hold up the thread
+    told: list[int] = []
+    stopped = threading.Event()
+    with Teller() as teller:
+        teller.do(lambda: told.append(1))
+        teller.do(partial(stopped.wait, PATIENCE))  # Ctrl-S
+        for number in range(10 * _MOST_UNTOLD):
+            teller.do(partial(told.append, number))
+        stopped.set()
+    assert told[:2] == [1, 0]
+    assert len(told) <= 1 + _MOST_UNTOLD
+
+
+def test_a_closed_pipe_ends_the_talk_and_nothing_else() -> None:
+    def broken() -> None:
+        raise BrokenPipeError
+
+    told: list[int] = []
+    with Teller() as teller:
+        teller.do(broken)
+        teller.do(lambda: told.append(1))
+    assert told == []
+
+
+# -- ``m100link mavlink`` as a process: a ground station on a real socket --------------------------
+
+
+@pytest.mark.pty
+@pytest.mark.smoke
+def test_a_ground_station_sees_the_aircraft_and_sigterm_ends_it() -> None:
+    command = [sys.executable, "-m", "m100link", "mavlink", "sim://"]
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station,
+        subprocess.Popen(
+            [*command, "--listen", "udp://127.0.0.1:0"], stdout=subprocess.PIPE, text=True
+        ) as bridge,
+    ):
+        assert bridge.stdout is not None
+        found = re.search(r"mavlink: +udp://127\.0\.0\.1:(\d+)", bridge.stdout.readline())
+        assert found is not None
+        address = ("127.0.0.1", int(found[1]))
+        station.bind(("127.0.0.1", 0))
+        station.settimeout(PATIENCE)
+        beat = write_frame(Message("HEARTBEAT", {"type": 6}), system=255, sequence=0)
+        names: set[str] = set()
+        ends = time.monotonic() + PATIENCE
+        while not {"HEARTBEAT", "HOME_POSITION", "ATTITUDE"} <= names and time.monotonic() < ends:
+            station.sendto(beat, address)
+            names |= {one.name for one in read_datagram(station.recv(2048))}
+        assert {"HEARTBEAT", "HOME_POSITION", "ATTITUDE"} <= names
+        bridge.send_signal(signal.SIGTERM)
+        assert bridge.wait(PATIENCE) == 0
+
+
+# -- ``m100link ros2`` as a process: a session of zenoh that is not ours sees the node -------------
+
+
+@pytest.mark.pty
+@pytest.mark.smoke
+def test_a_session_sees_the_node_and_sigterm_ends_it() -> None:
+    zenoh: Any = pytest.importorskip("zenoh", reason="the extra ros2 is not installed")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        place = json.dumps([f"tcp/127.0.0.1:{probe.getsockname()[1]}"])
+    config = zenoh.Config()
+    config.insert_json5("listen/endpoints", place)
+    config.insert_json5("scouting/multicast/enabled", "false")
+    command = [sys.executable, "-m", "m100link", "ros2", "sim://", "--node", "one", "--domain", "7"]
+    environment = os.environ | {"ZENOH_CONFIG_OVERRIDE": f"connect/endpoints={place}"}
+    with (
+        zenoh.open(config) as session,
+        subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as node,
+    ):
+        ring = zenoh.handlers.RingChannel(64)
+        imus = session.declare_subscriber("7/one/imu/**", ring)
+        tokens = session.liveliness().declare_subscriber("@ros2_lv/7/*/*/*/NN/**", history=True)
+        assert node.stdout is not None
+        assert node.stdout.readline().split() == ["ros2:", "/one"]
+        assert next(iter(tokens)).kind == zenoh.SampleKind.PUT
+        ends = time.monotonic() + PATIENCE
+        while (imu := imus.try_recv()) is None and time.monotonic() < ends:
+            time.sleep(0.05)
+        assert imu is not None
+        assert bytes(imu.payload).startswith(b"\0\1\0\0")
+        node.send_signal(signal.SIGTERM)
+        assert node.wait(PATIENCE) == 0
+        assert next(iter(tokens)).kind == zenoh.SampleKind.DELETE

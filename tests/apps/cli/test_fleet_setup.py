@@ -1,0 +1,353 @@
+"""Certificates and rights at the shell."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from m100link.apps.cli.fleet_setup import AgentOptions
+from m100link.apps.cli.serve import settings_of
+from m100link.apps.cli.terminal import ExitCode
+from m100link.apps.fleet.pki import Kind, init, issue, revoke
+from m100link.apps.station.config import Settings
+from m100link.apps.station.fleet import recorded_apart
+from m100link.apps.station.run import _flights
+from m100link.log import read
+from m100link.log.folder import default_folder
+from tests.apps.cli.conftest import CommandLine
+from tests.apps.cli.test_fleet import Site
+from tests.apps.fleet.test_acl import free_port, until
+from tests.waiting import PATIENCE
+
+needs_zenoh = pytest.mark.skipif(
+    find_spec("zenoh") is None, reason="the extra fleet is not installed"
+)
+
+
+@pytest.fixture
+def folder(cli: CommandLine, tmp_path: Path) -> str:
+    place = tmp_path / "pki"
+    assert cli("fleet", "pki", "init", str(place)).status == ExitCode.OK
+    return str(place)
+
+
+def test_an_authority_issues_for_everybody(cli: CommandLine, folder: str) -> None:
+    router = cli("fleet", "pki", "issue", "router", "base", "--folder", folder, "--host", "base")
+    agent = cli("fleet", "pki", "issue", "agent", "a1", "--folder", folder)
+    pilot = cli("fleet", "pki", "issue", "pilot", "anna", "--folder", folder)
+    for outcome in (router, agent, pilot):
+        assert outcome.status == ExitCode.OK
+        assert Path(outcome.objects[0]["certificate"]).exists()
+    assert len(pilot.objects[0]["public_key"]) == 64
+    words = cli("fleet", "pki", "issue", "pilot", "bert", "--folder", folder, "--table").out
+    assert [line.split(":")[0] for line in words.splitlines()] == [
+        *("certificate", "key", "ends", "signing key", "public key"),
+    ]
+
+
+def test_what_is_there_stays(cli: CommandLine, folder: str) -> None:
+    before = (Path(folder) / "ca.key").read_bytes()
+    outcome = cli("fleet", "pki", "init", folder)
+    assert outcome.status == ExitCode.USAGE
+    assert "M100-BAD-AUTHORITY" in outcome.err
+    assert (Path(folder) / "ca.key").read_bytes() == before
+    assert cli("fleet", "pki", "init", folder, "--force").status == ExitCode.OK
+    assert (Path(folder) / "ca.key").read_bytes() != before
+
+
+@pytest.fixture
+def rights(tmp_path: Path) -> str:
+    path = tmp_path / "rights.toml"
+    key = f'public_key = "{"0a" * 32}"'
+    path.write_text(
+        f'[aircraft.a1]\n[aircraft.a2]\n[identity.anna]\n{key}\nfly = ["a1"]\n'
+        '[identity.wall]\nwatch = ["*"]\n'
+    )
+    return str(path)
+
+
+def test_what_somebody_may_do(cli: CommandLine, rights: str) -> None:
+    outcome = cli("fleet", "acl", "check", rights, "--who", "anna")
+    assert outcome.objects == [
+        {"who": "anna", "certificate": "anna", "signs": True, "may": {"a1": "fly", "a2": None}}
+    ]
+    assert [one["who"] for one in cli("fleet", "acl", "check", rights).objects] == ["anna", "wall"]
+    assert cli("fleet", "acl", "check", rights, "--table").out.splitlines() == [
+        "anna (certificate anna, signs orders)",
+        "  a1: watch and fetch logs, stop, fly",
+        "  a2: nothing",
+        "wall (certificate wall, signs nothing: agents obey no order)",
+        "  a1: watch and fetch logs",
+        "  a2: watch and fetch logs",
+        "  *: watch and fetch logs",
+    ]
+
+
+def test_nobody_of_that_name(cli: CommandLine, rights: str) -> None:
+    outcome = cli("fleet", "acl", "check", rights, "--who", "eve")
+    assert outcome.status == ExitCode.USAGE
+    assert "nobody in" in outcome.err
+    assert "one of anna, wall" in outcome.err
+
+
+def test_rules_of_a_router_are_written(cli: CommandLine, rights: str, tmp_path: Path) -> None:
+    printed = cli("fleet", "acl", "zenoh", rights, "-")
+    found = json.loads(printed.out)["access_control"]
+    assert found["default_permission"] == "deny"
+    target = tmp_path / "acl.json"
+    assert cli("fleet", "acl", "zenoh", rights, str(target)).status == ExitCode.OK
+    assert json.loads(target.read_text()) == {"access_control": found}
+    assert cli("fleet", "acl", "zenoh", rights, str(target)).status == ExitCode.USAGE
+    assert cli("fleet", "acl", "zenoh", rights, "/dev/full", "--force").status == ExitCode.USAGE
+
+
+# -- who lost a laptop ----------------------------------------------------------------------------
+
+
+def test_who_is_revoked_is_said_wherever_somebody_looks(
+    cli: CommandLine, folder: str, rights: str
+) -> None:
+    for name in ("anna", "bert"):
+        assert cli("fleet", "pki", "issue", "pilot", name, "--folder", folder).status == 0
+    outcome = cli("fleet", "pki", "revoke", "anna", "--folder", folder)
+    [since] = outcome.objects[0]["names"].values()
+    assert outcome.objects == [{"number": 1, "names": {"anna": since}}]
+    words = cli("fleet", "pki", "revoke", "wall", "--folder", folder, "--table").out
+    assert "list 2" in words
+    assert f"anna: revoked since {since}" in words
+    listed = cli("fleet", "pki", "list", "--folder", folder).objects
+    assert [(one["name"], one["revoked"]) for one in listed] == [("anna", since), ("bert", None)]
+    words = cli("fleet", "pki", "list", "--folder", folder, "--table").out
+    assert words.splitlines()[0] == f"anna: revoked since {since}"
+    assert words.splitlines()[1].startswith("bert: ends 20")
+    [told] = cli("fleet", "acl", "check", rights, "--who", "anna", "--pki", folder).objects
+    assert (told["revoked"], told["may"]) == (since, {"a1": None, "a2": None})
+    words = cli("fleet", "acl", "check", rights, "--who", "anna", "--pki", folder, "--table").out
+    assert words.splitlines() == [
+        f"anna (certificate anna, revoked since {since})",
+        "  a1: nothing",
+        "  a2: nothing",
+    ]
+    rules = cli("fleet", "acl", "zenoh", rights, "-", "--pki", folder).out
+    assert "anna" not in rules
+    assert "anna" in cli("fleet", "acl", "zenoh", rights, "-").out
+
+
+def test_a_list_is_brought_by_who_has_one(cli: CommandLine, folder: str) -> None:
+    outcome = cli("fleet", "pki", "push", "--all", "--pki", folder)
+    assert outcome.status == ExitCode.USAGE
+    assert "pki revoke makes it" in outcome.err
+    assert cli("fleet", "pki", "revoke", "--folder", folder).status == ExitCode.USAGE
+
+
+# -- certificates, rules and signatures from end to end, in processes of their own -----------------
+
+
+class Secured(Site):
+    """Behind a router with certificates, which can be started anew."""
+
+    router: subprocess.Popen[str]
+
+    def begin_router(self, folder: Path) -> None:
+        rights = str(folder / "rights.toml")
+        words = ("--listen", self.place, "--name", "base", "--rights", rights, "--json")
+        self.router = self.start("router", *words)
+        assert self.router.stdout is not None
+        assert self.router.stdout.readline()
+
+
+@pytest.fixture
+def secured_site(tmp_path: Path) -> Iterator[Secured]:
+    now, pki = datetime.now(UTC), tmp_path / "pki"
+    init(pki, now=now)
+    issue(pki, Kind.ROUTER, "base", now=now, hosts=["127.0.0.1"])
+    issue(pki, Kind.AGENT, "a1", now=now)
+    rights = tmp_path / "rights.toml"
+    text = "[aircraft.a1]\n"
+    for name, right in (("anna", "fly"), ("bert", "stop"), ("wall", "watch")):
+        key = issue(pki, Kind.PILOT, name, now=now).public_key
+        text += f'[identity.{name}]\npublic_key = "{key}"\n{right} = ["a1"]\n'
+    rights.write_text(text)
+    with ExitStack() as stack:
+        made = Secured(stack, f"tls/127.0.0.1:{free_port()}", tmp_path)
+        made.environment["M100LINK_PKI"] = str(pki)
+        secured = ("--rights", str(rights), "--json")
+        made.begin_router(tmp_path)
+        # On board lies what is needed there, and nothing that is made afterwards.
+        (tmp_path / "board").mkdir()
+        for name in ("ca.pem", "a1.pem", "a1.key"):
+            shutil.copy(pki / name, tmp_path / "board" / name)
+        board = ("--pki", str(tmp_path / "board"))
+        agent = made.start("agent", "sim://", "--name", "a1", *board, *secured)
+        assert agent.stdout is not None
+        assert agent.stdout.readline()
+        yield made
+
+
+@pytest.mark.pty
+@needs_zenoh
+def test_each_may_do_what_the_file_says_and_nobody_comes_without_a_certificate(
+    secured_site: Site,
+) -> None:
+    for who in ("anna", "bert", "wall"):
+        status, [card] = secured_site.ask("list", "--identity", who)
+        assert (status, card["name"]) == (ExitCode.OK, "a1")
+        assert "connection" in card, f"{who} is told where it stands"
+        status, [log] = secured_site.ask("log", "list", "a1", "--identity", who)
+        assert (status, log["name"]) == (ExitCode.OK, "a1")
+        status, [mission] = secured_site.ask("mission", "progress", "a1", "--identity", who)
+        assert (status, mission["stage"]) == (ExitCode.OK, "none")
+    status, [told] = secured_site.ask("takeoff", "a1", "--identity", "anna")
+    assert (status, told["outcome"]) == (ExitCode.OK, "ok")
+    for who, expected in (("wall", "unknown"), ("bert", "unknown")):
+        status, [told] = secured_site.ask("takeoff", "a1", "--identity", who)
+        assert status != ExitCode.OK
+        assert told["outcome"] == expected  # a router that routes nothing looks like silence
+    assert secured_site.ask("mission", "stop", "a1", "--identity", "wall")[0] == ExitCode.FAILED
+    assert secured_site.ask("mission", "stop", "a1", "--identity", "bert")[0] == ExitCode.OK
+    status, [told] = secured_site.ask("land", "a1", "--identity", "bert")
+    assert (status, told["outcome"]) == (ExitCode.OK, "ok")
+    assert secured_site.ask("list")[0] == ExitCode.USAGE
+
+
+@pytest.mark.pty
+@needs_zenoh
+def test_who_lost_a_laptop_steers_no_more_and_after_a_start_of_the_router_hears_no_more(
+    secured_site: Secured, tmp_path: Path
+) -> None:
+    assert secured_site.ask("takeoff", "a1", "--identity", "anna")[0] == ExitCode.OK
+    held = secured_site.start("lease", "a1", "--identity", "anna", "--json")
+    assert held.stdout is not None
+    assert held.stdout.readline()
+    revoke(tmp_path / "pki", ["anna"], now=datetime.now(UTC))
+    assert secured_site.ask("stop", "a1", "--identity", "anna")[0] == ExitCode.OK, (
+        "nobody was told yet"
+    )
+    status, [told] = secured_site.ask("pki", "push", "--all", "--identity", "bert")
+    assert (status, told["outcome"]) == (ExitCode.OK, "ok")
+    assert (tmp_path / "board" / "revoked.list").exists()
+    status, [told] = secured_site.ask("stop", "a1", "--identity", "anna")
+    assert (status, told["outcome"]) == (ExitCode.FAILED, "not_allowed")
+    assert told["seen"].startswith("anna is revoked since ")
+    assert held.wait(PATIENCE) != ExitCode.OK
+    # As of one who fell silent: it ends when it was not renewed for its time.
+    until(
+        lambda: (
+            [card["holder"] for card in secured_site.ask("list", "--identity", "wall")[1]] == [""]
+        )
+    )
+    assert secured_site.ask("list", "--identity", "anna")[1] != [], (
+        "the router that runs knows of no list"
+    )
+    secured_site.router.kill()
+    secured_site.router.wait(PATIENCE)
+    secured_site.begin_router(tmp_path)
+    until(lambda: secured_site.ask("list", "--identity", "bert")[1])
+    assert secured_site.ask("list", "--identity", "anna") == (ExitCode.OK, [])
+    status, [told] = secured_site.ask("stop", "a1", "--identity", "anna")
+    assert (status, told["outcome"]) == (ExitCode.FAILED, "unreachable")
+    assert secured_site.ask("land", "a1", "--identity", "bert")[0] == ExitCode.OK
+
+
+# -- ``m100link fleet agent`` records as other stations do: a folder for each aircraft -------------
+
+
+@needs_zenoh
+def test_every_aircraft_has_a_folder_of_its_own() -> None:
+    settings = recorded_apart(settings_of(AgentOptions()), "a1")
+    assert settings.record == default_folder() / "a1"
+    assert recorded_apart(settings_of(AgentOptions(no_record=True)), "a1").record is None
+
+
+@needs_zenoh
+@pytest.mark.parametrize("is_ours", [True, False])
+def test_logs_make_room_in_our_folder_and_in_no_other(tmp_path: Path, is_ours: bool) -> None:
+    folder = default_folder() if is_ours else tmp_path
+    settings = recorded_apart(Settings(record=folder, record_keep=1), "a1")
+    flights = _flights(settings, lambda text, level: None)
+    assert flights is not None
+    flights.folder.mkdir(parents=True, exist_ok=True)
+    paths = [flights.folder / f"m100link-20260101-00000{n}.mcap" for n in range(3)]
+    for path in paths:
+        with path.open("wb") as stream:
+            header = b"\0\0\0\0" + (13).to_bytes(4, "little") + b"m100link 1.23"
+            stream.write(b"\x89MCAP0\r\n\x01" + len(header).to_bytes(8, "little") + header)
+    flights.make_room()
+    assert sum(path.exists() for path in paths) == (1 if is_ours else 3)
+    for path in paths:
+        path.unlink(missing_ok=True)
+
+
+@needs_zenoh
+@pytest.mark.pty
+def test_each_connection_leaves_a_log_that_is_whole(site: Site, tmp_path: Path) -> None:
+    agent = site.start("agent", "sim://", "--name", "a", "--count", "2", "--json")
+    assert agent.stdout is not None
+    assert json.loads(agent.stdout.readline())["agents"] == ["a1", "a2"]
+    assert [card["connection"] for card in site.listed(2)] == ["connected"] * 2
+    assert site.ask("takeoff", "a2")[0] == 0
+    agent.send_signal(signal.SIGTERM)
+    assert agent.wait(PATIENCE) == 0
+    for name in ("a1", "a2"):
+        [path] = (tmp_path / "m100link/flights" / name).iterdir()
+        assert read(path).summary().is_whole
+
+
+@needs_zenoh
+@pytest.mark.pty
+@pytest.mark.parametrize("is_json", [False, True])
+def test_what_happens_is_told_once_and_on_one_line(
+    site: Site, tmp_path: Path, is_json: bool
+) -> None:
+    words = ["agent", "sim://", "--name", "a1", *(["--log-json"] if is_json else [])]
+    folder = tmp_path / ("a long name of a folder " * 4).strip()
+    agent = subprocess.Popen(
+        [sys.executable, "-m", "m100link", "fleet", *words, "--record", str(folder)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=site.environment,
+    )
+    try:
+        site.listed(1)
+        assert site.ask("takeoff", "a1")[0] == 0
+        holder = site.start("lease", "a1", "--json")
+        assert holder.stdout is not None
+        assert holder.stdout.readline()
+        holder.kill()  # the agent warns: its lease ends by silence
+        ends = time.monotonic() + PATIENCE
+        while time.monotonic() < ends and site.listed(1)[0]["holder"]:
+            time.sleep(0.1)
+    finally:
+        agent.send_signal(signal.SIGTERM)
+        _, told = agent.communicate(timeout=PATIENCE)
+    lines = told.splitlines()
+    assert sum("gave control back (expired)" in line for line in lines) == 1
+    assert sum(f"recorded into {folder}/a1/" in line for line in lines) == (0 if is_json else 1)
+    if is_json:
+        expired = [json.loads(line) for line in lines if "expired" in line]
+        assert [(one["level"], one["aircraft"]) for one in expired] == [("WARNING", "a1")]
+
+
+@needs_zenoh
+@pytest.mark.pty
+def test_where_nothing_can_be_written_it_flies_all_the_same(site: Site, tmp_path: Path) -> None:
+    taken = tmp_path / "taken"
+    taken.touch()
+    site.start("agent", "sim://", "--name", "a1", "--record", str(taken))
+    site.start("agent", "sim://", "--name", "a2", "--no-record")
+    site.listed(2)
+    status, told = site.ask("takeoff", "--all")
+    assert (status, [one["outcome"] for one in told]) == (0, ["ok", "ok"])
+    assert not (tmp_path / "m100link/flights").exists()
