@@ -85,8 +85,7 @@ class Place:
     def credentials(self) -> Credentials:
         """The credentials, checked; those of the demo app for a ``sim://`` without any.
 
-        Raises:
-            UsageError, BadKey: Something is missing or cannot be right.
+        Raises UsageError, BadKey: something is missing or cannot be right.
         """
         app = self.settings
         if self.is_virtual and (app.app_id, app.key, app.key_file) == (None,) * 3:
@@ -131,9 +130,7 @@ class LinkOptions:
 
         The argument, else ``--url``, else the environment, else the configuration file says which;
         it may be a name of that file. Options come before the environment, that before the file.
-
-        Raises:
-            UsageError: Nobody says it, or argument and option name two; something cannot be.
+        Raises UsageError: nobody says it, or argument and option name two; something cannot be.
         """
         if None not in (argument, self.url) and argument != self.url:
             raise UsageError(

@@ -66,9 +66,7 @@ class Configuration:
 
         The defaults are a real aircraft's: they do not hold for ``sim://`` and ``replay://``.
         The word is a name or a URL; None: nobody says which.
-
-        Raises:
-            BadURL: It is neither; the names that are near are told.
+        Raises BadURL: it is neither; the names that are near are told.
         """
         name = self.default if word is None else word
         named = None if name is None else self.aircraft.get(name)

@@ -86,7 +86,6 @@ async def _info(place: Place, duration: float, as_json: bool) -> int:
 
 
 def _print_info(described: dict[str, Any]) -> None:
-    table = Table(box=None, show_header=False, pad_edge=False)
     forced = " (forced)" if described["firmware_is_forced"] else " (by its version)"
     rows = {
         "version": described["version"],
@@ -94,21 +93,28 @@ def _print_info(described: dict[str, Any]) -> None:
         "activated": "yes" if described["activated"] else "no",
         "firmware": described["firmware"] + forced,
         "": described["firmware_summary"],
-        "telemetry": ", ".join(
-            f"{name} {'' if rate is None else f'{rate:g} Hz'}".strip()
-            for name, rate in described["telemetry"].items()
-        )
-        or "nothing arrives",
+        "telemetry": _arriving(described),
     }
     line = described["line"]
     rows["line"] = (
         f"{line['bytes_received']} bytes, {line['frames_received']} frames, "
         f"{line['discarded_bytes']} bytes discarded {line['discards'] or ''}"
     )
-    if described["telemetry_mismatches"]:
-        rows["warning"] = (
-            f"{described['telemetry_mismatches']} telemetry packages do not fit this firmware"
-        )
+    _print_rows(rows, described)
+
+
+def _arriving(described: dict[str, Any]) -> str:
+    rates = (
+        f"{name} {'' if rate is None else f'{rate:g} Hz'}".strip()
+        for name, rate in described["telemetry"].items()
+    )
+    return ", ".join(rates) or "nothing arrives"
+
+
+def _print_rows(rows: dict[str, str], described: dict[str, Any]) -> None:
+    table = Table(box=None, show_header=False, pad_edge=False)
+    if mismatches := described["telemetry_mismatches"]:
+        rows["warning"] = f"{mismatches} telemetry packages do not fit this firmware"
     for name, value in rows.items():
         table.add_row(f"[bold]{name}[/]", value)
     out.print(table)
@@ -252,7 +258,6 @@ def _described(trips: RoundTrips) -> dict[str, Any]:
 
 def _print(measured: dict[str, Any]) -> None:
     line = measured["line"]
-    table = Table(box=None, show_header=False, pad_edge=False)
     rows = {
         "received": f"{line['bytes_received']} bytes, {line['frames_received']} frames",
         "sent": f"{line['bytes_sent']} bytes, {line['frames_sent']} frames",
@@ -263,19 +268,9 @@ def _print(measured: dict[str, Any]) -> None:
         "acks": f"{line['acks']}; late {line['late_acks']}, twice {line['duplicate_acks']}, "
         f"of nothing {line['foreign_acks']}",
         "not written": f"{line['dropped_writes']} frames",
-        "telemetry": ", ".join(
-            f"{name} {'' if rate is None else f'{rate:g} Hz'}".strip()
-            for name, rate in measured["telemetry"].items()
-        )
-        or "nothing arrives",
+        "telemetry": _arriving(measured),
     }
-    if measured["telemetry_mismatches"]:
-        rows["warning"] = (
-            f"{measured['telemetry_mismatches']} telemetry packages do not fit this firmware"
-        )
-    for name, value in rows.items():
-        table.add_row(f"[bold]{name}[/]", value)
-    out.print(table)
+    _print_rows(rows, measured)
     _print_trips(measured["round_trips"])
 
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterator
-from typing import Annotated, Any
+from typing import Any
 
-from cyclopts import Parameter
-
-from m100link.apps.cli.options import Firmware
-from m100link.apps.cli.terminal import ExitCode, complain, print_json
+from m100link.apps.cli.options import AsJson, Firmware
+from m100link.apps.cli.terminal import ExitCode, complain, print_json, wants_json
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.describing import Describer
 from m100link.protocol.firmware import FirmwareProfile, profile
@@ -18,10 +16,7 @@ from m100link.wire import Cipher
 
 
 def decode(
-    *streams: str,
-    key: str | None = None,
-    firmware: Firmware = "1.0",
-    json: Annotated[bool | None, Parameter(negative="--table")] = None,
+    *streams: str, key: str | None = None, firmware: Firmware = "1.0", json: AsJson = None
 ) -> int:
     """Decode frames from hex: one stream per argument, or per line of standard input.
 
@@ -38,7 +33,7 @@ def decode(
         cipher = Cipher(key) if key else None
     except M100Error as error:
         return complain(error)
-    as_json = (not sys.stdout.isatty()) if json is None else json
+    as_json = wants_json(json)
     status = ExitCode.OK
     for text in streams or _lines():
         try:

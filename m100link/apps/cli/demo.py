@@ -30,6 +30,7 @@ from m100link.aircraft.activation import ActivationProgress
 from m100link.apps.agent.connect import by_driver, by_url
 from m100link.apps.cli.common import err, out
 from m100link.apps.cli.display import line_plot, track_plot
+from m100link.apps.cli.options import Flag
 from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, complain, print_json
 from m100link.apps.station.config import RECORD_KEEP, RECORD_KEEP_MB
 from m100link.errors import M100Error, NotObserved
@@ -125,7 +126,7 @@ def demo(
     seed: int = 1,
     json: bool = False,
     record: Path | None = None,
-    no_record: Annotated[bool, Parameter(negative=())] = False,
+    no_record: Flag = False,
     log: LogOptions = AS_IT_IS,
 ) -> int:
     """Fly the virtual aircraft over a real pseudo-terminal: a square, from take-off to landing.

@@ -158,8 +158,7 @@ def status(*flights: FlightLog) -> int:
 def reading(file: Path, *, passes: int = 1) -> Iterator[FlightLog]:
     """A log; while the block runs, a terminal shows how far it is read. A pipe shows nothing.
 
-    Raises:
-        UsageError: As :func:`m100link.log.read`.
+    Raises UsageError: as :func:`m100link.log.read`.
     """
     flight = read(file)
     if not err.is_terminal:
@@ -233,8 +232,7 @@ def row(record: Any) -> dict[str, Any]:
 def items_named(names: Iterable[str]) -> list[type[Any]]:
     """Record classes by the names of items; all of them when no name is given.
 
-    Raises:
-        UsageError: A name that is not an item; the message lists them.
+    Raises UsageError: a name that is not an item; the message lists them.
     """
     found = []
     for name in names:

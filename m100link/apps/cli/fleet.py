@@ -102,8 +102,7 @@ def lease_file(site: str, name: str, environment: Mapping[str, str] | None = Non
 def shared(site: str, name: str, proof: tuple[int, str]) -> Iterator[None]:
     """Let other commands of this account order under a lease while the block runs.
 
-    Raises:
-        UsageError: The file cannot be written.
+    Raises UsageError: the file cannot be written.
     """
     path = lease_file(site, name)
     fence, token = proof
@@ -126,8 +125,7 @@ def shared(site: str, name: str, proof: tuple[int, str]) -> Iterator[None]:
 def borrowed(site: str, name: str) -> tuple[int, str]:
     """Number and secret of the lease that another command of this account holds.
 
-    Raises:
-        UsageError: There is none.
+    Raises UsageError: there is none.
     """
     path = lease_file(site, name)
     try:
@@ -210,11 +208,7 @@ NO_OPTIONS = FleetOptions()
 
 
 def wanted_names(names: tuple[str, ...], everybody: bool) -> list[str] | None:
-    """The names, None for all that are there.
-
-    Raises:
-        UsageError: Neither or both were given.
-    """
+    """The names, None for all that are there. Raises UsageError: neither or both were given."""
     if bool(names) == everybody:
         raise UsageError(
             "no aircraft was named" if not names else "aircraft were named, and --all given",

@@ -24,9 +24,9 @@ from m100link.apps.cli.fleet import (
     told_when_interrupted,
 )
 from m100link.apps.cli.mission import event_name, event_words
-from m100link.apps.cli.options import Above0
+from m100link.apps.cli.options import Above0, AsJson, Flag
 from m100link.apps.cli.plan import File, FileOptions, read_plan, require_free
-from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json
+from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json, wants_json
 from m100link.apps.fleet.client import FleetAircraft
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
 from m100link.apps.fleet.payloads import MissionCard, MissionStage, Reply
@@ -47,7 +47,6 @@ missions = cyclopts.App(
 )
 
 Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=())]
-TakeOff = Annotated[bool, Parameter(negative=())]
 
 
 @missions.command
@@ -57,8 +56,8 @@ def fly(
     /,
     *,
     file: FileOptions | None = None,
-    take_off: TakeOff = False,
-    take_over: Annotated[bool, Parameter(negative=())] = False,
+    take_off: Flag = False,
+    take_over: Flag = False,
     yes: Yes = False,
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
@@ -106,11 +105,7 @@ def fly(
 
 
 def _confirm(name: str, plan: WaypointPlan, *, take_off: bool) -> None:
-    """Whether it may fly.
-
-    Raises:
-        UsageError: Nobody says so.
-    """
+    """Whether it may fly. Raises UsageError: nobody says so."""
     err.print(
         f"{name}: {len(plan.waypoints)} waypoints, about {plan.estimate()}; at the end "
         f"{plan.at_end.name.lower().replace('_', ' ')}, without RC {plan.on_rc_loss.name.lower()}. "
@@ -182,7 +177,8 @@ def _ordering(
     name: str,
     options: FleetOptions,
     left: Left,
-    do: Callable[[MissionOrders, FleetAircraft], Awaitable[str]],
+    do: Callable[[MissionOrders, FleetAircraft], Awaitable[str | None]],
+    done: str = "",  # what is told when the order itself says nothing
 ) -> int:
     async def run() -> int:
         fence, token = borrowed(options.site, name)
@@ -195,7 +191,7 @@ def _ordering(
                 return await asker.ask(message, fence=fence, token=token)
 
             with told_when_interrupted(name, left):
-                told = await do(MissionOrders(name, ask), aircraft)
+                told = await do(MissionOrders(name, ask), aircraft) or done
         if options.json_output:
             print_json({"name": name, "outcome": "ok", "told": told})
         else:
@@ -225,7 +221,7 @@ def upload(
 
 
 @missions.command
-def start(name: str, /, *, take_off: TakeOff = False, options: FleetOptions = NO_OPTIONS) -> int:
+def start(name: str, /, *, take_off: Flag = False, options: FleetOptions = NO_OPTIONS) -> int:
     """Let the plan fly that is on board; it goes on while `fleet lease` runs.
 
     Args:
@@ -253,12 +249,7 @@ def pause(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
     Args:
         name: Which aircraft.
     """
-
-    async def do(orders: MissionOrders, _: FleetAircraft) -> str:
-        await orders.pause()
-        return "paused"
-
-    return _ordering(name, options, _PAUSE, do)
+    return _ordering(name, options, _PAUSE, lambda orders, _: orders.pause(), "paused")
 
 
 @missions.command
@@ -268,12 +259,7 @@ def resume(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
     Args:
         name: Which aircraft.
     """
-
-    async def do(orders: MissionOrders, _: FleetAircraft) -> str:
-        await orders.resume()
-        return "it goes on"
-
-    return _ordering(name, options, _RESUME, do)
+    return _ordering(name, options, _RESUME, lambda orders, _: orders.resume(), "it goes on")
 
 
 # -- for everybody --------------------------------------------------------------------------------
@@ -374,11 +360,7 @@ def _read(file: File) -> Show:
 
 @shows.command
 def check(
-    show: File,
-    /,
-    *,
-    guards: EnvelopeOptions = EnvelopeOptions(),
-    json: Annotated[bool | None, Parameter(negative="--table")] = None,
+    show: File, /, *, guards: EnvelopeOptions = EnvelopeOptions(), json: AsJson = None
 ) -> int:
     """Say what is wrong with a show: limits of each aircraft, and who comes too near to whom, when.
 
@@ -388,7 +370,7 @@ def check(
         show: A file of JSON; - is standard input.
         json: One JSON object instead of text; the default when output is not a terminal.
     """
-    as_json = (not sys.stdout.isatty()) if json is None else json
+    as_json = wants_json(json)
     try:
         found = _read(show)
     except BadShow as error:
@@ -534,11 +516,7 @@ def fly_show(
 
 
 def _ask(show: Show) -> None:
-    """Whether they may take off.
-
-    Raises:
-        UsageError: Nobody says so.
-    """
+    """Whether they may take off. Raises UsageError: nobody says so."""
     names = ", ".join(track.name for track in show.tracks)
     if not sys.stdin.isatty():
         raise UsageError(f"nobody can be asked whether {names} may take off", remedy="--yes")

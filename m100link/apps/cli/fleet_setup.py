@@ -30,7 +30,7 @@ from m100link.apps.cli.fleet import (
     tell_results,
     wanted_names,
 )
-from m100link.apps.cli.options import Above0, Counted, offered, options_of
+from m100link.apps.cli.options import Above0, AsJson, Counted, offered, options_of
 from m100link.apps.cli.plan import File, require_free
 from m100link.apps.cli.serve import (
     AS_USUAL,
@@ -41,7 +41,7 @@ from m100link.apps.cli.serve import (
     show,
     warn_of,
 )
-from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, print_json
+from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, print_json, wants_json
 from m100link.apps.fleet.identity import BadRights, Right, Rights, nobody
 from m100link.apps.fleet.keys import DEFAULT_SITE
 from m100link.apps.fleet.logs.service import RATE
@@ -325,7 +325,6 @@ acl = cyclopts.App(
 )
 
 Pki = Annotated[Path | None, Parameter(env_var="M100LINK_PKI")]
-AsJson = Annotated[bool | None, Parameter(negative="--table")]
 
 
 @pki.command
@@ -387,7 +386,7 @@ def revoke(
     if not names:
         raise UsageError("nobody is named", remedy="m100link fleet pki revoke NAME --folder FOLDER")
     found = revoke_names(folder, names, now=datetime.now(UTC))
-    if _as_json(json):
+    if wants_json(json):
         print_json({"number": found.number, "names": dict(found.names)})
         return ExitCode.OK
     _say([f"{folder / LIST}: list {found.number}"])
@@ -405,7 +404,7 @@ def list_(*, folder: Path = Path(), json: AsJson = None) -> int:
         json: One JSON object for each instead of text; the default when output is no terminal.
     """
     for name, ends, since in listed(folder):
-        if _as_json(json):
+        if wants_json(json):
             told = {"name": name, "ends": ends.isoformat(), "revoked": since or None}
             print_json(told)
             continue
@@ -460,15 +459,11 @@ def _tell(made: Issued, json: bool | None) -> int:
     }
     if made.signing_key is not None:
         facts |= {"signing_key": str(made.signing_key), "public_key": made.public_key}
-    if _as_json(json):
+    if wants_json(json):
         print_json(facts)
     else:
         _say([f"{name.replace('_', ' ')}: {value}" for name, value in facts.items()])
     return ExitCode.OK
-
-
-def _as_json(json: bool | None) -> bool:
-    return (not sys.stdout.isatty()) if json is None else json
 
 
 def _say(lines: list[str]) -> None:
@@ -496,7 +491,7 @@ def check(
         json: One JSON object for each instead of text; the default when output is no terminal.
     """
     rights = Rights.read(file)
-    as_json = _as_json(json)
+    as_json = wants_json(json)
     revocations = None if pki is None else Revocations.of_folder(pki, rights)
     for name in who or tuple(rights.identities):
         one = rights.identity(name)

@@ -64,9 +64,8 @@ def list_(*, options: FleetOptions = NO_OPTIONS) -> int:
 
 
 def _table(names: list[str], cards: dict[str, Card]) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for title in ("name", "link", "phase", "height", "battery", "flies", "control", "when lost"):
-        table.add_column(title)
+    titles = ("name", "link", "phase", "height", "battery", "flies", "control", "when lost")
+    table = Table(*titles, box=None, pad_edge=False)
     for name in names:
         card = cards.get(name)
         if card is None:

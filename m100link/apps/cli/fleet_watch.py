@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import cyclopts
-from cyclopts import Parameter
 from rich.filesize import decimal
 from rich.live import Live
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
@@ -28,7 +27,7 @@ from m100link.apps.cli.fleet import (
     tell_results,
     wanted_names,
 )
-from m100link.apps.cli.options import Above0
+from m100link.apps.cli.options import Above0, Flag
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json
 from m100link.apps.fleet.client import Fleet, FleetAircraft
 from m100link.apps.fleet.keys import Keys, in_order
@@ -105,9 +104,8 @@ def _plain(state: AircraftState, kind: type[Any]) -> dict[str, Any] | None:
 
 
 def _table(fleet: Fleet, heard: FleetTelemetry) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for title in ("name", "age", "phase", "height", "speed", "battery", "place"):
-        table.add_column(title)
+    titles = ("name", "age", "phase", "height", "speed", "battery", "place")
+    table = Table(*titles, box=None, pad_edge=False)
     for name in in_order(fleet.present | set(heard.states)):
         state = heard.states.get(name)
         if state is None:
@@ -182,13 +180,7 @@ def _package(sample: Sample) -> dict[str, Any]:
     return told
 
 
-def lease(
-    name: str,
-    /,
-    *,
-    take_over: Annotated[bool, Parameter(negative=())] = False,
-    options: FleetOptions = NO_OPTIONS,
-) -> int:
+def lease(name: str, /, *, take_over: Flag = False, options: FleetOptions = NO_OPTIONS) -> int:
     """Take control of one aircraft and hold it, hovering, until Ctrl-C.
 
     Meanwhile `fleet mission upload` and `start` of the same account act under this lease.
@@ -284,7 +276,7 @@ def list_(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTI
 def fetch(
     *names: Names,
     everybody: All = False,
-    last: Annotated[bool, Parameter(negative=())] = False,
+    last: Flag = False,
     file: str = "",
     to: Path = Path(),
     options: FleetOptions = NO_OPTIONS,

@@ -144,11 +144,7 @@ def _is_number(word: str) -> bool:
 
 
 def _metres(words: Sequence[str]) -> tuple[float, float, float]:
-    """Metres north, east and up.
-
-    Raises:
-        UsageError: Not three numbers.
-    """
+    """Metres north, east and up. Raises UsageError: not three numbers."""
     strange = [word for word in words if not _is_number(word)]
     if strange or len(words) != 3:
         seen = f"{strange[0]!r} is not a number" if strange else f"{len(words)} numbers were given"
@@ -261,8 +257,7 @@ async def hear_of_mission(aircraft: Aircraft) -> None:
 async def require_no_mission(aircraft: Aircraft, what: str) -> None:
     """See that no mission flies, before control is asked for: it would be ignored beside one.
 
-    Raises:
-        MissionRunning: One does.
+    Raises MissionRunning: one does.
     """
     await hear_of_mission(aircraft)
     mission = aircraft.mission
@@ -279,8 +274,7 @@ async def require_no_mission(aircraft: Aircraft, what: str) -> None:
 async def confirm(aircraft: Aircraft, what: str) -> None:
     """Ask the person in front of the terminal.
 
-    Raises:
-        UsageError: There is none, or the answer is no.
+    Raises UsageError: there is none, or the answer is no.
     """
     if not sys.stdin.isatty():
         raise UsageError(
@@ -461,11 +455,7 @@ def _is_rate(word: str) -> bool:
 
 
 def _pairs(words: Sequence[str]) -> dict[str, int]:
-    """Rates by item.
-
-    Raises:
-        UsageError: A word is not ITEM=HZ.
-    """
+    """Rates by item. Raises UsageError: a word is not ITEM=HZ."""
     found: dict[str, int] = {}
     for word in words:
         name, _, rate = word.partition("=")

@@ -21,8 +21,8 @@ from cyclopts import Parameter
 from m100link.aircraft import Aircraft, connect
 from m100link.apps.cli.common import BY_LINK, LinkOptions, Place, Url, err, out, run_async
 from m100link.apps.cli.display import items_named, reading, status
-from m100link.apps.cli.options import Above0, Firmware, offered
-from m100link.apps.cli.terminal import ExitCode, complain, print_json
+from m100link.apps.cli.options import Above0, AsJson, Firmware, offered
+from m100link.apps.cli.terminal import ExitCode, complain, print_json, wants_json
 from m100link.errors import LinkError, UsageError
 from m100link.link.keyfile import read_key
 from m100link.log import FlightLog, Recorder, read, recover
@@ -36,16 +36,16 @@ from m100link.log.story import Story, read_story
 from m100link.protocol.items import BY_NAME
 from m100link.wire import Cipher
 
+Log = Path
+"""A file that ``m100link record`` or ``connect(record=…)`` wrote."""
+
+Output = Annotated[Path | None, Parameter(name=("--output", "-o"))]
+
+
 # -- ``m100link log ros2`` and ``layout``: flights for the tools of others -------------------------
 
 
-def ros2(
-    file: Path,
-    /,
-    *,
-    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
-    firmware: Firmware | None = None,
-) -> int:
+def ros2(file: Path, /, *, output: Output = None, firmware: Firmware | None = None) -> int:
     """Write a bag of ROS 2: MCAP with its messages in CDR, for ``ros2 bag``, rosbags, Foxglove.
 
     Args:
@@ -60,7 +60,7 @@ def ros2(
     return status(flight)
 
 
-def layout(*, output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None) -> int:
+def layout(*, output: Output = None) -> int:
     """Print a layout for Foxglove and Lichtblick: map, height, speed, battery, attitude, events.
 
     Import it there: Layouts, Import from file.
@@ -84,7 +84,7 @@ def csv(
     file: Path,
     /,
     *items: Annotated[str, offered(BY_NAME)],
-    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    output: Output = None,
     firmware: Firmware | None = None,
 ) -> int:
     """Print telemetry as CSV: every package, decoded from its bytes.
@@ -123,7 +123,7 @@ def parquet(
     file: Path,
     /,
     *items: Annotated[str, offered(BY_NAME)],
-    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    output: Output = None,
     firmware: Firmware | None = None,
 ) -> int:
     """Write telemetry as a Parquet file: every package, decoded from its bytes.
@@ -154,7 +154,7 @@ def wireshark(
     file: Path | None = None,
     /,
     *,
-    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    output: Output = None,
     key_file: Path | None = None,
     firmware: Firmware | None = None,
     install: bool = False,
@@ -200,8 +200,6 @@ def _install() -> Path:
     return place
 
 
-# -- log -------------------------------------------------------------------------------------------
-
 # -- ``m100link log frames`` and ``compare``: what went over the line, and how flights differ ------
 
 
@@ -215,7 +213,7 @@ def frames(
     *,
     key_file: Path | None = None,
     firmware: Firmware | None = None,
-    json: Annotated[bool | None, Parameter(negative="--table")] = None,
+    json: AsJson = None,
 ) -> int:
     """Print every frame, decoded: telemetry, commands, setpoints, answers, and what was lost.
 
@@ -228,7 +226,7 @@ def frames(
         json: JSON lines instead of lines for people; the default when output is not a terminal.
     """
     cipher = None if key_file is None else Cipher(read_key(key_file))
-    as_json = (not sys.stdout.isatty()) if json is None else json
+    as_json = wants_json(json)
     flight = read(file)
     for frame in read_frames(flight, firmware=firmware, cipher=cipher):
         if as_json:
@@ -308,13 +306,7 @@ def _shown(value: float | None, sign: str = "") -> str:
 # -- ``m100link log plot``: a flight as a page or a picture ----------------------------------------
 
 
-def plot(
-    file: Path,
-    /,
-    *,
-    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
-    firmware: Firmware | None = None,
-) -> int:
+def plot(file: Path, /, *, output: Output = None, firmware: Firmware | None = None) -> int:
     """Draw a flight: track, height, speeds, battery, line, phases, alarms, commands.
 
     A page (.html) needs nothing but a browser, and no network; a picture (.png) needs matplotlib.
@@ -351,8 +343,7 @@ def _drawn(story: Story, target: Path) -> bytes:
 def write_new(target: Path, data: bytes) -> None:
     """Write a file that must not be there yet.
 
-    Raises:
-        UsageError: It is, or it cannot be written.
+    Raises UsageError: it is, or it cannot be written.
     """
     with new_file(target) as stream:
         stream.write(data)
@@ -362,8 +353,7 @@ def write_new(target: Path, data: bytes) -> None:
 def new_file(target: Path) -> Iterator[IO[bytes]]:
     """A file that must not be there yet; half of one is not left behind.
 
-    Raises:
-        UsageError: It is, or it cannot be written.
+    Raises UsageError: it is, or it cannot be written.
     """
     try:
         stream = target.open("xb")
@@ -401,19 +391,11 @@ app = cyclopts.App(
     version_flags=(),
 )
 
-app.command(plot)
-app.command(csv)
-app.command(parquet)
-app.command(wireshark)
-app.command(ros2)
-app.command(layout)
-app.command(frames)
+for _verb in (plot, csv, parquet, wireshark, ros2, layout, frames):
+    app.command(_verb)
 app.command(compare_files, name="compare")
 
 _SPANS = ("phases", "control", "alarms")
-
-Log = Path
-"""A file that ``m100link record`` or ``connect(record=…)`` wrote."""
 
 
 def record(
@@ -538,9 +520,7 @@ def _told(flight: FlightLog) -> Iterator[dict[str, Any]]:
 
 
 @app.command(name="recover")
-def recover_file(
-    file: Log, /, *, output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None
-) -> int:
+def recover_file(file: Log, /, *, output: Output = None) -> int:
     """Write a whole file from one that was cut off or damaged; the old one stays as it is.
 
     The exit status is 1 for a damaged file: what is missing there is missing in the new one.

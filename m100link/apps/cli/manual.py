@@ -29,7 +29,7 @@ from rich.text import Text
 import m100link
 from m100link.apps.cli.common import err, out
 from m100link.apps.cli.configuration import Configuration, read_configuration, shown
-from m100link.apps.cli.options import offered
+from m100link.apps.cli.options import Flag, offered
 from m100link.apps.cli.terminal import ExitCode, print_json
 from m100link.apps.station.config import resolve
 from m100link.errors import M100Error, UsageError
@@ -294,7 +294,7 @@ def completion(
     ] = None,
     /,
     *,
-    install: Annotated[bool, Parameter(negative=())] = False,
+    install: Flag = False,
 ) -> int:
     """Print what completes verbs, options and aircraft in a shell, or install it there.
 

@@ -20,7 +20,7 @@ from m100link.aircraft import Aircraft, connect
 from m100link.apps.cli.common import AS_SET, AircraftOptions, Place, Url, err, out, run_async
 from m100link.apps.cli.display import Point, track_plot
 from m100link.apps.cli.flight import activate_app, confirm, hear_of_mission, require_no_mission
-from m100link.apps.cli.options import Above0
+from m100link.apps.cli.options import Above0, Flag
 from m100link.apps.cli.plan import File, FileOptions, read_plan, require_free
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json
 from m100link.errors import UsageError
@@ -64,8 +64,8 @@ def fly(
     *,
     file: FileOptions | None = None,
     options: AircraftOptions = AS_SET,
-    take_off: Annotated[bool, Parameter(negative=())] = False,
-    allow_far: Annotated[bool, Parameter(negative=())] = False,
+    take_off: Flag = False,
+    allow_far: Flag = False,
     max_height: Annotated[float, Above0] = 50.0,
     max_radius: Annotated[float, Above0] = 150.0,
     yes: Annotated[bool, Parameter(name=["--yes", "-y"], negative=())] = False,
@@ -295,8 +295,7 @@ async def _with_control(
 async def _require_airborne(aircraft: Aircraft) -> None:
     """Refuse a mission on the ground; when nobody knows, the control block asks again.
 
-    Raises:
-        UsageError: It stands on the ground.
+    Raises UsageError: it stands on the ground.
     """
     if not MissionStatus.is_known_to(aircraft.firmware):
         return  # refused for that, and not for where it stands
@@ -330,6 +329,23 @@ def stop(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> int:
     return run_async(_with_control(place, place.credentials(), flight))
 
 
+def _going_on(
+    place: Place,
+    act: Callable[[Control], Awaitable[MissionKind]],
+    told: str,
+    *,
+    what: str | None = None,
+) -> int:
+    """Act on a mission that goes on without this program."""
+
+    async def flight(_: Aircraft, control: Control) -> None:
+        kind = await act(control)
+        control.detach_mission()  # giving authority back would break it off
+        out.print(told.format(kind.value))
+
+    return run_async(_with_control(place, place.credentials(), flight, what=what))
+
+
 @app.command
 def pause(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> int:
     """Pause whatever mission flies; the aircraft hovers in it, and authority is kept.
@@ -337,14 +353,7 @@ def pause(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> int:
     Args:
         url: See `m100link mission --help`.
     """
-    place = options.place(url)
-
-    async def flight(aircraft: Aircraft, control: Control) -> None:
-        kind = await control.pause_mission()
-        control.detach_mission()  # giving authority back would break it off
-        out.print(f"paused: {kind.value}")
-
-    return run_async(_with_control(place, place.credentials(), flight))
+    return _going_on(options.place(url), Control.pause_mission, "paused: {}")
 
 
 @app.command
@@ -361,15 +370,9 @@ def resume(
         url: See `m100link mission --help`.
         yes: Do not ask.
     """
-    place = options.place(url)
-
-    async def flight(aircraft: Aircraft, control: Control) -> None:
-        kind = await control.resume_mission()
-        control.detach_mission()  # giving authority back would break it off
-        out.print(f"resumed: {kind.value}; it flies on by itself")
-
     what = None if yes else "let the mission go on"
-    return run_async(_with_control(place, place.credentials(), flight, what=what))
+    told = "resumed: {}; it flies on by itself"
+    return _going_on(options.place(url), Control.resume_mission, told, what=what)
 
 
 @app.command
@@ -379,7 +382,7 @@ def download(
     *,
     options: AircraftOptions = AS_SET,
     output: Annotated[File, Parameter(name=["--output", "-o"])] = "-",
-    force: Annotated[bool, Parameter(negative=())] = False,
+    force: Flag = False,
 ) -> int:
     """Read back the plan that the aircraft has stored.
 

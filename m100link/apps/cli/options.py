@@ -31,6 +31,11 @@ def _above_0(_: object, value: float | None) -> None:
 Above0 = Parameter(validator=_above_0)
 """Seconds and rates: 0, negative numbers, NaN and infinity are asked wrongly."""
 
+Flag = Annotated[bool, Parameter(negative=())]
+"""There is no --no-… of it."""
+
+AsJson = Annotated[bool | None, Parameter(negative="--table")]
+
 Counted = Parameter(validator=validators.Number(gte=1))
 """Pieces: at least one."""
 

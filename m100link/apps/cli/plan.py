@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal
 import cyclopts
 from cyclopts import Parameter
 
-from m100link.apps.cli.options import Above0
-from m100link.apps.cli.terminal import ExitCode, print_json
+from m100link.apps.cli.options import Above0, AsJson
+from m100link.apps.cli.terminal import ExitCode, print_json, wants_json
 from m100link.errors import BadPlan, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.missions import files
@@ -64,11 +64,7 @@ class EstimateOptions:
 
     @property
     def place(self) -> tuple[float, float] | None:
-        """Home in degrees.
-
-        Raises:
-            UsageError: These are not two.
-        """
+        """Home in degrees. Raises UsageError: these are not two."""
         if self.home is None:
             return None
         try:
@@ -88,9 +84,7 @@ class EstimateOptions:
 def read_plan(file: str | Path, options: FileOptions | None = None) -> WaypointPlan:
     """The plan in a file; ``-`` is standard input.
 
-    Raises:
-        BadPlan: It is none, or cannot be read.
-        UsageError: It names an aircraft.
+    Raises BadPlan: it is none, or cannot be read; UsageError: it names an aircraft.
     """
     path = str(file)
     if _names_an_aircraft(path):
@@ -127,7 +121,7 @@ def check(
     *,
     file: FileOptions | None = None,
     reckoning: EstimateOptions | None = None,
-    json: Annotated[bool | None, Parameter(negative="--table")] = None,
+    json: AsJson = None,
 ) -> int:
     """Say what is wrong with a plan, what may surprise, and what it takes.
 
@@ -139,7 +133,7 @@ def check(
         plan: A file, JSON or .plan; - is standard input.
         json: One JSON object instead of text; the default when output is not a terminal.
     """
-    as_json = (not sys.stdout.isatty()) if json is None else json
+    as_json = wants_json(json)
     reckoning = reckoning or EstimateOptions()
     place = reckoning.place
     try:
@@ -327,8 +321,7 @@ def _write(
 def require_free(target: str | Path, *, force: bool) -> None:
     """See that a file may be written there, before anything is done for it.
 
-    Raises:
-        UsageError: There is one, and nobody said ``--force``; or there cannot be one.
+    Raises UsageError: there is one, and nobody said ``--force``; or there cannot be one.
     """
     path = Path(target)
     if path.is_dir():

@@ -5,9 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import os
 import re
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -17,7 +15,7 @@ from cyclopts import Parameter
 from m100link.apps.agent.messages import Action
 from m100link.apps.cli.common import err
 from m100link.apps.cli.serve import StationOptions, aircraft_of, run_station
-from m100link.apps.cli.sim import read_keys
+from m100link.apps.cli.terminal import keys_pressed
 from m100link.apps.station.config import namespace_of
 from m100link.errors import M100Error, UsageError
 
@@ -93,36 +91,20 @@ def _names(files: tuple[Path, ...]) -> list[str]:
 @contextlib.contextmanager
 def _keys(station: Any, ended: asyncio.Event) -> Iterator[None]:
     """Let keys at the terminal move what is played, if there is a terminal."""
-    try:
-        import termios
-        import tty
-    except ModuleNotFoundError:  # not on this system
-        yield
-        return
-    if not sys.stdin.isatty():
-        yield
-        return
-    loop, descriptor = asyncio.get_running_loop(), sys.stdin.fileno()
     tasks: set[asyncio.Task[None]] = set()
 
-    def pressed() -> None:
-        for key in read_keys(os.read(descriptor, 64)):
-            if key == "q":
-                ended.set()
-            elif key in KEYS:
-                task = loop.create_task(_order(station, KEYS[key]))
-                tasks.add(task)
-                task.add_done_callback(tasks.discard)
+    def pressed(key: str) -> None:
+        if key == "q":
+            ended.set()
+        elif key in KEYS:
+            task = asyncio.get_running_loop().create_task(_order(station, KEYS[key]))
+            tasks.add(task)
+            task.add_done_callback(tasks.discard)
 
-    before = termios.tcgetattr(descriptor)
-    err.print(_HELP, markup=False)
-    tty.setcbreak(descriptor)
-    loop.add_reader(descriptor, pressed)
-    try:
+    with keys_pressed(pressed) as is_terminal:
+        if is_terminal:
+            err.print(_HELP, markup=False)
         yield
-    finally:
-        loop.remove_reader(descriptor)
-        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
 
 
 async def _order(station: Any, text: str) -> None:

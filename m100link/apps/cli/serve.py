@@ -72,8 +72,7 @@ def run_station(
 ) -> int:
     """Run a station until it is told to end.
 
-    Raises:
-        UsageError: Something is missing, or cannot be.
+    Raises UsageError: something is missing, or cannot be.
     """
     if options.show_config:
         for name, settings in aircraft.items():
@@ -88,11 +87,7 @@ def run_station(
 
 
 def require_packages() -> None:
-    """Look whether what serves pages is installed.
-
-    Raises:
-        UsageError: It is not.
-    """
+    """Look whether what serves pages is installed. Raises UsageError: it is not."""
     try:
         for package in ("cbor2", "starlette", "uvicorn", "websockets"):
             importlib.import_module(package)
@@ -393,8 +388,7 @@ def aircraft_of(
 def _in_process(settings: Settings) -> Settings:
     """``sim://`` is the virtual aircraft that a station brings; for another there is a transport.
 
-    Raises:
-        BadURL: There is none, and waiting for the aircraft would not end.
+    Raises BadURL: there is none, and waiting for the aircraft would not end.
     """
     if settings.url == "sim://":
         return replace(settings, url=None, sim=True)
@@ -435,8 +429,7 @@ def _named(word: str) -> tuple[str, str]:
 def _check_other(name: str, settings: Settings, found: dict[str, Settings]) -> None:
     """Refuse an aircraft that another one is taken for.
 
-    Raises:
-        UsageError: It has the name or the line of another.
+    Raises UsageError: it has the name or the line of another.
     """
     for other, one in found.items():
         if namespace_of(name) == namespace_of(other):

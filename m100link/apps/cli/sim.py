@@ -8,8 +8,6 @@ import os
 import secrets
 import signal
 import sys
-import termios
-import tty
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -23,7 +21,7 @@ from rich.text import Text
 
 from m100link.apps.cli.common import out
 from m100link.apps.cli.options import Above0, Firmware, options_of
-from m100link.apps.cli.terminal import AS_IT_IS, LogOptions, print_json
+from m100link.apps.cli.terminal import AS_IT_IS, LogOptions, keys_pressed, print_json
 from m100link.errors import UsageError
 from m100link.link.keyfile import read_key
 from m100link.sim.clock import loop_factory
@@ -323,32 +321,10 @@ async def _show(plan: _Plan, ports: list[str], ended: asyncio.Event) -> None:
     view = LiveView(plan.aircraft[0], ports)
     loop = asyncio.get_running_loop()
     deadline = None if plan.duration is None else loop.time() + plan.duration
-    with _raw_keys(loop, view), Live(view.render(), auto_refresh=False, screen=True) as live:
+    with keys_pressed(view.press), Live(view.render(), auto_refresh=False, screen=True) as live:
         while not ended.is_set() and (deadline is None or loop.time() < deadline):
             live.update(view.render(), refresh=True)
             await _wait(ended, 0.1)
-
-
-@contextlib.contextmanager
-def _raw_keys(loop: asyncio.AbstractEventLoop, view: LiveView) -> Any:
-    """Keys without Enter, while the block runs."""
-    if not sys.stdin.isatty():
-        yield
-        return
-    descriptor = sys.stdin.fileno()
-    before = termios.tcgetattr(descriptor)
-
-    def on_keys() -> None:
-        for key in read_keys(os.read(descriptor, 64)):
-            view.press(key)
-
-    tty.setcbreak(descriptor)
-    loop.add_reader(descriptor, on_keys)
-    try:
-        yield
-    finally:
-        loop.remove_reader(descriptor)
-        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
 
 
 @app.command
@@ -430,23 +406,6 @@ KEYS: dict[str, tuple[str, str]] = {
 
 _WIDE = 72
 """Columns of a terminal that has room for two values on a line."""
-
-_ESCAPES = {b"\x1b[A": "UP", b"\x1b[B": "DOWN", b"\x1b[D": "LEFT", b"\x1b[C": "RIGHT"}
-
-
-def read_keys(data: bytes) -> list[str]:
-    """The keys in what the terminal sent."""
-    keys = []
-    while data:
-        for escape, name in _ESCAPES.items():
-            if data.startswith(escape):
-                keys.append(name)
-                data = data[len(escape) :]
-                break
-        else:
-            keys.append(chr(data[0]))
-            data = data[1:]
-    return keys
 
 
 class LiveView:

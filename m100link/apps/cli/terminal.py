@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import codecs
 import contextlib
+import importlib.util
 import io
 import json
 import logging
 import math
 import os
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TextIO, cast
@@ -172,6 +173,56 @@ async def read_line() -> str:
         loop.remove_reader(descriptor)
 
 
+# -- keys of a terminal, without Enter -------------------------------------------------------------
+
+
+_ESCAPES = {b"\x1b[A": "UP", b"\x1b[B": "DOWN", b"\x1b[D": "LEFT", b"\x1b[C": "RIGHT"}
+
+
+def read_keys(data: bytes) -> list[str]:
+    """The keys in what the terminal sent."""
+    keys = []
+    while data:
+        for escape, name in _ESCAPES.items():
+            if data.startswith(escape):
+                keys.append(name)
+                data = data[len(escape) :]
+                break
+        else:
+            keys.append(chr(data[0]))
+            data = data[1:]
+    return keys
+
+
+@contextlib.contextmanager
+def keys_pressed(press: Callable[[str], object]) -> Iterator[bool]:
+    """Hand on the keys that are pressed while the block runs, in the event loop.
+
+    Whether there is a terminal, on a system that has its modes.
+    """
+    if importlib.util.find_spec("termios") is None or not sys.stdin.isatty():
+        yield False
+        return
+    import asyncio  # who decodes a frame needs none of these
+    import termios
+    import tty
+
+    loop, descriptor = asyncio.get_running_loop(), sys.stdin.fileno()
+
+    def on_keys() -> None:
+        for key in read_keys(os.read(descriptor, 64)):
+            press(key)
+
+    before = termios.tcgetattr(descriptor)
+    tty.setcbreak(descriptor)
+    loop.add_reader(descriptor, on_keys)
+    try:
+        yield True
+    finally:
+        loop.remove_reader(descriptor)
+        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+
+
 # -- how a command ends and what it prints for programs; loads neither an aircraft nor a consol ----
 
 
@@ -253,6 +304,11 @@ def print_json(value: Any) -> None:
     sys.stdout.flush()
 
 
+def wants_json(asked: bool | None) -> bool:
+    """What was asked for; where nothing was: JSON for a pipe, text for a terminal."""
+    return not sys.stdout.isatty() if asked is None else asked
+
+
 def finite(value: Any) -> Any:
     """JSON has no NaN and no infinity: they become their names."""
     if isinstance(value, float):
@@ -307,8 +363,7 @@ def _level() -> str:
 def show_warnings() -> None:
     """Warnings of the library go to standard error, like everything that is not data.
 
-    Raises:
-        UsageError: The environment names a level that does not exist.
+    Raises UsageError: the environment names a level that does not exist.
     """
     handler = _ToStandardError()
     handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))

@@ -21,7 +21,8 @@ from cyclopts import CycloptsError
 from rich.console import Console
 
 from m100link.apps.cli.app import app
-from m100link.apps.cli.sim import KEYS, LiveView, read_keys
+from m100link.apps.cli.sim import KEYS, LiveView
+from m100link.apps.cli.terminal import read_keys
 from m100link.errors import M100Error
 from m100link.protocol.commands.waypoint import WaypointPauseResume
 from m100link.sim import VirtualAircraft
