@@ -1,4 +1,4 @@
-"""The aircraft without ``await``. Written by ``python -m tests.sync_source``: do not edit.
+"""The aircraft without ``await``. Written by ``nox -s sync``: do not edit.
 
 It has the one with ``await`` and hands every call to the thread in which that lives.
 """

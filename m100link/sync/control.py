@@ -1,4 +1,4 @@
-"""The control block without ``await``. Written by ``python -m tests.sync_source``: do not edit.
+"""The control block without ``await``. Written by ``nox -s sync``: do not edit.
 
 It has the one with ``await`` and hands every call to the thread in which that lives.
 """
@@ -22,10 +22,9 @@ from m100link.flight.tasks import TaskListener
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.setpoint import Setpoint
-from m100link.sync.missions import FollowFlight, HotpointFlight, WaypointFlight
 from m100link.sync.portal import Portal
 from m100link.sync.signals import SIGNALS
-from m100link.sync.steering import Hold, Ticks, asked
+from m100link.sync.steering import FollowFlight, Hold, HotpointFlight, Ticks, WaypointFlight, asked
 from m100link.telemetry.state import AircraftState
 
 __all__ = ["Control"]

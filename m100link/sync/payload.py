@@ -1,4 +1,4 @@
-"""Gimbal and camera without ``await``. Written by ``python -m tests.sync_source``: do not edit.
+"""Gimbal and camera without ``await``. Written by ``nox -s sync``: do not edit.
 
 It has the one with ``await`` and hands every call to the thread in which that lives.
 """

@@ -15,8 +15,6 @@ from typing import Any, ParamSpec, TypeVar
 from m100link.errors import LinkClosed, UsageError
 from m100link.sim.clock import LockstepEventLoop
 
-__all__ = ["Caller", "Portal"]
-
 P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
@@ -27,8 +25,7 @@ class Caller:
 
     A callback that takes long delays nobody but the thread that gave it.
 
-    Args:
-        clock: Stands still while nobody waits; None: time passes by itself.
+    The clock stands still while nobody waits; without one time passes by itself.
     """
 
     def __init__(self, clock: LockstepEventLoop | None) -> None:
@@ -99,11 +96,7 @@ class Portal:
 
     It closes when the program ends, if nobody did it before.
 
-    Args:
-        loop_factory: Makes the event loop; None: as asyncio does.
-
-    Attributes:
-        is_open: Whether calls are taken.
+    ``loop_factory`` makes the event loop; None: as asyncio does.
     """
 
     def __init__(self, loop_factory: Callable[[], asyncio.AbstractEventLoop] | None = None) -> None:
@@ -119,7 +112,7 @@ class Portal:
         self._lockstep = self._loop if isinstance(self._loop, LockstepEventLoop) else None
         self._process = os.getpid()  # the child of a fork has no such thread
         self._unanswered: set[Future[Any]] = set()  # what threads wait for
-        self.is_open = True
+        self.is_open = True  # whether calls are taken
 
     def soon(self, function: Callable[[], object]) -> None:
         """Call it in the event loop, and do not wait for it. Allowed in a signal handler."""
@@ -221,12 +214,7 @@ class Portal:
     def close_after(
         self, close: Callable[[], Coroutine[Any, Any, None]], on_end: Callable[[], None]
     ) -> Callable[[], None]:
-        """What awaits ``close`` and then closes this; the end of the program calls it too.
-
-        Args:
-            close: In the event loop.
-            on_end: Called last, in the thread that closes.
-        """
+        """What awaits ``close`` and then closes this; the end of the program calls it too."""
 
         def end() -> None:
             if self._process != os.getpid():

@@ -12,8 +12,6 @@ from typing import Any, Protocol
 
 from m100link.flight.cancellation import NUMBERS, OtherWatch
 
-__all__ = ["SIGNALS", "SyncSignals"]
-
 _HUNG_S = 1.0
 
 

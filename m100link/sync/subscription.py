@@ -10,8 +10,6 @@ from m100link.errors import M100Error, TelemetryStalled
 from m100link.sync.portal import Portal
 from m100link.telemetry import subscription as aio
 
-__all__ = ["Subscription"]
-
 T = TypeVar("T")
 
 

@@ -18,15 +18,8 @@ from m100link import (
 )
 from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sync.subscription import Subscription
-from tests import sync_source
 
 Connect = Callable[[], sync.Aircraft]
-
-
-def test_what_is_written_by_the_generator_is_what_it_writes_now() -> None:
-    assert set(sync_source.SOURCES) == {"aircraft.py", "control.py", "payload.py"}
-    sync_source.assert_written("aircraft.py")
-    sync_source.assert_written("payload.py")
 
 
 def test_an_aircraft_answers_and_closes(connect: Connect) -> None:

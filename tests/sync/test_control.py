@@ -17,15 +17,10 @@ from m100link import (
     sync,
 )
 from m100link.flight.authority import AuthorityInput
-from tests import sync_source
 
 Connect = Callable[[], sync.Aircraft]
 
 NORTH = Setpoint.velocity(north=2.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
-
-
-def test_what_is_written_by_the_generator_is_what_it_writes_now() -> None:
-    sync_source.assert_written("control.py")
 
 
 def activated(connect: Connect) -> sync.Aircraft:
