@@ -31,8 +31,6 @@ from m100link.wire.cipher import Cipher
 from m100link.wire.crc import frame_crc32
 from m100link.wire.frame import Frame, encode_frame
 
-__all__ = ["Autopilot"]
-
 _MOBILE_BYTES_PER_S = 1000.0  # document 2.2.3.3: around 1 KB/s from the mobile device
 _PUSH_TIMEOUT_S, _PUSH_TRIES = 0.5, 10
 

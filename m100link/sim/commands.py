@@ -47,24 +47,16 @@ if TYPE_CHECKING:
     from m100link.protocol.firmware import FirmwareProfile
     from m100link.sim.vehicle.vehicle import Vehicle
 
-__all__ = ["CommandedAircraft", "Commands", "Counters", "LastCommand", "Reply"]
-
 
 _MISSIONS = bytes((COMMAND_SET,))
 
 
 class Reply(NamedTuple):
-    """Answer to a command.
+    """Answer to a command."""
 
-    Attributes:
-        payload: Data of the ack.
-        plain: Send it plain even if the command came encrypted.
-        begins_anew: A program begins: what was answered before is forgotten.
-    """
-
-    payload: bytes
-    plain: bool = False
-    begins_anew: bool = False
+    payload: bytes  # data of the ack
+    plain: bool = False  # send it plain even if the command came encrypted
+    begins_anew: bool = False  # a program begins: what was answered before is forgotten
 
 
 class LastCommand(NamedTuple):
@@ -105,19 +97,12 @@ class Counters:
 
 
 class CommandedAircraft(Protocol):
-    """What carrying commands out needs: a vehicle, what it is asked beside it, and a record.
-
-    Attributes:
-        vehicle: What flies.
-        profile: Its firmware.
-        counters: What went over the line.
-        received_movements, received_commands: What came, newest last.
-    """
+    """What carrying commands out needs: a vehicle, what it is asked beside it, and a record."""
 
     vehicle: Vehicle
     profile: FirmwareProfile
-    counters: Counters
-    received_movements: deque[Move]
+    counters: Counters  # what went over the line
+    received_movements: deque[Move]  # what came, newest last
     received_commands: deque[LastCommand]
 
     def version(self, code: VersionCode) -> Version:

@@ -28,16 +28,6 @@ from m100link.wire.frame import HEADER_SIZE, MAX_FRAME_SIZE, SOF
 if TYPE_CHECKING:
     from random import Random
 
-__all__ = [
-    "NO_FAULTS",
-    "Direction",
-    "Line",
-    "LineFaults",
-    "TelemetryPusher",
-    "is_telemetry",
-    "split_frames",
-]
-
 
 # -- the telemetry push: which items are due, what they say, and a quick road to the bytes ---------
 # Each item has its own rate; packets go out at the highest rate among them and carry only what is
@@ -84,12 +74,7 @@ def _picker(places: list[int], count: int) -> Callable[[Sequence[float]], Sequen
 
 
 class TelemetryPusher:
-    """Makes the telemetry frame of each tick.
-
-    Attributes:
-        rates_hz: Rate per item name in force.
-        packets: Packets made since power-on.
-    """
+    """Makes the telemetry frame of each tick."""
 
     def __init__(
         self, profile: FirmwareProfile, sensors: Sensors, rates_hz: dict[str, int]
@@ -100,8 +85,8 @@ class TelemetryPusher:
         every = profile.item_flags
         self._plans = {every: _Plan(every, profile, sensors)}
         self._schedule: list[_Plan | None] = []
-        self.rates_hz: dict[str, int] = {}
-        self.packets = 0
+        self.rates_hz: dict[str, int] = {}  # rate per item name in force
+        self.packets = 0  # packets made since power-on
         self.set_rates(rates_hz)
 
     def set_rates(self, rates_hz: dict[str, int]) -> None:
@@ -236,16 +221,8 @@ def split_frames(data: bytes) -> list[bytes]:
 class Direction:
     """One direction of a line.
 
-    Attributes:
-        faults: What is wrong with it; may be replaced at any time.
-        baud_rate: Of the port (8N1): a frame arrives when its last bit could. None takes no time.
-        is_stalled: Nothing passes; what is sent waits, up to half a second's worth.
-        is_cut: Nothing passes, and nothing waits.
-        frames: Pieces sent into it.
-        lost: Pieces that do not arrive.
-        busy_until: When the last bit of what was sent so far has left.
-        damaged: Pieces that arrive with flipped bits.
-        duplicated: Pieces that arrive twice.
+    ``frames``: pieces sent into it. ``lost``: pieces that do not arrive. ``damaged``: pieces that
+    arrive with flipped bits. ``duplicated``: pieces that arrive twice.
     """
 
     def __init__(
@@ -258,11 +235,12 @@ class Direction:
         self._last_arrival = -math.inf
         # When the next burst comes; None while there is no noise.
         self._next_noise: float | None = None
-        self.busy_until = -math.inf
-        self.faults = faults
+        self.busy_until = -math.inf  # when the last bit of what was sent so far has left
+        self.faults = faults  # what is wrong with it; may be replaced at any time
+        # Of the port (8N1): a frame arrives when its last bit could. None takes no time.
         self.baud_rate = baud_rate
-        self.is_stalled = False
-        self.is_cut = False
+        self.is_stalled = False  # nothing passes; what is sent waits, up to half a second's worth
+        self.is_cut = False  # nothing passes, and nothing waits
         self.frames = self.lost = self.damaged = self.duplicated = 0
 
     @property

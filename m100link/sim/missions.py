@@ -49,7 +49,6 @@ from m100link.sim.vehicle.missions.waypoints import WaypointFlight
 if TYPE_CHECKING:
     from m100link.sim.vehicle.vehicle import Vehicle
 
-__all__ = ["UNCONFIRMED", "MissionCommands", "refusal"]
 
 UNCONFIRMED = frozenset((HotpointSetRate, HotpointSetRadius, HotpointResetYaw))
 """Commands without an ack, except where ``MissionSettings.hotpoint_acks`` asks for one."""
@@ -58,14 +57,7 @@ _OK = MissionCode.SUCCESS
 
 
 class MissionCommands:
-    """Carries mission commands out: :attr:`handlers`, from the class of a command to what it does.
-
-    Args:
-        vehicle: What flies.
-
-    Attributes:
-        handlers: The table.
-    """
+    """Carries mission commands out: :attr:`handlers` by the class of the command."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._vehicle = vehicle

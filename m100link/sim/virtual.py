@@ -25,8 +25,6 @@ from m100link.sim.vehicle.vehicle import Vehicle
 if TYPE_CHECKING:
     from m100link.wire import Key
 
-__all__ = ["VirtualAircraft"]
-
 
 class VirtualAircraft:
     """A Matrice 100 that exists in memory.

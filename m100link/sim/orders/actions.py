@@ -25,34 +25,18 @@ from m100link.errors.texts import read_toml
 from m100link.sim.line import LineFaults
 from m100link.sim.virtual import VirtualAircraft
 
-__all__ = [
-    "ACTIONS",
-    "Action",
-    "Scenario",
-    "Step",
-    "perform",
-    "status",
-]
-
-
 _ON = {"on": True, "yes": True, "true": True, "1": True}
 _OFF = {"off": False, "no": False, "false": False, "0": False}
 
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """One thing that can be done.
+    """One thing that can be done."""
 
-    Attributes:
-        name: The word for it.
-        usage: Its arguments, for help.
-        help: One sentence.
-        run: Does it, given positional and ``name=value`` arguments as text.
-    """
-
-    name: str
-    usage: str
+    name: str  # the word for it
+    usage: str  # its arguments, for help
     help: str
+    # Does it, given positional and ``name=value`` arguments as text.
     run: Callable[[VirtualAircraft, list[str], dict[str, str]], Any]
 
 
@@ -227,8 +211,7 @@ ACTIONS: dict[str, Action] = {
 def perform(aircraft: VirtualAircraft, order: str | list[str]) -> Action:
     """Do what a line of text, or its words, says; returns the action that was done.
 
-    Raises:
-        UsageError: No such action, or arguments that it cannot have.
+    Raises ``UsageError``: no such action, or arguments that it cannot have.
     """
     words = shlex.split(order) if isinstance(order, str) else list(order)
     if not words:
@@ -313,16 +296,11 @@ _EVENT = "waypoint"
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One order and when it is due.
+    """One order and when it is due."""
 
-    Attributes:
-        at: Seconds since power-on, or since the waypoint was reached.
-        order: A line for :func:`~m100link.sim.orders.actions.perform`.
-        waypoint: The waypoint whose reaching it waits for, None when the time alone decides.
-    """
-
-    at: float
-    order: str
+    at: float  # seconds since power-on, or since the waypoint was reached
+    order: str  # a line for :func:`~m100link.sim.orders.actions.perform`
+    # The waypoint whose reaching it waits for, None when the time alone decides.
     waypoint: int | None = None
 
 
@@ -342,8 +320,7 @@ class Scenario:
     def read(cls, path: str | Path) -> Scenario:
         """Read a file.
 
-        Raises:
-            UsageError: It is not there, is not TOML, or a step cannot be one.
+        Raises ``UsageError``: it is not there, is not TOML, or a step cannot be one.
         """
         try:
             content = read_toml(Path(path).read_bytes())
@@ -369,8 +346,7 @@ class Scenario:
     def advance(self, aircraft: VirtualAircraft) -> list[Step]:
         """Do what is due by now; returns the steps that were done.
 
-        Raises:
-            UsageError: A step cannot be done, such as the app taking control out of F.
+        Raises ``UsageError``: a step cannot be done, such as the app taking control out of F.
         """
         if self._waiting:
             self._look_at_arrivals(aircraft)

@@ -24,7 +24,6 @@ from m100link.sim.ports.driver import stop_listening
 if TYPE_CHECKING:
     from m100link.sim.virtual import VirtualAircraft
 
-__all__ = ["CtlServer", "find_sockets", "send_order", "socket_directory"]
 
 _LIMIT = 65_536
 
@@ -128,14 +127,9 @@ def send_order(
 ) -> dict[str, Any]:
     """Send one order to a running simulator and return its answer.
 
-    Args:
-        order: The action and its arguments.
-        path: Socket; by default that of the only simulator that runs.
-        aircraft: Which aircraft of a process with several, from 0.
-        timeout: Seconds to wait.
-
-    Raises:
-        NoSimulator: None runs, or several do and ``path`` says nothing.
+    ``path``: socket; by default that of the only simulator that runs. ``aircraft``: which aircraft
+    of a process with several, from 0. ``timeout``: seconds to wait. Raises ``NoSimulator``: none
+    runs, or several do and ``path`` says nothing.
     """
     if path is None:
         path = _only_socket()

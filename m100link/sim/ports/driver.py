@@ -24,17 +24,6 @@ if TYPE_CHECKING:
     from m100link.sim.orders.actions import Scenario
     from m100link.sim.virtual import VirtualAircraft
 
-__all__ = [
-    "Backlog",
-    "Driver",
-    "Port",
-    "StreamPort",
-    "TcpServer",
-    "open_sim",
-    "serve_tcp",
-    "stop_listening",
-]
-
 
 _OVERSLEPT_S = 1.0
 
@@ -60,17 +49,13 @@ class Port(Protocol):
 
 
 class Backlog:
-    """Frames that wait for a reader who does not keep up; bounded, old telemetry goes first.
-
-    Attributes:
-        dropped: Frames dropped so far.
-    """
+    """Frames that wait for a reader who does not keep up; bounded, old telemetry goes first."""
 
     LIMIT = 256
 
     def __init__(self) -> None:
         self._frames: deque[bytes] = deque()
-        self.dropped = 0
+        self.dropped = 0  # frames dropped so far
 
     def __len__(self) -> int:
         return len(self._frames)

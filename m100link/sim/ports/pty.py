@@ -23,7 +23,6 @@ from m100link.sim.ports.driver import Backlog
 if TYPE_CHECKING:
     from m100link.sim.ports.driver import Driver
 
-__all__ = ["PtyPort"]
 
 _STALE_S = 1.0
 _FULL = 4000  # the line discipline holds 4095 bytes

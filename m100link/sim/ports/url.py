@@ -16,16 +16,6 @@ from m100link.sim.vehicle.missions.route import MissionSettings
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
 from m100link.sim.virtual import VirtualAircraft
 
-__all__ = [
-    "LINE_OPTIONS",
-    "MISSION_OPTIONS",
-    "SITE_OPTIONS",
-    "aircraft_of",
-    "check_clock",
-    "clock_of",
-    "speed_of",
-]
-
 LINE_OPTIONS: dict[str, str] = {
     one.name: {"baud_rate": "line-baud"}.get(one.name, one.name.replace("_", "-"))
     for one in fields(LineFaults)
@@ -110,8 +100,7 @@ def _read(url: str, name: str, text: str, kind: Any) -> Any:
 def speed_of(url: str) -> float:
     """How many of its seconds a real one has; infinity for ``speed=max``.
 
-    Raises:
-        BadURL: It is not a speed.
+    Raises ``BadURL``: it is not a speed.
     """
     text = _options(url).get("speed", "1")
     try:
@@ -139,8 +128,7 @@ def clock_of(line: object) -> Callable[[], asyncio.AbstractEventLoop] | None:
 def check_clock(url: str, loop: asyncio.AbstractEventLoop) -> None:
     """Whether time passes here as fast as the URL says: the aircraft lives on the program's clock.
 
-    Raises:
-        UsageError: It does not.
+    Raises ``UsageError``: it does not.
     """
     if "speed" not in _options(url):
         return
@@ -160,8 +148,7 @@ def check_clock(url: str, loop: asyncio.AbstractEventLoop) -> None:
 def aircraft_of(url: str) -> VirtualAircraft:
     """The virtual aircraft that a URL describes.
 
-    Raises:
-        BadURL: An option that does not exist, or a value that it cannot have.
+    Raises ``BadURL``: an option that does not exist, or a value that it cannot have.
     """
     options = _options(url)
 

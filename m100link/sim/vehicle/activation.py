@@ -12,19 +12,6 @@ from m100link.protocol.commands.activation import Activate
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.wire.cipher import Key
 
-__all__ = [
-    "DEFAULT_DEVICE_LIMIT",
-    "DEMO_APP_ID",
-    "DEMO_KEY",
-    "Activation",
-    "ActivationServer",
-    "Grant",
-    "MobileApp",
-    "Refusal",
-    "RegisteredApp",
-]
-
-
 # -- the mobile app on the remote control and, behind it, the server that knows registered apps ----
 # An aircraft has no Internet of its own: activation goes through the app (document, *General System
 # Description*). The AES key travels to the aircraft on that way only, never over the serial line.
@@ -207,11 +194,6 @@ class Activation:
     app that the server does not know is answered 3 at first as well, as DJI's own test of it
     expects (facts-later-commands 4), then 6. An app that was allowed once is remembered, over
     power-off too, and needs neither phone nor Internet again.
-
-    Attributes:
-        active: The grant in force, None before activation.
-        known: Grants by app id.
-        last_refusal: Why the server refused last, None when it did not.
     """
 
     __slots__ = (
@@ -241,8 +223,9 @@ class Activation:
         self._app = app
         self._delay = server_delay
         self._asking: dict[int, float] = {}
-        self.active: Grant | None = None
-        self.known: dict[int, Grant] = {}
+        self.active: Grant | None = None  # the grant in force, None before activation
+        self.known: dict[int, Grant] = {}  # grants by app id
+        # Why the server refused last, None when it did not.
         self.last_refusal: Refusal | None = None
 
     def request(self, request: Activate, now: float) -> ActivationCode:
@@ -290,8 +273,7 @@ class Activation:
     def allow(self, app_id: int) -> None:
         """Know an app as one that the server allowed before: its next request is answered 0.
 
-        Raises:
-            ValueError: The server would not allow it.
+        Raises ``ValueError``: the server would not allow it.
         """
         verdict = self._server.activate(app_id, self._serial_number, None)
         if isinstance(verdict, Refusal):

@@ -15,8 +15,6 @@ from m100link.sim.vehicle.activation import MobileApp
 from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
 
-__all__ = ["ControlArbiter", "Obstacle"]
-
 
 class Obstacle(Enum):
     """Why the API is kept out."""
@@ -32,13 +30,10 @@ class Obstacle(Enum):
 class ControlArbiter:
     """The state of control authority; :meth:`update` after anything that may change it.
 
-    Attributes:
-        device: Who holds control now.
-        is_requested: The onboard device has obtained control and not given it back. Leaving F keeps
-            this, so that coming back to F needs no new request.
-        is_pending: A first request of two was answered "in progress".
-        remote: The remote control.
-        failsafe: The flight controller has taken over for want of a remote control.
+    ``is_requested``: the onboard device has obtained control and not given it back. Leaving F keeps
+    this, so that coming back to F needs no new request. ``is_pending``: a first request of two was
+    answered "in progress". ``failsafe``: the flight controller has taken over for want of a remote
+    control.
     """
 
     __slots__ = (
@@ -67,7 +62,7 @@ class ControlArbiter:
         self.remote = remote
         self._app = app
         self.assistant = assistant
-        self.device = Device.RC
+        self.device = Device.RC  # who holds control now
         self.is_requested = self.is_pending = self.is_releasing = self.failsafe = False
 
     def obstacle(self) -> Obstacle | None:

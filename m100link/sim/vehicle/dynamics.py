@@ -22,20 +22,6 @@ from dataclasses import dataclass
 from enum import IntEnum
 from math import atan, cos, exp, pi, sin, sqrt, tan
 
-__all__ = [
-    "GRAVITY",
-    "STEPS_PER_SECOND",
-    "STEP_S",
-    "Airframe",
-    "Dynamics",
-    "Guidance",
-    "ModelHorizontal",
-    "ModelVertical",
-    "ModelYaw",
-    "quaternion",
-]
-
-
 # -- the numbers of the flight model ---------------------------------------------------------------
 # They are chosen to look like a Matrice 100 (velocity lag of about a second, 17 m/s at most), they
 # are not measured on one.
@@ -125,20 +111,7 @@ class ModelYaw(IntEnum):
 
 
 class Guidance:
-    """What the aircraft is to do now. Values are of the kinds that the three modes name.
-
-    Attributes:
-        horizontal: Kind of ``a`` and ``b``.
-        a: Roll, or north / forward.
-        b: Pitch, or east / right.
-        body: Measure ``a`` and ``b`` along the nose (True) or along north (False).
-        vertical: Kind of ``up``.
-        up: Vertical velocity, height or thrust.
-        yaw_mode: Kind of ``yaw``.
-        yaw: Yaw angle or rate.
-        smooth: Change speed gently (stable mode).
-        steep: Tilt as far as the airframe can, and not only as in cruise.
-    """
+    """What the aircraft is to do now. Values are of the kinds that the three modes name."""
 
     __slots__ = (
         "a",
@@ -167,16 +140,16 @@ class Guidance:
         smooth: bool = False,
         steep: bool = False,
     ) -> None:
-        self.horizontal = horizontal
-        self.a = a
-        self.b = b
-        self.body = body
+        self.horizontal = horizontal  # kind of ``a`` and ``b``
+        self.a = a  # roll, or north / forward
+        self.b = b  # pitch, or east / right
+        self.body = body  # measure ``a`` and ``b`` along the nose (True) or along north (False)
         self.vertical = vertical
-        self.up = up
+        self.up = up  # vertical velocity, height or thrust
         self.yaw_mode = yaw_mode
-        self.yaw = yaw
-        self.smooth = smooth
-        self.steep = steep
+        self.yaw = yaw  # yaw angle or rate
+        self.smooth = smooth  # change speed gently (stable mode)
+        self.steep = steep  # tilt as far as the airframe can, and not only as in cruise
 
     def __repr__(self) -> str:
         return (

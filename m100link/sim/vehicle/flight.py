@@ -27,14 +27,6 @@ from m100link.sim.vehicle.piloting import by_sticks
 from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.settings import AircraftSettings
 
-__all__ = [
-    "FlightController",
-    "Maneuver",
-    "TaskMachine",
-    "TaskState",
-]
-
-
 # -- the flight mode commands: one at a time, the result kept (document 2.2.2.2) -------------------
 # ::     IDLE       --start, conditions met--> EXECUTING   answer 2; not met: answer 1, nothing
 # changes     EXECUTING  --start-->                 EXECUTING   answer 1     EXECUTING  --query-->
@@ -53,20 +45,14 @@ class TaskState(Enum):
 
 
 class TaskMachine:
-    """The one task that is or was executed last.
-
-    Attributes:
-        state: Its state.
-        task: Which, or None before the first.
-        task_sequence: The number that the onboard device gave it.
-    """
+    """The one task that is or was executed last."""
 
     __slots__ = ("state", "task", "task_sequence")
 
     def __init__(self) -> None:
         self.state = TaskState.IDLE
-        self.task: Task | None = None
-        self.task_sequence: int | None = None
+        self.task: Task | None = None  # which, or None before the first
+        self.task_sequence: int | None = None  # the number that the onboard device gave it
 
     @property
     def is_executing(self) -> bool:
@@ -122,18 +108,9 @@ class Maneuver(Enum):
 class FlightController:
     """Flight status, tasks, setpoints, battery and home point of one aircraft.
 
-    Attributes:
-        dynamics: The motion.
-        tasks: The flight mode command of the onboard device.
-        phase: Flight status as telemetry shows it.
-        maneuver: What it does by itself at the moment.
-        gps_health: 0 to 5.
-        battery_percent: 0 to 100, a float.
-        home: Metres north and east of the origin, None while not recorded.
-        setpoint: The last movement command that was accepted.
-        timeouts: How often movement commands stopped coming in the air.
-        interruptions: How often :meth:`interrupt` ended what it did; a mission that sees another
-            number than at its start is over.
+    ``timeouts``: how often movement commands stopped coming in the air. ``interruptions``: how
+    often :meth:`interrupt` ended what it did; a mission that sees another number than at its start
+    is over.
     """
 
     __slots__ = (
@@ -162,13 +139,14 @@ class FlightController:
     def __init__(self, settings: AircraftSettings) -> None:
         self._settings = settings
         self.dynamics = Dynamics(settings.airframe, yaw_deg=settings.heading_deg)
-        self.tasks = TaskMachine()
-        self.phase = FlightPhase.STANDBY
-        self.maneuver = Maneuver.NONE
-        self.gps_health = 5
-        self.battery_percent = 100.0
+        self.tasks = TaskMachine()  # the flight mode command of the onboard device
+        self.phase = FlightPhase.STANDBY  # flight status as telemetry shows it
+        self.maneuver = Maneuver.NONE  # what it does by itself at the moment
+        self.gps_health = 5  # 0 to 5
+        self.battery_percent = 100.0  # 0 to 100, a float
+        # Metres north and east of the origin, None while not recorded.
         self.home: tuple[float, float] | None = None
-        self.setpoint: wire.Setpoint | None = None
+        self.setpoint: wire.Setpoint | None = None  # the last movement command that was accepted
         self.timeouts = self.interruptions = 0
         self.now = 0.0
         # What the last setpoint asks for, and until when it counts.
@@ -387,10 +365,8 @@ class FlightController:
     def step(self, now: float, device: Device, remote: PilotRemote) -> None:
         """Move on by one step of the dynamics.
 
-        Args:
-            now: Seconds since power-on at the end of the step.
-            device: Who holds control.
-            remote: The pilot's sticks, used while the pilot holds control.
+        ``now``: seconds since power-on at the end of the step. ``remote``: the pilot's sticks, used
+        while the pilot holds control.
         """
         self.now = now
         motion = self.dynamics

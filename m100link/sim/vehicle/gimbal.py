@@ -15,7 +15,6 @@ from m100link.protocol.commands.gimbal import GIMBAL_LIMITS_DEG, GimbalAngleMode
 if TYPE_CHECKING:
     from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
 
-__all__ = ["Camera", "GimbalMount"]
 
 _LIMITS = tuple(GIMBAL_LIMITS_DEG.values())  # yaw, roll, pitch
 _TAKES_CONTROL = 0x80
@@ -34,24 +33,17 @@ class GimbalMount:
     axis takes it along. Following, it turns with the nose. (Facts K5: an owner of a Matrice 100 saw
     it fixed to the ground whatever mode the app had chosen.)
 
-    Args:
-        heading: Where the nose points, radians.
-        follows: Whether it follows.
-
-    Attributes:
-        yaw: Relative to the nose, degrees, clockwise; -320 to 320, so it may have gone round.
-        roll: Degrees, held level against the ground.
-        pitch: Degrees, -90 looks straight down.
-        follows: As given; may be changed.
-        heading: Where the nose points, radians, as :meth:`carry` was told last.
+    ``yaw``: relative to the nose, degrees, clockwise; -320 to 320, so it may have gone round.
+    ``roll``: degrees, held level against the ground. ``pitch``: degrees, -90 looks straight down.
+    ``heading``: where the nose points, radians, as :meth:`carry` was told last.
     """
 
     __slots__ = ("_rate_until", "_rates", "_targets", "follows", "heading", "pitch", "roll", "yaw")
 
     def __init__(self, heading: float = 0.0, *, follows: bool = False) -> None:
         self.yaw = self.roll = self.pitch = 0.0
-        self.follows = follows
-        self.heading = heading
+        self.follows = follows  # as given; may be changed
+        self.heading = heading  # where the nose points, radians
         # Degrees per second of yaw, roll and pitch, for a rate command or towards the targets.
         self._rates = [0.0, 0.0, 0.0]
         self._rate_until = 0.0
@@ -136,25 +128,17 @@ class GimbalMount:
 
 
 class Camera:
-    """Takes photographs and records; nothing that the onboard device hears tells of it.
-
-    Args:
-        log: Notes what it does.
-
-    Attributes:
-        photos: Photographs taken.
-        is_recording: Whether it records video.
-    """
+    """Takes photographs and records; nothing that the onboard device hears tells of it."""
 
     PHOTO_S = 1.0
 
     __slots__ = ("_busy_until", "_log", "is_recording", "photos")
 
     def __init__(self, log: Callable[[str], None]) -> None:
-        self._log = log
+        self._log = log  # notes what it does
         self._busy_until = -math.inf  # the photograph that is being taken
         self.photos = 0
-        self.is_recording = False
+        self.is_recording = False  # whether it records video
 
     def take_photo(self, now: float) -> bool:
         """Take one; it takes a second. False while one is being taken."""

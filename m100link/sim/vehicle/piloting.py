@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from m100link.sim.vehicle.dynamics import Airframe
     from m100link.sim.vehicle.remote import Sticks
 
-__all__ = ["by_sticks"]
 
 _FASTEST = 10.0  # m/s at full deflection
 

@@ -15,7 +15,6 @@ from m100link.protocol.records import RcMode
 if TYPE_CHECKING:
     from m100link.protocol.commands.virtual_rc import VirtualRcData, VirtualRcSettings
 
-__all__ = ["GEAR_DOWN", "GEAR_UP", "PilotRemote", "Sticks", "VirtualRemote"]
 
 GEAR_UP = -10_000
 GEAR_DOWN = -4_545
@@ -63,9 +62,7 @@ class VirtualRemote:
     Two requests within two seconds lock the autopilot in a loop of checks in which even the mode
     switch does nothing (facts V2, DJI's header): nobody steers any more until a restart.
 
-    Attributes:
-        is_on: Switched on by the last request.
-        is_locked: Whether requests came too fast.
+    ``is_on``: switched on by the last request. ``is_locked``: whether requests came too fast.
     """
 
     TIMEOUT_S = 1.0

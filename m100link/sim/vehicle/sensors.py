@@ -20,13 +20,6 @@ from m100link.sim.vehicle.gimbal import GimbalMount
 from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.settings import AircraftSettings
 
-__all__ = [
-    "Sensors",
-    "Wander",
-    "noise_source",
-]
-
-
 # -- what sensors get wrong: white noise, and errors that wander -----------------------------------
 
 
@@ -57,20 +50,14 @@ class Wander:
 
     Over a time t short against the memory it changes by deviation x sqrt(2 t / memory).
 
-    Args:
-        random: Where it gets its chance from.
-        deviation: Standard deviation in the long run.
-        memory_s: Seconds after which 1/e of an error is left.
-        step_s: Time from one :meth:`advance` to the next.
-
-    Attributes:
-        value: The error now.
+    ``deviation``: standard deviation in the long run. ``memory_s``: seconds after which 1/e of an
+    error is left. ``step_s``: time from one :meth:`advance` to the next.
     """
 
     __slots__ = ("_keep", "_kick", "_random", "value")
 
     def __init__(self, random: Random, deviation: float, memory_s: float, step_s: float) -> None:
-        self._random = random
+        self._random = random  # where it gets its chance from
         self._keep = math.exp(-step_s / memory_s)
         self._kick = deviation * math.sqrt(1.0 - self._keep**2)
         self.value = 0.0
@@ -126,11 +113,7 @@ class _Errors:
 
 
 class Sensors:
-    """What the aircraft believes about itself: the values of every item, in its record's order.
-
-    Attributes:
-        ticks: Steps since the autopilot started: its clock.
-    """
+    """What the aircraft believes about itself: the values of every item, in its record's order."""
 
     def __init__(
         self,
@@ -144,7 +127,7 @@ class Sensors:
         gimbal: GimbalMount,
         step_s: float,
     ) -> None:
-        self.ticks = 0
+        self.ticks = 0  # steps since the autopilot started: its clock
         self._profile = profile
         self._settings = settings
         self._flight = flight

@@ -16,8 +16,6 @@ from m100link.protocol.items import BY_NAME, ITEMS
 from m100link.sim.vehicle.dynamics import Airframe
 from m100link.sim.vehicle.missions.route import MissionSettings
 
-__all__ = ["DEFAULT_RATES_HZ", "AircraftSettings", "AssistantSettings", "Undecodable"]
-
 DEFAULT_RATES_HZ: dict[str, int] = {item.name: item.rate_hz for item in ITEMS}
 """Default frequency of each telemetry item (document 2.2.3.1)."""
 

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
-__all__ = ["LogEntry", "Vehicle"]
 
 _SLOW_STEPS = 5  # switches and time-outs are looked at every 50 ms
 _GUST_MEMORY_S = 2.0

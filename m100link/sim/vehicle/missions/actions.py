@@ -21,13 +21,6 @@ if TYPE_CHECKING:
     from m100link.protocol.commands.waypoint import WaypointPoint
     from m100link.sim.vehicle.settings import AircraftSettings
 
-__all__ = [
-    "ActionRunner",
-    "Conditions",
-    "Payload",
-    "aim_gimbal",
-]
-
 
 _LONGEST_CAMERA_ACTION_S = 6.0
 _GIMBAL_RATE_DEG = 45.0
@@ -42,16 +35,7 @@ def aim_gimbal(gimbal: GimbalMount, pitch_deg: float, seconds: float) -> None:
 
 
 class Payload:
-    """What hangs below, as far as a mission uses it.
-
-    Args:
-        gimbal, camera: They.
-        flight: Knows the time.
-        log: Notes what happens at which waypoint, for people.
-
-    Attributes:
-        gimbal: As given.
-    """
+    """What hangs below, as far as a mission uses it."""
 
     __slots__ = ("_camera", "_flight", "_log", "gimbal")
 
@@ -60,7 +44,7 @@ class Payload:
         gimbal: GimbalMount,
         camera: Camera,
         flight: FlightController,
-        log: Callable[[str], None],
+        log: Callable[[str], None],  # notes what happens at which waypoint, for people
     ) -> None:
         self.gimbal = gimbal
         self._camera = camera
@@ -81,15 +65,7 @@ class Payload:
 
 
 class ActionRunner:
-    """The actions of one waypoint; :meth:`step` once per step of the dynamics until it is done.
-
-    Args:
-        point: The waypoint.
-        payload: What hangs below.
-        motion: The aircraft.
-        nose: Where the mission points it.
-        settings: How long things take.
-    """
+    """The actions of one waypoint; :meth:`step` once per step of the dynamics until it is done."""
 
     __slots__ = (
         "_is_done",
@@ -109,8 +85,8 @@ class ActionRunner:
         point: WaypointPoint,
         payload: Payload,
         motion: Dynamics,
-        nose: Nose,
-        settings: MissionSettings,
+        nose: Nose,  # where the mission points it
+        settings: MissionSettings,  # how long things take
     ) -> None:
         self._point = point
         self._payload = payload
@@ -187,21 +163,14 @@ _BUSY: dict[Maneuver, MissionCode] = {
 
 
 class Conditions:
-    """Judges the state of the aircraft, in the order of facts M3 to M7.
-
-    Args:
-        flight: What it does.
-        settings: The aircraft.
-        authority: Who may give orders.
-        site: Where missions may go.
-    """
+    """Judges the state of the aircraft, in the order of facts M3 to M7."""
 
     def __init__(
         self,
         flight: FlightController,
         settings: AircraftSettings,
-        authority: ControlArbiter,
-        site: Site,
+        authority: ControlArbiter,  # who may give orders
+        site: Site,  # where missions may go
     ) -> None:
         self._flight = flight
         self._settings = settings

@@ -52,7 +52,6 @@ if TYPE_CHECKING:
     from m100link.sim.vehicle.authority import ControlArbiter
     from m100link.sim.vehicle.settings import AircraftSettings
 
-__all__ = ["Flown", "MissionComputer"]
 
 Flown: TypeAlias = WaypointFlight | HotpointFlight | FollowFlight
 
@@ -66,29 +65,17 @@ _NAMES = {0: "none", 1: "waypoint", 2: "hotpoint", 3: "follow"}
 class MissionComputer:
     """Missions of one aircraft.
 
-    Args:
-        flight: What flies, and is told where to.
-        settings: The aircraft and its site.
-        authority: Who may give orders, and where the pilot's sticks are.
-        payload: What hangs below.
-        log: Notes what happens, for people.
-
-    Attributes:
-        running: The mission under way, paused or not.
-        is_paused: Whether it is paused.
-        is_active: Whether there is anything to do each step: a mission was uploaded or started
-            since power-on. Until then nothing here costs time.
-        upload: The waypoint mission that is there, flown or not.
-        arrivals: Waypoints reached since power-on, oldest first.
+    ``is_active``: whether there is anything to do each step: a mission was uploaded or started
+    since power-on. Until then nothing here costs time.
     """
 
     def __init__(
         self,
-        flight: FlightController,
-        settings: AircraftSettings,
-        authority: ControlArbiter,
+        flight: FlightController,  # what flies, and is told where to
+        settings: AircraftSettings,  # the aircraft and its site
+        authority: ControlArbiter,  # who may give orders, and where the pilot's sticks are
         payload: Payload,
-        log: Callable[[str], None],
+        log: Callable[[str], None],  # notes what happens, for people
     ) -> None:
         self._flight = flight
         self._settings = settings
@@ -100,8 +87,9 @@ class MissionComputer:
             settings.latitude_deg, settings.longitude_deg, settings.height_limit, settings.missions
         )
         self._conditions = Conditions(flight, settings, authority, self._site)
+        # The waypoint mission that is there, flown or not.
         self.upload = WaypointUpload(self._missions, self._site)
-        self.arrivals: list[int] = []
+        self.arrivals: list[int] = []  # waypoints reached since power-on, oldest first
         self.power_off()
 
     def power_off(self) -> None:

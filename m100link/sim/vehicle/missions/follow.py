@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from m100link.sim.vehicle.missions.route import MissionSettings, Place
     from m100link.sim.vehicle.remote import Sticks
 
-__all__ = ["FollowFlight", "follow_code"]
 
 _FARTHEST_TARGET = 20_000.0
 _LOWEST = 5.0
@@ -46,25 +45,9 @@ def follow_code(command: FollowStart, site: Site, here: Place, home: Place) -> M
 
 
 class FollowFlight:
-    """One pursuit under way; :meth:`guide` once per step of the dynamics.
+    """One pursuit under way; :meth:`guide` once per step of the dynamics."""
 
-    Args:
-        command: As it came.
-        motion: The aircraft.
-        airframe: Its numbers.
-        settings: Of missions.
-        site: The map.
-
-    Attributes:
-        KIND: First byte of its status push.
-        events: Always empty.
-        then: What comes after: nothing.
-        is_over: Never by itself.
-        flies_without_rc: Never.
-        silence: Seconds since the last target.
-    """
-
-    KIND = 3
+    KIND = 3  # first byte of its status push
 
     def __init__(
         self,
@@ -75,9 +58,9 @@ class FollowFlight:
         site: Site,
     ) -> None:
         self.events: list[WaypointEvent] = []
-        self.then = FinishAction.NONE
+        self.then = FinishAction.NONE  # what comes after: nothing
         self.is_over = self.flies_without_rc = False
-        self.silence = 0.0
+        self.silence = 0.0  # seconds since the last target
         self._motion = motion
         self._airframe = airframe
         self._settings = settings

@@ -19,15 +19,6 @@ if TYPE_CHECKING:
     from m100link.sim.vehicle.missions.route import MissionSettings
     from m100link.sim.vehicle.remote import Sticks
 
-__all__ = [
-    "LARGEST_RADIUS",
-    "LOWEST",
-    "SMALLEST_RADIUS",
-    "CircleYaw",
-    "HotpointFlight",
-    "hotpoint_code",
-    "largest_rate",
-]
 
 SMALLEST_RADIUS, LARGEST_RADIUS, LOWEST = 5.0, 500.0, 5.0
 _FASTEST_DEG, _TANGENTIAL = 30.0, 573.0  # °/s, and ° m/s: 10 m/s along the circle
@@ -91,37 +82,21 @@ class _Phase(Enum):
 
 
 class HotpointFlight:
-    """One hotpoint under way; :meth:`guide` once per step of the dynamics.
+    """One hotpoint under way; :meth:`guide` once per step of the dynamics."""
 
-    Args:
-        command: As it came.
-        centre: The centre, at the height to circle at.
-        motion: The aircraft.
-        airframe: Its numbers.
-        settings: Of missions.
-
-    Attributes:
-        KIND: First byte of its status push.
-        command: As given, for those who ask.
-        events: Always empty.
-        then: What comes after: nothing.
-        is_over: Never by itself.
-        flies_without_rc: Never.
-    """
-
-    KIND = 2
+    KIND = 2  # first byte of its status push
 
     def __init__(
         self,
         command: HotpointStart,
-        centre: Place,
+        centre: Place,  # the centre, at the height to circle at
         motion: Dynamics,
         airframe: Airframe,
         settings: MissionSettings,
     ) -> None:
-        self.command = command
+        self.command = command  # as given, for those who ask
         self.events: list[WaypointEvent] = []
-        self.then = FinishAction.NONE
+        self.then = FinishAction.NONE  # what comes after: nothing
         self.is_over = self.flies_without_rc = False
         self._centre = centre
         self._motion = motion

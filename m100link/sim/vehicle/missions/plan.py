@@ -27,21 +27,6 @@ if TYPE_CHECKING:
     from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
     from m100link.sim.vehicle.missions.route import MissionSettings, Place, Site
 
-__all__ = [
-    "CIRCLE_REFUSALS",
-    "STOP_S",
-    "WAYPOINT_REFUSALS",
-    "ActionKind",
-    "FinishAction",
-    "Order",
-    "Stage",
-    "WaypointPlan",
-    "WaypointUpload",
-    "YawMode",
-    "mission_code",
-    "point_code",
-]
-
 
 STOP_S = 4.0
 """What braking, arriving and starting again cost at each stop, for the estimate, seconds."""
@@ -123,17 +108,11 @@ def _action_code(point: WaypointPoint) -> MissionCode:
 
 @dataclass(frozen=True, slots=True)
 class WaypointPlan:
-    """A mission with all its points.
+    """A mission with all its points."""
 
-    Attributes:
-        mission: As 0x03/0x10 had it.
-        points: As 0x03/0x11 had them, by index.
-        places: Where they are, in metres from where the aircraft was switched on.
-    """
-
-    mission: WaypointMission
-    points: tuple[WaypointPoint, ...]
-    places: tuple[Place, ...]
+    mission: WaypointMission  # as 0x03/0x10 had it
+    points: tuple[WaypointPoint, ...]  # as 0x03/0x11 had them, by index
+    places: tuple[Place, ...]  # where they are, in metres from where the aircraft was switched on
 
     @property
     def is_curved(self) -> bool:
@@ -204,21 +183,15 @@ def _acting_seconds(point: WaypointPoint) -> float:
 class WaypointUpload:
     """The memory for one waypoint mission.
 
-    Args:
-        settings: Of missions.
-        site: Where they may go.
-
-    Attributes:
-        mission: As 0x03/0x10 had it, with the idle speed that was set since; None without one.
-        points: The points so far, by index.
-        plan: All of it, once the check of the whole has passed.
+    ``mission``: as 0x03/0x10 had it, with the idle speed that was set since; None without one.
+    ``plan``: all of it, once the check of the whole has passed.
     """
 
     __slots__ = ("_settings", "_site", "mission", "plan", "points")
 
     def __init__(self, settings: MissionSettings, site: Site) -> None:
         self._settings = settings
-        self._site = site
+        self._site = site  # where they may go
         self.forget()
 
     def forget(self) -> None:

@@ -13,19 +13,6 @@ from typing import NamedTuple
 
 from m100link.geodesy import LocalFrame
 
-__all__ = [
-    "Leg",
-    "MissionSettings",
-    "NoFlyZone",
-    "OnLeg",
-    "Place",
-    "Site",
-    "distance",
-    "is_on_earth",
-    "legs_between",
-]
-
-
 # -- what can be chosen about missions: the numbers and open questions of command set 0x03 ---------
 
 
@@ -164,17 +151,11 @@ def _direction(start: Place, end: Place) -> Place:
 
 
 class OnLeg(NamedTuple):
-    """One place of a leg.
-
-    Attributes:
-        place: Where it is.
-        tangent: Unit vector along the leg.
-        bend: Curvature as a vector towards the centre, 1/m; zero on straight parts.
-    """
+    """One place of a leg."""
 
     place: Place
-    tangent: Place
-    bend: Place
+    tangent: Place  # unit vector along the leg
+    bend: Place  # curvature as a vector towards the centre, 1/m; zero on straight parts
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,11 +191,7 @@ class _Arc:
 class Leg:
     """A smooth line from one waypoint to another, past those between them.
 
-    Attributes:
-        first, last: Indexes of the waypoints at its ends.
-        length: Metres.
-        marks: Where along it which waypoint is passed: pairs of metres and index, in order.
-        curves: Where it bends: start, end and radius, metres.
+    ``first``: indexes of the waypoints at its ends.
     """
 
     __slots__ = ("_pieces", "_starts", "curves", "first", "last", "length", "marks")
@@ -222,6 +199,7 @@ class Leg:
     def __init__(self, pieces: list[_Line | _Arc], marks: list[tuple[float, int]]) -> None:
         self._pieces = pieces
         self._starts: list[float] = []
+        # Where it bends: start, end and radius, metres.
         self.curves: list[tuple[float, float, float]] = []
         total = 0.0
         for piece in pieces:
@@ -229,7 +207,8 @@ class Leg:
             if piece.radius < math.inf:
                 self.curves.append((total, total + piece.length, piece.radius))
             total += piece.length
-        self.length = total
+        self.length = total  # metres
+        # Where along it which waypoint is passed: pairs of metres and index, in order.
         self.marks = marks
         self.first, self.last = marks[0][1], marks[-1][1]
 
@@ -263,14 +242,12 @@ class Leg:
 def legs_between(places: list[Place], dampings: list[float] | None) -> list[Leg]:
     """The legs of a route.
 
-    Args:
-        places: The waypoints, two or more.
-        dampings: Radius of the curve at each, for coordinated turns; at the first and the last
-            it does not count, and 0 is a corner without a curve. None stops at every waypoint.
-
     A curve begins at most its damping before the waypoint, so that those of neighbours always fit
     when the two are together not longer than the leg: a turn of more than 90 degrees has a
     smaller radius than its damping.
+
+    ``dampings``: radius of the curve at each, for coordinated turns; at the first and the last it
+    does not count, and 0 is a corner without a curve. None stops at every waypoint.
     """
     legs: list[Leg] = []
     pieces: list[_Line | _Arc] = []
@@ -337,17 +314,7 @@ def is_on_earth(latitude: float, longitude: float) -> bool:
 
 
 class Site:
-    """The map around the place where the aircraft was switched on.
-
-    Args:
-        latitude_deg, longitude_deg: That place.
-        height_limit: Nothing climbs beyond it, metres.
-        settings: Of missions.
-
-    Attributes:
-        height_limit, radius_limit: Limits of missions, metres.
-        farthest_start: How far away a mission may begin, metres.
-    """
+    """The map around the place where the aircraft was switched on."""
 
     __slots__ = ("_frame", "_zones", "farthest_start", "height_limit", "radius_limit")
 
@@ -355,7 +322,7 @@ class Site:
         self,
         latitude_deg: float,
         longitude_deg: float,
-        height_limit: float,
+        height_limit: float,  # nothing climbs beyond it, metres
         settings: MissionSettings,
     ) -> None:
         self._frame = LocalFrame(latitude_deg, longitude_deg)
@@ -363,8 +330,9 @@ class Site:
             (*self._frame.to_local(zone.latitude_deg, zone.longitude_deg), zone.radius)
             for zone in settings.no_fly_zones
         ]
-        self.farthest_start = settings.farthest_start
+        self.farthest_start = settings.farthest_start  # how far away a mission may begin, metres
         limited = settings.never_logged_in
+        # Limits of missions, metres.
         self.height_limit = min(height_limit, _UNKNOWN_APP_HEIGHT) if limited else height_limit
         radius = settings.radius_limit
         self.radius_limit = min(radius, _UNKNOWN_APP_RADIUS) if limited else radius

@@ -18,7 +18,6 @@ from m100link.sim.vehicle.missions.route import OnLeg, Place
 if TYPE_CHECKING:
     from m100link.sim.vehicle.dynamics import Airframe
 
-__all__ = ["BRAKING", "Nose", "Steering", "slowed", "stopping_speed", "wrapped"]
 
 BRAKING = 1.8
 """Deceleration that missions plan with, m/s²."""
@@ -44,9 +43,7 @@ def stopping_speed(distance: float) -> float:
 def slowed(speed: float, left: float) -> tuple[float, float]:
     """A speed that still lets the aircraft stop, and the deceleration along with it.
 
-    Args:
-        speed: What is wanted, m/s, not negative.
-        left: Metres to where it has to stand.
+    ``speed``: what is wanted, m/s, not negative. ``left``: metres to where it has to stand.
     """
     stopping = stopping_speed(left)
     if stopping >= speed:
@@ -57,8 +54,7 @@ def slowed(speed: float, left: float) -> tuple[float, float]:
 class Nose:
     """The heading that a mission asks for, in radians, turning no faster than it may.
 
-    Attributes:
-        heading: What is asked for now.
+    ``heading``: what is asked for now.
     """
 
     __slots__ = ("_rate", "_target", "heading")
@@ -95,12 +91,7 @@ class Nose:
 
 
 class Steering:
-    """Turns places, lines and speeds into what the dynamics follow.
-
-    Args:
-        motion: The aircraft.
-        airframe: Its numbers.
-    """
+    """Turns places, lines and speeds into what the dynamics follow."""
 
     __slots__ = ("_airframe", "_motion")
 
@@ -142,13 +133,9 @@ class Steering:
     ) -> Guidance:
         """Fly along a line.
 
-        Args:
-            on: The place of the line beside the aircraft.
-            ahead: The one that it reaches while its attitude follows (:meth:`lead`).
-            speed: m/s along the line, negative backwards.
-            gain: m/s² of acceleration along the line that this asks for.
-            yaw_mode: Kind of ``yaw``.
-            yaw: Yaw angle or rate.
+        ``on``: the place of the line beside the aircraft. ``ahead``: the one that it reaches while
+        its attitude follows (:meth:`lead`). ``speed``: m/s along the line, negative backwards.
+        ``gain``: m/s² of acceleration along the line that this asks for.
         """
         airframe, here = self._airframe, self.here
         beside = on.place.plus(here, -1.0)

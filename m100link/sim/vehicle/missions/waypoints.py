@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from m100link.sim.vehicle.missions.route import MissionSettings
     from m100link.sim.vehicle.remote import Sticks
 
-__all__ = ["AFTER_ACTIONS", "BEFORE_ACTIONS", "Phase", "WaypointFlight"]
 
 BEFORE_ACTIONS, AFTER_ACTIONS = 4, 6
 """Status in the event that a waypoint was reached."""
@@ -56,26 +55,9 @@ class Phase(Enum):
 
 
 class WaypointFlight:
-    """One waypoint mission under way; :meth:`guide` once per step of the dynamics.
+    """One waypoint mission under way; :meth:`guide` once per step of the dynamics."""
 
-    Args:
-        plan: What was uploaded.
-        motion: The aircraft.
-        airframe: Its numbers.
-        payload: What hangs below.
-        settings: Of missions.
-
-    Attributes:
-        KIND: First byte of its status push.
-        plan: As given.
-        phase: What it does.
-        index: The waypoint it flies to, or is at.
-        idle_speed: m/s while nobody touches the stick; a command may change it on the way.
-        events: What has happened and was not fetched yet, oldest first.
-        then: What comes after a mission that is over.
-    """
-
-    KIND = 1
+    KIND = 1  # first byte of its status push
 
     def __init__(
         self,
@@ -88,10 +70,12 @@ class WaypointFlight:
         mission = plan.mission
         self.plan = plan
         self.phase = Phase.CLIMB
-        self.index = 0
+        self.index = 0  # the waypoint it flies to, or is at
+        # M/s while nobody touches the stick; a command may change it on the way.
         self.idle_speed = mission.idle_speed
+        # What has happened and was not fetched yet, oldest first.
         self.events: list[WaypointEvent] = []
-        self.then = FinishAction.NONE
+        self.then = FinishAction.NONE  # what comes after a mission that is over
         self._motion = motion
         self._payload = payload
         self._settings = settings
