@@ -13,21 +13,6 @@ from functools import cache
 from struct import Struct, calcsize, error, pack, unpack_from
 from typing import Any, NamedTuple
 
-__all__ = [
-    "ACTIONS",
-    "DEFINITIONS",
-    "OWN_PACKAGE",
-    "SERVICES",
-    "Template",
-    "decode",
-    "definition",
-    "describe",
-    "encode",
-    "full_name",
-    "type_hash",
-]
-
-
 _HEAD = b"\x00\x01\x00\x00"  # CDR, little-endian
 
 _MOST = 65536
@@ -158,12 +143,8 @@ class _Leaf(NamedTuple):
 def encode(name: str, message: Mapping[str, Any]) -> bytes:
     """A message as CDR, little-endian, with its header.
 
-    Args:
-        name: Such as ``sensor_msgs/Imu``.
-        message: Its fields by name; nested messages are mappings.
-
-    Raises:
-        ValueError: An array has another length.
+    ``message``: its fields by name; nested messages are mappings. Raises ``ValueError``: an array
+    has another length.
     """
     body = bytearray()
     _message(body, name, message, "", [])
@@ -208,14 +189,9 @@ def _value(body: bytearray, kind: str, value: Any, path: str, leaves: list[_Leaf
 class Template:
     """A message of which only some numbers change.
 
-    Args:
-        name: Such as ``sensor_msgs/Imu``.
-        message: All fields, with any numbers where they change.
-        changing: What changes: fields by their path (``header.stamp``), a whole message or array
-            at once. Texts and lengths stay.
-
-    Raises:
-        ValueError: There is nothing of that path.
+    ``message``: all fields, with any numbers where they change. ``changing``: what changes: fields
+    by their path (``header.stamp``), a whole message or array at once. Texts and lengths stay.
+    Raises ``ValueError``: there is nothing of that path.
     """
 
     def __init__(self, name: str, message: Mapping[str, Any], *changing: str) -> None:
@@ -251,12 +227,7 @@ class Template:
 def decode(name: str, data: bytes) -> dict[str, Any]:
     """A message of somebody else; what stands behind it is ignored.
 
-    Args:
-        name: Such as ``geometry_msgs/TwistStamped``.
-        data: CDR, little-endian, with its header.
-
-    Raises:
-        ValueError: It is not one.
+    ``data``: CDR, little-endian, with its header. Raises ``ValueError``: it is not one.
     """
     if data[:2] != _HEAD[:2]:
         raise ValueError(f"not CDR as ROS 2 writes it: {data[:4].hex()}")

@@ -13,28 +13,6 @@ from m100link.errors import LayoutMismatch
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.telemetry.sample import Sample
 
-__all__ = [
-    "CHUNKS",
-    "COMMAND",
-    "EVENT",
-    "FIX",
-    "LINK",
-    "MESSAGE",
-    "RX",
-    "SCHEMAS",
-    "STATE",
-    "TELEMETRY",
-    "TRANSFORM",
-    "TX",
-    "Schema",
-    "Thinned",
-    "Thinning",
-    "Told",
-    "layout",
-    "row_of",
-]
-
-
 RX, TX = "/m100/raw/rx", "/m100/raw/tx"
 """The bytes as they were read and written: all messages of a topic joined are the whole stream."""
 
@@ -52,15 +30,10 @@ Told = tuple[str, dict[str, Any]]
 
 
 class Schema(NamedTuple):
-    """What stands on a topic.
-
-    Attributes:
-        name: Its name.
-        text: JSON schema.
-    """
+    """What stands on a topic."""
 
     name: str
-    text: str
+    text: str  # JSON schema
 
 
 def _schema(called: str, /, **properties: dict[str, Any]) -> Schema:
@@ -142,15 +115,10 @@ def row_of(sample: Sample) -> dict[str, float]:
 
 
 class Thinned(NamedTuple):
-    """What is let through.
+    """What is let through."""
 
-    Attributes:
-        packages: Those whose items are in the row; the last one is that which was due.
-        row: Its numbers by their columns, and when it was received.
-    """
-
-    packages: list[Sample]
-    row: dict[str, float]
+    packages: list[Sample]  # those whose items are in the row; the last one is that which was due
+    row: dict[str, float]  # its numbers by their columns, and when it was received
 
     def get(self, record: type[R]) -> R | None:
         """The newest record of that class, None when no package brought one."""
@@ -163,13 +131,10 @@ class Thinning:
 
     Items come at rates of their own: every tenth package may never have the battery. So a row
     begins with the items of the packages that were not let through, and ends with those of its own.
-
-    Args:
-        interval_s: Between two rows, at least; 0: every package.
     """
 
     def __init__(self, interval_s: float) -> None:
-        self._interval_s = 0.999 * interval_s
+        self._interval_s = 0.999 * interval_s  # between two rows, at least; 0: every package
         self._at = -math.inf
         self._packages: list[Sample] = []  # one for each item at most
         self._flags = 0

@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-__all__ = ["Damage", "Losses"]
-
 _MOST_NAMED = 3  # places, and spans of time; the others are counted
 
 
@@ -111,17 +109,15 @@ class _Hole:
 class Losses:
     """Counts while a file is read once from its beginning to its end.
 
-    Attributes:
-        is_numbered: Whether messages have numbers without gaps; other programs need not count.
-        is_ended: Whether the end was read.
-        is_changed: Whether the checksum of the whole file is wrong.
-        cut_bytes: Size of the unfinished record at the end.
+    ``is_ended``: whether the end was read. ``is_changed``: whether the checksum of the whole file
+    is wrong.
     """
 
     def __init__(self) -> None:
+        # Whether messages have numbers without gaps; other programs need not count.
         self.is_numbered = True
         self.is_ended = self.is_changed = False
-        self.cut_bytes = 0
+        self.cut_bytes = 0  # size of the unfinished record at the end
         self._places: list[tuple[int, int]] = []
         self._topics: dict[int, str] = {}
         self._rows: dict[int, _Row] = {}
@@ -155,11 +151,8 @@ class Losses:
     def hear(self, channel: int, number: int, at_ns: int, is_known: bool) -> None:
         """A message was read.
 
-        Args:
-            channel: Its channel.
-            number: Its number there.
-            at_ns: When it was written, POSIX time in ns.
-            is_known: Whether it is told on which topic it is; else it is lost.
+        ``at_ns``: when it was written, POSIX time in ns. ``is_known``: whether it is told on which
+        topic it is; else it is lost.
         """
         row = self._rows.get(channel)
         if row is None:

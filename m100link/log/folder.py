@@ -17,8 +17,6 @@ from m100link.errors.texts import read_path
 from m100link.log.recorder import Recorder, is_being_written
 from m100link.log.records import MAGIC, Header, records
 
-__all__ = ["Flights", "default_folder", "is_log_name", "state_folder"]
-
 _logger = logging.getLogger(__name__)
 
 # As Recorder names a file in a folder.
@@ -31,11 +29,7 @@ def is_log_name(name: str) -> bool:
 
 
 def state_folder(environment: Mapping[str, str] | None = None) -> Path:
-    """Where programs keep what outlives them: ``m100link`` in the folder of the user's state (XDG).
-
-    Args:
-        environment: Instead of the one of this process.
-    """
+    """Where programs keep what outlives them: ``m100link`` in the user's folder of state (XDG)."""
     named = (os.environ if environment is None else environment).get("XDG_STATE_HOME", "")
     base = Path(named) if Path(named).is_absolute() else read_path("~/.local/state")
     return base / "m100link"
@@ -53,32 +47,21 @@ class _Kept(NamedTuple):
 
 
 class Flights:
-    """Makes a log for each connection. Recording never keeps anybody from flying.
-
-    Args:
-        folder: Where; it is made when it is not there.
-        keep: Logs to keep; 0: all of them.
-        keep_mb: Megabytes of logs to keep; 0: all of them.
-        tell: Takes what people should know, and its level.
-
-    Attributes:
-        folder: As given.
-        newest: The log of the newest connection; None before the first.
-    """
+    """Makes a log for each connection. Recording never keeps anybody from flying."""
 
     def __init__(
         self,
-        folder: Path,
+        folder: Path,  # where; it is made when it is not there
         *,
-        keep: int = 0,
-        keep_mb: int = 0,
-        tell: Callable[[str, str], None],
+        keep: int = 0,  # logs to keep; 0: all of them
+        keep_mb: int = 0,  # megabytes of logs to keep; 0: all of them
+        tell: Callable[[str, str], None],  # takes what people should know, and its level
     ) -> None:
         self.folder = read_path(folder)
         self._keep = keep
         self._keep_bytes = keep_mb * 1_000_000
         self._tell = tell
-        self.newest: Path | None = None
+        self.newest: Path | None = None  # the log of the newest connection; None before the first
         self._ending: set[asyncio.Future[None]] = set()
         self._told = ""  # why it is not recorded: once is enough
 

@@ -13,8 +13,6 @@ from m100link.geodesy import MapView, svg_dot, svg_line, svg_text
 from m100link.log.picture import PHASE_COLOURS, Line, Panel, clock, facts, panels, ticks
 from m100link.log.story import Span, Story
 
-__all__ = ["page"]
-
 _HEIGHT = 100.0  # of a chart, in its own units; width is 1000
 _WIDTH = 1000.0
 _TRACK, _EDGE = 400.0, 24.0

@@ -11,8 +11,6 @@ from m100link.errors import UsageError
 from m100link.log.reading import FlightLog
 from m100link.protocol.firmware import FirmwareProfile
 
-__all__ = ["write_parquet"]
-
 _ROWS = 50_000  # of a part of the file, about 14 MB while it is made
 
 

@@ -29,17 +29,6 @@ from m100link.wire import Cipher, FrameDecoder, encode_frame
 from m100link.wire.crc import HEADER_RESIDUE, START_VALUE, frame_crc32, header_crc16
 from m100link.wire.frame import HEADER_SIZE, SOF
 
-__all__ = [
-    "begin_pcapng",
-    "cut",
-    "dissector",
-    "in_order",
-    "packet",
-    "read_frames",
-    "write_pcapng",
-]
-
-
 # -- every frame of a log, decoded: what went over the line, in its order --------------------------
 
 
@@ -186,12 +175,7 @@ def begin_pcapng(
 def cut(data: bytes, *, is_end: bool = False) -> tuple[list[bytes], bytes]:
     """Cut a stream into frames, damaged ones too, and runs of other bytes.
 
-    Args:
-        data: Some of the stream.
-        is_end: Nothing follows.
-
-    Returns:
-        The pieces, and what may go on with the bytes that follow.
+    Returns the pieces, and what may go on with the bytes that follow.
     """
     pieces: list[bytes] = []
     at = begun = 0

@@ -16,22 +16,6 @@ from typing import Any, NamedTuple
 from m100link.errors import UsageError
 from m100link.log.story import Curve, Story
 
-__all__ = [
-    "PHASE_COLOURS",
-    "Apart",
-    "Comparison",
-    "Difference",
-    "Line",
-    "Panel",
-    "clock",
-    "compare",
-    "facts",
-    "panels",
-    "picture",
-    "ticks",
-]
-
-
 # -- what is drawn of a flight, whether as a picture or as a page: panels, their curves, colour ----
 
 
@@ -57,17 +41,11 @@ class Line(NamedTuple):
 
 
 class Panel(NamedTuple):
-    """Curves over one scale.
+    """Curves over one scale."""
 
-    Attributes:
-        title: What they are, with the unit.
-        lines: The curves.
-        least: Values that the scale has at least.
-    """
-
-    title: str
+    title: str  # what they are, with the unit
     lines: tuple[Line, ...]
-    least: tuple[float, float]
+    least: tuple[float, float]  # values that the scale has at least
 
     def span(self) -> tuple[float, float]:
         """The scale: from the least to the largest value."""

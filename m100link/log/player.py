@@ -22,16 +22,6 @@ from m100link.wire import Frame, FrameDecoder
 if TYPE_CHECKING:
     from m100link.link import Tap
 
-__all__ = [
-    "FASTEST",
-    "SLOWEST",
-    "Begin",
-    "Player",
-    "ReplayedLink",
-    "Stage",
-    "begin_of",
-]
-
 
 SLOWEST, FASTEST = 0.1, 100.0
 """Times as fast as it was flown; besides them, infinity: as fast as it is taken."""
@@ -79,12 +69,8 @@ class Begin(NamedTuple):
 async def begin_of(flight: FlightLog, *, is_moved: bool = True) -> Begin:
     """Look through a recording.
 
-    Args:
-        flight: The recording.
-        is_moved: Whether it may be played from elsewhere than its beginning.
-
-    Raises:
-        UsageError: It holds no bytes of a line, or cannot be read.
+    ``is_moved``: whether it may be played from elsewhere than its beginning. Raises ``UsageError``:
+    it holds no bytes of a line, or cannot be read.
     """
     try:
         if flight.path.stat().st_size > _LARGE:
@@ -133,27 +119,17 @@ def _version(frame: Frame) -> Version | None:
 
 
 class Stage(NamedTuple):
-    """Who is played to.
+    """Who is played to."""
 
-    Attributes:
-        decode: Makes frames of the bytes of a read, and of the time when they came.
-        deliver: Takes a frame, and the time when it came.
-        tell: Takes what happened beside the bytes.
-        forget: Called before it begins anywhere: what was told so far is void.
-        end: Called with why there is no more.
-        has_consumers: Whether somebody takes what is delivered.
-        room: How many packages nobody would lose an older one by.
-        tap: Hears the bytes of both directions; None for nobody.
-    """
-
+    # Makes frames of the bytes of a read, and of the time when they came.
     decode: Callable[[bytes, float], Sequence[Frame]]
-    deliver: Callable[[Frame, float], None]
-    tell: Callable[[dict[str, Any]], None]
-    forget: Callable[[], None]
-    end: Callable[[ReplayEnded], None]
-    has_consumers: Callable[[], bool]
-    room: Callable[[], float]
-    tap: Tap | None
+    deliver: Callable[[Frame, float], None]  # takes a frame, and the time when it came
+    tell: Callable[[dict[str, Any]], None]  # takes what happened beside the bytes
+    forget: Callable[[], None]  # called before it begins anywhere: what was told so far is void
+    end: Callable[[ReplayEnded], None]  # called with why there is no more
+    has_consumers: Callable[[], bool]  # whether somebody takes what is delivered
+    room: Callable[[], float]  # how many packages nobody would lose an older one by
+    tap: Tap | None  # hears the bytes of both directions; None for nobody
 
 
 class Player:
@@ -430,8 +406,7 @@ class Player:
 def check_speed(speed: float) -> None:
     """Whether there is such a speed.
 
-    Raises:
-        UsageError: There is not.
+    Raises ``UsageError``: there is not.
     """
     if not (SLOWEST <= speed <= FASTEST or speed == math.inf):
         raise UsageError(
@@ -453,20 +428,13 @@ def only_recorded(what: str) -> OnlyRecorded:
 
 
 class ReplayedLink(Link):
-    """A line whose other end is a recording.
-
-    Args:
-        player: What plays it.
-
-    Attributes:
-        player: What plays it: how far it is, and how fast.
-    """
+    """A line whose other end is a recording."""
 
     is_recorded = True
 
     def __init__(self, player: Player) -> None:
         super().__init__(first_sequence=0)
-        self.player = player
+        self.player = player  # what plays it: how far it is, and how fast
         self.name = f"replay of {player.flight.path.name}"
         self._connected.set_result(None)
 
@@ -492,9 +460,7 @@ class ReplayedLink(Link):
     ) -> bytes:
         """Refused.
 
-        Raises:
-            OnlyRecorded: Always.
-            ReplayEnded, LinkClosed: It is over.
+        Raises ``OnlyRecorded``: always. Raises ``ReplayEnded, LinkClosed``: it is over.
         """
         raise self._refusal(name)
 

@@ -36,9 +36,6 @@ from m100link.telemetry.columns import Columns, Table
 from m100link.telemetry.sample import Sample
 from m100link.wire import FrameDecoder
 
-__all__ = ["Chunk", "FlightLog", "Message", "Summary", "read", "recover"]
-
-
 _logger = logging.getLogger(__name__)
 
 _APART_S = 1.0  # at most between the two directions of one time in a file

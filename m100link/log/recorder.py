@@ -36,13 +36,6 @@ from m100link.wire.frame import CRC32_SIZE, HEADER_SIZE, MAX_SESSION, OVERHEAD, 
 if TYPE_CHECKING:
     from mcap.writer import Writer
 
-__all__ = [
-    "ECHO_S",
-    "Recorder",
-    "Redaction",
-    "is_being_written",
-    "may_hold_secret",
-]
 
 _logger = logging.getLogger(__name__)
 
@@ -75,13 +68,10 @@ class Redaction:
     for a time the app id and the checksum of what was taken out are looked for in what is
     received, too. An app id of few bytes that are not zero is looked for beside its neighbours
     alone, for telemetry is full of such numbers.
-
-    Attributes:
-        count: Places where something was taken out.
     """
 
     def __init__(self) -> None:
-        self.count = 0
+        self.count = 0  # places where something was taken out
         self._sent_at = -math.inf
         # What must not be written down, the longest first, and what is written in its place.
         self._secrets: dict[bytes, bytes] = {}
@@ -442,15 +432,11 @@ def _new_file(place: Path) -> tuple[Path, IO[bytes]]:
 
 
 class _Scribe:
-    """Makes messages of batches. Runs in the thread of the recorder alone.
-
-    Attributes:
-        utc_offset_s: What makes POSIX time of the event loop's, once: a wall clock that is set in
-            flight must not bend the log.
-        failure: What ended it.
-    """
+    """Makes messages of batches. Runs in the thread of the recorder alone."""
 
     def __init__(self, writer: type[Writer], stream: IO[bytes], path: Path, rate_hz: float) -> None:
+        # What makes POSIX time of the event loop's, once: a wall clock that is set in flight must
+        # not bend the log.
         self.utc_offset_s = 0.0
         self.failure: Exception | None = None
         self._stream = stream

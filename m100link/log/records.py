@@ -20,22 +20,6 @@ from m100link.errors import UsageError
 from m100link.log.channels import RX, SCHEMAS, TX
 from m100link.log.damage import Losses
 
-__all__ = [
-    "MAGIC",
-    "PART_SIZE",
-    "Channel",
-    "End",
-    "Header",
-    "Metadata",
-    "RawMessage",
-    "Record",
-    "Schema",
-    "holds_parts",
-    "mcap_module",
-    "records",
-    "registered",
-]
-
 MAGIC = b"\x89MCAP0\r\n"
 
 PART_SIZE = 32 << 10
@@ -133,8 +117,7 @@ def registered(writer: Any, topic: str) -> int:
 def mcap_module(name: str) -> Any:
     """A module of the package that writes the files, and brings what unpacks them.
 
-    Raises:
-        UsageError: It is not installed.
+    Raises ``UsageError``: it is not installed.
     """
     try:
         return import_module(f"mcap.{name}")
@@ -146,19 +129,13 @@ def mcap_module(name: str) -> Any:
 
 
 def records(
-    stream: IO[bytes],
-    topics: Collection[str] = (),
-    since_ns: int = 0,
+    stream: IO[bytes],  # the file, from anywhere
+    topics: Collection[str] = (),  # messages of these alone; of all without any
+    since_ns: int = 0,  # parts that end before it are passed over, POSIX time in ns
+    # What is not there is counted there, of all topics, when all were read.
     losses: Losses | None = None,
 ) -> Iterator[Record]:
-    """Every record of a file that can be read, in the order in which they were written.
-
-    Args:
-        stream: The file, from anywhere.
-        topics: Messages of these alone; of all without any.
-        since_ns: Parts that end before it are passed over, POSIX time in ns.
-        losses: What is not there is counted there, of all topics, when all were read.
-    """
+    """Every record of a file that can be read, in the order in which they were written."""
     return _Reader(stream, topics, losses).records(since_ns)
 
 

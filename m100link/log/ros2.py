@@ -30,15 +30,6 @@ from m100link.protocol.records import (
 from m100link.telemetry.integrity import has_fix
 from m100link.telemetry.sample import Sample
 
-__all__ = [
-    "TOPICS",
-    "Messages",
-    "Stamp",
-    "in_body",
-    "write_bag",
-]
-
-
 # -- what an aircraft tells, as messages of ROS 2: for flight logs, and for who listens live -------
 # Frames and units of REP 103 and 105: east, north, up on the ground; forward, left, up in the body.
 # What the wire does not say is said to be unknown, as each message has it.
@@ -65,9 +56,7 @@ _POSE = {"position": _VECTOR, "orientation": _ROTATION}
 def in_body(enu_flu_xyzw: tuple[float, float, float, float], enu: Vector) -> Vector:
     """A ground vector, east, north, up, in body axes: forward, left, up.
 
-    Args:
-        enu_flu_xyzw: The attitude, as :attr:`m100link.Attitude.enu_flu_xyzw` has it.
-        enu: The vector.
+    ``enu_flu_xyzw``: the attitude, as :attr:`m100link.Attitude.enu_flu_xyzw` has it.
     """
     x, y, z, w = enu_flu_xyzw
     a, b, c = enu
@@ -83,9 +72,7 @@ def in_body(enu_flu_xyzw: tuple[float, float, float, float], enu: Vector) -> Vec
 class Messages:
     """Makes the messages, with the names of two frames.
 
-    Args:
-        ground: Frame of what is east, north, up.
-        body: Frame of what is forward, left, up.
+    ``ground``: frame of what is east, north, up. ``body``: frame of what is forward, left, up.
     """
 
     def __init__(self, ground: str, body: str) -> None:
@@ -156,20 +143,12 @@ class Messages:
     def odometry(
         self,
         stamp: Stamp,
-        place: Vector,
-        attitude: Attitude,
+        place: Vector,  # east, north, up of the origin, m
+        attitude: Attitude,  # how it is turned
         velocity: Velocity,
-        rates: AngularVelocity,
+        rates: AngularVelocity,  # about the body axes
     ) -> bytes:
-        """nav_msgs/Odometry: the pose over ground, the motion in body axes.
-
-        Args:
-            stamp: When.
-            place: East, north, up of the origin, m.
-            attitude: How it is turned.
-            velocity: Over ground.
-            rates: About the body axes.
-        """
+        """nav_msgs/Odometry: the pose over ground, the motion in body axes."""
         turned = self._turned(attitude)
         motion = (*in_body(turned, velocity.enu), *_flu(rates))
         return self._odometry.fill(stamp, place, turned, motion)

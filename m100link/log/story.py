@@ -31,20 +31,6 @@ from m100link.telemetry.integrity import (
 )
 from m100link.telemetry.sample import Sample
 
-__all__ = [
-    "Curve",
-    "Curves",
-    "Maxima",
-    "Moment",
-    "Span",
-    "Story",
-    "Told",
-    "Track",
-    "read_story",
-    "read_told",
-]
-
-
 # -- values over time in few points, however long the flight: its peaks stay, and so do its hol ----
 
 
@@ -191,35 +177,23 @@ class Moment(NamedTuple):
 
 @dataclass
 class Told:
-    """What was told.
+    """What was told."""
 
-    Attributes:
-        began_at: Clock of the first message, s.
-        began_utc: The same as POSIX time; None when there is no message.
-        duration_s: From the first message to the last.
-        commands: In the order in which they were sent.
-        streams: When setpoints and the like were sent, by name of the command.
-        control: Who had control, as far as events tell it: ``program`` or ``pilot``.
-        alarms: What went wrong with control and connection.
-        discarded: Bytes per second that belonged to no frame.
-        round_trip_ms: Mean time until an answer, ms.
-        repeats: Commands that were sent again because no answer came.
-        discarded_bytes: All bytes that belonged to no frame.
-        ended: Why the connection ended; None when the log does not say it.
-    """
-
-    began_at: float = 0.0
-    began_utc: float | None = None
-    duration_s: float = 0.0
-    commands: list[Moment] = field(default_factory=list)
+    began_at: float = 0.0  # clock of the first message, s
+    began_utc: float | None = None  # the same as POSIX time; None when there is no message
+    duration_s: float = 0.0  # from the first message to the last
+    commands: list[Moment] = field(default_factory=list)  # in the order in which they were sent
+    # When setpoints and the like were sent, by name of the command.
     streams: list[Span] = field(default_factory=list)
+    # Who had control, as far as events tell it: ``program`` or ``pilot``.
     control: list[Span] = field(default_factory=list)
-    alarms: list[Span] = field(default_factory=list)
-    discarded: Curve = field(default_factory=Curve)
+    alarms: list[Span] = field(default_factory=list)  # what went wrong with control and connection
+    discarded: Curve = field(default_factory=Curve)  # bytes per second that belonged to no frame
+    # Mean time until an answer, ms.
     round_trip_ms: Curve = field(default_factory=lambda: Curve(gap_s=10.0))
-    repeats: int = 0
-    discarded_bytes: int = 0
-    ended: str | None = None
+    repeats: int = 0  # commands that were sent again because no answer came
+    discarded_bytes: int = 0  # all bytes that belonged to no frame
+    ended: str | None = None  # why the connection ended; None when the log does not say it
 
 
 def read_told(flight: FlightLog) -> Told:

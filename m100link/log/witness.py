@@ -15,8 +15,6 @@ from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import Position
 from m100link.wire import Cipher, Frame, FrameDecoder
 
-__all__ = ["Witness", "fix_of", "is_telemetry"]
-
 _TELEMETRY = bytes(PushTelemetry.ADDRESS)
 
 
@@ -40,8 +38,7 @@ def fix_of(position: Position) -> dict[str, Any]:
 class Witness:
     """Two decoders, one for each direction, and what was asked.
 
-    Args:
-        rate_hz: Telemetry at most so often; 0: every package.
+    ``rate_hz``: telemetry at most so often; 0: every package.
     """
 
     def __init__(self, rate_hz: float) -> None:
