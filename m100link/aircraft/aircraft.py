@@ -44,11 +44,6 @@ if TYPE_CHECKING:
     from m100link.flight.virtual_rc import VirtualRc
     from m100link.missions.plan import WaypointPlan
 
-__all__ = [
-    "Aircraft",
-    "AuthorityEvent",
-    "ConnectionEvent",
-]
 
 _logger = logging.getLogger(__name__)
 

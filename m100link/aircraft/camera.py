@@ -9,8 +9,6 @@ from m100link.protocol.commands.camera import StartVideo, StopVideo, TakePhoto
 if TYPE_CHECKING:
     from m100link.link.requests import Requests
 
-__all__ = ["AircraftCamera"]
-
 
 class AircraftCamera:
     """The camera of a connected aircraft: ``aircraft.camera``. Firmware 2.3 on, level 1.

@@ -19,8 +19,6 @@ from m100link.protocol.firmware import FirmwareProfile, profile
 if TYPE_CHECKING:
     from m100link.log.channels import Told
 
-__all__ = ["Connecting", "be_recorded", "connect"]
-
 
 class Recording(Protocol):
     """What keeps a flight: :class:`m100link.log.Recorder`."""

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from m100link.link.requests import Requests
     from m100link.telemetry.stream import TelemetryStream
 
-__all__ = ["AircraftGimbal", "GimbalRates", "angles_command", "rates_command"]
 
 _logger = logging.getLogger(__name__)
 
@@ -131,8 +130,7 @@ class AircraftGimbal:
     async def _angles(self) -> dict[str, float]:
         """The present angles, in degrees by axis; up to 1.5 s for the item to come.
 
-        Raises:
-            TelemetryStalled: It does not.
+        Raises ``TelemetryStalled``: it does not.
         """
         state = self._telemetry.state
 
@@ -157,8 +155,7 @@ class AircraftGimbal:
     async def _reach(self, angles: dict[str, float], sent_at: float, timeout: float) -> None:
         """Wait until telemetry shows these angles.
 
-        Raises:
-            NotObserved: It does not.
+        Raises ``NotObserved``: it does not.
         """
         state = self._telemetry.state
         if angles.get("pitch", 0.0) < _STRAIGHT_DOWN_DEG:
@@ -257,8 +254,7 @@ def angles_command(
 ) -> GimbalAngle:
     """The command of :meth:`AircraftGimbal.set_angles`, checked: that takes no aircraft.
 
-    Raises:
-        UsageError: No angle, one beyond its limit, or a time that does not fit.
+    Raises ``UsageError``: no angle, one beyond its limit, or a time that does not fit.
     """
     angles = _named(yaw=yaw, pitch=pitch, roll=roll)
     if not angles:
@@ -277,8 +273,7 @@ def rates_command(
 ) -> GimbalSpeed:
     """The command that :meth:`AircraftGimbal.set_angular_rates` repeats, checked.
 
-    Raises:
-        UsageError: A rate beyond its limit, or a time that is not one.
+    Raises ``UsageError``: a rate beyond its limit, or a time that is not one.
     """
     if seconds is not None:
         in_range("seconds", seconds, 0.0, 3600.0, "s")

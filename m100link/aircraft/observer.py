@@ -11,8 +11,6 @@ from enum import Enum
 from m100link.aircraft.aircraft import Aircraft
 from m100link.log.channels import EVENT, LINK, Told
 
-__all__ = ["observer"]
-
 # What an error says may quote what it was given: an address with its options, a key.
 _SECRET = re.compile(r"\b((?:key|app[-_ ]?id)[=: ]+)[^\s&,;]+", re.IGNORECASE)
 _KEY = re.compile(r"(?<![0-9a-f])[0-9a-f]{64}(?![0-9a-f])", re.IGNORECASE)

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from m100link.link.requests import Requests
     from m100link.telemetry.state import AircraftState
 
-__all__ = ["rates_by_item", "set_telemetry_rates"]
 
 _SETTLING_S = 0.3  # what was on its way, and the ack
 _WATCH_S = 1.2
@@ -47,8 +46,8 @@ async def set_telemetry_rates(
 def rates_by_item(rates_hz: Mapping[str, int]) -> dict[str, tuple[Item, int]]:
     """What was asked for, by the names that the program uses; checked, which takes no aircraft.
 
-    Raises:
-        UsageError: Nothing, no such item, one item twice, or a rate that the wire does not have.
+    Raises ``UsageError``: nothing, no such item, one item twice, or a rate that the wire does not
+    have.
     """
     if not rates_hz:
         raise UsageError("no rate was given", remedy="set_telemetry_rates(attitude=50)")
@@ -80,8 +79,7 @@ async def _observe(
 ) -> dict[str, float]:
     """The rates at which these items arrive, Hz.
 
-    Raises:
-        NotObserved: Another one than was asked for.
+    Raises ``NotObserved``: another one than was asked for.
     """
     await asyncio.sleep(_SETTLING_S)
     clock = asyncio.get_running_loop().time

@@ -17,8 +17,6 @@ from m100link.log.player import FASTEST, SLOWEST, Player, ReplayedLink, Stage, b
 from m100link.log.reading import read
 from m100link.protocol.firmware import FirmwareProfile
 
-__all__ = ["SCHEME", "ReplayURL", "open_replay", "parse_replay"]
-
 SCHEME = "replay://"
 
 _OPTIONS = ("speed", "from", "to")
@@ -30,25 +28,18 @@ _OURS = (_I.OBTAIN, _I.OBTAINED, _I.REFUSED, _I.RELEASE, _I.RELEASED, _I.NOT_REL
 
 
 class ReplayURL(NamedTuple):
-    """A parsed ``replay://`` URL.
-
-    Attributes:
-        path: The file.
-        speed: Times as fast as it was flown; infinity for max.
-        from_s, to_s: From where to where, seconds from its first byte.
-    """
+    """A parsed ``replay://`` URL."""
 
     path: Path
-    speed: float = 1.0
-    from_s: float = 0.0
+    speed: float = 1.0  # times as fast as it was flown; infinity for max
+    from_s: float = 0.0  # from where to where, seconds from its first byte
     to_s: float = math.inf
 
 
 def parse_replay(url: str) -> ReplayURL:
     """Read a ``replay://`` URL: a path, relative or absolute, and options behind a ``?``.
 
-    Raises:
-        BadURL: It names no file, or an option that does not exist or cannot be so.
+    Raises ``BadURL``: it names no file, or an option that does not exist or cannot be so.
     """
     target = url.strip().removeprefix(SCHEME)
     name, mark, options = target.rpartition("?")
@@ -89,22 +80,16 @@ def _bad(url: str, why: str) -> BadURL:
 
 
 async def open_replay(
-    url: str | ReplayURL,
+    url: str | ReplayURL,  # which, from where, and how fast
     *,
+    # By which telemetry is read; by default that of the flight.
     firmware: FirmwareProfile | None = None,
-    tap: Tap | None = None,
-    holds: bool = False,
+    tap: Tap | None = None,  # hears the bytes of both directions
+    holds: bool = False,  # stand still at the end, instead of ending with :class:`ReplayEnded`
 ) -> Aircraft:
     """The aircraft of a recording, which is played from the next turn of the event loop on.
 
-    Args:
-        url: Which, from where, and how fast.
-        firmware: By which telemetry is read; by default that of the flight.
-        tap: Hears the bytes of both directions.
-        holds: Stand still at the end, instead of ending with :class:`ReplayEnded`.
-
-    Raises:
-        BadURL, UsageError: It cannot be, or the file cannot be played.
+    Raises ``BadURL, UsageError``: it cannot be, or the file cannot be played.
     """
     wanted = parse_replay(url) if isinstance(url, str) else url
     flight = read(wanted.path)

@@ -409,8 +409,7 @@ class Supervised:
     def _identify(self, version: Version) -> None:
         """Whether it is the aircraft of the first time, by its serial number or else its version.
 
-        Raises:
-            AnotherAircraft: It is not.
+        Raises ``AnotherAircraft``: it is not.
         """
         identity = version.serial or version.name
         if self._identity is None:

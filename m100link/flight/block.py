@@ -38,13 +38,6 @@ from m100link.flight.watchdog import FollowCheck, TelemetryWatchdog
 from m100link.protocol.commands.control import Task
 from m100link.protocol.setpoint import Setpoint
 
-__all__ = [
-    "BLOCKED_S",
-    "ControlBlock",
-    "PauseAction",
-    "Steering",
-]
-
 _logger = logging.getLogger(__name__)
 
 
@@ -53,35 +46,21 @@ PauseAction = Literal["raise", "wait"]
 
 
 class ControlBlock:
-    """One control block: watches what may end it, and then runs the stop path.
-
-    Args:
-        commander: The aircraft.
-        claim: Kept while the block lives: one at a time.
-        setpoints: What the block sends.
-        missions: What the block lets the aircraft fly by itself.
-        guards: Their clock starts when authority was obtained.
-        stop: What the stop path does after the neutral setpoint.
-        on_pause: What happens when the pilot takes the aircraft.
-        handle_signals: Let signals that end programs take the stop path first.
-        patience_s: How long the event loop may stand still until a guardian ends the flight; None:
-            there is none.
-
-    Attributes:
-        guardian: Ends the flight when this program cannot.
-    """
+    """One control block: watches what may end it, and then runs the stop path."""
 
     def __init__(
         self,
         commander: Commander,
-        claim: BlockClaim,
-        setpoints: SetpointLoop,
-        missions: MissionKeeper,
-        guards: GuardKeeper,
+        claim: BlockClaim,  # kept while the block lives: one at a time
+        setpoints: SetpointLoop,  # what the block sends
+        missions: MissionKeeper,  # what the block lets the aircraft fly by itself
+        guards: GuardKeeper,  # their clock starts when authority was obtained
         *,
-        stop: StopAction,
-        on_pause: PauseAction,
-        handle_signals: bool,
+        stop: StopAction,  # what the stop path does after the neutral setpoint
+        on_pause: PauseAction,  # what happens when the pilot takes the aircraft
+        handle_signals: bool,  # let signals that end programs take the stop path first
+        # How long the event loop may stand still until a guardian ends the flight; None: there is
+        # none.
         patience_s: float | None = None,
     ) -> None:
         self._commander = commander
@@ -100,7 +79,7 @@ class ControlBlock:
         self._stop_path = StopPath(commander, self._life, setpoints, missions, stop)
         self.armed = self._stop_path.armed
         first_sequence = int.from_bytes(os.urandom(2))
-        self.guardian = Guardian(
+        self.guardian = Guardian(  # ends the flight when this program cannot
             commander.link,
             lambda: self._stop_path.wanted,
             lambda wanted: control_plan(commander, wanted, first_sequence),
@@ -154,14 +133,8 @@ class ControlBlock:
     async def leave(self, error: BaseException | None) -> bool:
         """End what was entered, if nothing did before, and wait for the end of the stop path.
 
-        Args:
-            error: With which the program leaves.
-
-        Returns:
-            Whether ``error`` was the cancellation by this block alone.
-
-        Raises:
-            M100Error: What ended the block, unless an error of the program is under way.
+        Returns whether ``error`` was the cancellation by this block alone. Raises ``M100Error``:
+        what ended the block, unless an error of the program is under way.
         """
         self.end(StopCause.LEFT)
         return await self._leave(self._programs[0], error)
@@ -181,11 +154,9 @@ class ControlBlock:
     async def obtain(self) -> None:
         """Obtain authority by hand; what ends it is raised by the next call that needs it.
 
-        Raises:
-            UsageError: It was entered before, another block of this program is running, or the
-                firmware is unknown.
-            AuthorityRefused, NotActivated, LevelTooLow, KeyRejected, AckTimeout, LinkError: See
-                each class.
+        Raises ``UsageError``: it was entered before, another block of this program is running, or
+        the firmware is unknown. Raises ``AuthorityRefused, NotActivated, LevelTooLow, KeyRejected,
+        AckTimeout, LinkError``: see each class.
         """
         self._begin()
         self._is_by_hand = True
@@ -220,8 +191,7 @@ class ControlBlock:
     async def release(self) -> None:
         """End what was obtained by hand, and wait for the end of the stop path.
 
-        Raises:
-            M100Error: What ended it before, unless a call has told it.
+        Raises ``M100Error``: what ended it before, unless a call has told it.
         """
         self._commander.link.require_loop()
         if self._life.state is BlockState.NEW:
@@ -273,9 +243,8 @@ class ControlBlock:
     def waiting(self, what: str) -> Iterator[None]:
         """What waits in here ends with the block, also when that was entered by hand.
 
-        Raises:
-            NoAuthority: The program released it meanwhile.
-            M100Error: What ended the block.
+        Raises ``NoAuthority``: the program released it meanwhile. Raises ``M100Error``: what ended
+        the block.
         """
         if not self._is_by_hand:  # then the program is cancelled as a whole
             yield
@@ -372,9 +341,8 @@ class ControlBlock:
 
         Telemetry comes first: guards would complain of values that are only old.
 
-        Raises:
-            NoAuthority: Authority is not held, or is paused.
-            M100Error: What ended the block.
+        Raises ``NoAuthority``: authority is not held, or is paused. Raises ``M100Error``: what
+        ended the block.
         """
         self._commander.link.require_loop()
         if self.admits() and self._authority.state is AuthorityState.HELD:
@@ -396,8 +364,7 @@ class ControlBlock:
     def resume(self) -> None:
         """The program goes on after the pilot gave the aircraft back.
 
-        Raises:
-            NoAuthority: The pilot has not.
+        Raises ``NoAuthority``: the pilot has not.
         """
         self._commander.link.require_loop()
         if self._authority.state is not AuthorityState.HELD:
@@ -417,26 +384,16 @@ line may be busy, and the aircraft does not fly on by the last one for much long
 
 
 class Steering:
-    """Sends setpoints for whoever may steer: the program, or the closed loop that flies.
+    """Sends setpoints for whoever may steer: the program, or the closed loop that flies."""
 
-    Args:
-        commander: The aircraft.
-        guards: Asked before each frame.
-        missions: While one flies, nothing else steers.
-
-    Attributes:
-        setpoints: What sends them.
-        block: The control block, to be set before the first setpoint.
-        running_task: Flown by the autopilot, which ignores setpoints meanwhile; None: none is.
-    """
-
-    block: ControlBlock
+    block: ControlBlock  # the control block, to be set before the first setpoint
 
     def __init__(self, commander: Commander, guards: GuardKeeper, missions: MissionKeeper) -> None:
         self._requests = commander.requests
         self._authority = commander.authority
-        self._guards = guards
-        self._missions = missions
+        self._guards = guards  # asked before each frame
+        self._missions = missions  # while one flies, nothing else steers
+        # Flown by the autopilot, which ignores setpoints meanwhile; None: none is.
         self.running_task: Task | None = None
         self._refused: GuardRefused | None = None  # why the newest setpoint was ended
         self._require_loop = commander.link.require_loop
@@ -477,8 +434,7 @@ class Steering:
     def require_autopilot_idle(self, what: str) -> None:
         """Raise while the aircraft flies by itself and would ignore movement.
 
-        Raises:
-            NoAuthority: During a task; MissionRunning during a mission.
+        Raises ``NoAuthority``: during a task; MissionRunning during a mission.
         """
         if self.running_task is not None:
             raise NoAuthority(

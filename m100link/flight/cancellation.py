@@ -16,17 +16,6 @@ from typing import Any
 
 import anyio
 
-__all__ = [
-    "NUMBERS",
-    "SIGNALS",
-    "Errand",
-    "OtherWatch",
-    "ProgramTask",
-    "SignalWatch",
-    "new_task",
-    "undisturbed",
-]
-
 _logger = logging.getLogger(__name__)
 
 
@@ -39,13 +28,10 @@ class ProgramTask:
 
     It may be left by another task (an async generator that is closed by the event loop, an
     ExitStack that somebody else unwinds); a scope of anyio would refuse that.
-
-    Args:
-        loop: Where it runs; at a prompt, nothing runs yet when this is made.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._loop = loop
+        self._loop = loop  # where it runs; at a prompt, nothing runs yet when this is made
         self._task: asyncio.Task[object] | None = None  # None before the block and after it
         self._host: asyncio.Task[object] | None = None
         self._requests_before = 0  # cancellations of others that were under way at the start
@@ -110,17 +96,13 @@ class Errand:
 
     asyncio.run cancels every task there is on its way out, the one that works among them: then the
     work is begun again, a few times. Every wait in it should be bounded, then this is too.
-
-    Args:
-        work: May be begun again after it was cancelled.
-        on_end: Called once, when it has ended in whatever way.
     """
 
     def __init__(
         self, work: Callable[[], Coroutine[Any, Any, None]], on_end: Callable[[], None]
     ) -> None:
-        self._work = work
-        self._on_end = on_end
+        self._work = work  # may be begun again after it was cancelled
+        self._on_end = on_end  # called once, when it has ended in whatever way
         self._has_ended = False
         self._is_wanted = False  # whether it was begun
         self._task: asyncio.Task[None] | None = None  # the present attempt, or parked for the first
@@ -130,9 +112,8 @@ class Errand:
     def park(self, on_cancelled: Callable[[], None]) -> None:
         """Make the task now, which waits to be begun: then that takes nothing of the system.
 
-        Args:
-            on_cancelled: Called when somebody cancels the task before it was begun, as asyncio.run
-                does on its way out; it should lead to :meth:`begin`.
+        ``on_cancelled``: called when somebody cancels the task before it was begun, as asyncio.run
+        does on its way out; it should lead to :meth:`begin`.
         """
         self._parked = asyncio.get_running_loop().create_future()
         self._task = new_task(self._wait(self._parked, on_cancelled), "m100link stop path")

@@ -25,19 +25,6 @@ from m100link.protocol.setpoint import Setpoint
 if TYPE_CHECKING:
     from m100link.telemetry.state import AircraftState
 
-__all__ = [
-    "APPROACH_M_S",
-    "Foresight",
-    "foresee_climb",
-    "foresee_flight",
-    "foresee_orbit",
-    "foresee_turn",
-    "frame_at",
-    "seconds_around",
-    "seconds_climbing",
-    "seconds_straight",
-    "seconds_turning",
-]
 
 CLIMB_M_S = 3.0
 TURN_DEG_S = 90.0
@@ -181,8 +168,7 @@ def foresee_turn(state: AircraftState, guards: GuardKeeper, yaw_deg: float) -> F
 def frame_at(latitude_deg: float, longitude_deg: float) -> LocalFrame:
     """Metres north and east of a place.
 
-    Raises:
-        UsageError: Nothing can be flown to there.
+    Raises ``UsageError``: nothing can be flown to there.
     """
     try:
         return LocalFrame(latitude_deg, longitude_deg)

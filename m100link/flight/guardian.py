@@ -33,17 +33,6 @@ if TYPE_CHECKING:
     from m100link.flight.tasks import Commander
     from m100link.link import Link
 
-__all__ = [
-    "NOTHING",
-    "PATIENCE_S",
-    "Guardian",
-    "GuardianPlan",
-    "Step",
-    "Wanted",
-    "control_plan",
-    "patience_of",
-    "virtual_rc_plan",
-]
 
 _logger = logging.getLogger(__name__)
 
@@ -62,43 +51,25 @@ _STICKS_GAP_MS = 100
 
 
 class Step(NamedTuple):
-    """One frame.
+    """One frame."""
 
-    Attributes:
-        frame: Its bytes.
-        gap_ms: Pause before it, and between its repetitions.
-        times: How often.
-    """
-
-    frame: bytes
-    gap_ms: int = 0
+    frame: bytes  # its bytes
+    gap_ms: int = 0  # pause before it, and between its repetitions
     times: int = 1
 
 
 class GuardianPlan(NamedTuple):
-    """The frames for both cases.
+    """The frames for both cases."""
 
-    Attributes:
-        stalled: For a program that is blocked for longer than a setpoint lives.
-        last: For a program that is gone, or is blocked for too long.
-    """
-
-    stalled: tuple[Step, ...] = ()
-    last: tuple[Step, ...] = ()
+    stalled: tuple[Step, ...] = ()  # for a program that is blocked for longer than a setpoint lives
+    last: tuple[Step, ...] = ()  # for a program that is gone, or is blocked for too long
 
 
 class Wanted(NamedTuple):
-    """The actions that the aircraft needs if the program ends now.
+    """The actions that the aircraft needs if the program ends now."""
 
-    Attributes:
-        neutral: The neutral of what is being sent, None in silence.
-        mission: The mission to stop.
-        land: Land.
-        release: Give authority back.
-    """
-
-    neutral: Setpoint | None = None
-    mission: MissionKind | None = None
+    neutral: Setpoint | None = None  # the neutral of what is being sent, None in silence
+    mission: MissionKind | None = None  # the mission to stop
     land: bool = False
     release: bool = False
 
@@ -133,11 +104,6 @@ def control_plan(commander: Commander, wanted: Wanted, first_sequence: int) -> G
 
     The guardian reads no acks. So the plan repeats orders that the aircraft may refuse, and gives a
     landing as much time as the stop path before the release, which would end it in the air.
-
-    Args:
-        commander: The aircraft.
-        wanted: What is to be done.
-        first_sequence: First number of the orders.
     """
     orders = _Orders(commander, first_sequence)
     neutrals: tuple[Step, ...] = ()
@@ -195,8 +161,7 @@ W = TypeVar("W")
 def patience_of(guardian: bool | float) -> float | None:
     """Return the seconds that ``control(guardian=…)`` means; None: no guardian.
 
-    Raises:
-        UsageError: Not 0.5 to 60 s.
+    Raises ``UsageError``: not 0.5 to 60 s.
     """
     if guardian is True or guardian is False:
         return PATIENCE_S if guardian else None
@@ -212,22 +177,18 @@ class Guardian(Generic[W]):
     """The program's side of one guardian: from before authority is asked for to the end of a block.
 
     Nothing happens on a line without a descriptor (in memory, a replay), nor outside Linux.
-
-    Args:
-        link: The line.
-        wanted: Returns the actions needed if the program ends now; called ten times a second.
-        plan: Makes the frames for these actions; called when they changed.
-        on_taken_over: Called once when the guardian ended the flight, with the error that says so.
-        patience_s: How long the event loop may be blocked, s; None: no guardian.
     """
 
     def __init__(
         self,
         link: Link,
+        # Returns the actions needed if the program ends now; called ten times a second.
         wanted: Callable[[], W],
+        # Makes the frames for these actions; called when they changed.
         plan: Callable[[W], GuardianPlan],
+        # Called once when the guardian ended the flight, with the error that says so.
         on_taken_over: Callable[[GuardianTookOver], None],
-        patience_s: float | None,
+        patience_s: float | None,  # how long the event loop may be blocked, s; None: no guardian
     ) -> None:
         self._link = link
         self._loop = link.loop
@@ -260,8 +221,7 @@ class Guardian(Generic[W]):
     async def start(self) -> None:
         """Start the guardian and wait until it watches, with an empty plan.
 
-        Raises:
-            GuardianFailed: The process does not start.
+        Raises ``GuardianFailed``: the process does not start.
         """
         descriptor = self._link.descriptor
         if not self._is_asked_for or descriptor is None:

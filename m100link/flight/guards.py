@@ -57,10 +57,7 @@ is sent once a second; the charge changes slowly and may miss four packages."""
 def known(state: AircraftState, record: type[R], *, within: float | None = None) -> R | None:
     """The newest value of an item, None when it is old or impossible: nobody knows it then.
 
-    Args:
-        state: Telemetry.
-        record: Which item.
-        within: Seconds that it may be old; by default those of :data:`AGE_LIMITS_S`.
+    ``within``: seconds that it may be old; by default those of :data:`AGE_LIMITS_S`.
     """
     value = state.fresh(record, within=AGE_LIMITS_S[record] if within is None else within)
     return value if value is not None and _is_possible(value) else None
@@ -191,14 +188,6 @@ class GuardKeeper:
 
     What a guard compares must be known: a value that is old, impossible, or that did not come
     within 1.5 s of the beginning counts as unknown, and an unknown value is refused.
-
-    Args:
-        guards: Which are on.
-        state: Telemetry.
-        origin: Where control began; by default where GPS first knows the aircraft.
-
-    Attributes:
-        guards: As given.
     """
 
     def __init__(
@@ -206,7 +195,7 @@ class GuardKeeper:
     ) -> None:
         self.guards = guards
         self._state = state
-        self._origin = origin
+        self._origin = origin  # where control began; by default where GPS first knows the aircraft
         self._began_at = -math.inf
 
     def start(self) -> None:
@@ -229,16 +218,14 @@ class GuardKeeper:
     async def admit_take_off(self) -> None:
         """Wait up to 1.5 s for what the guards compare, then say whether a take-off may begin.
 
-        Raises:
-            GuardRefused: Battery below its floor; battery or position unknown.
+        Raises ``GuardRefused``: battery below its floor; battery or position unknown.
         """
         await self._admit("take-off")
 
     async def admit_mission(self, what: str) -> None:
         """The same for a mission, which besides needs GPS.
 
-        Raises:
-            GuardRefused: Battery below its floor, GPS too weak; battery or position unknown.
+        Raises ``GuardRefused``: battery below its floor, GPS too weak; battery or position unknown.
         """
         await self._admit(what)
         if self.guards.gps:
@@ -247,8 +234,7 @@ class GuardKeeper:
     def check_mission(self, what: str) -> None:
         """Whether a mission that flies may fly on: battery, and the envelope with 5 m to spare.
 
-        Raises:
-            GuardRefused: With the guard's name, the measured value and the limit.
+        Raises ``GuardRefused``: with the guard's name, the measured value and the limit.
         """
         self._check_battery(what)
         envelope = self.guards.envelope
@@ -297,8 +283,7 @@ class GuardKeeper:
     def check(self, setpoint: Setpoint) -> None:
         """Whether a setpoint may be sent now.
 
-        Raises:
-            GuardRefused: With the guard's name, the measured value and the limit.
+        Raises ``GuardRefused``: with the guard's name, the measured value and the limit.
         """
         self._check_battery("a setpoint")
         position = known(self._state, Position)
@@ -315,14 +300,8 @@ class GuardKeeper:
     def check_sticks(self, roll: float, pitch: float, throttle: float, yaw: float) -> None:
         """Whether sticks may be moved now; nobody says how fast they fly, so 17 m/s are assumed.
 
-        Args:
-            roll: Deflection, -1 to 1, like the others.
-            pitch: Forward.
-            throttle: Up.
-            yaw: To the right.
-
-        Raises:
-            GuardRefused: With the guard's name, the measured value and the limit.
+        ``roll``: deflection, -1 to 1, like the others. Raises ``GuardRefused``: with the guard's
+        name, the measured value and the limit.
         """
         deflection = math.hypot(roll, pitch)
         speed = deflection * STICK_SPEED
@@ -348,24 +327,16 @@ class GuardKeeper:
 
     def check_target(
         self,
-        what: str,
-        place: tuple[float, float] | None = None,
+        what: str,  # name of the flight
+        place: tuple[float, float] | None = None,  # latitude and longitude, °
         *,
-        height: float | None = None,
-        radius: float = 0.0,
-        speed: float = 0.0,
+        height: float | None = None,  # metres above the take-off point
+        radius: float = 0.0,  # of a circle around the place, m
+        speed: float = 0.0,  # on the way, m/s
     ) -> None:
         """Whether a flight may begin that will come there; the way to it is checked as it is flown.
 
-        Args:
-            what: Name of the flight.
-            place: Latitude and longitude, °.
-            height: Metres above the take-off point.
-            radius: Of a circle around the place, m.
-            speed: On the way, m/s.
-
-        Raises:
-            GuardRefused: Outside the envelope, with the target and what widens it.
+        Raises ``GuardRefused``: outside the envelope, with the target and what widens it.
         """
         envelope = self.guards.envelope
         if envelope is None:

@@ -77,8 +77,7 @@ Progress = Callable[[GuidanceProgress], None]
 def position_of(state: AircraftState) -> Position:
     """Where the aircraft is now.
 
-    Raises:
-        TelemetryStalled: The position does not arrive, or is impossible.
+    Raises ``TelemetryStalled``: the position does not arrive, or is impossible.
     """
     position = known(state, Position, within=FRESH_S)
     if position is None:
@@ -101,8 +100,7 @@ def position_of(state: AircraftState) -> Position:
 def heading_of(state: AircraftState) -> float:
     """Where its nose points now, °.
 
-    Raises:
-        TelemetryStalled: The attitude does not arrive, or is impossible.
+    Raises ``TelemetryStalled``: the attitude does not arrive, or is impossible.
     """
     attitude = known(state, Attitude, within=FRESH_S)
     if attitude is None:
@@ -122,8 +120,7 @@ def _is_on_ground(state: AircraftState) -> bool:
 def require_in_the_air(state: AircraftState, name: str) -> None:
     """Whether setpoints mean anything.
 
-    Raises:
-        UsageError: The aircraft stands on the ground.
+    Raises ``UsageError``: the aircraft stands on the ground.
     """
     if _is_on_ground(state):
         raise UsageError(
@@ -155,27 +152,20 @@ class _Settling:
 
 
 class Guidance:
-    """Runs one closed loop at a time, over whatever takes setpoints.
-
-    Args:
-        state: Telemetry.
-        steer: Sends a setpoint until it expires or the next one comes.
-        halt: Neutral for a moment, then silence.
-
-    Attributes:
-        flying: Name of the loop that is flying, or nothing: two would fight for the aircraft.
-    """
+    """Runs one closed loop at a time, over whatever takes setpoints."""
 
     def __init__(
         self,
         state: AircraftState,
         *,
+        # Sends a setpoint until it expires or the next one comes.
         steer: Callable[[Setpoint], None],
-        halt: Callable[[], Awaitable[None]],
+        halt: Callable[[], Awaitable[None]],  # neutral for a moment, then silence
     ) -> None:
         self._state = state
         self._steer = steer
         self._halt = halt
+        # Name of the loop that is flying, or nothing: two would fight for the aircraft.
         self.flying = ""
         self._task: asyncio.Task[object] | None = None  # in which it flies
         self._is_interrupted = False
@@ -183,8 +173,7 @@ class Guidance:
     def require_idle(self, what: str) -> None:
         """Whether something else may steer; a loop whose task is being cancelled does not mind.
 
-        Raises:
-            UsageError: A loop is flying.
+        Raises ``UsageError``: a loop is flying.
         """
         if self.flying and not (self._task is not None and self._task.cancelling()):
             raise UsageError(
@@ -200,8 +189,7 @@ class Guidance:
     def admit(self, name: str) -> None:
         """Whether a loop may begin.
 
-        Raises:
-            UsageError: Another one is flying, or the aircraft stands on the ground.
+        Raises ``UsageError``: another one is flying, or the aircraft stands on the ground.
         """
         if self.flying:
             raise UsageError(

@@ -25,13 +25,6 @@ if TYPE_CHECKING:
     from m100link.protocol.firmware import FirmwareProfile
     from m100link.telemetry.state import AircraftState
 
-__all__ = [
-    "authority_lost",
-    "explained_loss",
-    "is_unexplained",
-    "obtain_authority",
-    "release_authority",
-]
 
 _logger = logging.getLogger(__name__)
 
@@ -74,9 +67,8 @@ async def _request_release(commander: Commander, *, is_last: bool) -> AuthorityC
 async def obtain_authority(commander: Commander) -> None:
     """Ask until authority is ours.
 
-    Raises:
-        AuthorityRefused: With cause and remedy.
-        NotActivated, LevelTooLow, KeyRejected, AckTimeout, LinkError: See each class.
+    Raises ``AuthorityRefused``: with cause and remedy. Raises ``NotActivated, LevelTooLow,
+    KeyRejected, AckTimeout, LinkError``: see each class.
     """
     authority = commander.authority
     code = AuthorityCode.NOT_CHANGED
@@ -162,8 +154,7 @@ async def release_authority(commander: Commander) -> bool:
 
     The control block ends all the same: without setpoints the aircraft hovers.
 
-    Returns:
-        Whether the aircraft said that it has it back.
+    Returns whether the aircraft said that it has it back.
     """
     authority = commander.authority
     authority.feed(AuthorityInput.RELEASE)

@@ -13,17 +13,6 @@ from typing import NamedTuple
 
 from m100link.errors import LinkClosed, M100Error, UsageError
 
-__all__ = [
-    "STOP_PLANS",
-    "TRANSITIONS",
-    "BlockClaim",
-    "BlockInput",
-    "BlockState",
-    "Lifecycle",
-    "StopCause",
-    "StopPlan",
-]
-
 
 class BlockState(Enum):
     """Where a control block is in its life."""
@@ -66,23 +55,17 @@ class StopCause(Enum):
 
 
 class StopPlan(NamedTuple):
-    """What the stop path does.
+    """What the stop path does."""
 
-    Attributes:
-        mission: Stop the mission that the block started: while one flies, the aircraft ignores
-            setpoints, and it would fly on behind the block. Where somebody else took the aircraft,
-            only one that demonstrably flies on.
-        explain: Wait for a moment, in silence, for the items that say who took the aircraft.
-        neutral: Replace a setpoint that is being sent by its neutral for 0.3 s; otherwise nothing
-            more is sent.
-        land: Land where the program asked for ``stop="land"``.
-        release: Give authority back.
-    """
-
+    # Stop the mission that the block started: while one flies, the aircraft ignores setpoints, and
+    # it would fly on behind the block. Where somebody else took the aircraft, only one that
+    # demonstrably flies on.
     mission: bool
-    explain: bool
+    explain: bool  # wait for a moment, in silence, for the items that say who took the aircraft
+    # Replace a setpoint that is being sent by its neutral for 0.3 s; otherwise nothing more is
+    # sent.
     neutral: bool
-    land: bool
+    land: bool  # land where the program asked for ``stop="land"``
     release: bool
 
 
@@ -163,18 +146,14 @@ TRANSITIONS: dict[BlockState, dict[BlockInput | StopCause, BlockState]] = {
 
 
 class Lifecycle:
-    """The life of one block.
-
-    Attributes:
-        state: Where it is.
-        cause: Why it stops or stopped, None before; a line that is lost, or a guardian that takes
-            over, replaces any other cause.
-        failure: The error that the block will raise, the first one if there were several.
-    """
+    """The life of one block."""
 
     def __init__(self) -> None:
         self.state = BlockState.NEW
+        # Why it stops or stopped, None before; a line that is lost, or a guardian that takes over,
+        # replaces any other cause.
         self.cause: StopCause | None = None
+        # The error that the block will raise, the first one if there were several.
         self.failure: M100Error | None = None
 
     @property
@@ -210,9 +189,8 @@ class BlockClaim:
     def take(self, close: Callable[[], Awaitable[None]]) -> None:
         """A block begins; ``close`` stops it and waits for its end.
 
-        Raises:
-            UsageError: Another one has not ended.
-            LinkClosed: The connection is being closed: nobody could end another one.
+        Raises ``UsageError``: another one has not ended. Raises ``LinkClosed``: the connection is
+        being closed: nobody could end another one.
         """
         if self._is_closed:
             raise LinkClosed("the aircraft was disconnected: no control block begins any more")

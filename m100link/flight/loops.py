@@ -31,15 +31,6 @@ from m100link.protocol.setpoint import Setpoint
 if TYPE_CHECKING:
     from m100link.telemetry.state import AircraftState
 
-__all__ = [
-    "BRAKING_PER_S",
-    "ClosedLoops",
-    "Orbit",
-    "Steering",
-    "check_height",
-    "check_speed",
-]
-
 
 # -- where to steer on a circle: from place and velocity to the next velocity. No I/O, no clock ----
 
@@ -61,20 +52,12 @@ _FACING_DEG = 5.0  # it begins to move when it looks at the centre: tilt lags be
 
 @dataclass(frozen=True, slots=True)
 class Steering:
-    """What to fly now.
+    """What to fly now."""
 
-    Attributes:
-        north: Velocity, m/s.
-        east: Velocity, m/s.
-        yaw_deg: Heading, towards the centre.
-        off_m: Distance from the circle.
-        to_go_deg: Angle that remains.
-    """
-
-    north: float
-    east: float
-    yaw_deg: float
-    off_m: float
+    north: float  # velocity, m/s
+    east: float  # velocity, m/s
+    yaw_deg: float  # heading, towards the centre
+    off_m: float  # distance from the circle
     to_go_deg: float
 
 
@@ -86,15 +69,8 @@ class Orbit:
     lag times centripetal acceleration, a little faster while it accelerates. What remains is
     corrected by the distance from the circle.
 
-    Args:
-        radius: Metres, 1 or more.
-        speed: Along the circle, m/s, up to 10.
-        turns: How many, more than 0.
-        clockwise: Seen from above.
-        max_speed: Of the velocity that is asked for, m/s.
-
-    Raises:
-        UsageError: It cannot be flown: with the tilt or the turn rate that it needs.
+    ``turns``: how many, more than 0. Raises ``UsageError``: it cannot be flown: with the tilt or
+    the turn rate that it needs.
     """
 
     def __init__(
@@ -106,10 +82,10 @@ class Orbit:
                 remedy="radius 1 m or more, speed up to 10 m/s, turns more than 0",
             )
         self._check_airframe(radius, speed)
-        self._radius = radius
-        self._speed = speed
+        self._radius = radius  # metres, 1 or more
+        self._speed = speed  # along the circle, m/s, up to 10
         self._sense = 1.0 if clockwise else -1.0
-        self._max_speed = max_speed
+        self._max_speed = max_speed  # of the velocity that is asked for, m/s
         self._to_go_deg = 360.0 * turns
         self._bearing: float | None = None  # from the centre, at the tick before
         self._along = 0.0  # speed along the circle that was asked for at the tick before
@@ -139,19 +115,12 @@ class Orbit:
 
     def steer(
         self,
-        place: tuple[float, float],
-        velocity: tuple[float, float] | None,
-        heading_deg: float | None,
-        elapsed: float,
+        place: tuple[float, float],  # metres north and east of the centre
+        velocity: tuple[float, float] | None,  # north and east, m/s; None when it is unknown
+        heading_deg: float | None,  # of the nose; None when it is unknown
+        elapsed: float,  # seconds since the call before
     ) -> Steering:
-        """The next velocity.
-
-        Args:
-            place: Metres north and east of the centre.
-            velocity: North and east, m/s; None when it is unknown.
-            heading_deg: Of the nose; None when it is unknown.
-            elapsed: Seconds since the call before.
-        """
+        """The next velocity."""
         bearing = math.degrees(math.atan2(place[1], place[0]))
         if self._bearing is not None:
             self._to_go_deg -= self._sense * normalize_degrees(bearing - self._bearing)
@@ -220,16 +189,11 @@ Place = tuple[float, float, float]
 
 
 class ClosedLoops:
-    """Flights that measure and correct, over whatever takes setpoints.
-
-    Args:
-        state: Telemetry.
-        guards: Asked for the target before the first setpoint; each setpoint is checked besides.
-        guidance: Runs them.
-    """
+    """Flights that measure and correct, over whatever takes setpoints."""
 
     def __init__(self, state: AircraftState, guards: GuardKeeper, guidance: Guidance) -> None:
         self._state = state
+        # Asked for the target before the first setpoint; each setpoint is checked besides.
         self._guards = guards
         self._guidance = guidance
 
@@ -637,8 +601,7 @@ def _target_height(here: Position, up: float | None, height: float | None) -> fl
 def check_height(height: float) -> float:
     """A height above take-off that can be flown to, m.
 
-    Raises:
-        UsageError: It is none.
+    Raises ``UsageError``: it is none.
     """
     if not math.isfinite(height) or height < 0:
         raise UsageError(
@@ -651,8 +614,7 @@ def check_height(height: float) -> float:
 def check_speed(speed: float) -> float:
     """A speed that can be flown, m/s.
 
-    Raises:
-        UsageError: It is none.
+    Raises ``UsageError``: it is none.
     """
     if not 0 < speed <= MAX_COMMAND_M_S:
         raise UsageError(f"{speed:g} m/s cannot be flown", remedy=f"0 to {MAX_COMMAND_M_S:g} m/s")

@@ -80,19 +80,13 @@ Listener = Callable[["MissionStatus | WaypointEvent"], None]
 
 
 class MissionWatch:
-    """Remembers the newest push, and hands each one to the mission that this program flies.
-
-    Args:
-        clock: Of the event loop.
-
-    Attributes:
-        listener: Gets every push as it comes; None while this program flies no mission.
-        received_at: When the newest status push came; minus infinity before the first.
-    """
+    """Remembers the newest push, and hands each one to the mission that this program flies."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
-        self._clock = clock
+        self._clock = clock  # of the event loop
+        # Gets every push as it comes; None while this program flies no mission.
         self.listener: Listener | None = None
+        # When the newest status push came; minus infinity before the first.
         self.received_at = -math.inf
         self._kind = MissionKind.UNKNOWN
         self._status: MissionStatus | None = None
@@ -158,10 +152,8 @@ class MissionWatch:
     def ended(self, kind: MissionKind, *, is_echoing: bool) -> None:
         """A mission ended.
 
-        Args:
-            kind: Which.
-            is_echoing: Whether pushes of the moment before may still be under way. Not when a push
-                said so: they come in order, and what tells of it again contradicts.
+        ``is_echoing``: whether pushes of the moment before may still be under way. Not when a push
+        said so: they come in order, and what tells of it again contradicts.
         """
         self._told.pop(kind, None)
         if self._kind is kind:

@@ -150,8 +150,7 @@ class Pace:
 def period_of(rate_hz: float) -> float:
     """Seconds between ticks.
 
-    Raises:
-        UsageError: Not within 0 to 50 Hz.
+    Raises ``UsageError``: not within 0 to 50 Hz.
     """
     if not 0 < rate_hz <= MAX_RATE_HZ:
         raise UsageError(
@@ -173,16 +172,13 @@ class Lead:
     own. The lead follows the lower quartile of that: three wakings of four are late by what is
     above it, and one waits a moment more. What it waits is passes of the event loop, which serve
     everybody else.
-
-    Attributes:
-        seconds: The lead, 0 to 200 µs.
     """
 
     STEP = 2e-6
     MOST = 200e-6  # whatever the machine does: one percent of a processor at 50 Hz
 
     def __init__(self) -> None:
-        self.seconds = 0.0
+        self.seconds = 0.0  # the lead, 0 to 200 µs
 
     def woke(self, too_early: bool) -> None:
         """Follow what a waking showed."""

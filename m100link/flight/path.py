@@ -12,8 +12,6 @@ from itertools import pairwise
 
 from m100link.errors import UsageError
 
-__all__ = ["Path", "PathSteering"]
-
 _LAG_S = 0.65
 """By how much the velocity follows what is asked for; of the model of the virtual aircraft."""
 _ACCELERATION = 1.0  # m/s² along the path
@@ -34,40 +32,24 @@ _Point = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class PathSteering:
-    """What to fly now.
+    """What to fly now."""
 
-    Attributes:
-        north: Velocity, m/s.
-        east: Velocity, m/s.
-        height: Above take-off, m.
-        ahead_deg: Direction of the path here, °.
-        off_m: Horizontal distance from the path.
-        to_go_m: Length of the path that remains, negative beyond its end.
-    """
-
-    north: float
-    east: float
-    height: float
-    ahead_deg: float
-    off_m: float
-    to_go_m: float
+    north: float  # velocity, m/s
+    east: float  # velocity, m/s
+    height: float  # above take-off, m
+    ahead_deg: float  # direction of the path here, °
+    off_m: float  # horizontal distance from the path
+    to_go_m: float  # length of the path that remains, negative beyond its end
 
 
 @dataclass(frozen=True, slots=True)
 class _Leg:
-    """A straight piece.
+    """A straight piece."""
 
-    Attributes:
-        start: North and east, m.
-        ahead: Direction, of length 1.
-        length: m.
-        begins_at: Length of the path before it, m.
-    """
-
-    start: tuple[float, float]
-    ahead: tuple[float, float]
-    length: float
-    begins_at: float
+    start: tuple[float, float]  # north and east, m
+    ahead: tuple[float, float]  # direction, of length 1
+    length: float  # m
+    begins_at: float  # length of the path before it, m
 
     def locate(self, place: tuple[float, float]) -> tuple[float, float, tuple[float, float]]:
         """How far along it a place is, how far to its right, and the direction there."""
@@ -84,23 +66,14 @@ class _Leg:
 
 @dataclass(frozen=True, slots=True)
 class _Bend:
-    """A rounded corner.
+    """A rounded corner."""
 
-    Attributes:
-        centre: North and east, m.
-        radius: m.
-        start: Bearing of its first point from the centre, rad.
-        sense: 1 to the right, −1 to the left.
-        length: m.
-        begins_at: Length of the path before it, m.
-    """
-
-    centre: tuple[float, float]
-    radius: float
-    start: float
-    sense: float
-    length: float
-    begins_at: float
+    centre: tuple[float, float]  # north and east, m
+    radius: float  # m
+    start: float  # bearing of its first point from the centre, rad
+    sense: float  # 1 to the right, −1 to the left
+    length: float  # m
+    begins_at: float  # length of the path before it, m
 
     def locate(self, place: tuple[float, float]) -> tuple[float, float, tuple[float, float]]:
         """See :meth:`_Leg.locate`."""
@@ -121,18 +94,9 @@ class _Bend:
 class Path:
     """A path through points, flown by velocity setpoints with a height.
 
-    Args:
-        points: North, east and height of each, the first one where it begins; 2 or more.
-        speed: On straight legs, m/s.
-        corner_radius: Of rounded corners, m; smaller where a leg is too short for it. 0: each
-            corner is flown to, almost stopping.
-        max_speed: Of the velocity that is asked for, m/s.
-
-    Attributes:
-        length: Horizontal, m.
-
-    Raises:
-        UsageError: It cannot be flown.
+    ``points``: north, east and height of each, the first one where it begins; 2 or more.
+    ``corner_radius``: of rounded corners, m; smaller where a leg is too short for it. 0: each
+    corner is flown to, almost stopping. Raises ``UsageError``: it cannot be flown.
     """
 
     def __init__(
@@ -161,13 +125,13 @@ class Path:
                 "the points of the path are all one place",
                 remedy="climb_to() climbs in place",
             )
-        self._speed = speed
-        self._max_speed = max_speed
+        self._speed = speed  # on straight legs, m/s
+        self._max_speed = max_speed  # of the velocity that is asked for, m/s
         self._pieces: list[_Leg | _Bend] = []
         # Where along the path which height is wanted, and how fast it may be flown.
         self._heights: list[tuple[float, float]] = [(0.0, leaving[0])]
         self._limits: list[tuple[float, float, float]] = []  # from, to, m/s
-        self.length = 0.0
+        self.length = 0.0  # horizontal, m
         self._lay(corners, leaving, corner_radius)
         self._limits.append((self.length, self.length, 0.0))
         for (begin, low), (end, high) in pairwise(self._heights):
@@ -240,10 +204,8 @@ class Path:
     ) -> PathSteering:
         """The next velocity.
 
-        Args:
-            place: North, east and height, m.
-            velocity: North and east, m/s; None when it is unknown.
-            elapsed: Seconds since the call before.
+        ``place``: north, east and height, m. ``velocity``: north and east, m/s; None when it is
+        unknown. ``elapsed``: seconds since the call before.
         """
         piece, along, right, ahead = self._locate(place[:2])
         at = piece.begins_at + along

@@ -18,14 +18,6 @@ import anyio
 
 from m100link.errors.base import of_the_system
 
-__all__ = [
-    "LOG_THREAD",
-    "LogThread",
-    "free",
-    "reserve",
-]
-
-
 # -- A thread handles log records while something flies, so that a log costs no flight -------------
 
 
@@ -50,9 +42,8 @@ class LogThread(logging.Filter):
     Without a handler of the program, errors of a flight (it was not landed, not released) go to
     stderr, also from the thread.
 
-    Attributes:
-        dropped: Records that found the queue full.
-        failed: Records at which a handler or filter raised.
+    ``dropped``: records that found the queue full. ``failed``: records at which a handler or filter
+    raised.
     """
 
     # A filter in front of all others is the one public place that every record of a logger passes
@@ -78,11 +69,8 @@ class LogThread(logging.Filter):
     def hold(self, *, is_simulated: bool = False) -> None:
         """Begin a control block, whose log the thread handles from here on.
 
-        Args:
-            is_simulated: Its event loop has a clock of its own.
-
-        Raises:
-            RuntimeError: The system has no thread left.
+        ``is_simulated``: its event loop has a clock of its own. Raises ``RuntimeError``: the system
+        has no thread left.
         """
         with self._changes:
             if self._thread is None:
@@ -252,13 +240,8 @@ def reserve(what: str, close: Close) -> None:
     loads the modules of the stop path and starts the thread of the log. After the flight, call
     :func:`free`.
 
-    Args:
-        what: Names the request in the error.
-        close: Ends the flight and waits for that. It is run when the program falls off its end
-            between two runs of its event loop.
-
-    Raises:
-        OutOfResources: The system has no more.
+    ``close``: ends the flight and waits for that. It is run when the program falls off its end
+    between two runs of its event loop. Raises ``OutOfResources``: the system has no more.
     """
     for dead in [one for one, loop in _flying.items() if loop.is_closed()]:
         free(dead)  # its event loop was closed before it ended

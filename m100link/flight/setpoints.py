@@ -12,8 +12,6 @@ from m100link.flight.cancellation import new_task
 from m100link.flight.pacing import INSTANT, KEPT, MAX_RATE_HZ, Alarm, Pace
 from m100link.protocol.setpoint import Setpoint
 
-__all__ = ["NEUTRAL_TIME", "SETPOINT_LIFETIME", "Hold", "SetpointLoop", "check_lifetime"]
-
 _logger = logging.getLogger(__name__)
 
 SETPOINT_LIFETIME = 0.2
@@ -35,8 +33,7 @@ _SLACK = 0.1 * _PERIOD
 def check_lifetime(lifetime: float, *, is_long_allowed: bool) -> None:
     """Whether a setpoint may live so long.
 
-    Raises:
-        UsageError: It does not end, or it is long and nobody said so.
+    Raises ``UsageError``: it does not end, or it is long and nobody said so.
     """
     if not 0 < lifetime < math.inf:
         raise UsageError(f"a lifetime of {lifetime} s is not a time that ends")
@@ -74,31 +71,23 @@ class SetpointLoop:
     A program that ticks at the same rate jitters around our grid; so what comes a little early goes
     out at once, and while a program renews, repeating waits that little for it. Otherwise every
     frame would carry the value of the tick before.
-
-    Args:
-        send: Puts a setpoint on the line; False when the line takes no more.
-        admits: Asked before each frame that goes out by itself; what :meth:`set` sends at once was
-            checked by whoever set it.
-        on_failure: Called with what ended the task; the next setpoint begins another.
-        loop: Where the task runs.
-        on_missed: Called with how many frames did not go out in their time.
-
-    Attributes:
-        pace: Whether the rate is kept.
-        sent: Frames sent, neutrals included.
-        expired: Setpoints that were not renewed in time.
     """
 
     def __init__(
         self,
+        # Puts a setpoint on the line; False when the line takes no more.
         send: Callable[[Setpoint], bool],
+        # Asked before each frame that goes out by itself; what :meth:`set` sends at once was
+        # checked by whoever set it.
         admits: Callable[[Setpoint], bool],
+        # Called with what ended the task; the next setpoint begins another.
         on_failure: Callable[[Exception], None],
-        loop: asyncio.AbstractEventLoop,
+        loop: asyncio.AbstractEventLoop,  # where the task runs
+        # Called with how many frames did not go out in their time.
         on_missed: Callable[[int], None] = lambda _: None,
     ) -> None:
         self._send = send
-        self.pace = Pace(on_missed, self._on_slow)
+        self.pace = Pace(on_missed, self._on_slow)  # whether the rate is kept
         self._admits = admits
         self._on_failure = on_failure
         self._loop = loop
@@ -114,8 +103,8 @@ class SetpointLoop:
         self._owed: Setpoint | None = None
         self._news = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
-        self.sent = 0
-        self.expired = 0
+        self.sent = 0  # frames sent, neutrals included
+        self.expired = 0  # setpoints that were not renewed in time
         self._told = 0  # of those, in the log
 
     @property

@@ -30,10 +30,6 @@ from m100link.protocol.records import (
 if TYPE_CHECKING:
     from m100link.flight.tasks import Commander
 
-__all__ = [
-    "StopAction",
-    "StopPath",
-]
 
 _logger = logging.getLogger(__name__)
 
@@ -49,23 +45,15 @@ _LEAVES_THE_GROUND_S = 1.0  # after a take-off was commanded, if it does at all
 
 
 class StopPath:
-    """Stop of a mission, neutral, hover or land, release, as far as the cause leaves it possible.
-
-    Args:
-        commander: The aircraft.
-        life: Of the control block; its plan says what is to be done.
-        setpoints: What the block sends.
-        missions: What the block lets the aircraft fly by itself.
-        action: What the program asked for.
-    """
+    """Stop of a mission, neutral, hover or land, release, as far as its cause allows."""
 
     def __init__(
         self,
         commander: Commander,
-        life: Lifecycle,
-        setpoints: SetpointLoop,
-        missions: MissionKeeper,
-        action: StopAction,
+        life: Lifecycle,  # of the control block; its plan says what is to be done
+        setpoints: SetpointLoop,  # what the block sends
+        missions: MissionKeeper,  # what the block lets the aircraft fly by itself
+        action: StopAction,  # what the program asked for
     ) -> None:
         self._commander = commander
         self._life = life

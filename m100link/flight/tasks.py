@@ -84,24 +84,15 @@ TIMEOUTS_S = {Task.TAKE_OFF: 20.0, Task.LAND: 60.0, Task.GO_HOME: 300.0}
 
 @dataclass(frozen=True, slots=True)
 class Commander:
-    """What flying needs of an aircraft.
-
-    Attributes:
-        link: The line.
-        requests: The road by which commands are sent.
-        authority: Who controls the aircraft.
-        state: Newest telemetry.
-        missions: Which mission flies it, as the aircraft tells.
-        task_sequences: A number for each task: see :func:`task_sequences`.
-        unanswered: Numbers of the orders of a task that brought no answer: one may be flown.
-    """
+    """What flying needs of an aircraft."""
 
     link: Link
-    requests: Requests
-    authority: Authority
+    requests: Requests  # the road by which commands are sent
+    authority: Authority  # who controls the aircraft
     state: AircraftState
-    missions: MissionWatch
-    task_sequences: Iterator[int]
+    missions: MissionWatch  # which mission flies it, as the aircraft tells
+    task_sequences: Iterator[int]  # a number for each task: see :func:`task_sequences`
+    # Numbers of the orders of a task that brought no answer: one may be flown.
     unanswered: dict[Task, tuple[int, ...]] = field(default_factory=dict)
 
 
@@ -153,8 +144,7 @@ async def run_task(
 ) -> None:
     """Begin a task and wait until it is done.
 
-    Raises:
-        TaskRefused, TaskFailed, NotObserved, AckTimeout: See :meth:`Control.take_off`.
+    Raises ``TaskRefused, TaskFailed, NotObserved, AckTimeout``: see :meth:`Control.take_off`.
     """
     sequence = await _begin(commander, task)
     await _Watch(commander, task, sequence, progress).run(timeout or TIMEOUTS_S[task])
@@ -395,8 +385,7 @@ class SettingsPace:
     def send(self, commander: Commander, command: VirtualRcSettings) -> bool:
         """Send it. False when the line does not drain.
 
-        Raises:
-            UsageError: Too soon; nothing was sent.
+        Raises ``UsageError``: too soon; nothing was sent.
         """
         now = self._clock()
         if now < self.free_at - _ROUNDING_S:
@@ -423,10 +412,8 @@ def is_on_ground(commander: Commander) -> bool | None:
 async def switch_motors(commander: Commander, *, on: bool) -> None:
     """Start or stop them; that they run, or stand, already is no error.
 
-    Raises:
-        TaskRefused: With the code.
-        CommandNotSupported, NotActivated, LevelTooLow, KeyRejected, AckTimeout, LinkError: See each
-            class.
+    Raises ``TaskRefused``: with the code. Raises ``CommandNotSupported, NotActivated, LevelTooLow,
+    KeyRejected, AckTimeout, LinkError``: see each class.
     """
     code = await commander.requests.execute(Arm(on), timeout=0.2, tries=3, refusal=TaskRefused)
     if code not in (ArmCode.DONE, ArmCode.ALREADY):
@@ -446,20 +433,15 @@ def _refused(what: str, commander: Commander, code: ArmCode, seen: str) -> TaskR
 
 
 class Motors:
-    """The motors of the aircraft of one control block.
-
-    Args:
-        commander: The aircraft.
-        guards: Asked before the motors start, as before a take-off.
-        make_way: Called before either; raises when something else is flying, and ends setpoints.
-        on_armed: Told when they may run because of this block, and when they do not.
-    """
+    """The motors of the aircraft of one control block."""
 
     def __init__(
         self,
         commander: Commander,
-        guards: GuardKeeper,
+        guards: GuardKeeper,  # asked before the motors start, as before a take-off
+        # Called before either; raises when something else is flying, and ends setpoints.
         make_way: Callable[[str], None],
+        # Told when they may run because of this block, and when they do not.
         on_armed: Callable[[bool], None],
     ) -> None:
         self._commander = commander

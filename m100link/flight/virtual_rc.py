@@ -36,8 +36,6 @@ from m100link.protocol.command import in_range
 from m100link.protocol.commands.virtual_rc import VirtualRcSettings
 from m100link.protocol.records import ControlDevice, RcMode, RemoteControl
 
-__all__ = ["VirtualRc"]
-
 _logger = logging.getLogger(__name__)
 
 DEAD_MAN_S = 0.5
@@ -216,8 +214,7 @@ class VirtualRc:
     async def _require_f(self) -> None:
         """The pilot's way out is to leave F: it must be there.
 
-        Raises:
-            AuthorityRefused: The mode switch is elsewhere, or nobody knows where.
+        Raises ``AuthorityRefused``: the mode switch is elsewhere, or nobody knows where.
         """
         deadline = self._clock() + FIRST_VALUES_S
         while (rc := known(self._commander.state, RemoteControl)) is None:
@@ -236,8 +233,7 @@ class VirtualRc:
     async def _see_it_on(self) -> None:
         """Where the control item is sent, it shows that the virtual remote control is on.
 
-        Raises:
-            NotObserved: It does not.
+        Raises ``NotObserved``: it does not.
         """
         deadline = self._clock() + _SHOWN_S
         while self._life.is_open and not self._was_shown:
@@ -471,8 +467,7 @@ class VirtualRc:
     def _require_wanted(self, now: float) -> None:
         """What ends it besides the program, looked at before each frame.
 
-        Raises:
-            M100Error: It ends here.
+        Raises ``M100Error``: it ends here.
         """
         if now - self._sent_at > _AIRCRAFT_WAITS_S:
             raise NotObserved(

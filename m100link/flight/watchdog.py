@@ -25,13 +25,6 @@ from m100link.telemetry.state import AircraftState
 if TYPE_CHECKING:
     from m100link.telemetry.state import AircraftState
 
-__all__ = [
-    "FOLLOW_S",
-    "FollowCheck",
-    "SuspendWatch",
-    "TelemetryWatchdog",
-]
-
 
 # -- detect that the computer slept: the event loop's clock stopped, the aircraft did not ----------
 
@@ -128,18 +121,13 @@ class FollowCheck:
 
     A contradiction is a demand that the aircraft does not even begin to follow. An aircraft that is
     slow, leans into the wind, or is held back by the wind follows all the same.
-
-    Args:
-        state: Telemetry.
-        setpoint: What is being sent; None: nothing.
-        clock: Seconds.
     """
 
     def __init__(
         self,
         state: AircraftState,
-        setpoint: Callable[[], Setpoint | None],
-        clock: Callable[[], float],
+        setpoint: Callable[[], Setpoint | None],  # what is being sent; None: nothing
+        clock: Callable[[], float],  # seconds
     ) -> None:
         self._state = state
         self._setpoint = setpoint
@@ -343,22 +331,18 @@ class TelemetryWatchdog:
     Telemetry that never came cannot be missed. When this program itself did not run, what came
     meanwhile is read first: only telemetry that is still missing then counts as a stall. When the
     computer was suspended, no age says anything, and that alone is the end.
-
-    Args:
-        state: Telemetry.
-        guards: ``stale_telemetry_s`` is the limit of its age, ``integrity`` whether the rest is
-            looked at.
-        end: Called with cause and error at each look that finds something.
-        loop: Whose clock and timers are used.
-        following: Whether setpoints are followed; None where nobody can know.
     """
 
     def __init__(
         self,
         state: AircraftState,
+        # ``stale_telemetry_s`` is the limit of its age, ``integrity`` whether the rest is looked
+        # at.
         guards: Guards,
+        # Called with cause and error at each look that finds something.
         end: Callable[[StopCause, M100Error], None],
-        loop: asyncio.AbstractEventLoop,
+        loop: asyncio.AbstractEventLoop,  # whose clock and timers are used
+        # Whether setpoints are followed; None where nobody can know.
         following: FollowCheck | None = None,
     ) -> None:
         self._state = state

@@ -15,16 +15,6 @@ from weakref import WeakSet
 from m100link.errors import LinkClosed
 from m100link.errors.usage import of_another_loop
 
-__all__ = [
-    "GUARDIAN_NAME",
-    "Gate",
-    "descriptor_of",
-    "lose_at_fork",
-    "lose_line",
-    "require_loop",
-]
-
-
 GUARDIAN_NAME = "m100link-guard"
 """What the system calls the process that ends the flight of a program that cannot."""
 
@@ -57,12 +47,8 @@ def descriptor_of(transport: asyncio.BaseTransport | None) -> int | None:
 def require_loop(own: asyncio.AbstractEventLoop, name: str = "aircraft.link.loop") -> None:
     """Refuse a call when another event loop runs here, or its own elsewhere or nowhere.
 
-    Args:
-        own: The event loop in which the connection was made.
-        name: What a program calls that one.
-
-    Raises:
-        UsageError: It is another one.
+    ``own``: the event loop in which the connection was made. Raises ``UsageError``: it is another
+    one.
     """
     here = _get_running_loop()
     # Between two runs of its loop, as at a prompt, none runs here.

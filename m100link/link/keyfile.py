@@ -23,15 +23,6 @@ from m100link.errors import UsageError
 from m100link.errors.texts import read_path
 from m100link.wire.cipher import Key
 
-__all__ = [
-    "MAX_SECRET_SIZE",
-    "keep_names",
-    "read_key",
-    "read_token",
-    "read_watched",
-    "replace_file",
-]
-
 _logger = logging.getLogger(__name__)
 
 _SEEN = "user.m100link.seen"
@@ -47,9 +38,8 @@ _RAW_KEY_SIZE = 32
 def read_key(path: Path) -> Key:
     """The key in a file: 64 hex digits, white space around them ignored, or 32 raw bytes.
 
-    Raises:
-        UsageError: It cannot be read, is too long, or others can read it.
-        BadKey: What is there is not a key; it is not quoted.
+    Raises ``UsageError``: it cannot be read, is too long, or others can read it. Raises ``BadKey``:
+    what is there is not a key; it is not quoted.
     """
     data = _read(path, "key")
     if len(data) == _RAW_KEY_SIZE:
@@ -60,8 +50,7 @@ def read_key(path: Path) -> Key:
 def read_token(path: Path) -> str:
     """The text in a file, without the white space around it.
 
-    Raises:
-        UsageError: It cannot be read, is too long, others can read it, or it is not ASCII.
+    Raises ``UsageError``: it cannot be read, is too long, others can read it, or it is not ASCII.
     """
     return _text(_read(path, "token"), path, "token").strip()
 
@@ -69,13 +58,7 @@ def read_token(path: Path) -> str:
 def read_watched(file: IO[bytes], path: Path, size: int = -1) -> bytes:
     """Read a file; a warning tells when its content changed though nobody wrote it.
 
-    Args:
-        file: The open file.
-        path: Its name, for the warning.
-        size: Bytes at most.
-
-    Raises:
-        OSError: It cannot be read.
+    ``size``: bytes at most. Raises ``OSError``: it cannot be read.
     """
     # Before it is read: what is written meanwhile has another time, and is looked at anew.
     written = os.fstat(file.fileno()).st_mtime_ns
@@ -107,13 +90,8 @@ def replace_file(path: Path, data: bytes, *, mode: int = 0o600) -> None:
 
     A reader sees the one before or this one, whole, also after a loss of power.
 
-    Args:
-        path: Its name.
-        data: What it holds.
-        mode: Its permissions from the first moment on, less the umask.
-
-    Raises:
-        OSError: The disk does not take it; as a rule the one before is there.
+    ``mode``: its permissions from the first moment on, less the umask. Raises ``OSError``: the disk
+    does not take it; as a rule the one before is there.
     """
     beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     handle = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
@@ -132,8 +110,7 @@ def replace_file(path: Path, data: bytes, *, mode: int = 0o600) -> None:
 def keep_names(folder: Path) -> None:
     """Wait until the disk has the names of the files in a folder, as they are now.
 
-    Raises:
-        OSError: It does not take them.
+    Raises ``OSError``: it does not take them.
     """
     handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:

@@ -31,11 +31,6 @@ from m100link.session.events import Acked, Event, Expired, SessionMode
 from m100link.wire.cipher import Cipher
 from m100link.wire.frame import Frame
 
-__all__ = [
-    "Link",
-    "open_link",
-]
-
 _logger = logging.getLogger(__name__)
 
 

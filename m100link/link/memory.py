@@ -5,8 +5,6 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-__all__ = ["MemoryTransport", "connect_in_memory"]
-
 _HIGH_WATER = 65_536
 
 

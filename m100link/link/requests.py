@@ -41,19 +41,7 @@ A = TypeVar("A")
 
 
 class Requests:
-    """Sends commands over a link: encrypted where there is a key, in the layout of the firmware.
-
-    Args:
-        link: The line.
-        firmware: Profile that the version answer does not change; by default it chooses.
-
-    Attributes:
-        firmware: Profile in whose layout commands are encoded.
-        level: Level that this program activated with, None when nobody here knows it.
-        knows_layout: Whether telemetry can be read by ``firmware``: it is forced, or chosen by a
-            version answer.
-        version: Newest answer to the version query, None before the first.
-    """
+    """Sends commands over a link: encrypted where there is a key, in the layout of the firmware."""
 
     __slots__ = (
         "__dict__",
@@ -76,9 +64,14 @@ class Requests:
         self._is_fixed = False  # a control block flies: no answer changes what it sends
         self._proven_cipher: Cipher | None = None  # the key that the aircraft understood once
         self._known_pushes: set[type[Command]] = set()  # that the firmware was found to have
-        self.firmware = firmware or FIRMWARE_1_0
+        # Profile that the version answer does not change; by default it chooses.
+        self.firmware = firmware or FIRMWARE_1_0  # profile in whose layout commands are encoded
+        # Level that this program activated with, None when nobody here knows it.
         self.level: int | None = None
+        # Whether telemetry can be read by ``firmware``: it is forced, or chosen by a version
+        # answer.
         self.knows_layout = self._is_forced
+        # Newest answer to the version query, None before the first.
         self.version: Version | None = None
 
     @property
@@ -92,8 +85,7 @@ class Requests:
         An aircraft does not change its firmware in flight. Another answer would change the meaning
         of the setpoints that are on their way, or refuse the neutral and the landing.
 
-        Raises:
-            UsageError: The firmware is unknown.
+        Raises ``UsageError``: the firmware is unknown.
         """
         self._require_known("control authority")
         self._is_fixed = True
@@ -108,26 +100,18 @@ class Requests:
         self,
         request: Request[A],
         *,
-        timeout: float = 0.5,
+        timeout: float = 0.5,  # seconds to wait for the ack of one transmission
         tries: int = 3,
-        encrypted: bool | None = None,
+        encrypted: bool | None = None,  # by default as the request declares, once there is a key
+        # Class of the error for system codes that have no class of their own.
         refusal: type[CommandRefused] = CommandRefused,
     ) -> A:
         """Send a request until it is answered, and return what its ack says.
 
-        Args:
-            request: What to ask.
-            timeout: Seconds to wait for the ack of one transmission.
-            tries: Transmissions in all.
-            encrypted: By default as the request declares, once there is a key.
-            refusal: Class of the error for system codes that have no class of their own.
-
-        Raises:
-            NotActivated, LevelTooLow, CommandNotSupported: System codes, or the firmware is known
-                not to know it.
-            KeyRejected: Encrypted and refused or unanswered, while plain requests are answered.
-            UsageError: Not a request, or the firmware is unknown.
-            AckTimeout, BadAck, LinkError: See each class.
+        Raises ``NotActivated, LevelTooLow, CommandNotSupported``: system codes, or the firmware is
+        known not to know it. Raises ``KeyRejected``: encrypted and refused or unanswered, while
+        plain requests are answered. Raises ``UsageError``: not a request, or the firmware is
+        unknown. Raises ``AckTimeout, BadAck, LinkError``: see each class.
         """
         if not isinstance(request, Request):  # a movement must not be sent three times
             raise UsageError(
@@ -168,10 +152,8 @@ class Requests:
     def push(self, command: Push | Movement) -> bool:
         """Send a command that has no ack. False when the line does not drain.
 
-        Raises:
-            UsageError: The firmware is unknown.
-            CommandNotSupported: The firmware does not know it.
-            LinkError: The line is gone.
+        Raises ``UsageError``: the firmware is unknown. Raises ``CommandNotSupported``: the firmware
+        does not know it. Raises ``LinkError``: the line is gone.
         """
         if type(command) not in self._known_pushes:  # movement comes fifty times a second
             self._require_firmware(command)
@@ -190,10 +172,8 @@ class Requests:
     async def admit(self, command: Push | Movement) -> None:
         """Refuse a command that nobody answers and that the aircraft would ignore in silence.
 
-        Raises:
-            NotActivated, LevelTooLow, CommandNotSupported: It would.
-            UsageError: The firmware is unknown.
-            AckTimeout, LinkError: See each class.
+        Raises ``NotActivated, LevelTooLow, CommandNotSupported``: it would. Raises ``UsageError``:
+        the firmware is unknown. Raises ``AckTimeout, LinkError``: see each class.
         """
         self._require_firmware(command)
         if self._link.cipher is None and command.NEEDS_ACTIVATION:
@@ -220,9 +200,8 @@ class Requests:
     async def find_aircraft(self, timeout: float) -> Version:
         """Ask for the version until the deadline; if none comes, say how far the line reaches.
 
-        Raises:
-            SilentLine, NoValidFrame, NoAnswer: No aircraft; each names the cause.
-            LinkError, BadAck: See each class.
+        Raises ``SilentLine, NoValidFrame, NoAnswer``: no aircraft; each names the cause. Raises
+        ``LinkError, BadAck``: see each class.
         """
         clock = asyncio.get_running_loop().time
         deadline = clock() + timeout
@@ -244,8 +223,7 @@ class Requests:
     ) -> Version:
         """Ask for the version and let it choose the firmware, unless one is forced or fixed.
 
-        Raises:
-            AckTimeout, LinkError, BadAck: See each class.
+        Raises ``AckTimeout, LinkError, BadAck``: see each class.
         """
         if self._link.is_recorded and self.version is not None:
             return self.version  # what it answered then
@@ -300,8 +278,7 @@ class Requests:
     def require_support(self, command: Command | type[Command]) -> None:
         """Raise for what the firmware does not know, before anything else is looked at.
 
-        Raises:
-            CommandNotSupported: The command came later.
+        Raises ``CommandNotSupported``: the command came later.
         """
         if not command.is_known_to(self.firmware):
             raise CommandNotSupported(

@@ -20,15 +20,6 @@ from collections.abc import Iterator
 from enum import Enum
 from typing import Any, Protocol
 
-__all__ = [
-    "HIGH_WATER",
-    "PORT_GONE",
-    "PortState",
-    "SerialPort",
-    "SerialTransport",
-    "read_inverted",
-]
-
 _logger = logging.getLogger(__name__)
 
 
@@ -139,15 +130,6 @@ class SerialTransport(asyncio.Transport):
     The protocol's ``connection_made`` is called at once. From 2048 unsent bytes on it is told to
     pause writing, from 512 on to resume. A protocol that writes on regardless is buffered up to
     65,536 bytes; a piece that does not fit is dropped whole and counted.
-
-    Args:
-        loop: The running event loop.
-        protocol: Who gets the bytes.
-        port: An open port, which belongs to the transport from here on.
-
-    Attributes:
-        state: Where it is between its first byte and its end.
-        dropped: Pieces that did not fit.
     """
 
     # A KeyboardInterrupt may come between any two lines. So each step first writes down what makes
@@ -157,11 +139,11 @@ class SerialTransport(asyncio.Transport):
         self, loop: asyncio.AbstractEventLoop, protocol: asyncio.Protocol, port: SerialPort
     ) -> None:
         super().__init__({"serial": port})
-        self._loop = loop
-        self._protocol = protocol
-        self._port = port
+        self._loop = loop  # the running event loop
+        self._protocol = protocol  # who gets the bytes
+        self._port = port  # an open port, which belongs to the transport from here on
         self._fd = port.fileno()
-        self.state = PortState.OPEN
+        self.state = PortState.OPEN  # where it is between its first byte and its end
         # False while the protocol wants no bytes.
         self._is_reading = True
         # What was read and is not delivered: empty between turns, unless something cut one off.
@@ -172,7 +154,7 @@ class SerialTransport(asyncio.Transport):
         self._is_protocol_paused = False
         # Whether it has heard of the end.
         self._is_protocol_told = False
-        self.dropped = 0
+        self.dropped = 0  # pieces that did not fit
         os.set_blocking(self._fd, False)
         protocol.connection_made(self)
         if self.is_reading():

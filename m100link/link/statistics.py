@@ -13,19 +13,6 @@ from typing import Any, cast
 
 from m100link.session.endpoint import Endpoint
 
-__all__ = [
-    "ROUND_TRIP_BOUNDS_S",
-    "Direction",
-    "LinkStatistics",
-    "Listener",
-    "RoundTripCounter",
-    "RoundTrips",
-    "Tap",
-    "TappedProtocol",
-    "counted",
-    "excerpt",
-]
-
 _logger = logging.getLogger(__name__)
 
 
@@ -179,11 +166,7 @@ called again; the line goes on.
 
 
 class Listener:
-    """Calls a tap until it raises.
-
-    Args:
-        tap: What to call.
-    """
+    """Calls a tap until it raises."""
 
     __slots__ = ("_tap",)
 
@@ -248,16 +231,13 @@ class _TappedTransport(asyncio.Transport):
 class TappedProtocol(asyncio.Protocol):
     """What a transport is given in place of a protocol whose line is tapped.
 
-    Args:
-        protocol: Gets everything that the transport tells.
-        tap: Hears each read before the protocol does, and each of its writes.
-        clock: The event loop's clock.
+    ``tap``: hears each read before the protocol does, and each of its writes.
     """
 
     def __init__(self, protocol: asyncio.Protocol, tap: Tap, clock: Callable[[], float]) -> None:
-        self._protocol = protocol
+        self._protocol = protocol  # gets everything that the transport tells
         self._listener = Listener(tap)
-        self._clock = clock
+        self._clock = clock  # the event loop's clock
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """The transport is attached."""

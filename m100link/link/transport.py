@@ -35,8 +35,6 @@ from m100link.link.gate import GUARDIAN_NAME
 from m100link.link.serial_transport import HIGH_WATER, PORT_GONE, SerialTransport
 from m100link.link.url import EXAMPLES, ConnectionString
 
-__all__ = ["Opener", "find_transport", "open_transport", "port_owners", "serial_ports"]
-
 _logger = logging.getLogger(__name__)
 
 Opener = Callable[[ConnectionString, asyncio.Protocol], Awaitable[asyncio.Transport]]
@@ -89,8 +87,7 @@ class _PolledTransport(serial_asyncio.SerialTransport):
 def find_transport(address: ConnectionString) -> Opener:
     """What opens a line of this scheme; nothing is opened.
 
-    Raises:
-        BadURL: No transport of that scheme is installed.
+    Raises ``BadURL``: no transport of that scheme is installed.
     """
     if address.scheme == "serial":
         return _open_serial
@@ -118,9 +115,8 @@ async def open_transport(
 ) -> asyncio.Transport:
     """Open the line and attach a protocol to it.
 
-    Raises:
-        PortNotFound, PortPermissionDenied, PortBusy, PortFailed: See each class.
-        BadURL: No transport of that scheme is installed.
+    Raises ``PortNotFound, PortPermissionDenied, PortBusy, PortFailed``: see each class. Raises
+    ``BadURL``: no transport of that scheme is installed.
     """
     # A transport that plugs itself in is loaded in the event loop, once in a program: in a thread,
     # the virtual clock of a test would run on meanwhile, and over its time-outs.

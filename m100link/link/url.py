@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from m100link.errors import BadURL
 
-__all__ = ["DEFAULT_BAUD_RATE", "EXAMPLES", "ConnectionString", "parse_url"]
-
 DEFAULT_BAUD_RATE = 230_400
 """Rate of the document's launch file; the PC assistant can change it (errata 50)."""
 

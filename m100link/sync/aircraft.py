@@ -21,9 +21,8 @@ from m100link.flight.block import PauseAction
 from m100link.flight.guards import Guards
 from m100link.flight.mission_state import MissionState
 from m100link.flight.stop_path import StopAction
-from m100link.link import Tap
 from m100link.link.link import Link
-from m100link.link.statistics import LinkStatistics
+from m100link.link.statistics import LinkStatistics, Tap
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.command import Request
 from m100link.protocol.commands.activation import Credentials, Version

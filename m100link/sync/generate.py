@@ -434,8 +434,9 @@ def home(name: str, what: Any) -> str:
         return str(own)
     modules = [found for found in sorted(sys.modules) if found.startswith("m100link.")]
     holding = [module for module in modules if vars(sys.modules[module]).get(name) is what]
-    exporting = [m for m in holding if name in getattr(sys.modules[m], "__all__", ())]
-    for module in [*exporting, *holding]:
+    declared = re.compile(rf"^{name}\b.* = ", re.MULTILINE)  # the others import it
+    declaring = [m for m in holding if declared.search(inspect.getsource(sys.modules[m]))]
+    for module in [*declaring, *holding]:
         return module
     raise LookupError(name)
 

@@ -50,17 +50,12 @@ class HostTime(NamedTuple):
 
 
 class _Second(NamedTuple):
-    """The earliest arrival of a second.
+    """The earliest arrival of a second."""
 
-    Attributes:
-        device: Its device time, s.
-        offset: Its arrival minus its device time, s.
-        width: By how much half of the arrivals were later, s. A second whose very earliest arrival
-            is late by more than that had to have every arrival in the upper part of their range.
-    """
-
-    device: float
-    offset: float
+    device: float  # its device time, s
+    offset: float  # its arrival minus its device time, s
+    # By how much half of the arrivals were later, s. A second whose very earliest arrival is late
+    # by more than that had to have every arrival in the upper part of their range.
     width: float
 
 

@@ -65,9 +65,7 @@ def is_low(charge: int | None, limit: int) -> bool | None:
 
     Between them lies a gap, so that a charge at the edge rings once.
 
-    Args:
-        charge: Charge, %.
-        limit: From it down it is low, %.
+    ``charge``: charge, %. ``limit``: from it down it is low, %.
     """
     if charge is None:
         return None
@@ -156,19 +154,14 @@ class _Clock:
     seconds for a step of the clock. Here it stays a delay: until the line was silent for a second,
     which ends a flight anyway, or the aircraft restarted.
 
-    Attributes:
-        now: Seconds by it, unwrapped; what they count from changes with ``epoch``.
-        epoch: Changes when times before and after cannot be compared.
-        is_trusted: It runs as fast as the profile says.
-        stood_still_s: For how long packages have come without an advance.
-        delay_s: See :class:`Integrity`.
-        late_for_s: For how long that has been too much.
+    ``stood_still_s``: for how long packages have come without an advance. ``late_for_s``: for how
+    long that has been too much.
     """
 
     def __init__(self) -> None:
-        self.now = 0.0
-        self.epoch = 0
-        self.is_trusted = False
+        self.now = 0.0  # seconds by it, unwrapped; what they count from changes with ``epoch``
+        self.epoch = 0  # changes when times before and after cannot be compared
+        self.is_trusted = False  # it runs as fast as the profile says
         self.stood_still_s = self.delay_s = self.late_for_s = 0.0
         self._sample: Sample | None = None
         self._tick = 0
@@ -278,13 +271,11 @@ class _Fix(NamedTuple):
 class IntegrityMonitor:
     """Compares items of telemetry with each other.
 
-    Args:
-        newest: The newest package with an item.
-        first: The first package with a time that ever came; None: none did.
+    ``first``: the first package with a time that ever came; None: none did.
     """
 
     def __init__(self, newest: Callable[[type[Any]], Sample | None], first: Sample | None) -> None:
-        self._newest = newest
+        self._newest = newest  # the newest package with an item
         self._clock = _Clock()
         if first is not None:
             self._clock.look(first)

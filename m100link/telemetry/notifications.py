@@ -31,12 +31,6 @@ class Notifications:
 
     Telemetry, which comes a hundred times a second, goes on as the bytes of its value. It is passed
     over until the firmware is known by which it is read.
-
-    Args:
-        link: The line.
-        requests: Knows the firmware.
-        on_telemetry: Gets the value of each telemetry package, its firmware, and the time of its
-            arrival.
     """
 
     __slots__ = ("_link", "_on_telemetry", "_requests", "_takers")
@@ -45,6 +39,7 @@ class Notifications:
         self,
         link: Link,
         requests: Requests,
+        # Gets the value of each telemetry package, its firmware, and the time of its arrival.
         on_telemetry: Callable[[bytes, FirmwareProfile, float], None],
     ) -> None:
         self._link = link

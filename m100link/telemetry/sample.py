@@ -42,8 +42,7 @@ class Sample(TelemetryPacket):
     def __getitem__(self, record: type[R]) -> R:
         """The record of that class.
 
-        Raises:
-            KeyError: The package does not carry it.
+        Raises ``KeyError``: the package does not carry it.
         """
         found = self.get(record)
         if found is None:

@@ -54,25 +54,18 @@ class ItemStatistics:
 
 
 class _Cell:
-    """What is known of items that have always come together.
-
-    Attributes:
-        items: The bits of these items.
-        sample: The newest package with them.
-        received_at: When it arrived; infinite before the first, so that no gap ends with it.
-        longest_gap_s: See :class:`ItemStatistics`.
-        count: Packages with them.
-        arrivals: When the newest of them arrived, oldest first.
-    """
+    """What is known of items that have always come together."""
 
     __slots__ = ("arrivals", "count", "items", "longest_gap_s", "received_at", "sample")
 
     def __init__(self, items: int) -> None:
-        self.items = items
-        self.sample: Sample | None = None
+        self.items = items  # the bits of these items
+        self.sample: Sample | None = None  # the newest package with them
+        # When it arrived; infinite before the first, so that no gap ends with it.
         self.received_at = math.inf
         self.longest_gap_s = 0.0
         self.count = 0
+        # When the newest of them arrived, oldest first.
         self.arrivals: deque[float] = deque(maxlen=_ARRIVALS)
 
     def split(self, items: int) -> _Cell:

@@ -19,8 +19,6 @@ from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 from m100link.telemetry.subscription import ANY, Hub, Latest, Policy, Subscription
 
-__all__ = ["TelemetryStream"]
-
 _logger = logging.getLogger(__name__)
 
 _PACKAGE = 1 << 16  # what a package with no item is, for those who want every package
@@ -40,17 +38,7 @@ def _tick_place(flags: int, firmware: FirmwareProfile) -> _Place | None:
 
 
 class TelemetryStream:
-    """Takes packages as they arrive.
-
-    Args:
-        observe: Called with each package when state and clock know it, before the consumers.
-        clock: By which packages arrive, s.
-
-    Attributes:
-        state: Newest value and age of every item.
-        mismatches: Packages refused because they do not fit the firmware profile.
-        utc_offset_s: See :attr:`m100link.Aircraft.utc_offset_s`.
-    """
+    """Takes packages as they arrive."""
 
     __slots__ = (
         *("_clock", "_firmware", "_hub", "_observe", "_ticks"),
@@ -58,15 +46,16 @@ class TelemetryStream:
     )
 
     def __init__(self, observe: Callable[[Sample], None], clock: Callable[[], float]) -> None:
+        # Called with each package when state and clock know it, before the consumers.
         self._observe = observe
-        self.state = AircraftState(clock)
-        self.mismatches = 0
+        self.state = AircraftState(clock)  # newest value and age of every item
+        self.mismatches = 0  # packages refused because they do not fit the firmware profile
         # Once: a wall clock that is set during a flight must not bend its columns.
-        self.utc_offset_s = time.time() - clock()
+        self.utc_offset_s = time.time() - clock()  # see :attr:`m100link.Aircraft.utc_offset_s`
         self._hub: Hub[Sample] = Hub()
         # What packages have been read as, or the clock was asked for, last.
         self._firmware = FIRMWARE_1_0
-        self._clock = DeviceClock(FIRMWARE_1_0.tick_hz)
+        self._clock = DeviceClock(FIRMWARE_1_0.tick_hz)  # by which packages arrive, s
         self._ticks: dict[int, _Place | None] = {}  # where such packages have their tick, by flags
 
     def clock_of(self, firmware: FirmwareProfile) -> DeviceClock:

@@ -70,20 +70,7 @@ Policy = Newest | Lossless
 
 
 class Queue(Generic[T]):
-    """Values that wait for one consumer: what the reader of the line fills.
-
-    Attributes:
-        wanted: Kinds of values that are queued, a bit for each; none once the stream has ended.
-        values: What waits, oldest first.
-        waiter: Resolved when there is something to take; None while nobody waits for it. The
-            hub keeps a waiting consumer alive by it, as nothing else needs to.
-        error: How the stream ends, after what is queued.
-        loop: In which values come and are waited for; None: any.
-        is_closed: Nobody takes values any more.
-        received: Values that were queued.
-        dropped: Values that the policy dropped.
-        thinned: Values left out by the rate limit.
-    """
+    """Values that wait for one consumer: what the reader of the line fills."""
 
     # Slots here and in the other parts that every package passes: a process with hundreds of
     # aircraft finds each of them cold, and attributes in a place of their own cost another miss.
@@ -111,19 +98,22 @@ class Queue(Generic[T]):
         wanted: int = ANY,
         loop: asyncio.AbstractEventLoop | None = None,
     ) -> None:
-        self.loop = loop
+        self.loop = loop  # in which values come and are waited for; None: any
         self._policy = policy
         self._count = policy.count
         self._min_interval = min_interval
         self._next_at = float("-inf")  # the next value of the rate limit's grid is due
+        # Kinds of values that are queued, a bit for each; none once the stream has ended.
         self.wanted = wanted
-        self.values: deque[T] = deque()
+        self.values: deque[T] = deque()  # what waits, oldest first
+        # Resolved when there is something to take; None while nobody waits for it. The hub keeps a
+        # waiting consumer alive by it, as nothing else needs to.
         self.waiter: asyncio.Future[None] | None = None
-        self.error: M100Error | None = None
-        self.is_closed = False
-        self.received = 0
-        self.dropped = 0
-        self.thinned = 0
+        self.error: M100Error | None = None  # how the stream ends, after what is queued
+        self.is_closed = False  # nobody takes values any more
+        self.received = 0  # values that were queued
+        self.dropped = 0  # values that the policy dropped
+        self.thinned = 0  # values left out by the rate limit
 
     def put(self, value: T, now: float) -> None:
         """Queue a wanted value, as the policy says. Called by the reader; never waits or raises."""

@@ -36,21 +36,6 @@ if TYPE_CHECKING:
     from m100link.missions.plan import WaypointPlan
     from m100link.telemetry.state import AircraftState
 
-__all__ = [
-    "FAR_M",
-    "Block",
-    "Deck",
-    "Over",
-    "Track",
-    "WaypointTrack",
-    "broken_off",
-    "check_battery",
-    "check_envelope",
-    "check_plan",
-    "check_way",
-    "require_airborne",
-]
-
 
 class Over(NamedTuple):
     """The aircraft says that it does not fly the mission any more."""
@@ -105,17 +90,11 @@ class Block(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Deck:
-    """What a mission stands on.
-
-    Attributes:
-        commander: The aircraft.
-        guards: Asked before it begins and while it flies.
-        block: The control block around it.
-    """
+    """What a mission stands on."""
 
     commander: Commander
-    guards: GuardKeeper
-    block: Block
+    guards: GuardKeeper  # asked before it begins and while it flies
+    block: Block  # the control block around it
 
     @property
     def watch(self) -> MissionWatch:
@@ -139,13 +118,9 @@ async def require_airborne(deck: Deck, what: str, *, may_take_off: bool = False)
     A mission that is started on the ground may take off by itself (facts W9): nobody is to be
     surprised by that.
 
-    Returns:
-        Whether it stands on the ground.
-
-    Raises:
-        UsageError: It stands on the ground, and nobody said that it may take off.
-        TelemetryStalled: Nobody knows whether it flies.
-        GuardRefused: Battery below its floor or unknown, position unknown, GPS too weak.
+    Returns whether it stands on the ground. Raises ``UsageError``: it stands on the ground, and
+    nobody said that it may take off. Raises ``TelemetryStalled``: nobody knows whether it flies.
+    Raises ``GuardRefused``: battery below its floor or unknown, position unknown, GPS too weak.
     """
     await deck.guards.admit_mission(what)
     state = deck.commander.state
@@ -169,8 +144,7 @@ async def require_airborne(deck: Deck, what: str, *, may_take_off: bool = False)
 def check_envelope(envelope: Envelope, plan: WaypointPlan) -> None:
     """Whether heights and speed of a plan lie inside, wherever the aircraft is.
 
-    Raises:
-        GuardRefused: One does not.
+    Raises ``GuardRefused``: one does not.
     """
     for index, point in enumerate(plan.waypoints):
         envelope.check(f"waypoint {index} of {_WHAT}", height=point.height)
@@ -182,8 +156,7 @@ def check_plan(
 ) -> None:
     """Whether a plan may be flown from here, within the envelope.
 
-    Raises:
-        GuardRefused: With the guard, the waypoint, the measured value and the limit.
+    Raises ``GuardRefused``: with the guard, the waypoint, the measured value and the limit.
     """
     envelope = guards.guards.envelope
     if envelope is not None:
@@ -200,8 +173,7 @@ def check_battery(guards: GuardKeeper, state: AircraftState, plan: WaypointPlan)
 
     A plan that only the pilot's stick moves has no estimate; the floor ends it in flight.
 
-    Raises:
-        GuardRefused: It does not.
+    Raises ``GuardRefused``: it does not.
     """
     floor = guards.guards.battery_floor_percent
     battery, position = known(state, Battery), known(state, Position)
@@ -226,8 +198,7 @@ def check_way(
 ) -> float:
     """How far it is to where a mission begins, m; 0 while the position is unknown.
 
-    Raises:
-        GuardRefused: Farther than 500 m, and nobody allowed it.
+    Raises ``GuardRefused``: farther than 500 m, and nobody allowed it.
     """
     position = known(state, Position)
     if position is None:
@@ -264,24 +235,16 @@ def broken_off(status: wire.IdleStatus | wire.IocStatus, index: int | None = Non
 
 
 class WaypointTrack:
-    """Reads the pushes of one waypoint mission.
+    """Reads the pushes of one waypoint mission."""
 
-    Args:
-        plan: What is flown.
-
-    Attributes:
-        estimated_time: Seconds that the aircraft expects it to take; None until it says so.
-        index: Waypoint that it flies to; None until a push tells.
-        poll: What is asked when nothing is pushed.
-    """
-
-    poll = WaypointDownloadMission()
+    poll = WaypointDownloadMission()  # what is asked when nothing is pushed
 
     def __init__(self, plan: WaypointPlan) -> None:
         self._plan = plan
         self._last = len(plan.waypoints) - 1
+        # Seconds that the aircraft expects it to take; None until it says so.
         self.estimated_time: float | None = None
-        self.index: int | None = None
+        self.index: int | None = None  # waypoint that it flies to; None until a push tells
         self._status: int | None = None
         self._is_seen = False  # whether a push told of this mission: what is older says nothing
         self._reached = -1  # the newest waypoint of this run of which the program was told

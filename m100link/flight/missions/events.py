@@ -183,17 +183,14 @@ class Events:
 
     There are few of them, whatever a program does not take: only progress comes again and again,
     and of that the newest is kept.
-
-    Attributes:
-        failure: What is raised behind the last event, and nothing when the end was a good one.
-        is_over: Whether the last event is there.
     """
 
     def __init__(self) -> None:
         self._waiting: deque[MissionEvent] = deque()
         self._news = asyncio.Event()
+        # What is raised behind the last event, and nothing when the end was a good one.
         self.failure: M100Error | None = None
-        self.is_over = False
+        self.is_over = False  # whether the last event is there
 
     def add(self, event: MissionEvent) -> None:
         """Something happened; nothing happens behind the end."""
@@ -337,11 +334,8 @@ def mission_refused(
 ) -> MissionRefused:
     """The refusal of an order, with what the code says.
 
-    Args:
-        what: The order, in words.
-        code: What the aircraft answered.
-        point: The waypoint that it is about, counted from 0.
-        remedy: What to do about it, if what the code says does not fit the order.
+    ``point``: the waypoint that it is about, counted from 0. ``remedy``: what to do about it, if
+    what the code says does not fit the order.
     """
     where = "" if point is None else f", waypoint {point}"
     return MissionRefused(

@@ -100,26 +100,17 @@ def largest_rate(radius: float) -> float:
 
 
 class HotpointTrack:
-    """Reads the pushes of one hotpoint. It has no end of its own: whatever ends it broke it off.
+    """Reads the pushes of one hotpoint. It has no end of its own: whatever ends it broke it off."""
 
-    Args:
-        centre: Latitude and longitude, °.
-
-    Attributes:
-        distance_m: Present distance from the centre as the aircraft says, m; None before it did.
-        rate_deg_s: Present angular rate, °/s; likewise.
-        status: 0 on the way to the circle, 1 circling, 2 paused.
-        poll: What is asked when nothing is pushed.
-    """
-
-    poll = HotpointDownload()
+    poll = HotpointDownload()  # what is asked when nothing is pushed
     ends_by_landing = False
 
     def __init__(self, centre: tuple[float, float]) -> None:
-        self._centre = centre
+        self._centre = centre  # latitude and longitude, °
+        # Present distance from the centre as the aircraft says, m; None before it did.
         self.distance_m: float | None = None
-        self.rate_deg_s: float | None = None
-        self.status: int | None = None
+        self.rate_deg_s: float | None = None  # present angular rate, °/s; likewise
+        self.status: int | None = None  # 0 on the way to the circle, 1 circling, 2 paused
 
     def take(self, push: wire.MissionStatus | wire.WaypointEvent) -> list[MissionEvent | Over]:
         """A push came."""
@@ -413,14 +404,9 @@ TargetSource = Target | AsyncIterable[Target]
 
 
 class FollowTrack:
-    """Reads the pushes of a follow mission, which tell only that it flies.
+    """Reads the pushes of a follow mission, which tell only that it flies."""
 
-    Attributes:
-        target: The newest one.
-        poll: Nothing can be asked.
-    """
-
-    poll = None
+    poll = None  # nothing can be asked
     ends_by_landing = False
 
     def __init__(self) -> None:

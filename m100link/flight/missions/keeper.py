@@ -32,7 +32,6 @@ from m100link.protocol.records import FlightPhase, FlightStatus
 if TYPE_CHECKING:
     from m100link.flight.tasks import Commander
 
-__all__ = ["MissionKeeper"]
 
 _logger = logging.getLogger(__name__)
 
@@ -44,17 +43,10 @@ _SETTLED_BY_S = 0.6  # until when pushes that contradict each other are waited f
 
 
 class MissionKeeper:
-    """Knows the mission of one control block, and the one of somebody else that the pushes tell of.
-
-    Args:
-        commander: The aircraft.
-
-    Attributes:
-        left_in_flight: The name of a mission that could, or should, not be stopped.
-    """
+    """Knows the mission of its control block, and that of somebody else in the pushes."""
 
     def __init__(self, commander: Commander) -> None:
-        self.left_in_flight = ""
+        self.left_in_flight = ""  # the name of a mission that could, or should, not be stopped
         self._commander = commander
         self._watch = commander.missions
         self._run: MissionRun | None = None  # the newest that this block entered
@@ -67,8 +59,7 @@ class MissionKeeper:
     def claim(self, run: MissionRun) -> None:
         """A mission is about to be uploaded or started.
 
-        Raises:
-            MissionRunning: Another one flies.
+        Raises ``MissionRunning``: another one flies.
         """
         self.require_none(f"a {run.name}")
         if self._run is not None and self._run.state is RunState.READY:
@@ -111,13 +102,8 @@ class MissionKeeper:
     def require_none(self, what: str, *, is_landing: bool = False) -> None:
         """Raise while a mission flies: the aircraft would ignore what is asked for (facts M8).
 
-        Args:
-            what: What is asked for.
-            is_landing: It lands, here or at home, and so breaks off what a stop did not end (facts
-                M10, inferred).
-
-        Raises:
-            MissionRunning: With what to do about it.
+        ``is_landing``: it lands, here or at home, and so breaks off what a stop did not end (facts
+        M10, inferred). Raises ``MissionRunning``: with what to do about it.
         """
         name = self.flying
         if not name or (is_landing and self._is_told_to_stop):
@@ -185,9 +171,8 @@ class MissionKeeper:
     async def order_any(self, what: str) -> MissionKind:
         """Pause or resume what flies, which the pushes have to tell.
 
-        Raises:
-            UsageError: Nothing flies, as far as anybody knows.
-            MissionRefused: See each class.
+        Raises ``UsageError``: nothing flies, as far as anybody knows. Raises ``MissionRefused``:
+        see each class.
         """
         run, kind = self._run, self._flying_kind
         if run is not None and run.is_in_the_air:
@@ -212,8 +197,7 @@ class MissionKeeper:
     def detach_any(self) -> MissionKind:
         """Leave what flies in flight when the block ends.
 
-        Raises:
-            UsageError: Nothing flies, as far as anybody knows.
+        Raises ``UsageError``: nothing flies, as far as anybody knows.
         """
         run, kind = self._run, self._flying_kind
         if run is not None and run.is_in_the_air:
@@ -296,9 +280,6 @@ class MissionKeeper:
 
         One that was told to fly on without an RC is let fly when nobody is seen to have taken the
         aircraft: then the RC is lost, and a stop would leave it to hover without a pilot.
-
-        Args:
-            failure: How authority was lost.
         """
         run, clock = self._run, self._commander.link.loop.time
         since, give_up_at = clock(), clock() + _TOLD_WITHIN_S
@@ -326,8 +307,7 @@ class MissionKeeper:
     async def stop(self) -> M100Error | None:
         """Stop what this block answers for, if it is owed a stop.
 
-        Returns:
-            Why it may be flying on, None when it does not.
+        Returns why it may be flying on, None when it does not.
         """
         run = self._run
         if run is None:
@@ -345,12 +325,7 @@ class MissionKeeper:
         return None
 
     def give_up(self, failure: M100Error | None, why: str) -> None:
-        """What flies is left in flight.
-
-        Args:
-            failure: For whoever waits for its events.
-            why: For the log.
-        """
+        """What flies is left in flight."""
         run = self._run
         if run is not None and run.is_in_the_air and not self.left_in_flight:
             self.left_in_flight = run.name

@@ -20,26 +20,17 @@ from m100link.flight.missions.waypoint import UploadListener, WaypointFlight
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.hotpoint import HotpointStart
 
-__all__ = ["Missions"]
-
 
 class Missions:
-    """Missions of one control block.
-
-    Args:
-        deck: What they stand on.
-        keeper: One at a time.
-        make_way: Lets nothing else steer.
-        take_off: The task of the control block.
-    """
+    """Missions of one control block."""
 
     def __init__(
         self,
-        deck: Deck,
-        keeper: MissionKeeper,
+        deck: Deck,  # what they stand on
+        keeper: MissionKeeper,  # one at a time
         *,
-        make_way: Callable[[str], Awaitable[None]],
-        take_off: Callable[[], Awaitable[None]],
+        make_way: Callable[[str], Awaitable[None]],  # lets nothing else steer
+        take_off: Callable[[], Awaitable[None]],  # the task of the control block
     ) -> None:
         self._deck = deck
         self._keeper = keeper

@@ -49,13 +49,6 @@ from m100link.protocol.command import Request
 from m100link.protocol.commands.missions import MissionStatus, Uploaded, WaypointEvent
 from m100link.protocol.records import FlightPhase, FlightStatus
 
-__all__ = [
-    "AUTHORITY_CODES",
-    "Ending",
-    "Ground",
-    "MissionRun",
-]
-
 _logger = logging.getLogger(__name__)
 
 
@@ -70,24 +63,16 @@ _MAY_FLY_A_MISSION = (FlightPhase.TAKING_OFF, FlightPhase.IN_AIR)
 
 
 class Ending:
-    """The end of one mission.
-
-    Args:
-        commander: The aircraft.
-        kind: Which kind of mission.
-
-    Attributes:
-        told_at: When it was taken for over, or for on its way home; minus infinity before.
-        is_answered: Whether the answer to a stop told it, which is not doubted.
-    """
+    """The end of one mission."""
 
     def __init__(self, commander: Commander, kind: MissionKind) -> None:
         self._commander = commander
         self._clock = commander.link.loop.time
         self._watch = commander.missions
-        self._kind = kind
+        self._kind = kind  # which kind of mission
+        # When it was taken for over, or for on its way home; minus infinity before.
         self.told_at = -math.inf
-        self.is_answered = False
+        self.is_answered = False  # whether the answer to a stop told it, which is not doubted
 
     def tell(self, *, is_answered: bool = False) -> None:
         """Something tells that it is over."""
@@ -130,11 +115,7 @@ class Ending:
 
 
 class Ground:
-    """Whether the aircraft stands, by more than one word.
-
-    Args:
-        commander: The aircraft.
-    """
+    """Whether the aircraft stands, by more than one word."""
 
     def __init__(self, commander: Commander) -> None:
         self._commander = commander
@@ -168,35 +149,24 @@ AUTHORITY_CODES = frozenset(
 
 
 class MissionRun:
-    """One mission, from before its start to its end.
-
-    Args:
-        deck: What it stands on.
-        kind: Which kind of mission.
-        track: Reads what the aircraft says of it.
-        flies_without_rc: Whether it was told to fly on when the RC is lost.
-
-    Attributes:
-        kind, flies_without_rc: As above.
-        state: Where it is in its life.
-        started_at: When the start was sent, on the event loop's clock; minus infinity before.
-        ending: When it was told to be over, and whether pushes contradict.
-        events: For the program.
-    """
+    """One mission, from before its start to its end."""
 
     def __init__(
         self, deck: Deck, kind: MissionKind, track: Track, *, flies_without_rc: bool = False
     ) -> None:
-        self._deck = deck
-        self.kind = kind
+        self._deck = deck  # what it stands on
+        self.kind = kind  # which kind of mission
+        # Whether it was told to fly on when the RC is lost.
         self.flies_without_rc = flies_without_rc
         self._orders = ORDERS[kind]
-        self._track = track
+        self._track = track  # reads what the aircraft says of it
         self._clock = deck.commander.link.loop.time
-        self.state = RunState.READY
+        self.state = RunState.READY  # where it is in its life
         self.events = Events()
         self._is_told = False  # the program was told why it was broken off
+        # When the start was sent, on the event loop's clock; minus infinity before.
         self.started_at = -math.inf
+        # When it was told to be over, and whether pushes contradict.
         self.ending = Ending(deck.commander, kind)
         self._ground = Ground(deck.commander)
         self._pushed_at = 0.0  # when a push told of this mission last, or it was started
@@ -247,9 +217,8 @@ class MissionRun:
     async def start(self, request: Request[Any], code_of: Callable[[Any], int]) -> Any:
         """Send what lets it fly, and return the answer.
 
-        Raises:
-            MissionRefused: The aircraft says no; nothing flies.
-            AckTimeout: Nobody knows whether it flies: a stop is owed.
+        Raises ``MissionRefused``: the aircraft says no; nothing flies. Raises ``AckTimeout``:
+        nobody knows whether it flies: a stop is owed.
         """
         self.listen()
         self.feed(RunInput.START)
@@ -285,8 +254,7 @@ class MissionRun:
     async def pause(self) -> None:
         """Hover until :meth:`resume`.
 
-        Raises:
-            MissionRefused, MissionAborted, AckTimeout, UsageError: See the public methods.
+        Raises ``MissionRefused, MissionAborted, AckTimeout, UsageError``: see the public methods.
         """
         await self._order("pause", self._orders.pause, PAUSED_CODES)
         if self.feed(RunInput.PAUSED):
@@ -311,10 +279,8 @@ class MissionRun:
     def require_in_the_air(self, what: str) -> None:
         """Raise unless it flies.
 
-        Raises:
-            MissionAborted: It was broken off.
-            UsageError: It has not begun, or it is over.
-            NoAuthority, M100Error: What ended the control block.
+        Raises ``MissionAborted``: it was broken off. Raises ``UsageError``: it has not begun, or it
+        is over. Raises ``NoAuthority, M100Error``: what ended the control block.
         """
         self._deck.block.require_flying(f"{what} ({self.name})")
         if self.is_in_the_air:
@@ -331,8 +297,7 @@ class MissionRun:
     def detach(self) -> None:
         """Look away and let it fly on.
 
-        Raises:
-            UsageError: It does not fly.
+        Raises ``UsageError``: it does not fly.
         """
         self.require_in_the_air("to be detached")
         if not self.feed(RunInput.DETACH):
@@ -352,8 +317,7 @@ class MissionRun:
 
         What cancels the caller is remembered until then.
 
-        Raises:
-            AckTimeout, MissionRefused, LinkError: It may be flying on.
+        Raises ``AckTimeout, MissionRefused, LinkError``: it may be flying on.
         """
         if self.feed(RunInput.STOP):
             self._is_seen_over = False
@@ -421,9 +385,8 @@ class MissionRun:
 
         When the control block itself has ended, its stop path does that.
 
-        Raises:
-            MissionAborted: It was broken off, and nobody told the program.
-            AckTimeout, MissionRefused, LinkError: It may be flying on.
+        Raises ``MissionAborted``: it was broken off, and nobody told the program. Raises
+        ``AckTimeout, MissionRefused, LinkError``: it may be flying on.
         """
         if self._deck.block.is_open:
             await self.ending.heard_out()
@@ -447,10 +410,8 @@ class MissionRun:
     async def next_event(self) -> MissionEvent:
         """The next event.
 
-        Raises:
-            StopAsyncIteration: There is none any more.
-            MissionAborted: It was broken off.
-            M100Error: What ended the control block.
+        Raises ``StopAsyncIteration``: there is none any more. Raises ``MissionAborted``: it was
+        broken off. Raises ``M100Error``: what ended the control block.
         """
         with self._deck.block.waiting(self.name):
             event = await self.events.take()
@@ -580,8 +541,7 @@ class MissionRun:
     def _look(self) -> None:
         """What telemetry says: the ground at the end, and what the guards have against it.
 
-        Raises:
-            GuardRefused: A guard says no.
+        Raises ``GuardRefused``: a guard says no.
         """
         if self.state is RunState.RETURNING and not self.owes_a_stop:
             if self._ground.is_told():

@@ -113,8 +113,7 @@ class WaypointFlight(MissionFlight):
     async def _upload(self) -> None:
         """Send the plan: what is refused here never flew.
 
-        Raises:
-            MissionRefused, AckTimeout: See :meth:`m100link.Control.waypoint_mission`.
+        Raises ``MissionRefused, AckTimeout``: see :meth:`m100link.Control.waypoint_mission`.
         """
         self._run.listen()
         mission, points = self.plan.to_wire()
