@@ -33,21 +33,6 @@ from m100link.missions.waypoint import (
     number,
 )
 
-__all__ = [
-    "FARTHEST_M",
-    "HOVER_MINUTES",
-    "MOST_ACTIONS",
-    "MOST_POINTS",
-    "NEAREST_M",
-    "PlanEstimate",
-    "estimate",
-    "leg_lengths",
-    "problems",
-    "remarks",
-    "seconds_of_actions",
-]
-
-
 FEWEST_POINTS, MOST_POINTS = 2, 99
 MOST_ACTIONS = 15
 NEAREST_M, FARTHEST_M = 2.0, 2000.0
@@ -385,8 +370,7 @@ def estimate(
 ) -> PlanEstimate:
     """See :meth:`m100link.WaypointPlan.estimate`.
 
-    Raises:
-        UsageError: The battery lasts no time.
+    Raises ``UsageError``: the battery lasts no time.
     """
     if not 0.0 < hover_minutes < math.inf:
         raise UsageError(

@@ -30,8 +30,6 @@ from m100link.missions.waypoint import (
     WaypointAction,
 )
 
-__all__ = ["FORMAT", "VERSION", "from_json", "load_object", "to_json", "values_of"]
-
 FORMAT = "m100link waypoint plan"
 VERSION = 1
 
@@ -104,8 +102,7 @@ def _action_value(action: WaypointAction) -> Any:
 def load_object(text: str | bytes) -> dict[str, Any]:
     """The object that a JSON text is.
 
-    Raises:
-        BadPlan: It is not UTF-8, not JSON, no object, or a name stands twice in one.
+    Raises ``BadPlan``: it is not UTF-8, not JSON, no object, or a name stands twice in one.
     """
     try:
         decoded = text.decode("utf-8-sig") if isinstance(text, bytes) else text.lstrip("\ufeff")
@@ -155,8 +152,7 @@ def _short(value: object) -> str:
 def from_json(document: Mapping[str, Any]) -> dict[str, Any]:
     """Arguments of :class:`m100link.WaypointPlan`, from an object; see its ``from_json``.
 
-    Raises:
-        BadPlan: Something is missing, unknown or of another kind.
+    Raises ``BadPlan``: something is missing, unknown or of another kind.
     """
     if document.get("format") != FORMAT:
         raise BadPlan(

@@ -10,8 +10,6 @@ from m100link.errors import BadPlan
 from m100link.missions.document import load_object
 from m100link.missions.qgroundcontrol import FILE_TYPE
 
-__all__ = ["is_named_plan", "is_qgroundcontrol", "read", "write"]
-
 _LARGEST = 16 * 1024 * 1024
 """Bytes; a survey of thousands of photographs has not half a megabyte."""
 
@@ -19,8 +17,7 @@ _LARGEST = 16 * 1024 * 1024
 def read(path: str | Path) -> bytes:
     """What a file holds.
 
-    Raises:
-        BadPlan: It cannot be read, is a device, or is far too large for a plan.
+    Raises ``BadPlan``: it cannot be read, is a device, or is far too large for a plan.
     """
     found = b""
     try:
@@ -40,8 +37,7 @@ def read(path: str | Path) -> bytes:
 def write(path: str | Path, text: str) -> None:
     """Put a text into a file.
 
-    Raises:
-        BadPlan: It cannot be written.
+    Raises ``BadPlan``: it cannot be written.
     """
     try:
         Path(path).write_text(text, encoding="utf-8")
@@ -67,7 +63,6 @@ def is_named_plan(path: str | Path) -> bool:
 def is_qgroundcontrol(text: str | bytes) -> bool:
     """Whether a text is one of QGroundControl's files.
 
-    Raises:
-        BadPlan: It is not JSON.
+    Raises ``BadPlan``: it is not JSON.
     """
     return load_object(text).get("fileType") == FILE_TYPE

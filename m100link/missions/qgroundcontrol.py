@@ -42,16 +42,6 @@ from m100link.missions.waypoint import (
     number,
 )
 
-__all__ = [
-    "FILE_TYPE",
-    "Item",
-    "bad",
-    "from_document",
-    "items_of",
-    "refuse_fences",
-]
-
-
 # -- the mission items of a ``.plan`` of QGroundControl: a file taken apart, nothing understood ----
 
 
@@ -107,19 +97,12 @@ _NAMES = {
 
 
 class Item(NamedTuple):
-    """One mission item, wherever it stood.
+    """One mission item, wherever it stood."""
 
-    Attributes:
-        place: How a person finds it: ``item 3``, or ``item 3.12`` inside of a survey.
-        command: Its number in MAVLink.
-        parameters: Seven; NaN where the file has null.
-        frame: What its height counts from.
-    """
-
-    place: str
-    command: int
-    parameters: tuple[float, ...]
-    frame: int
+    place: str  # how a person finds it: ``item 3``, or ``item 3.12`` inside of a survey
+    command: int  # its number in MAVLink
+    parameters: tuple[float, ...]  # seven; NaN where the file has null
+    frame: int  # what its height counts from
 
     def refuse(self, why: str, *, value: object = None, remedy: str = "") -> BadPlan:
         """The error that names it."""
@@ -156,8 +139,8 @@ def items_of(
 ) -> tuple[dict[str, Any], Iterator[Item]]:
     """The mission of a file, and its items with those of surveys in their place.
 
-    Raises:
-        BadPlan: The file is none of these, or has a fence; from the iterator, an item is none.
+    Raises ``BadPlan``: the file is none of these, or has a fence; from the iterator, an item is
+    none.
     """
     if document.get("fileType") != FILE_TYPE:
         kind = document.get("fileType")
@@ -176,8 +159,7 @@ def items_of(
 def refuse_fences(document: dict[str, Any], leave_out: Collection[int | str]) -> None:
     """A fence that is not kept would be believed in.
 
-    Raises:
-        BadPlan: There is one, and nobody said to leave it out.
+    Raises ``BadPlan``: there is one, and nobody said to leave it out.
     """
     for name, parts in (("geoFence", ("circles", "polygons")), ("rallyPoints", ("points",))):
         fence = document.get(name)
@@ -265,8 +247,7 @@ def from_document(
 ) -> dict[str, Any]:
     """Arguments of :class:`m100link.WaypointPlan`; see its ``from_qgroundcontrol``.
 
-    Raises:
-        BadPlan: The file is none of these, or has what the M100 cannot fly.
+    Raises ``BadPlan``: the file is none of these, or has what the M100 cannot fly.
     """
     mission, items = items_of(document, leave_out)
     builder = _Builder(mission, home_altitude)
@@ -277,31 +258,22 @@ def from_document(
 
 @dataclass
 class _Builder:
-    """What the items have told so far.
+    """What the items have told so far."""
 
-    Attributes:
-        mission: The object of the file that has the items.
-        home_altitude: Of the home position above sea level, m; None if nobody says it.
-        points: Waypoints, each with the actions that came behind it.
-        yaws: Heading of each waypoint; None if it has none, NaN if it cannot have one.
-        waiting: Actions that came before there was a waypoint.
-        speed: None until an item says it.
-        at_end: None until an item ends the mission.
-        begins_with_take_off: Whether the first waypoint is one.
-        spacing: Metres from photograph to photograph, while they are taken by distance.
-        since_photo: Metres flown since the last of them.
-    """
-
-    mission: dict[str, Any]
-    home_altitude: float | None
+    mission: dict[str, Any]  # the object of the file that has the items
+    home_altitude: float | None  # of the home position above sea level, m; None if nobody says it
+    # Waypoints, each with the actions that came behind it.
     points: list[Waypoint] = field(default_factory=list)
+    # Heading of each waypoint; None if it has none, NaN if it cannot have one.
     yaws: list[float | None] = field(default_factory=list)
+    # Actions that came before there was a waypoint.
     waiting: list[WaypointAction] = field(default_factory=list)
-    speed: float | None = None
-    at_end: AtEnd | None = None
-    begins_with_take_off: bool = False
+    speed: float | None = None  # none until an item says it
+    at_end: AtEnd | None = None  # none until an item ends the mission
+    begins_with_take_off: bool = False  # whether the first waypoint is one
+    # Metres from photograph to photograph, while they are taken by distance.
     spacing: float | None = None
-    since_photo: float = 0.0
+    since_photo: float = 0.0  # metres flown since the last of them
 
     def read(self, item: Item) -> None:
         """The next item."""

@@ -28,8 +28,6 @@ from m100link.missions.waypoint import (
     WaypointAction,
 )
 
-__all__ = ["EXTRA", "document_of", "extra_of", "to_text"]
-
 EXTRA = "m100link"
 _RELATIVE, _NO_PLACE = 3, 2
 _PX4, _MULTIROTOR = 12, 2
@@ -70,8 +68,7 @@ def document_of(plan: PlanValues) -> dict[str, Any]:
 def extra_of(document: dict[str, Any]) -> dict[str, Any] | None:
     """Arguments of the plan that stands beside the items; None if there is none.
 
-    Raises:
-        BadPlan: It is no plan.
+    Raises ``BadPlan``: it is no plan.
     """
     extra = document.get(EXTRA)
     return from_json(extra) if isinstance(extra, dict) else None

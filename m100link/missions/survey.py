@@ -12,8 +12,6 @@ from m100link.missions.patterns import survey as lines_over
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import AtEnd, GimbalPitch, TakePhoto, Waypoint
 
-__all__ = ["line_spacing", "survey"]
-
 _MOST_POINTS = 10_000
 """More are a mistake in the units."""
 

@@ -18,24 +18,6 @@ from typing import Any, Protocol, Self
 from m100link.errors import UsageError
 from m100link.geodesy import LocalFrame
 
-__all__ = [
-    "AtEnd",
-    "GimbalPitch",
-    "Heading",
-    "OnRCLoss",
-    "PlanValues",
-    "StartVideo",
-    "Stay",
-    "StopVideo",
-    "TakePhoto",
-    "Trace",
-    "TurnTo",
-    "Waypoint",
-    "WaypointAction",
-    "number",
-    "single",
-]
-
 _SINGLE = Struct("<f")
 _COORDINATE_DECIMALS = 12
 """Of a degree: 0.1 µm, and far enough apart that radians and back give the same number."""
@@ -100,8 +82,7 @@ def number(value: object) -> float | None:
 def single(value: float) -> float:
     """The nearest number of single precision.
 
-    Raises:
-        OverflowError: There is none.
+    Raises ``OverflowError``: there is none.
     """
     nearest: float = _SINGLE.unpack(_SINGLE.pack(value))[0]
     return nearest

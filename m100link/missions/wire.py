@@ -29,8 +29,6 @@ from m100link.missions.waypoint import (
 )
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
 
-__all__ = ["from_wire", "to_wire"]
-
 _SLOTS = 16
 """Places for actions in a point; 15 of them are used."""
 _NO_TIME_LIMIT = 0xFFFF
@@ -114,8 +112,7 @@ def _point(index: int, waypoint: Waypoint) -> WaypointPoint:
 def from_wire(mission: WaypointMission, points: Iterable[WaypointPoint]) -> dict[str, Any]:
     """Arguments of :class:`m100link.WaypointPlan`; see its ``from_wire``.
 
-    Raises:
-        BadPlan: A point is missing or unknown, or does what no aircraft does.
+    Raises ``BadPlan``: a point is missing or unknown, or does what no aircraft does.
     """
     by_index = {point.index: point for point in points}
     missing = [index for index in range(mission.count) if index not in by_index]

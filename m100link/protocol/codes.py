@@ -10,20 +10,6 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import NamedTuple, Self
 
-__all__ = [
-    "AckCode",
-    "ActivationCode",
-    "ArmCode",
-    "AuthorityCode",
-    "MissionCode",
-    "MobileDataCode",
-    "RatesCode",
-    "SystemCode",
-    "TaskResultCode",
-    "TaskStartCode",
-    "VersionCode",
-]
-
 
 class _Text(NamedTuple):
     meaning: str

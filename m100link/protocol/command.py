@@ -18,22 +18,6 @@ from m100link.protocol.codes import AckCode, SystemCode
 from m100link.protocol.firmware import FirmwareProfile, Generation
 from m100link.session.events import SessionMode
 
-__all__ = [
-    "Acknowledged",
-    "Address",
-    "Command",
-    "Movement",
-    "Notification",
-    "Problem",
-    "Push",
-    "Request",
-    "Unrecognised",
-    "encode_code",
-    "exactly",
-    "in_range",
-    "read_code",
-]
-
 A = TypeVar("A")
 
 
@@ -294,8 +278,7 @@ def read_code(name: str, payload: bytes, sizes: tuple[int, ...] = (2,)) -> int:
 
     Two bytes, little-endian; where ``sizes`` allows it one byte is taken as well (errata 12).
 
-    Raises:
-        BadAck: The ack is shorter than its code.
+    Raises ``BadAck``: the ack is shorter than its code.
     """
     if len(payload) >= 2:
         return payload[0] | payload[1] << 8
@@ -313,8 +296,7 @@ def read_code(name: str, payload: bytes, sizes: tuple[int, ...] = (2,)) -> int:
 def exactly(value: bytes, size: int, name: str) -> bytes:
     """The value, if it has that size.
 
-    Raises:
-        ValueError: It has another.
+    Raises ``ValueError``: it has another.
     """
     if len(value) != size:
         raise ValueError(f"{name} takes {size} byte(s), there are {len(value)}")
@@ -324,8 +306,7 @@ def exactly(value: bytes, size: int, name: str) -> bytes:
 def in_range(name: str, number: float, low: float, high: float, unit: str = "") -> None:
     """Check a number before it is sent.
 
-    Raises:
-        BadValue: It lies outside, or is not a number.
+    Raises ``BadValue``: it lies outside, or is not a number.
     """
     if not low <= number <= high:
         limit = f"{low:g} to {high:g} {unit}".rstrip()

@@ -19,8 +19,6 @@ from m100link.protocol.firmware import FirmwareProfile, Generation
 from m100link.protocol.packet import fitting_profiles
 from m100link.wire import Cipher, Frame, FrameDecoder, encode_frame
 
-__all__ = ["Asked", "Describer"]
-
 Asked = dict[tuple[int, int], type[Command]]
 """What was asked, by session and sequence number."""
 
@@ -59,25 +57,19 @@ class _Seal(Cipher):
 class Describer:
     """Describes the frames of one stream.
 
-    Args:
-        profile: Firmware profile by which telemetry and movement are read.
-        cipher: What decrypts; None without a key.
-
-    Attributes:
-        asked: What was asked in this stream.
-        answered: What the acks of this stream answer: what was asked in it, unless it is one of
-            two directions.
-        decoder: What finds the frames, with its counters.
+    ``cipher``: what decrypts; None without a key.
     """
 
     def __init__(self, profile: FirmwareProfile, cipher: Cipher | None = None) -> None:
-        self.asked: Asked = {}
+        self.asked: Asked = {}  # what was asked in this stream
+        # What the acks of this stream answer: what was asked in it, unless it is one of two
+        # directions.
         self.answered = self.asked
-        self._profile = profile
+        self._profile = profile  # firmware profile by which telemetry and movement are read
         self._has_key = cipher is not None
         self._opener = _Opener(cipher)
         self._recent = b""
-        self.decoder = FrameDecoder(self._opener)
+        self.decoder = FrameDecoder(self._opener)  # what finds the frames, with its counters
 
     def feed(self, data: bytes) -> list[dict[str, Any]]:
         """The frames that these bytes end, described."""

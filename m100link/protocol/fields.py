@@ -18,18 +18,6 @@ from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
 from m100link.protocol.command import Command, Problem
 from m100link.protocol.firmware import FirmwareProfile
 
-__all__ = [
-    "Laid",
-    "Layout",
-    "Nibbles",
-    "Number",
-    "Numbers",
-    "Record",
-    "Reserved",
-    "latitude",
-    "longitude",
-]
-
 _INTEGERS = frozenset("bBhHiI")
 _LARGEST_F32 = 3.4028234663852886e38
 

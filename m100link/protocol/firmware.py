@@ -16,21 +16,6 @@ from typing import Any
 from m100link.errors import UsageError
 from m100link.protocol.items import BY_NAME, ItemLayout, layouts
 
-__all__ = [
-    "FIRMWARE_1_0",
-    "FIRMWARE_1_0_DOCUMENT",
-    "FIRMWARE_2_3",
-    "FIRMWARE_3_1",
-    "PROFILES",
-    "FirmwareProfile",
-    "FlagBit0",
-    "Generation",
-    "names_hardware",
-    "profile",
-    "reads_unknown",
-    "recognised",
-]
-
 
 class Generation(IntEnum):
     """Firmware as the commands see it: each generation knows those of the earlier ones, too."""

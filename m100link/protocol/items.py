@@ -30,18 +30,6 @@ from m100link.protocol.records import (
     Velocity,
 )
 
-__all__ = [
-    "BY_NAME",
-    "BY_RECORD",
-    "ITEMS",
-    "Item",
-    "ItemLayout",
-    "Record",
-    "RecordViews",
-    "item_of",
-    "layouts",
-]
-
 R = TypeVar("R", bound=tuple[Any, ...])
 
 
@@ -94,28 +82,18 @@ class ItemLayout:
 class Item:
     """One telemetry item.
 
-    Attributes:
-        bit: Its bit in the flag word.
-        name: Its name in rates, columns and logs.
-        record: The record that users see.
-        rate_hz: Default rate (document 2.2.3.1): 0 (not sent), 1, 10, 50 or 100 Hz.
-        fields: Wire name of each field of the record, in the record's order.
-        profile_fields: What ends the record and is not a wire field: attributes of the profile.
-        layouts: Its layout by the name of the firmware that brought it.
-        views: Properties of the record that are columns beside its fields.
-
-    Raises:
-        UsageError: The parts do not fit each other.
+    Raises ``UsageError``: the parts do not fit each other.
     """
 
-    bit: int
-    name: str
-    record: type[Any]
-    rate_hz: int
-    fields: tuple[str, ...]
+    bit: int  # its bit in the flag word
+    name: str  # its name in rates, columns and logs
+    record: type[Any]  # the record that users see
+    rate_hz: int  # default rate (document 2.2.3.1): 0 (not sent), 1, 10, 50 or 100 Hz
+    fields: tuple[str, ...]  # wire name of each field of the record, in the record's order
+    # What ends the record and is not a wire field: attributes of the profile.
     profile_fields: tuple[str, ...] = ()
-    layouts: Mapping[str, ItemLayout]
-    views: tuple[str, ...] = ()
+    layouts: Mapping[str, ItemLayout]  # its layout by the name of the firmware that brought it
+    views: tuple[str, ...] = ()  # properties of the record that are columns beside its fields
 
     def __post_init__(self) -> None:
         if len(self.record._fields) != len(self.fields) + len(self.profile_fields):
@@ -129,8 +107,7 @@ class Item:
     def check(self, layout: ItemLayout) -> None:
         """Refuse a layout with values that are not in the record.
 
-        Raises:
-            UsageError: There is one, or there are none at all.
+        Raises ``UsageError``: there is one, or there are none at all.
         """
         strangers = set(layout.fields) - set(self.fields)
         if strangers or not layout.fields:
@@ -274,8 +251,7 @@ BY_RECORD: dict[type[Any], Item] = {item.record: item for item in ITEMS}
 def item_of(record: type[Any]) -> Item:
     """The item that becomes that record.
 
-    Raises:
-        UsageError: Not a telemetry record.
+    Raises ``UsageError``: not a telemetry record.
     """
     for item in ITEMS:
         if item.record is record:
@@ -289,12 +265,9 @@ def item_of(record: type[Any]) -> Item:
 def layouts(*firmwares: str) -> dict[str, ItemLayout]:
     """Layout per item name of a firmware that descends from these.
 
-    Args:
-        firmwares: Names of the firmwares that brought layouts, the oldest first. A later layout
-            replaces an earlier one; an item that none of them brought is left out.
-
-    Raises:
-        UsageError: One of them brought no layout at all.
+    ``firmwares``: names of the firmwares that brought layouts, the oldest first. A later layout
+    replaces an earlier one; an item that none of them brought is left out. Raises ``UsageError``:
+    one of them brought no layout at all.
     """
     found: dict[str, ItemLayout] = {}
     for firmware in firmwares:

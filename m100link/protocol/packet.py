@@ -17,18 +17,6 @@ from m100link.protocol.firmware import PROFILES, FirmwareProfile
 from m100link.protocol.items import BY_RECORD, ITEMS, Item, ItemLayout, RecordViews
 from m100link.wire.frame import maker
 
-__all__ = [
-    "TelemetryPacket",
-    "encode_telemetry",
-    "field_span",
-    "fitting_profiles",
-    "mismatch",
-    "plan_of",
-    "remember",
-    "telemetry_size",
-]
-
-
 R = TypeVar("R", bound=tuple[Any, ...])
 V = TypeVar("V")
 _Values = tuple[Any, ...]
@@ -78,22 +66,19 @@ def _item_reader(bit: int, profile: FirmwareProfile) -> _Reader:
 class _Plan:
     """Where everything is in a packet with one set of flags under one profile.
 
-    Attributes:
-        flags: The flag word.
-        size: Bytes of the packet.
-        pack: Makes a packet of flag word and values.
-        unpack: Reads all values at once, without the flag word.
-        items: Per bit the offset of the item and how to read its values.
-        places: Per record class the offset of its item and how to read the record.
-        read: Reads all records at once; None until somebody asks for them.
+    ``pack``: makes a packet of flag word and values. ``unpack``: reads all values at once, without
+    the flag word.
     """
 
     __slots__ = ("flags", "items", "pack", "places", "profile", "read", "size", "unpack")
 
     def __init__(self, flags: int, profile: FirmwareProfile) -> None:
         self.flags, self.profile = flags, profile
+        # Per bit the offset of the item and how to read its values.
         self.items: dict[int, tuple[int, Callable[[bytes, int], _Values]]] = {}
+        # Per record class the offset of its item and how to read the record.
         self.places: dict[type[Any], tuple[int, _Reader]] = {}
+        # Reads all records at once; None until somebody asks for them.
         self.read: _Reader | None = None
         whole = ""
         for item in ITEMS:
@@ -104,7 +89,7 @@ class _Plan:
                 self.places[item.record] = offset, _item_reader(item.bit, profile)
                 whole += layout.format
         self.pack, self.unpack = Struct("<H" + whole).pack, Struct("<2x" + whole).unpack
-        self.size = calcsize("<H" + whole)
+        self.size = calcsize("<H" + whole)  # bytes of the packet
 
     def compile(self) -> _Reader:
         """Make :attr:`read`."""
@@ -137,14 +122,7 @@ def telemetry_size(flags: int, profile: FirmwareProfile) -> int:
 def field_span(record: type[Any], field: str, flags: int, profile: FirmwareProfile) -> slice | None:
     """Which bytes of a telemetry value are a field's, for who reads nothing else of it.
 
-    Args:
-        record: Record class of the item.
-        field: Wire name of the field.
-        flags: Flag word of the value.
-        profile: Firmware profile of the sender.
-
-    Returns:
-        None where packages with these flags lack the item, or the firmware lacks the field.
+    Returns none where packages with these flags lack the item, or the firmware lacks the field.
     """
     item = BY_RECORD[record]
     place = _plan(flags & profile.item_flags, profile).items.get(item.bit)
@@ -246,8 +224,7 @@ class TelemetryPacket(RecordViews):
 def plan_of(value: bytes, profile: FirmwareProfile) -> _Plan:
     """The plan that the flags of a value ask for.
 
-    Raises:
-        LayoutMismatch: See :class:`TelemetryPacket`.
+    Raises ``LayoutMismatch``: see :class:`TelemetryPacket`.
     """
     flags = value[0] | value[1] << 8 if len(value) >= _FLAGS_SIZE else ~0
     if flags & ~profile.item_flags:

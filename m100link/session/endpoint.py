@@ -11,8 +11,6 @@ from m100link.session.sender import Sender
 from m100link.wire.cipher import Cipher
 from m100link.wire.frame import Frame, FrameDecoder
 
-__all__ = ["Endpoint"]
-
 
 class Endpoint:
     """Bytes and time in, bytes and events out; the same class serves both ends of the cable.

@@ -8,8 +8,6 @@ from typing import NamedTuple
 
 from m100link.wire.frame import Frame
 
-__all__ = ["Acked", "Event", "Expired", "SessionMode", "SessionStatistics"]
-
 
 class SessionMode(Enum):
     """How much the sender wants to know (document 1.4, its modes 1, 2 and 3).

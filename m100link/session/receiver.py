@@ -11,22 +11,15 @@ from m100link.session.sender import ACK_ONCE_SESSION, NO_ACK_SESSION
 from m100link.wire.cipher import Cipher
 from m100link.wire.frame import Frame, encode_frame
 
-__all__ = ["Receiver"]
-
 
 @dataclass(slots=True)
 class _Memory:
-    """The last command of one session, and its ack once there is one.
+    """The last command of one session, and its ack once there is one."""
 
-    Attributes:
-        sequence: Number of the command; another number means another command.
-        wire: The frame of its ack, to be sent again as it is; None while it is carried out.
-        stored_at: When the ack was made, which is when forgetting begins to count.
-    """
-
-    sequence: int
+    sequence: int  # number of the command; another number means another command
+    # The frame of its ack, to be sent again as it is; None while it is carried out.
     wire: bytes | None = None
-    stored_at: float = 0.0
+    stored_at: float = 0.0  # when the ack was made, which is when forgetting begins to count
 
 
 class Receiver:

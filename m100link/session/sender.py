@@ -15,8 +15,6 @@ from m100link.session.events import Acked, Expired, SessionMode, SessionStatisti
 from m100link.wire.cipher import Cipher
 from m100link.wire.frame import MAX_SESSION, Frame, encode_frame
 
-__all__ = ["ACK_ONCE_SESSION", "NO_ACK_SESSION", "RELIABLE_SESSIONS", "Sender"]
-
 NO_ACK_SESSION = 0
 ACK_ONCE_SESSION = 1
 RELIABLE_SESSIONS = range(2, MAX_SESSION + 1)
@@ -28,34 +26,21 @@ _REMEMBERED = 256  # finished requests whose acks are still told apart from fore
 
 @dataclass(slots=True)
 class _Request:
-    """A request that waits for a session, or is in flight on one.
+    """A request that waits for a session, or is in flight on one."""
 
-    Attributes:
-        token: What its event will carry.
-        data: Data of the frame, kept until a session gives it a number.
-        mode: How it is sent.
-        cipher: The key of the moment it was made: a key that changes meanwhile is not for it.
-        timeout: Seconds to wait after each transmission.
-        tries_left: Transmissions still allowed; 0 when the next deadline ends it.
-        session: Its session, -1 while it waits for one.
-        sequence: Its number, the same for every repeat: by it the other end knows a repeat.
-        tries: Transmissions so far.
-        deadline: When it is repeated, or ends.
-        wire: Its frame: a repeat is the same bytes again.
-        is_abandoned: Nobody wants its end any more; it holds its session until then all the same.
-    """
-
-    token: int
-    data: bytes
-    mode: SessionMode
+    token: int  # what its event will carry
+    data: bytes  # data of the frame, kept until a session gives it a number
+    mode: SessionMode  # how it is sent
+    # The key of the moment it was made: a key that changes meanwhile is not for it.
     cipher: Cipher | None
-    timeout: float
-    tries_left: int
-    session: int = -1
-    sequence: int = -1
+    timeout: float  # seconds to wait after each transmission
+    tries_left: int  # transmissions still allowed; 0 when the next deadline ends it
+    session: int = -1  # its session, -1 while it waits for one
+    sequence: int = -1  # its number, the same for every repeat: by it the other end knows a repeat
     tries: int = 0
-    deadline: float = 0.0
-    wire: bytes = b""
+    deadline: float = 0.0  # when it is repeated, or ends
+    wire: bytes = b""  # its frame: a repeat is the same bytes again
+    # Nobody wants its end any more; it holds its session until then all the same.
     is_abandoned: bool = False
 
 

@@ -28,18 +28,6 @@ from m100link.protocol.items import BY_NAME
 from m100link.wire.cipher import Key
 from m100link.wire.crc import frame_crc32
 
-__all__ = [
-    "MOBILE_DATA_LIMIT",
-    "RATES_HZ",
-    "Activate",
-    "Credentials",
-    "GetVersion",
-    "SendToMobile",
-    "SetTelemetryRates",
-    "Version",
-    "check_mobile_data",
-]
-
 MOBILE_DATA_LIMIT = 100
 """Bytes of one transparent message, either way (document 2.2.1.3, 2.2.3.3)."""
 
@@ -333,9 +321,7 @@ class SetTelemetryRates(Request[RatesCode]):
 def check_mobile_data(data: bytes) -> bytes:
     """Data that fit into one transparent message.
 
-    Raises:
-        PayloadTooLarge: More than 100 bytes.
-        UsageError: None at all.
+    Raises ``PayloadTooLarge``: more than 100 bytes. Raises ``UsageError``: none at all.
     """
     if not data:
         raise UsageError("a message to the mobile device needs at least one byte")

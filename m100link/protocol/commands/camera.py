@@ -11,8 +11,6 @@ from typing import Any, ClassVar, Self
 from m100link.protocol.command import Address, Push, in_range
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
-__all__ = ["StartVideo", "StopVideo", "TakePhoto"]
-
 
 class _CameraCommand(Push):
     """One byte that may be anything, as in the version query."""
@@ -28,8 +26,7 @@ class _CameraCommand(Push):
     def value(self, profile: FirmwareProfile) -> bytes:
         """One byte.
 
-        Raises:
-            BadValue: It does not fit.
+        Raises ``BadValue``: it does not fit.
         """
         in_range("any", self.any, 0, 255)
         return bytes((self.any,))

@@ -11,8 +11,6 @@ from m100link.protocol.codes import AckCode, ArmCode, AuthorityCode, TaskResultC
 from m100link.protocol.command import Address, Movement, Problem, Request, exactly
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
-__all__ = ["Arm", "Move", "QueryTask", "RequestAuthority", "StartTask", "Task"]
-
 
 @dataclass(frozen=True, slots=True)
 class RequestAuthority(Request[AuthorityCode]):

@@ -10,8 +10,6 @@ from m100link.protocol.command import Address
 from m100link.protocol.commands.mission_acks import MissionRequest, Unconfirmed
 from m100link.protocol.fields import Laid, Layout, Number, latitude, longitude
 
-__all__ = ["FollowPauseResume", "FollowStart", "FollowStop", "FollowTarget"]
-
 _TARGET = (
     latitude(),
     longitude(),

@@ -14,8 +14,6 @@ from typing import Any, ClassVar, Self
 from m100link.protocol.command import Address, Problem, Push, exactly, in_range
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
-__all__ = ["GIMBAL_LIMITS_DEG", "GimbalAngle", "GimbalAngleMode", "GimbalSpeed"]
-
 GIMBAL_LIMITS_DEG = {"yaw": (-320.0, 320.0), "roll": (-35.0, 35.0), "pitch": (-90.0, 30.0)}
 """How far each axis turns, in the order of the wire."""
 

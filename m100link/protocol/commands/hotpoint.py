@@ -15,19 +15,6 @@ from m100link.protocol.commands.mission_acks import (
 )
 from m100link.protocol.fields import Laid, Layout, Number, Reserved, latitude, longitude
 
-__all__ = [
-    "HotpointAutoRadius",
-    "HotpointDownload",
-    "HotpointDownloadAnswer",
-    "HotpointPauseResume",
-    "HotpointResetYaw",
-    "HotpointSetRadius",
-    "HotpointSetRate",
-    "HotpointStart",
-    "HotpointStartAnswer",
-    "HotpointStop",
-]
-
 _RADIUS = 5.0, 500.0
 _RATE = Number("angular_rate", "f", 0.0, 30.0, "°/s")
 _CLOCKWISE = Number("clockwise", words=("counter_clockwise", "clockwise"))

@@ -23,8 +23,6 @@ from m100link.protocol.command import (
 from m100link.protocol.fields import Record
 from m100link.protocol.firmware import Generation
 
-__all__ = ["Answer", "DownloadAnswer", "MissionRequest", "Unconfirmed"]
-
 A = TypeVar("A")
 R = TypeVar("R", bound=Record)
 
@@ -140,8 +138,7 @@ class _MissionAck(Acknowledged[A]):
         is longer than the upload was is none that anybody knows: DJI's programs drop it, and zeros
         at its beginning do not mean that nothing is stored.
 
-        Raises:
-            BadAck: Empty, a success that is too short, or a download that is too long.
+        Raises ``BadAck``: empty, a success that is too short, or a download that is too long.
         """
         size = cls._tail_size()
         if issubclass(cls.ANSWER, DownloadAnswer) and len(payload) > 1 + size:
@@ -154,8 +151,7 @@ class _MissionAck(Acknowledged[A]):
     def encode_ack(cls, answer: AckCode | Answer) -> bytes:
         """One byte of code and its tail; a system code is two bytes and nothing else.
 
-        Args:
-            answer: An answer of this command, or a code alone, whose tail is zeros.
+        ``answer``: an answer of this command, or a code alone, whose tail is zeros.
         """
         code, tail = (
             (answer.code, answer.tail())

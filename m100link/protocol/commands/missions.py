@@ -13,23 +13,6 @@ from m100link.protocol.command import Address, Notification, Problem, exactly, p
 from m100link.protocol.fields import Layout, Number, Record, Reserved
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
-__all__ = [
-    "COMMAND_SET",
-    "EVENTS",
-    "STATUSES",
-    "Finished",
-    "FollowStatus",
-    "HotpointStatus",
-    "IdleStatus",
-    "IocStatus",
-    "MissionStatus",
-    "OtherKind",
-    "Reached",
-    "Uploaded",
-    "WaypointEvent",
-    "WaypointStatus",
-]
-
 COMMAND_SET = 0x03
 
 # -- pushes ----------------------------------------------------------------------------------------
@@ -38,17 +21,12 @@ _MISSIONS = ("none", "waypoint", "hotpoint", "follow", "ioc")
 
 
 class _Told(Record):
-    """One kind of a push: its first byte and what it says.
-
-    Attributes:
-        KIND: The first byte.
-        WORD: The kind in a word.
-    """
+    """One kind of a push: its first byte and what it says."""
 
     __slots__ = ()
 
     KIND: ClassVar[int]
-    WORD: ClassVar[str]
+    WORD: ClassVar[str]  # the kind in a word
 
     @property
     def kind(self) -> int:

@@ -10,8 +10,6 @@ from m100link.protocol.commands.activation import MOBILE_DATA_LIMIT, check_mobil
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.packet import TelemetryPacket
 
-__all__ = ["AUTHORITY_LOST", "AuthorityChanged", "FromMobile", "PushTelemetry"]
-
 AUTHORITY_LOST = 0x04
 """The fixed value of the authority notification."""
 

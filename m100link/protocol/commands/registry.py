@@ -12,8 +12,6 @@ from importlib import import_module
 from m100link.protocol.command import Address, Command, Unrecognised
 from m100link.protocol.firmware import FirmwareProfile
 
-__all__ = ["COMMANDS", "address_of", "parse_command"]
-
 # Set, the module of its commands, and their classes by id.
 _SETS: tuple[tuple[int, str, dict[int, str]], ...] = (
     (

@@ -12,8 +12,6 @@ from m100link.protocol.command import Address, Push
 from m100link.protocol.fields import Laid, Layout, Number
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
-__all__ = ["Sync"]
-
 _WITH_TAG = 6
 
 

@@ -13,8 +13,6 @@ from typing import Any, ClassVar, Self
 from m100link.protocol.command import Address, Movement, Problem, exactly, in_range
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
-__all__ = ["CENTRE", "CHANNELS", "TRAVEL", "VirtualRcData", "VirtualRcSettings"]
-
 CENTRE, TRAVEL = 1024, 660
 """Each channel is 1024 ± 660."""
 

@@ -25,24 +25,6 @@ from m100link.protocol.fields import (
 )
 from m100link.protocol.firmware import FirmwareProfile
 
-__all__ = [
-    "ACTIONS",
-    "ACTION_PARAMETERS",
-    "USED_SLOTS",
-    "IdleSpeedAnswer",
-    "WaypointDownloadMission",
-    "WaypointDownloadPoint",
-    "WaypointDownloadedPoint",
-    "WaypointGetIdleSpeed",
-    "WaypointMission",
-    "WaypointMissionAnswer",
-    "WaypointPauseResume",
-    "WaypointPoint",
-    "WaypointPointAnswer",
-    "WaypointSetIdleSpeed",
-    "WaypointStartStop",
-]
-
 _LARGEST_SPEED = 15.0
 
 

@@ -28,7 +28,7 @@ from m100link.missions.waypoint import Waypoint
 from tests.apps.cli.conftest import CommandLine
 from tests.apps.cli.test_fleet import Site
 from tests.apps.fleet.show.shows import FIVE, five
-from tests.apps.fleet.test_acl import free_port
+from tests.apps.fleet.test_pki import free_port
 from tests.waiting import PATIENCE
 
 needs_zenoh = pytest.mark.skipif(
