@@ -17,16 +17,6 @@ from m100link.errors.texts import read_path, read_toml
 from m100link.link.keyfile import read_key, read_token, read_watched
 from m100link.protocol.commands.activation import Credentials
 
-__all__ = [
-    "ENVIRONMENT",
-    "MOST_AIRCRAFT",
-    "ONLY_NAME",
-    "Settings",
-    "namespace_of",
-    "resolve",
-]
-
-
 Sources = Sequence[tuple[str, Mapping[str, Any]]]
 """Settings by name with who says them, strongest first."""
 
@@ -273,25 +263,17 @@ _KINDS = {one.name: one.type for one in fields(Settings) if one.name not in ("or
 
 
 def resolve(
-    flags: Mapping[str, Any],
+    flags: Mapping[str, Any],  # values from the command line; None where nothing was given
     environment: Mapping[str, str],
     *,
-    config: Path | None = None,
-    launch: Path | None = None,
+    config: Path | None = None,  # TOML file
+    launch: Path | None = None,  # ROS launch file
+    # The weakest sources, by the URL of the others; a ``url`` there is what that one stands for.
     of_aircraft: Callable[[str | None], Sources] | None = None,
 ) -> Settings:
     """Put the settings together; the first source that has a value decides.
 
-    Args:
-        flags: Values from the command line; None where nothing was given.
-        environment: Environment variables.
-        config: TOML file.
-        launch: ROS launch file.
-        of_aircraft: The weakest sources, by the URL of the others; a ``url`` there is what that
-            one stands for.
-
-    Raises:
-        UsageError: A file cannot be read, or a value cannot be right; the source is named.
+    Raises ``UsageError``: a file cannot be read, or a value cannot be right; the source is named.
     """
     sources: list[tuple[str, Mapping[str, Any]]] = [
         ("command line", {name: value for name, value in flags.items() if value is not None}),
@@ -403,8 +385,7 @@ def _convert(name: str, value: Any, source: str) -> Any:
 def _as(kind: str, value: Any) -> Any:
     """A value as a setting of this type.
 
-    Raises:
-        TypeError, ValueError: It cannot be one.
+    Raises ``TypeError, ValueError``: it cannot be one.
     """
     if kind.startswith("tuple"):
         items = value if isinstance(value, list | tuple) else [value]
@@ -448,9 +429,8 @@ _INTEGERS = ("baud_rate", "app_id", "level", "app_version")
 def read_launch(path: Path) -> tuple[dict[str, str | int], list[str]]:
     """The parameters of DJI's node in a launch file, and the names of those without a use here.
 
-    Raises:
-        UsageError: The file cannot be read, is not XML, has a document type or a value that needs
-            roslaunch to be understood.
+    Raises ``UsageError``: the file cannot be read, is not XML, has a document type or a value that
+    needs roslaunch to be understood.
     """
     try:
         text = read_path(path).read_bytes()

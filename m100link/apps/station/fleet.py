@@ -84,8 +84,8 @@ async def serving_fleet(
 ) -> AsyncIterator[dict[str, FleetAgent]]:
     """Own aircraft and be part of a fleet while the block runs.
 
-    Raises:
-        UsageError: A name is taken or cannot be, a ledger cannot be written, no session can be.
+    Raises ``UsageError``: a name is taken or cannot be, a ledger cannot be written, no session can
+    be.
     """
     keys = {name: Keys(fleet.site, name) for name in aircraft}  # before anything is opened
     async with AsyncExitStack() as stack:
@@ -226,8 +226,7 @@ class Ships:
     async def first(self, names: Sequence[str]) -> str:
         """The first of these that answers.
 
-        Raises:
-            LinkError: None does.
+        Raises ``LinkError``: none does.
         """
         for name in names:
             try:
@@ -243,8 +242,7 @@ class Ships:
     async def reach(self, name: str) -> Channel:
         """A way to one.
 
-        Raises:
-            LinkError: It does not answer.
+        Raises ``LinkError``: it does not answer.
         """
         channel = self._unused.pop(name, None) or await self._fleet.reach(name)
         self._channels[name] = channel
@@ -275,9 +273,8 @@ class Ships:
 async def names_of(fleet: Fleet, names: Sequence[str] = ()) -> list[str]:
     """Whom a console is to show.
 
-    Raises:
-        Unreachable: One that was named is not there.
-        UsageError: Nobody is there, or there are too many.
+    Raises ``Unreachable``: one that was named is not there. Raises ``UsageError``: nobody is there,
+    or there are too many.
     """
     there = await fleet.names()
     missing = [name for name in names if name not in there]
@@ -306,10 +303,9 @@ async def serving_fleet_console(
 ) -> AsyncIterator[FleetConsole]:
     """Serve while the block runs.
 
-    Raises:
-        Unreachable, UsageError: As :func:`names_of`; something in the settings cannot be.
-        PortBusy, PortFailed: The port is taken, or the address cannot be bound.
-        LinkError: None of them answers.
+    Raises ``Unreachable, UsageError``: as :func:`names_of`; something in the settings cannot be.
+    Raises ``PortBusy, PortFailed``: the port is taken, or the address cannot be bound. Raises
+    ``LinkError``: none of them answers.
     """
     there = await names_of(fleet, names)
     settings.access_token()  # before anything is bound

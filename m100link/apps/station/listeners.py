@@ -62,8 +62,7 @@ class FrontSpec:
     def load(self) -> Any:
         """Its module.
 
-        Raises:
-            UsageError: Something that it needs is not installed.
+        Raises ``UsageError``: something that it needs is not installed.
         """
         try:
             return import_module(f"m100link.apps.station.{self.module}")
@@ -139,9 +138,8 @@ def open_sockets(
 ) -> Sockets:
     """The sockets of all fronts that the settings and the command ask for; closed with the stack.
 
-    Raises:
-        PortBusy, PortFailed: A port is taken, or the address cannot be bound.
-        UsageError: Something in the settings of a front cannot be.
+    Raises ``PortBusy, PortFailed``: a port is taken, or the address cannot be bound. Raises
+    ``UsageError``: something in the settings of a front cannot be.
     """
     asked = {"console": with_console, "rosbridge": with_rosbridge}
     ports: dict[str, Sequence[int]] = {}
@@ -166,9 +164,8 @@ def open_sockets(
 def listen(host: str, port: int) -> socket.socket:
     """A listening socket.
 
-    Raises:
-        PortBusy, PortFailed: Another program has the port, or the address cannot be bound.
-        UsageError: There is no port of that number.
+    Raises ``PortBusy, PortFailed``: another program has the port, or the address cannot be bound.
+    Raises ``UsageError``: there is no port of that number.
     """
     if not 0 <= port <= _LAST_PORT:
         raise UsageError(
@@ -240,8 +237,7 @@ class Fronts:
     async def reached(self, client: str) -> dict[str, AgentClient]:
         """All agents, each for a front that they know by that name.
 
-        Raises:
-            LinkError: One of them cannot be reached.
+        Raises ``LinkError``: one of them cannot be reached.
         """
         agents = {}
         for aircraft, reach in self._reach.items():
@@ -255,10 +251,9 @@ class Fronts:
     async def serve(self) -> None:
         """Begin to serve all that sockets came for.
 
-        Raises:
-            M100Error: Sockets came for a front that there is not, or nobody serves them.
-            UsageError: Something in the settings cannot be.
-            LinkError: An agent cannot be reached.
+        Raises ``M100Error``: sockets came for a front that there is not, or nobody serves them.
+        Raises ``UsageError``: something in the settings cannot be. Raises ``LinkError``: an agent
+        cannot be reached.
         """
         for name in self._sockets.of:
             if name not in FRONTS:
@@ -293,8 +288,7 @@ async def serving_fronts(
 ) -> AsyncIterator[Fronts]:
     """Serve while the block runs.
 
-    Raises:
-        As :meth:`Fronts.serve`.
+    Raises ``As ``: meth:`Fronts.serve`.
     """
     async with AsyncExitStack() as stack:
         is_kept = is_far or len(reach) > 1

@@ -40,10 +40,9 @@ _ANY: Address = ("127.0.0.1", 0)
 def prepare(stack: AsyncExitStack, settings: Settings) -> list[socket.socket]:
     """The sockets that the settings ask for; closed with the stack.
 
-    Raises:
-        UsageError: Something in the settings cannot be, or other machines would be let in and
-            nothing signs what they send.
-        PortBusy, PortFailed: A port is taken, or an address cannot be bound.
+    Raises ``UsageError``: something in the settings cannot be, or other machines would be let in
+    and nothing signs what they send. Raises ``PortBusy, PortFailed``: a port is taken, or an
+    address cannot be bound.
     """
     if settings.autopilot not in AUTOPILOTS:
         raise UsageError(
@@ -85,8 +84,7 @@ async def serving_mavlink(
 ) -> AsyncIterator[Bridge]:
     """Serve while the block runs.
 
-    Raises:
-        UsageError: There are more aircraft than system ids.
+    Raises ``UsageError``: there are more aircraft than system ids.
     """
     by_system = dict(enumerate(agents.values(), settings.sysid))
     ways: dict[Address, Callable[[bytes, Address], None]] = {}

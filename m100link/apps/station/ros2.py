@@ -23,8 +23,7 @@ MOST_DOMAIN = 232  # the greatest domain that every middleware of ROS 2 knows
 def nodes_of(settings: Settings, aircraft: list[str]) -> dict[str, Names]:
     """The node of each aircraft: of several, each is in a namespace of its own.
 
-    Raises:
-        UsageError: A name cannot be, or two things that move an aircraft would have one.
+    Raises ``UsageError``: a name cannot be, or two things that move an aircraft would have one.
     """
     found = {}
     owners: dict[str, str] = {}
@@ -48,8 +47,7 @@ def nodes_of(settings: Settings, aircraft: list[str]) -> dict[str, Names]:
 def check_ros2(settings: Settings, aircraft: Sequence[str] = ("",)) -> None:
     """Look whether nodes can be served, before anything is opened.
 
-    Raises:
-        UsageError: It cannot.
+    Raises ``UsageError``: it cannot.
     """
     if not settings.ros2:
         return
@@ -68,8 +66,7 @@ def check_ros2(settings: Settings, aircraft: Sequence[str] = ("",)) -> None:
 def prepare(stack: AsyncExitStack, settings: Settings) -> list[socket.socket]:
     """Look whether one node can be served; zenoh opens what it needs when it is.
 
-    Raises:
-        UsageError: It cannot.
+    Raises ``UsageError``: it cannot.
     """
     check_ros2(settings)
     return []
@@ -87,8 +84,7 @@ async def serving_ros2(
 ) -> AsyncIterator[list[Node]]:
     """Serve while the block runs.
 
-    Raises:
-        UsageError: The session cannot be.
+    Raises ``UsageError``: the session cannot be.
     """
     names = nodes_of(settings, list(agents))
     async with open_ros2() as bus:

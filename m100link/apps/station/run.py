@@ -116,8 +116,7 @@ async def owning(
 ) -> AsyncIterator[Owner]:
     """Own the aircraft while the block runs.
 
-    Raises:
-        UsageError, BadKey: Something in the settings cannot be.
+    Raises ``UsageError, BadKey``: something in the settings cannot be.
     """
     credentials = settings.credentials()
 
@@ -215,8 +214,8 @@ async def running(
 ) -> AsyncIterator[Running]:
     """Run a station in this event loop while the block runs.
 
-    Raises:
-        UsageError, PortBusy, PortFailed: Something in the settings cannot be, or a port is taken.
+    Raises ``UsageError, PortBusy, PortFailed``: something in the settings cannot be, or a port is
+    taken.
     """
     settings.access_token()  # before anything is bound
     async with AsyncExitStack() as stack:
@@ -272,8 +271,7 @@ class RunningApart:
 def front_settings(settings: Settings) -> dict[str, Any]:
     """What the fronts have to know, as JSON takes it: nothing of the app and its key.
 
-    Raises:
-        UsageError: The token cannot be one.
+    Raises ``UsageError``: the token cannot be one.
     """
     given = {
         one.name: getattr(settings, one.name)
@@ -326,8 +324,8 @@ async def running_apart(
 ) -> AsyncIterator[RunningApart]:
     """Run a station while the block runs, with its fronts in a process of their own.
 
-    Raises:
-        UsageError, PortBusy, PortFailed: Something in the settings cannot be, or a port is taken.
+    Raises ``UsageError, PortBusy, PortFailed``: something in the settings cannot be, or a port is
+    taken.
     """
     front_settings(settings)
     settings.niceness()  # both before anything is bound
@@ -394,8 +392,8 @@ async def running_several(
 ) -> AsyncIterator[RunningSeveral]:
     """Run a station while the block runs.
 
-    Raises:
-        UsageError, PortBusy, PortFailed: Something in the settings cannot be, or a port is taken.
+    Raises ``UsageError, PortBusy, PortFailed``: something in the settings cannot be, or a port is
+    taken.
     """
     if not 1 <= len(aircraft) <= MOST_AIRCRAFT:
         raise UsageError(

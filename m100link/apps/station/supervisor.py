@@ -63,8 +63,7 @@ class Child:
     async def start(self) -> None:
         """Start it, and wait until it runs.
 
-        Raises:
-            M100Error: What the child met, or that it did not start.
+        Raises ``M100Error``: what the child met, or that it did not start.
         """
         clean = {name: one for name, one in os.environ.items() if not name.startswith("M100LINK_")}
         self._process = await asyncio.create_subprocess_exec(
@@ -158,8 +157,7 @@ async def supervised(
 ) -> AsyncIterator[None]:
     """Start them all at once, start again whichever ends, and end them all at once.
 
-    Raises:
-        M100Error: What one of them met. None of the others runs on then.
+    Raises ``M100Error``: what one of them met. None of the others runs on then.
     """
     async with AsyncExitStack() as stack:
 

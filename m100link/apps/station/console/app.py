@@ -63,8 +63,7 @@ def console_app(
 ) -> AccessControl:
     """The application behind its gate.
 
-    Raises:
-        UsageError: The folder with tiles does not exist.
+    Raises ``UsageError``: the folder with tiles does not exist.
     """
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     tabs = tabs or Tabs(agents)

@@ -27,8 +27,7 @@ class Orders:
     async def give(self, *lines: str) -> None:
         """Carry out orders, each a line of text.
 
-        Raises:
-            M100Error: One cannot be carried out.
+        Raises ``M100Error``: one cannot be carried out.
         """
         for line in lines:
             self.status = await self._give(shlex.split(line))
@@ -47,8 +46,7 @@ def orders_in_process(virtual: VirtualAircraft) -> Orders:
 async def orders_by_socket(path: Path) -> Orders:
     """Orders to the virtual aircraft behind a socket of :class:`m100link.sim.orders.ctl.CtlServer`.
 
-    Raises:
-        M100Error: Nobody answers there.
+    Raises ``M100Error``: nobody answers there.
     """
 
     async def give(words: list[str]) -> dict[str, Any]:

@@ -135,8 +135,7 @@ class Tab:
     async def obtain(self) -> None:
         """Take the lease and control authority.
 
-        Raises:
-            LeaseHeld: Another client has the lease; see :meth:`ask_take_over`.
+        Raises ``LeaseHeld``: another client has the lease; see :meth:`ask_take_over`.
         """
         if not self.has_lease:
             self.lease = await self._agent.acquire(self.name)
@@ -183,17 +182,15 @@ class Tab:
     async def upload_plan(self, content: bytes) -> None:
         """Give the agent a plan, JSON or QGroundControl's; the aircraft gets it with the start.
 
-        Raises:
-            BadPlan: It cannot be read, or the aircraft would refuse it.
-            LeaseRefused: This tab has no control.
+        Raises ``BadPlan``: it cannot be read, or the aircraft would refuse it. Raises
+        ``LeaseRefused``: this tab has no control.
         """
         await self.give_plan(WaypointPlan.parse(content))
 
     async def give_plan(self, plan: WaypointPlan) -> None:
         """Give the agent a plan; the aircraft gets it with the start.
 
-        Raises:
-            LeaseRefused: This tab has no control.
+        Raises ``LeaseRefused``: this tab has no control.
         """
         lease = self._agent.check(self.lease)
         mission, points = plan.to_wire()
@@ -231,8 +228,7 @@ class Tab:
 
         ``said_at``: the station's time at the press, s, as the page reckoned it.
 
-        Raises:
-            GuardRefused: It waited on its way for more than 2 s.
+        Raises ``GuardRefused``: it waited on its way for more than 2 s.
         """
         late = self._agent.now - float(said_at) if _is_number(said_at) else math.inf
         if late > MAX_ORDER_LATE:
@@ -300,8 +296,7 @@ class Tab:
     def _check_way(self, late: float, held: float) -> None:
         """Refuse what was decided too long ago, or by a picture that was old.
 
-        Raises:
-            GuardRefused: It was.
+        Raises ``GuardRefused``: it was.
         """
         trip = self._way.round_trip
         for guard, measured, limit, seen in (
@@ -343,8 +338,7 @@ class Tab:
     def _check_let_go(self) -> None:
         """Refuse what is held since before a STOP, a loss of control, or a way that was too slow.
 
-        Raises:
-            GuardRefused: It was not let go of since.
+        Raises ``GuardRefused``: it was not let go of since.
         """
         if self._has_to_let_go:
             raise GuardRefused(
@@ -360,8 +354,7 @@ class Tab:
 
         The aircraft stood meanwhile, and perhaps nobody looks when the way is fast again.
 
-        Raises:
-            GuardRefused: See :meth:`_check_way`.
+        Raises ``GuardRefused``: see :meth:`_check_way`.
         """
         try:
             self._check_way(late, held)

@@ -155,8 +155,7 @@ class Client:
     def _admit(self, frame: str | bytes, now: float) -> None:
         """Refuse a frame before anything in it is looked at.
 
-        Raises:
-            _Overdone: The client uses more than it may.
+        Raises ``_Overdone``: the client uses more than it may.
         """
         limits = self.limits
         if not self._frames.take(now):

@@ -54,8 +54,7 @@ def joy_setpoint(flag: int, x: float, y: float, z: float, yaw: float) -> Setpoin
     DJI's node has it: negated). ``z``: up (m, m/s) or thrust (%). ``yaw``: counter-clockwise from
     east (rad), or rate (rad/s).
 
-    Raises:
-        BadSetpoint: The flag names no mode or no frame, or a value is out of range.
+    Raises ``BadSetpoint``: the flag names no mode or no frame, or a value is out of range.
     """
     try:
         horizontal, vertical = Horizontal(flag >> 6 & 3), Vertical(flag >> 4 & 3)
@@ -369,8 +368,7 @@ class DjiSdk:
 def _check_way(session: Listener, stamp: Message, now: float) -> None:
     """Refuse a setpoint that waited on its way; one without a stamp counts as new.
 
-    Raises:
-        GuardRefused: Its stamp is old, against the newest of that client.
+    Raises ``GuardRefused``: its stamp is old, against the newest of that client.
     """
     sent_at = stamp["secs"] + stamp["nsecs"] * 1e-9
     if not sent_at:

@@ -43,9 +43,8 @@ class Clients:
     async def take(self, session: Listener) -> Lease:
         """The lease of that client, which is taken now if it is free.
 
-        Raises:
-            LeaseHeld: Another client has it.
-            NoAuthority: The client has gone meanwhile.
+        Raises ``LeaseHeld``: another client has it. Raises ``NoAuthority``: the client has gone
+        meanwhile.
         """
         held = self.lease(session)
         if held is None:
@@ -59,8 +58,7 @@ class Clients:
     def held(self, session: Listener) -> Lease:
         """The lease of that client.
 
-        Raises:
-            NoAuthority: It has none; who has is in the error.
+        Raises ``NoAuthority``: it has none; who has is in the error.
         """
         held = self.lease(session)
         if held is None:

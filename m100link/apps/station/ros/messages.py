@@ -208,8 +208,7 @@ class MessageType:
     def read(self, value: Any, where: str = "") -> Message:
         """A complete, checked message from what JSON or CBOR gave.
 
-        Raises:
-            BadMessage: An unknown field, or a value of the wrong type or size.
+        Raises ``BadMessage``: an unknown field, or a value of the wrong type or size.
         """
         if not isinstance(value, dict):
             raise BadMessage(f"{where or self.name} is not an object")
@@ -250,8 +249,7 @@ class ServiceType:
     def read_request(self, args: Any) -> Message:
         """The request from the ``args`` of a call: an object, a list in field order, or nothing.
 
-        Raises:
-            BadMessage: See :meth:`MessageType.read`.
+        Raises ``BadMessage``: see :meth:`MessageType.read`.
         """
         if args is None:
             args = {}
@@ -606,8 +604,7 @@ class Reassembly:
     def add(self, fragment: dict[str, Any], now: float) -> str | None:
         """Take a fragment; returns the whole text with the last one.
 
-        Raises:
-            ValueError: The fragment is malformed, or the message too long.
+        Raises ``ValueError``: the fragment is malformed, or the message too long.
         """
         identity, data = fragment.get("id"), fragment.get("data")
         number, total = fragment.get("num"), fragment.get("total")

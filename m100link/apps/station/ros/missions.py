@@ -247,8 +247,7 @@ def _push(kind: int, data: bytes) -> Message:
 def _commands(task: Mapping[str, object]) -> tuple[WaypointMission, list[WaypointPoint]]:
     """The task as the commands that upload it; degrees become radians.
 
-    Raises:
-        UsageError, BadValue: Too many points; a value that the wire does not carry.
+    Raises ``UsageError, BadValue``: too many points; a value that the wire does not carry.
     """
     given: Message = dict(task)
     waypoints = given["mission_waypoint"]

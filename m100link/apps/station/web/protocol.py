@@ -88,8 +88,7 @@ class _Frames(ServerProtocol):
     def recv_frame(self, frame: Frame) -> None:
         """A frame has come.
 
-        Raises:
-            ProtocolError: It is of no use: a message of these would never be too long.
+        Raises ``ProtocolError``: it is of no use: a message of these would never be too long.
         """
         self.count += 1
         if frame.opcode is Opcode.CONT and not frame.data and not frame.fin:
@@ -170,8 +169,7 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
     async def send_all(self, messages: Iterable[str | bytes]) -> None:
         """Send messages in one write, after what was written before has gone out.
 
-        Raises:
-            WebSocketDisconnect: The connection is closed.
+        Raises ``WebSocketDisconnect``: the connection is closed.
         """
         await self.writable.wait()
         if self.disconnected or self.close_sent or self.transport.is_closing():
@@ -188,8 +186,7 @@ class _Requests(h11.Connection):
     def next_event(self) -> Any:
         """What comes next.
 
-        Raises:
-            RemoteProtocolError: It is not HTTP, or it has a body.
+        Raises ``RemoteProtocolError``: it is not HTTP, or it has a body.
         """
         event = super().next_event()
         if isinstance(event, h11.Request):

@@ -366,9 +366,8 @@ class PageContext:
     async def take_off(self) -> None:
         """Take off, if the checklist offers it; why it is not green goes into the events.
 
-        Raises:
-            UsageError: It does not.
-            M100Error: See :meth:`m100link.apps.agent.client.AgentClient.fly`.
+        Raises ``UsageError``: it does not. Raises ``M100Error``: see
+        :meth:`m100link.apps.agent.client.AgentClient.fly`.
         """
         checklist = self.memory.checklist.look(self.memory.situation)
         if not checklist.may_take_off:

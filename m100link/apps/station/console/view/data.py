@@ -206,8 +206,7 @@ def points(
 
     ``rows``: seconds since 1970, and a value for each name; not a number where there is none.
 
-    Returns:
-        Milliseconds since 1970, and values of six digits; None where there is none.
+    Returns milliseconds since 1970, and values of six digits; None where there is none.
     """
     kinds = [kind(name) for name in names]
     factors = [1.0 if one is None else units.convert(1.0, one) for one in kinds]

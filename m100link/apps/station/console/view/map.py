@@ -161,8 +161,7 @@ class Shown:
     def check(self, number: object, pointed: Pointed) -> None:
         """Refuse what was not shown when the hold began.
 
-        Raises:
-            GuardRefused: It is another one.
+        Raises ``GuardRefused``: it is another one.
         """
         if str(number) != str(self._number) or pointed != self._pointed:
             raise GuardRefused(

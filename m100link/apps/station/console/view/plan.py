@@ -73,8 +73,7 @@ class Draft:
     def plan(self) -> WaypointPlan:
         """The plan.
 
-        Raises:
-            BadPlan: The aircraft would refuse it.
+        Raises ``BadPlan``: the aircraft would refuse it.
         """
         return WaypointPlan(
             self.points,
@@ -141,8 +140,7 @@ class Draft:
     ) -> Draft:
         """With lines over the area in place of its points.
 
-        Raises:
-            UsageError: It makes no survey, or one that cannot be flown.
+        Raises ``UsageError``: it makes no survey, or one that cannot be flown.
         """
         plan = survey(
             self.area,
@@ -258,8 +256,7 @@ _WITH_NUMBER = ("stay", "turn", "pitch")
 def actions_of(text: str) -> tuple[WaypointAction, ...]:
     """The actions that a line of text names: ``pitch -60, photo, stay 2``.
 
-    Raises:
-        UsageError: A word that is none, or a number too few or too many.
+    Raises ``UsageError``: a word that is none, or a number too few or too many.
     """
     found = []
     for part in filter(None, (one.strip() for one in text.split(","))):
