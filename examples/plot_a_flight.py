@@ -14,8 +14,7 @@ from pathlib import Path
 import m100link
 from m100link.errors import UsageError
 from m100link.log import Recorder, read
-from m100link.log.page import page
-from m100link.log.picture import facts, picture
+from m100link.log.picture import facts, page, picture
 from m100link.log.story import read_story
 from m100link.sim import DEMO_APP_ID, DEMO_KEY
 

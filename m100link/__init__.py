@@ -141,7 +141,6 @@ if TYPE_CHECKING:
         Uploaded,
         Uploading,
     )
-    from m100link.flight.missions.flight import MissionFlight
     from m100link.flight.missions.hotpoint import (
         CircleHeading,
         CircleStart,
@@ -149,6 +148,7 @@ if TYPE_CHECKING:
         HotpointFlight,
         Target,
     )
+    from m100link.flight.missions.keeper import MissionFlight
     from m100link.flight.missions.waypoint import WaypointFlight
     from m100link.flight.pacing import Tick, Ticker
     from m100link.flight.tasks import TaskProgress
@@ -411,7 +411,7 @@ _ROOMS = (
     "flight.guidance",
     "flight.mission_state",
     "flight.missions.events",
-    "flight.missions.flight",
+    "flight.missions.keeper",
     "flight.missions.waypoint",
     "flight.missions.hotpoint",
     "flight.control",
@@ -456,6 +456,14 @@ _MOVED = {
     "requests": "link",
 }
 
+# Modules of documented names that another one has taken in.
+_JOINED = {
+    "log.page": "log.picture",
+    "protocol.commands.camera": "protocol.commands.gimbal",
+    "protocol.commands.follow": "protocol.commands.hotpoint",
+    "protocol.commands.sync": "protocol.commands.virtual_rc",
+}
+
 
 def _now(name: str) -> str:
     """Where a room is, by its old or its present name, below this package."""
@@ -470,7 +478,9 @@ class _OldNames:
 
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> ModuleSpec | None:
-        if not name.startswith("m100link.") or name.split(".")[1] not in _MOVED:
+        package, _, place = name.partition(".")
+        is_old = place in _JOINED or place.partition(".")[0] in _MOVED
+        if package != "m100link" or not is_old:
             return None
         from importlib.util import spec_from_loader
 
@@ -487,7 +497,8 @@ class _OldNames:
 
         old = module.__name__
         _, room, *deep = old.split(".")
-        now = ".".join((_now(room), *deep))
+        joined = _JOINED.get(".".join((room, *deep)))
+        now = f"{__name__}.{joined}" if joined else ".".join((_now(room), *deep))
         sys.modules[old] = import_module(now)
         if deep or room not in (*_ROOMS, *_OTHER_ROOMS):
             warn(f"{old} is {now} now", DeprecationWarning, stacklevel=2)

@@ -225,6 +225,24 @@ def test_what_is_below_a_room_that_moved_is_loaded_once_and_warns() -> None:
     assert missing.stdout == "No module named 'm100link.apps.fleet.nothing'\n"
 
 
+@pytest.mark.parametrize(
+    ("old", "now", "name"),
+    [
+        ("log.page", "log.picture", "page"),
+        ("protocol.commands.camera", "protocol.commands.gimbal", "TakePhoto"),
+        ("protocol.commands.follow", "protocol.commands.hotpoint", "FollowStart"),
+        ("protocol.commands.sync", "protocol.commands.virtual_rc", "Sync"),
+    ],
+)
+def test_a_documented_module_that_another_took_in_is_that_one_and_warns(
+    old: str, now: str, name: str
+) -> None:
+    program = f"import m100link.{old} as old, m100link.{now} as now; assert old is now; old.{name}"
+    asked = run(program, "-W", "always")
+    assert asked.stderr.count("DeprecationWarning") == 1, asked.stderr
+    assert f"m100link.{old} is m100link.{now} now" in asked.stderr
+
+
 def test_a_name_that_does_not_exist_is_an_attribute_error_with_its_name() -> None:
     with pytest.raises(AttributeError, match="'m100link' has no attribute 'Contrl'"):
         _ = m100link.Contrl  # type: ignore[attr-defined] # what is tested

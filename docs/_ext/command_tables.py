@@ -21,7 +21,7 @@ from tables import TableDirective, home, sentence, table
 
 from m100link.protocol import codes
 from m100link.protocol.command import Command, Movement, Notification, Push, Request
-from m100link.protocol.commands.mission_acks import Answer
+from m100link.protocol.commands.missions import Answer
 from m100link.protocol.commands.registry import COMMANDS
 from m100link.protocol.fields import Laid, Layout
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from m100link.aircraft.aircraft import Aircraft, AuthorityEvent, ConnectionEvent
-from m100link.aircraft.camera import AircraftCamera
 from m100link.aircraft.connecting import Connecting, connect
-from m100link.aircraft.gimbal import AircraftGimbal, GimbalRates
+from m100link.aircraft.payload import AircraftCamera, AircraftGimbal, GimbalRates
 
 __all__ = [
     "Aircraft",

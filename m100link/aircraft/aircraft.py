@@ -7,8 +7,7 @@ from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from m100link.aircraft.activation import ActivationProgress, activate
-from m100link.aircraft.camera import AircraftCamera
-from m100link.aircraft.gimbal import AircraftGimbal
+from m100link.aircraft.payload import AircraftCamera, AircraftGimbal
 from m100link.aircraft.rates import set_telemetry_rates
 from m100link.errors import (
     CommandRefused,
@@ -33,8 +32,15 @@ from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.notifications import Notifications
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
-from m100link.telemetry.stream import TelemetryStream
-from m100link.telemetry.subscription import Hub, Latest, Lossless, Newest, Policy, Subscription
+from m100link.telemetry.subscription import (
+    Hub,
+    Latest,
+    Lossless,
+    Newest,
+    Policy,
+    Subscription,
+    TelemetryStream,
+)
 from m100link.wire.cipher import Cipher
 
 if TYPE_CHECKING:

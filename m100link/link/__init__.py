@@ -3,8 +3,8 @@
 import logging
 
 from m100link.link.link import Link, open_link
-from m100link.link.memory import MemoryTransport, connect_in_memory
 from m100link.link.statistics import Direction, LinkStatistics, RoundTrips, Tap
+from m100link.link.transport import MemoryTransport, connect_in_memory
 from m100link.link.url import DEFAULT_BAUD_RATE, parse_url
 
 __all__ = [

@@ -11,11 +11,12 @@ from m100link.link import Direction
 from m100link.log.reading import Chunk, FlightLog
 from m100link.protocol.codes import AckCode, MissionCode, SystemCode, VersionCode
 from m100link.protocol.command import Acknowledged, Command
-from m100link.protocol.commands import activation, camera, control, gimbal, monitor, virtual_rc
-from m100link.protocol.commands.mission_acks import Answer, DownloadAnswer
+from m100link.protocol.commands import activation, control, gimbal, monitor, virtual_rc
 from m100link.protocol.commands.missions import (
     EVENTS,
     STATUSES,
+    Answer,
+    DownloadAnswer,
     MissionStatus,
     Reached,
     WaypointEvent,
@@ -286,9 +287,9 @@ _LAYOUTS: dict[type[Command], tuple[Layout, ...]] = {
     control.Arm: (Layout(Number("on")),),
     gimbal.GimbalSpeed: (Layout(*_ANGLES, Number("flags")),),
     gimbal.GimbalAngle: (Layout(*_ANGLES, Number("mode"), Number("duration")),),
-    camera.TakePhoto: (_ANY,),
-    camera.StartVideo: (_ANY,),
-    camera.StopVideo: (_ANY,),
+    gimbal.TakePhoto: (_ANY,),
+    gimbal.StartVideo: (_ANY,),
+    gimbal.StopVideo: (_ANY,),
     monitor.AuthorityChanged: (Layout(Number("code")),),
     virtual_rc.VirtualRcSettings: (Layout(Number("flags")),),
     virtual_rc.VirtualRcData: (Layout(Numbers("channels", 16, Number("channel", "I"))),),
@@ -388,7 +389,7 @@ class _Tables:
             made["by_firmware"] = {
                 name: document for name, one in PROFILES.items() if not one.throttle_before_yaw
             }
-        if issubclass(command, camera.TakePhoto | camera.StartVideo | camera.StopVideo):
+        if issubclass(command, gimbal.TakePhoto | gimbal.StartVideo | gimbal.StopVideo):
             made["forms"][0] = []  # the byte that may be anything may be left out
         if issubclass(command, Acknowledged):
             made["ack"] = self._ack(f"{prefix}.ack", command)

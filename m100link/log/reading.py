@@ -16,7 +16,7 @@ from typing import IO, Any, NamedTuple
 from m100link.errors import LayoutMismatch, UsageError
 from m100link.errors.texts import read_json, read_path
 from m100link.link import Direction
-from m100link.log.channels import CHUNKS, EVENT, LINK, RX, SCHEMAS, TX
+from m100link.log.channels import CHUNKS, EVENT, LINK, RX, SCHEMAS, TX, is_telemetry
 from m100link.log.damage import Damage, Losses
 from m100link.log.records import (
     MAGIC,
@@ -30,7 +30,6 @@ from m100link.log.records import (
     records,
     registered,
 )
-from m100link.log.witness import is_telemetry
 from m100link.protocol.firmware import PROFILES, FirmwareProfile, profile
 from m100link.telemetry.columns import Columns, Table
 from m100link.telemetry.sample import Sample

@@ -25,9 +25,8 @@ from typing import IO, TYPE_CHECKING, Any
 from m100link.errors import UsageError
 from m100link.errors.texts import read_path
 from m100link.link import Direction, Link
-from m100link.log.channels import CHUNKS, FIX, LINK, RX, SCHEMAS, TX, Told
+from m100link.log.channels import CHUNKS, FIX, LINK, RX, SCHEMAS, TX, Told, Witness
 from m100link.log.records import PART_SIZE, mcap_module, registered
-from m100link.log.witness import Witness
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.wire import Cipher, encode_frame
 from m100link.wire.crc import header_crc16

@@ -202,9 +202,9 @@ class WaypointPlan:
         ``on_rc_loss``, curves and more) stands beside them, for :meth:`from_qgroundcontrol`; other
         programs do not see it.
         """
-        from m100link.missions import qgroundcontrol_export
+        from m100link.missions import qgroundcontrol
 
-        return qgroundcontrol_export.to_text(self)
+        return qgroundcontrol.to_text(self)
 
     @classmethod
     def from_qgroundcontrol(
@@ -234,14 +234,13 @@ class WaypointPlan:
         from m100link.missions import (
             document,
             qgroundcontrol,
-            qgroundcontrol_export,
         )
 
         found = document.load_object(text)
-        written = qgroundcontrol_export.extra_of(found)
+        written = qgroundcontrol.extra_of(found)
         if written is not None:
             plan = cls(**written)
-            made = qgroundcontrol_export.document_of(plan)
+            made = qgroundcontrol.document_of(plan)
             if made["mission"] == found.get("mission"):
                 qgroundcontrol.refuse_fences(found, leave_out)
                 return plan
@@ -267,9 +266,9 @@ class WaypointPlan:
         Raises:
             BadPlan: It cannot be read, is neither of them, or the aircraft would refuse it.
         """
-        from m100link.missions import files
+        from m100link.missions import document
 
-        return cls.parse(files.read(path), home_altitude=home_altitude, leave_out=leave_out)
+        return cls.parse(document.read(path), home_altitude=home_altitude, leave_out=leave_out)
 
     @classmethod
     def parse(
@@ -280,9 +279,9 @@ class WaypointPlan:
         leave_out: Collection[int | str] = (),
     ) -> Self:
         """As :meth:`read`, of what such a file holds."""
-        from m100link.missions import files
+        from m100link.missions import document
 
-        if files.is_qgroundcontrol(text):
+        if document.is_qgroundcontrol(text):
             return cls.from_qgroundcontrol(text, home_altitude=home_altitude, leave_out=leave_out)
         return cls.from_json(text)
 
@@ -292,10 +291,10 @@ class WaypointPlan:
         Raises:
             BadPlan: It cannot be written.
         """
-        from m100link.missions import files
+        from m100link.missions import document
 
-        is_for_qgroundcontrol = files.is_named_plan(path)
-        files.write(path, self.to_qgroundcontrol() if is_for_qgroundcontrol else self.to_json())
+        is_for_qgroundcontrol = document.is_named_plan(path)
+        document.write(path, self.to_qgroundcontrol() if is_for_qgroundcontrol else self.to_json())
 
     def to_wire(self) -> tuple[WaypointMission, tuple[WaypointPoint, ...]]:
         """The commands 0x03/0x10 and 0x03/0x11 that upload it.

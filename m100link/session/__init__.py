@@ -1,6 +1,6 @@
 """Sequence numbers, acks and repeats, without I/O and without a clock."""
 
-from m100link.session.endpoint import Endpoint
+from m100link.session.endpoint import Endpoint, Receiver, Sender
 from m100link.session.events import (
     Acked,
     Event,
@@ -8,8 +8,6 @@ from m100link.session.events import (
     SessionMode,
     SessionStatistics,
 )
-from m100link.session.receiver import Receiver
-from m100link.session.sender import Sender
 
 __all__ = [
     "Acked",

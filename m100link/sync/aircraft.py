@@ -27,7 +27,7 @@ from m100link.missions.plan import WaypointPlan
 from m100link.protocol.command import Request
 from m100link.protocol.commands.activation import Credentials, Version
 from m100link.protocol.firmware import FirmwareProfile
-from m100link.sim.ports.url import clock_of
+from m100link.sim.ports.driver import clock_of
 from m100link.sync.control import Control
 from m100link.sync.payload import AircraftCamera, AircraftGimbal
 from m100link.sync.portal import Portal

@@ -30,6 +30,8 @@ from m100link.aircraft import Aircraft
 from m100link.aircraft.camera import AircraftCamera
 from m100link.aircraft.gimbal import AircraftGimbal
 from m100link.flight.control import Control
+from m100link import Aircraft, Control
+from m100link.aircraft.payload import AircraftCamera, AircraftGimbal
 
 FOLDER = Path(__file__).parent
 
@@ -142,7 +144,7 @@ GIMBAL_HEAD = '''
 class AircraftGimbal:
     """The gimbal of a connected aircraft, without ``await``: ``aircraft.gimbal``."""
 
-    def __init__(self, portal: Portal, gimbal: aio_gimbal.AircraftGimbal) -> None:
+    def __init__(self, portal: Portal, gimbal: payload.AircraftGimbal) -> None:
         self._portal = portal
         self._gimbal = gimbal
 
@@ -157,7 +159,7 @@ class AircraftCamera:
     **Sent, and nobody confirms**: no firmware says whether a picture was taken or a video runs.
     """
 
-    def __init__(self, portal: Portal, camera: aio_camera.AircraftCamera) -> None:
+    def __init__(self, portal: Portal, camera: payload.AircraftCamera) -> None:
         self._portal = portal
         self._camera = camera
 '''
@@ -462,7 +464,7 @@ def aircraft_source() -> str:
     own = (
         "from m100link import aircraft as aio\n"
         "from m100link.flight.authority import Authority\n"
-        "from m100link.sim.ports.url import clock_of\n"
+        "from m100link.sim.ports.driver import clock_of\n"
         "from m100link.sync.control import Control\n"
         "from m100link.sync.payload import AircraftCamera, AircraftGimbal\n"
     )
@@ -489,10 +491,7 @@ def payload_source() -> str:
     parts += [writer.method("_gimbal", name, member) for name, member in functions(AircraftGimbal)]
     parts.append(CAMERA_HEAD)
     parts += [writer.method("_camera", name, member) for name, member in functions(AircraftCamera)]
-    own = (
-        "from m100link.aircraft import camera as aio_camera\n"
-        "from m100link.aircraft import gimbal as aio_gimbal\n"
-    )
+    own = "from m100link.aircraft import payload\n"
     exports = '["AircraftCamera", "AircraftGimbal"]'
     return whole("Gimbal and camera without ``await``.", exports, own, writer, parts)
 

@@ -5,8 +5,7 @@ It has the one with ``await`` and hands every call to the thread in which that l
 
 from __future__ import annotations
 
-from m100link.aircraft import camera as aio_camera
-from m100link.aircraft import gimbal as aio_gimbal
+from m100link.aircraft import payload
 from m100link.sync.portal import Portal
 from m100link.sync.steering import GimbalRates
 
@@ -16,7 +15,7 @@ __all__ = ["AircraftCamera", "AircraftGimbal"]
 class AircraftGimbal:
     """The gimbal of a connected aircraft, without ``await``: ``aircraft.gimbal``."""
 
-    def __init__(self, portal: Portal, gimbal: aio_gimbal.AircraftGimbal) -> None:
+    def __init__(self, portal: Portal, gimbal: payload.AircraftGimbal) -> None:
         self._portal = portal
         self._gimbal = gimbal
 
@@ -124,7 +123,7 @@ class AircraftCamera:
     **Sent, and nobody confirms**: no firmware says whether a picture was taken or a video runs.
     """
 
-    def __init__(self, portal: Portal, camera: aio_camera.AircraftCamera) -> None:
+    def __init__(self, portal: Portal, camera: payload.AircraftCamera) -> None:
         self._portal = portal
         self._camera = camera
 

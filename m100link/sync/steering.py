@@ -7,7 +7,7 @@ from contextlib import AbstractAsyncContextManager
 from types import TracebackType
 from typing import Generic, Self, TypeVar
 
-from m100link.aircraft import gimbal
+from m100link.aircraft import payload
 from m100link.flight import pacing, setpoints
 from m100link.flight.missions import flight, hotpoint, waypoint
 from m100link.flight.missions.events import MissionEvent
@@ -78,11 +78,11 @@ class GimbalRates:
     """Angular rates that are repeated while a ``with`` block runs; :meth:`set` replaces them."""
 
     def __init__(
-        self, portal: Portal, holding: AbstractAsyncContextManager[gimbal.GimbalRates]
+        self, portal: Portal, holding: AbstractAsyncContextManager[payload.GimbalRates]
     ) -> None:
         self._portal = portal
         self._holding = holding
-        self._rates: gimbal.GimbalRates | None = None  # while the block runs
+        self._rates: payload.GimbalRates | None = None  # while the block runs
 
     def set(self, *, yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> None:
         """Turn at these rates from the next repetition on, within 0.1 s.

@@ -13,7 +13,7 @@ import pytest
 import m100link
 from m100link import Aircraft, Attitude, Control, Setpoint, UsageError
 from m100link.protocol.commands.activation import GetVersion
-from m100link.protocol.commands.camera import StartVideo
+from m100link.protocol.commands.gimbal import StartVideo
 from m100link.testing import ConnectableAircraft
 from tests.rig import NORTH, rig
 

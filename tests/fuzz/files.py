@@ -86,18 +86,17 @@ from m100link.log import read, recover
 from m100link.log.cdr import DEFINITIONS
 from m100link.log.cdr import decode as decode_cdr
 from m100link.log.cdr import encode as encode_cdr
-from m100link.log.channels import CHUNKS, COMMAND, EVENT, FIX, LINK, RX, TELEMETRY, TX
+from m100link.log.channels import CHUNKS, COMMAND, EVENT, FIX, LINK, RX, TELEMETRY, TX, Witness
 from m100link.log.folder import _is_ours
-from m100link.log.page import page
 from m100link.log.pcapng import read_frames, write_pcapng
+from m100link.log.picture import page
 from m100link.log.recorder import Redaction
 from m100link.log.records import registered
 from m100link.log.ros2 import write_bag
 from m100link.log.story import read_story
-from m100link.log.witness import Witness
 from m100link.protocol.firmware import PROFILES
 from m100link.protocol.setpoint import Setpoint
-from m100link.sim.orders.ctl import CtlServer
+from m100link.sim.orders import CtlServer
 from m100link.sim.virtual import VirtualAircraft
 from tests.apps.fleet.show.shows import track
 

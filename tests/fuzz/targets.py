@@ -32,8 +32,8 @@ from m100link.protocol.command import plain
 from m100link.protocol.commands.registry import COMMANDS, parse_command
 from m100link.protocol.firmware import PROFILES
 from m100link.protocol.packet import TelemetryPacket
-from m100link.sim.orders.actions import Scenario
-from m100link.sim.ports.url import aircraft_of, speed_of
+from m100link.sim.orders import Scenario
+from m100link.sim.ports.driver import aircraft_of, speed_of
 from m100link.wire import Cipher, FrameDecoder
 from tests.apps.fleet.show.shows import FIVE
 from tests.fuzz import files, worlds

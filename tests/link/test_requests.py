@@ -20,11 +20,12 @@ from m100link.protocol import (
     TaskResultCode,
     Version,
 )
-from m100link.protocol.commands.camera import TakePhoto
 from m100link.protocol.commands.control import Arm, QueryTask
-from m100link.protocol.commands.follow import FollowPauseResume, FollowStart, FollowStop
-from m100link.protocol.commands.gimbal import GimbalAngle
+from m100link.protocol.commands.gimbal import GimbalAngle, TakePhoto
 from m100link.protocol.commands.hotpoint import (
+    FollowPauseResume,
+    FollowStart,
+    FollowStop,
     HotpointAutoRadius,
     HotpointPauseResume,
     HotpointStart,

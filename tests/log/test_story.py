@@ -15,7 +15,7 @@ from m100link.errors import M100Error
 from m100link.log import read
 from m100link.log.story import read_story
 from m100link.protocol.records import Battery
-from m100link.sim.orders.actions import perform
+from m100link.sim.orders import perform
 from m100link.sim.ports import driver
 from m100link.sim.virtual import VirtualAircraft
 from tests.log.flight import APP_ID, KEY, fly

@@ -43,19 +43,27 @@ from m100link.protocol import (
     profile,
 )
 from m100link.protocol.command import plain
-from m100link.protocol.commands.camera import StartVideo, StopVideo, TakePhoto
-from m100link.protocol.commands.follow import FollowTarget
-from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
+from m100link.protocol.commands.gimbal import (
+    GimbalAngle,
+    GimbalSpeed,
+    StartVideo,
+    StopVideo,
+    TakePhoto,
+)
 from m100link.protocol.commands.hotpoint import (
+    FollowTarget,
     HotpointResetYaw,
     HotpointSetRadius,
     HotpointSetRate,
 )
-from m100link.protocol.commands.mission_acks import MissionRequest
-from m100link.protocol.commands.missions import COMMAND_SET, MissionStatus, WaypointEvent
+from m100link.protocol.commands.missions import (
+    COMMAND_SET,
+    MissionRequest,
+    MissionStatus,
+    WaypointEvent,
+)
 from m100link.protocol.commands.registry import COMMANDS, address_of
-from m100link.protocol.commands.sync import Sync
-from m100link.protocol.commands.virtual_rc import VirtualRcData, VirtualRcSettings
+from m100link.protocol.commands.virtual_rc import Sync, VirtualRcData, VirtualRcSettings
 from m100link.protocol.fields import Laid, Number, Numbers
 from m100link.protocol.items import BY_NAME
 from m100link.session import SessionMode

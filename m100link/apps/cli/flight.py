@@ -18,7 +18,7 @@ from rich.table import Table
 
 from m100link.aircraft import Aircraft, connect
 from m100link.aircraft.activation import ActivationProgress
-from m100link.aircraft.gimbal import angles_command, rates_command
+from m100link.aircraft.payload import angles_command, rates_command
 from m100link.aircraft.rates import rates_by_item
 from m100link.apps.cli.common import (
     AS_SET,

@@ -335,7 +335,7 @@ def _drawn(story: Story, target: Path) -> bytes:
         from m100link.log.picture import picture  # loads matplotlib
 
         return picture(story)
-    from m100link.log.page import page
+    from m100link.log.picture import page
 
     return page(story).encode()
 

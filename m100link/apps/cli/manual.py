@@ -193,7 +193,7 @@ def error_classes() -> list[type[M100Error]]:
         "m100link.apps.agent.remote_error",
         "m100link.apps.fleet.pki",
         "m100link.apps.fleet.show.plan.steering",
-        "m100link.sim.orders.ctl",
+        "m100link.sim.orders",
     ):
         importlib.import_module(elsewhere)
     return list(_derived(M100Error))

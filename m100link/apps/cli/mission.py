@@ -38,7 +38,7 @@ from m100link.flight.missions.events import (
 )
 from m100link.flight.missions.waypoint import WaypointFlight
 from m100link.geodesy import LocalFrame
-from m100link.missions import files
+from m100link.missions import document
 from m100link.missions.plan import AtEnd, WaypointPlan
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.commands.missions import MissionStatus
@@ -401,11 +401,11 @@ def download(
         async with connect(place.url, **place.arguments()) as aircraft:
             await activate_app(aircraft, credentials)
             plan = await aircraft.download_waypoint_plan()
-        text = plan.to_qgroundcontrol() if files.is_named_plan(output) else plan.to_json()
+        text = plan.to_qgroundcontrol() if document.is_named_plan(output) else plan.to_json()
         if output == "-":
             sys.stdout.write(text)
         else:
-            files.write(output, text)
+            document.write(output, text)
         return 0
 
     return run_async(run())

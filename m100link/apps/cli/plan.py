@@ -15,7 +15,7 @@ from m100link.apps.cli.options import Above0, AsJson
 from m100link.apps.cli.terminal import ExitCode, print_json, wants_json
 from m100link.errors import BadPlan, UsageError
 from m100link.geodesy import LocalFrame
-from m100link.missions import files
+from m100link.missions import document
 from m100link.missions.checks import HOVER_MINUTES, PlanEstimate, leg_lengths
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.survey import survey as lines_over
@@ -308,13 +308,13 @@ def convert(
 def _write(
     plan: WaypointPlan, target: File, to: Literal["json", "plan"] | None, *, force: bool
 ) -> int:
-    kind = to or ("plan" if files.is_named_plan(target) else "json")
+    kind = to or ("plan" if document.is_named_plan(target) else "json")
     text = plan.to_qgroundcontrol() if kind == "plan" else plan.to_json()
     if str(target) == "-":
         sys.stdout.write(text)
         return ExitCode.OK
     require_free(target, force=force)
-    files.write(target, text)
+    document.write(target, text)
     return ExitCode.OK
 
 

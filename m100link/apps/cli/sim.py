@@ -26,11 +26,16 @@ from m100link.errors import UsageError
 from m100link.link.keyfile import read_key
 from m100link.sim.clock import loop_factory
 from m100link.sim.line import LineFaults
-from m100link.sim.orders.actions import ACTIONS, Scenario, perform, status
-from m100link.sim.orders.ctl import CtlServer, send_order
-from m100link.sim.ports.driver import Driver, TcpServer, serve_tcp
+from m100link.sim.orders import ACTIONS, CtlServer, Scenario, perform, send_order, status
+from m100link.sim.ports.driver import (
+    LINE_OPTIONS,
+    MISSION_OPTIONS,
+    SITE_OPTIONS,
+    Driver,
+    TcpServer,
+    serve_tcp,
+)
 from m100link.sim.ports.pty import PtyPort
-from m100link.sim.ports.url import LINE_OPTIONS, MISSION_OPTIONS, SITE_OPTIONS
 from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.vehicle.missions.route import MissionSettings
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings

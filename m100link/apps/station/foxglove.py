@@ -35,8 +35,16 @@ from m100link.apps.station.web.limits import SparingLogger, TokenBucket
 from m100link.apps.station.web.protocol import WebSocketConnection
 from m100link.apps.station.web.server import serve_http
 from m100link.errors.texts import read_json
-from m100link.log.channels import FIX, MESSAGE, SCHEMAS, STATE, TELEMETRY, TRANSFORM, Thinning
-from m100link.log.witness import fix_of
+from m100link.log.channels import (
+    FIX,
+    MESSAGE,
+    SCHEMAS,
+    STATE,
+    TELEMETRY,
+    TRANSFORM,
+    Thinning,
+    fix_of,
+)
 from m100link.protocol.records import Attitude, Position
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Newest

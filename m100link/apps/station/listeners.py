@@ -286,10 +286,7 @@ async def serving_fronts(
     *,
     is_far: bool = False,  # whether agents are reached over a network
 ) -> AsyncIterator[Fronts]:
-    """Serve while the block runs.
-
-    Raises ``As ``: meth:`Fronts.serve`.
-    """
+    """Serve while the block runs; raises as :meth:`Fronts.serve` does."""
     async with AsyncExitStack() as stack:
         is_kept = is_far or len(reach) > 1
         fronts = Fronts(stack, settings, sockets, reach, orders, is_kept=is_kept)

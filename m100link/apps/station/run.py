@@ -45,7 +45,7 @@ from m100link.geodesy import LocalFrame
 from m100link.log.folder import Flights, default_folder
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.firmware import FIRMWARE_1_0
-from m100link.sim.orders.ctl import CtlServer
+from m100link.sim.orders import CtlServer
 from m100link.sim.ports.driver import Driver
 from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.vehicle.settings import AircraftSettings

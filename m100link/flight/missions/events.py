@@ -12,8 +12,12 @@ from m100link.errors import M100Error, MissionRefused
 from m100link.flight.mission_state import MissionKind
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Request
-from m100link.protocol.commands.follow import FollowPauseResume, FollowStop
-from m100link.protocol.commands.hotpoint import HotpointPauseResume, HotpointStop
+from m100link.protocol.commands.hotpoint import (
+    FollowPauseResume,
+    FollowStop,
+    HotpointPauseResume,
+    HotpointStop,
+)
 from m100link.protocol.commands.waypoint import WaypointPauseResume, WaypointStartStop
 
 __all__ = [

@@ -17,15 +17,15 @@ from m100link.flight.guards import known
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.context import Deck, Over, broken_off, check_way, require_airborne
 from m100link.flight.missions.events import Aborted, MissionEvent, MissionProgress
-from m100link.flight.missions.flight import MissionFlight
-from m100link.flight.missions.keeper import MissionKeeper
+from m100link.flight.missions.keeper import MissionFlight, MissionKeeper
 from m100link.flight.missions.run import MissionRun
 from m100link.geodesy import bearing_deg, distance_m, normalize_degrees
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Problem
 from m100link.protocol.commands import missions as wire
-from m100link.protocol.commands.follow import FollowStart, FollowTarget
 from m100link.protocol.commands.hotpoint import (
+    FollowStart,
+    FollowTarget,
     HotpointDownload,
     HotpointDownloadAnswer,
     HotpointResetYaw,

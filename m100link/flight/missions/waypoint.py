@@ -18,8 +18,7 @@ from m100link.flight.missions.context import (
     require_airborne,
 )
 from m100link.flight.missions.events import Uploaded, Uploading, mission_refused
-from m100link.flight.missions.flight import MissionFlight
-from m100link.flight.missions.keeper import MissionKeeper
+from m100link.flight.missions.keeper import MissionFlight, MissionKeeper
 from m100link.flight.missions.run import MissionRun
 from m100link.missions.plan import OnRCLoss, WaypointPlan
 from m100link.protocol.codes import MissionCode

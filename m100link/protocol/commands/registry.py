@@ -25,7 +25,7 @@ _SETS: tuple[tuple[int, str, dict[int, str]], ...] = (
         {0x00: "RequestAuthority", 0x01: "StartTask", 0x02: "QueryTask", 0x03: "Move", 0x05: "Arm"},
     ),
     (0x01, "gimbal", {0x1A: "GimbalSpeed", 0x1B: "GimbalAngle"}),
-    (0x01, "camera", {0x20: "TakePhoto", 0x21: "StartVideo", 0x22: "StopVideo"}),
+    (0x01, "gimbal", {0x20: "TakePhoto", 0x21: "StartVideo", 0x22: "StopVideo"}),
     (0x02, "monitor", {0x00: "PushTelemetry", 0x01: "AuthorityChanged", 0x02: "FromMobile"}),
     (0x02, "missions", {0x03: "MissionStatus", 0x04: "WaypointEvent"}),
     (
@@ -58,10 +58,10 @@ _SETS: tuple[tuple[int, str, dict[int, str]], ...] = (
     ),
     (
         0x03,
-        "follow",
+        "hotpoint",
         {0x30: "FollowStart", 0x31: "FollowStop", 0x32: "FollowPauseResume", 0x33: "FollowTarget"},
     ),
-    (0x04, "sync", {0x00: "Sync"}),
+    (0x04, "virtual_rc", {0x00: "Sync"}),
     (0x05, "virtual_rc", {0x00: "VirtualRcSettings", 0x01: "VirtualRcData"}),
 )
 

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Self
 
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Address, Problem
-from m100link.protocol.commands.mission_acks import Answer, DownloadAnswer, MissionRequest
+from m100link.protocol.commands.missions import Answer, DownloadAnswer, MissionRequest
 from m100link.protocol.fields import (
     Laid,
     Layout,

@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 from enum import Enum
 from math import radians
+from typing import TYPE_CHECKING
 
 from m100link.protocol import setpoint as wire
 from m100link.protocol.codes import ArmCode, TaskResultCode, TaskStartCode
 from m100link.protocol.commands.control import Task
-from m100link.protocol.records import Device, FlightPhase
+from m100link.protocol.records import Device, FlightPhase, RcMode
 from m100link.sim.vehicle.dynamics import (
     STEP_S,
     Dynamics,
@@ -23,16 +24,23 @@ from m100link.sim.vehicle.dynamics import (
     ModelVertical,
     ModelYaw,
 )
-from m100link.sim.vehicle.piloting import by_sticks
 from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.settings import AircraftSettings
 
+if TYPE_CHECKING:
+    from m100link.sim.vehicle.dynamics import Airframe
+    from m100link.sim.vehicle.remote import Sticks
+
+
 # -- the flight mode commands: one at a time, the result kept (document 2.2.2.2) -------------------
-# ::     IDLE       --start, conditions met--> EXECUTING   answer 2; not met: answer 1, nothing
-# changes     EXECUTING  --start-->                 EXECUTING   answer 1     EXECUTING  --query-->
-# EXECUTING   answer 3, with another sequence number 1     EXECUTING  --end-->
-# SUCCEEDED or FAILED     ended      --query-->                 ended       answer 5 or 4, with
-# another sequence number 1     ended      --start-->                 like IDLE
+# ::
+#
+#     IDLE       --start, conditions met--> EXECUTING   answer 2; not met: answer 1, nothing changes
+#     EXECUTING  --start-->                 EXECUTING   answer 1
+#     EXECUTING  --query-->                 EXECUTING   answer 3; another sequence number: 1
+#     EXECUTING  --end-->                   SUCCEEDED or FAILED
+#     ended      --query-->                 ended       answer 5 or 4; another sequence number: 1
+#     ended      --start-->                 like IDLE
 
 
 class TaskState(Enum):
@@ -524,3 +532,21 @@ class FlightController:
     def _touch_down(self) -> None:
         self.phase = FlightPhase.FINISHING_LANDING
         self._begin(Maneuver.FINISH, self.now + _FINISHING_S)
+
+
+# -- what the pilot's sticks ask the aircraft for --------------------------------------------------
+
+
+_FASTEST = 10.0  # m/s at full deflection
+
+
+def by_sticks(sticks: Sticks, airframe: Airframe, has_gps: bool) -> Guidance:
+    """Velocity along the nose; in mode A, or without GPS, tilt."""
+    up = sticks.throttle * airframe.vertical_speed
+    yaw = sticks.yaw * radians(airframe.yaw_rate_deg)
+    if sticks.mode is RcMode.A or not has_gps:
+        tilt = radians(airframe.maximum_tilt_deg)
+        roll, pitch = sticks.roll * tilt, -sticks.pitch * tilt
+        return Guidance(ModelHorizontal.TILT, roll, pitch, body=True, up=up, yaw=yaw)
+    forward, right = sticks.pitch * _FASTEST, sticks.roll * _FASTEST
+    return Guidance(ModelHorizontal.VELOCITY, forward, right, body=True, up=up, yaw=yaw)

@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 
 from m100link.apps.doctor.machine import Machine, Permission, Process
-from m100link.link.memory import connect_in_memory
+from m100link.link.transport import connect_in_memory
 from m100link.link.url import ConnectionString
 from m100link.sim import VirtualAircraft
-from m100link.sim.orders.actions import perform
-from m100link.sim.ports.url import aircraft_of
+from m100link.sim.orders import perform
+from m100link.sim.ports.driver import aircraft_of
 from m100link.wire import encode_frame
 
 TELEMETRY = encode_frame(bytes([2, 0, *range(80)]), session=0, sequence=7)

@@ -25,8 +25,8 @@ from m100link.errors import BadURL, UsageError
 from m100link.link.url import parse_url
 from m100link.protocol.firmware import PROFILES
 from m100link.sim import DEMO_APP_ID, DEMO_KEY, VirtualAircraft
-from m100link.sim.orders.actions import perform
-from m100link.sim.ports.url import aircraft_of
+from m100link.sim.orders import perform
+from m100link.sim.ports.driver import aircraft_of
 from m100link.wire.frame import encode_frame
 from tests.apps.doctor.bench import Bench, FakeMachine
 from tests.apps.doctor.setups import APP, OTHER_APP, SET_UPS, diagnosed, rows

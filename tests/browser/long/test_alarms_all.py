@@ -10,7 +10,7 @@ import pytest
 
 from m100link import Waypoint, WaypointPlan
 from m100link.apps.station.console.view.alarms import ALARMS, AlarmName
-from m100link.sim.orders.actions import perform
+from m100link.sim.orders import perform
 from m100link.sim.virtual import VirtualAircraft
 from tests.browser.conftest import Console, context_of, until
 from tests.browser.long.test_disturbances import Line, console_of

@@ -18,7 +18,7 @@ import pytest
 
 from m100link.apps.mavlink.translator.codec import Message, read_datagram, write_frame
 from m100link.apps.mavlink.translator.numbers import Command, Result
-from m100link.sim.orders.ctl import send_order
+from m100link.sim.orders import send_order
 from tests.browser.conftest import Console, Watch, context_of, running_console, until
 from tests.browser.operator import banner, press_for, press_until
 

@@ -23,7 +23,7 @@ from m100link.apps.ros2.actions import FLIGHTS
 from m100link.apps.ros2.topics import INPUTS, OUTPUTS, SERVICES
 from m100link.geodesy import LocalFrame
 from m100link.log.cdr import DEFINITIONS, decode, full_name
-from m100link.sim.orders.ctl import send_order
+from m100link.sim.orders import send_order
 from tests.waiting import PATIENCE
 
 HERE = Path(__file__).parent

@@ -9,8 +9,15 @@ from typing import Any
 import pytest
 
 from m100link.errors import UsageError
-from m100link.protocol import PROFILES
-from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
+from m100link.protocol import PROFILES, Push, parse_command
+from m100link.protocol.commands.gimbal import (
+    GimbalAngle,
+    GimbalAngleMode,
+    GimbalSpeed,
+    StartVideo,
+    StopVideo,
+    TakePhoto,
+)
 from tests.support import load_vectors
 
 FIRMWARE = PROFILES["3.1"]
@@ -57,3 +64,15 @@ def test_the_mode_is_shown_in_words() -> None:
     mode = GimbalAngleMode.ABSOLUTE | GimbalAngleMode.KEEP_ROLL
     assert GimbalAngle(mode=mode).fields()["mode_bits"] == ["absolute", "keep_roll"]
     assert GimbalAngle(mode=0x80).fields()["mode_bits"] == []
+
+
+# -- camera: whatever the byte says ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", [TakePhoto, StartVideo, StopVideo])
+@pytest.mark.parametrize("value", [b"", b"\0", b"\xff", b"\1\2"])
+def test_any_value_will_do(kind: type[Push], value: bytes) -> None:
+    for firmware in PROFILES.values():
+        command = parse_command(bytes(kind.ADDRESS) + value, firmware)
+        assert isinstance(command, kind)
+        assert command.raw() == {"any": value[0] if value else 0}

@@ -41,7 +41,7 @@ from m100link.flight.foresight import (
 )
 from m100link.flight.guards import Guards
 from m100link.flight.guidance import GuidanceProgress
-from m100link.flight.missions.flight import MissionFlight
+from m100link.flight.missions.keeper import MissionFlight
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.hotpoint import HotpointStart

@@ -23,8 +23,8 @@ from m100link.flight.missions.events import (
     Stopped,
     Uploaded,
 )
-from m100link.flight.missions.flight import MissionFlight
 from m100link.flight.missions.hotpoint import CircleHeading, CircleStart, HotpointFlight
+from m100link.flight.missions.keeper import MissionFlight
 from m100link.flight.missions.waypoint import WaypointFlight
 from m100link.missions.plan import AtEnd, WaypointPlan
 from m100link.protocol.command import Command

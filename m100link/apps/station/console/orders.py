@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from m100link.errors import UsageError
-from m100link.sim.orders.actions import perform, status
-from m100link.sim.orders.ctl import send_order
+from m100link.sim.orders import perform, send_order, status
 from m100link.sim.virtual import VirtualAircraft
 
 
@@ -21,7 +20,7 @@ class Orders:
         self, give: Callable[[list[str]], Awaitable[dict[str, Any]]], shown: dict[str, Any]
     ) -> None:
         self._give = give
-        # As :func:`m100link.sim.orders.actions.status` has it, after the last order.
+        # As :func:`m100link.sim.orders.status` has it, after the last order.
         self.status = shown
 
     async def give(self, *lines: str) -> None:
@@ -44,7 +43,7 @@ def orders_in_process(virtual: VirtualAircraft) -> Orders:
 
 
 async def orders_by_socket(path: Path) -> Orders:
-    """Orders to the virtual aircraft behind a socket of :class:`m100link.sim.orders.ctl.CtlServer`.
+    """Orders to the virtual aircraft behind a socket of :class:`m100link.sim.orders.CtlServer`.
 
     Raises ``M100Error``: nobody answers there.
     """

@@ -28,10 +28,11 @@ from m100link.protocol.commands.missions import (
 from m100link.sim.vehicle.dynamics import Guidance, ModelVertical
 from m100link.sim.vehicle.flight import GOOD_GPS, FlightController, Maneuver
 from m100link.sim.vehicle.missions.actions import Conditions, Payload
-from m100link.sim.vehicle.missions.follow import FollowFlight, follow_code
 from m100link.sim.vehicle.missions.hotpoint import (
     LARGEST_RADIUS,
+    FollowFlight,
     HotpointFlight,
+    follow_code,
     hotpoint_code,
 )
 from m100link.sim.vehicle.missions.plan import (
@@ -46,8 +47,7 @@ from m100link.sim.vehicle.missions.route import Place, Site, distance, is_on_ear
 from m100link.sim.vehicle.missions.waypoints import BEFORE_ACTIONS, WaypointFlight
 
 if TYPE_CHECKING:
-    from m100link.protocol.commands.follow import FollowStart
-    from m100link.protocol.commands.hotpoint import HotpointStart
+    from m100link.protocol.commands.hotpoint import FollowStart, HotpointStart
     from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
     from m100link.sim.vehicle.authority import ControlArbiter
     from m100link.sim.vehicle.settings import AircraftSettings

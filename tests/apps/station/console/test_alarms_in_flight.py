@@ -14,7 +14,7 @@ from m100link.apps.station.console.view.alarms import ALARMS, AlarmName, AlarmSt
 from m100link.apps.station.console.view.situation import Inputs
 from m100link.apps.station.console.view.texts import Speaker
 from m100link.apps.station.console.view.view import Memory
-from m100link.sim.orders.actions import perform
+from m100link.sim.orders import perform
 from m100link.sim.virtual import VirtualAircraft
 from tests.apps.station.conftest import Rig
 from tests.apps.station.console.test_tab import Browser, airborne

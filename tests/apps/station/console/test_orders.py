@@ -8,7 +8,7 @@ import pytest
 
 from m100link.apps.station.console.orders import Orders, orders_by_socket, orders_in_process
 from m100link.errors import M100Error
-from m100link.sim.orders.ctl import CtlServer
+from m100link.sim.orders import CtlServer
 from m100link.sim.virtual import VirtualAircraft
 
 pytestmark = pytest.mark.anyio

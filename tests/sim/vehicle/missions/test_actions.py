@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from m100link.protocol.commands.camera import TakePhoto
+from m100link.protocol.commands.gimbal import TakePhoto
 from m100link.sim.vehicle.missions.plan import ActionKind as Do
 from tests.sim.host import Host
 from tests.sim.vehicle.missions.flights import begin, doing, fly, host, point, reached

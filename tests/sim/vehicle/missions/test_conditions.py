@@ -9,7 +9,7 @@ import pytest
 
 from m100link.protocol import RequestAuthority, StartTask, Task
 from m100link.protocol.codes import MissionCode as Code
-from m100link.protocol.commands.follow import FollowStart
+from m100link.protocol.commands.hotpoint import FollowStart
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointStartStop
 from m100link.sim.vehicle.missions.route import NoFlyZone
 from tests.sim.host import Host

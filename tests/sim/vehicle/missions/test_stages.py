@@ -8,8 +8,10 @@ from typing import Any
 import pytest
 
 from m100link.protocol.codes import MissionCode as Code
-from m100link.protocol.commands.follow import FollowPauseResume, FollowStart, FollowStop
 from m100link.protocol.commands.hotpoint import (
+    FollowPauseResume,
+    FollowStart,
+    FollowStop,
     HotpointDownload,
     HotpointPauseResume,
     HotpointStop,

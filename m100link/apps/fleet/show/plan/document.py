@@ -28,7 +28,7 @@ from m100link.flight.guards import Envelope
 from m100link.geodesy import LocalFrame, MapView, Spot, escaped, svg_dot, svg_line, svg_text
 from m100link.geodesy import svg as drawing
 from m100link.missions.document import load_object
-from m100link.missions.files import read as read_file
+from m100link.missions.document import read as read_file
 
 FORMAT = "m100link show"
 VERSION = 1

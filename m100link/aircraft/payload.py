@@ -1,7 +1,7 @@
-"""Pointing the gimbal: by angles, or by angular rates for as long as somebody wants them.
+"""The payload: gimbal and camera.
 
-It needs no control authority and flies nothing. Nothing answers these commands; telemetry shows the
-angles.
+The gimbal is pointed by angles, or by angular rates for as long as somebody wants them. It needs no
+control authority and flies nothing. Nothing answers these commands; telemetry shows the angles.
 """
 
 from __future__ import annotations
@@ -15,15 +15,22 @@ from typing import TYPE_CHECKING
 from m100link.errors import LinkError, NotObserved, TelemetryStalled, UsageError
 from m100link.geodesy import normalize_degrees
 from m100link.protocol.command import in_range
-from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
+from m100link.protocol.commands.gimbal import (
+    GimbalAngle,
+    GimbalAngleMode,
+    GimbalSpeed,
+    StartVideo,
+    StopVideo,
+    TakePhoto,
+)
 from m100link.protocol.records import Gimbal
 
 if TYPE_CHECKING:
     from m100link.link.requests import Requests
-    from m100link.telemetry.stream import TelemetryStream
-
+    from m100link.telemetry.subscription import TelemetryStream
 
 _logger = logging.getLogger(__name__)
+
 
 _REPEAT_S = 0.1  # a rate holds for 0.5 s; DJI's sample repeats it at 10 Hz (facts G2)
 _FIRST_VALUE_S = 1.5  # an item that is sent at all, at 1 Hz or more, has come by then
@@ -314,3 +321,40 @@ def _not_shown(
         remedy="look at the gimbal item: m100link echo gimbal; nobody acknowledges the "
         "command, so it may be sent again",
     )
+
+
+# -- the camera's shutter and recorder, as far as commands reach them ------------------------------
+
+
+class AircraftCamera:
+    """The camera of a connected aircraft: ``aircraft.camera``. Firmware 2.3 on, level 1.
+
+    **Sent, and nobody confirms.** Each method returns when its command is sent. No firmware says
+    whether a picture was taken or a video runs: not by an ack, not by telemetry. A lost command is
+    lost in silence, so look at the card, or at the app's picture.
+    """
+
+    def __init__(self, requests: Requests) -> None:
+        self._requests = requests
+
+    async def take_photo(self) -> None:
+        """Take one photograph: sent, nobody confirms. It takes about a second.
+
+        Raises:
+            NotActivated, LevelTooLow, CommandNotSupported, UsageError, LinkError: Nothing was sent.
+        """
+        await self._requests.send(TakePhoto())
+
+    async def start_video(self) -> None:
+        """Start recording: sent, nobody confirms. While it records, this changes nothing.
+
+        Raises: as :meth:`take_photo`.
+        """
+        await self._requests.send(StartVideo())
+
+    async def stop_video(self) -> None:
+        """Stop recording: sent, nobody confirms. While it does not record, this changes nothing.
+
+        Raises: as :meth:`take_photo`.
+        """
+        await self._requests.send(StopVideo())

@@ -14,10 +14,18 @@ from rich.console import Console
 from m100link.apps.cli.sim import KEYS, LiveView, read_keys
 from m100link.errors import UsageError
 from m100link.protocol import Setpoint
-from m100link.protocol.commands.follow import FollowStart
+from m100link.protocol.commands.hotpoint import FollowStart
 from m100link.sim import LineFaults, VirtualAircraft
-from m100link.sim.orders.actions import ACTIONS, Scenario, perform, status
-from m100link.sim.orders.ctl import CtlServer, NoSimulator, find_sockets, send_order
+from m100link.sim.orders import (
+    ACTIONS,
+    CtlServer,
+    NoSimulator,
+    Scenario,
+    find_sockets,
+    perform,
+    send_order,
+    status,
+)
 from tests.sim.host import Host
 from tests.sim.vehicle.missions.flights import begin, hotpoint, point
 from tests.sim.vehicle.missions.flights import host as mission_host

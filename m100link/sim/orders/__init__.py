@@ -1,1 +1,0 @@
-"""What people and scripts do to a virtual aircraft: actions, scenarios, a control socket."""
