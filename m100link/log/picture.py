@@ -17,8 +17,8 @@ from statistics import fmean
 from typing import Any, NamedTuple
 
 from m100link.errors import UsageError
+from m100link.geodesy import round_length
 from m100link.log.story import Curve, Span, Story
-from m100link.telemetry.columns import round_length
 
 # -- what is drawn of a flight, whether as a picture or as a page: panels, their curves, colour ----
 

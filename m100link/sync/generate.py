@@ -27,11 +27,8 @@ from typing import Any
 import m100link.aircraft.connecting
 import m100link.flight.control
 from m100link.aircraft import Aircraft
-from m100link.aircraft.camera import AircraftCamera
-from m100link.aircraft.gimbal import AircraftGimbal
-from m100link.flight.control import Control
-from m100link import Aircraft, Control
 from m100link.aircraft.payload import AircraftCamera, AircraftGimbal
+from m100link.flight.control import Control
 
 FOLDER = Path(__file__).parent
 

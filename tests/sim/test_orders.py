@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from m100link.apps.cli.sim import KEYS, LiveView, read_keys
+from m100link.apps.cli.sim import KEYS, LiveView
+from m100link.apps.cli.terminal import read_keys
 from m100link.errors import UsageError
 from m100link.protocol import Setpoint
 from m100link.protocol.commands.hotpoint import FollowStart
