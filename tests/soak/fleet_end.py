@@ -24,11 +24,10 @@ from m100link.apps.agent.transports import MemoryChannel, memory_channels
 from m100link.apps.bus.network import DEPTH, Held, Outlet
 from m100link.apps.bus.session import ZenohBus
 from m100link.apps.fleet.agent import FleetAgent
-from m100link.apps.fleet.client import Fleet
+from m100link.apps.fleet.client import Fleet, open_fleet
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.order_log import MemoryLedger
 from m100link.apps.fleet.publisher import WALL_HZ, FleetTelemetry, Thinner
-from m100link.apps.fleet.session import open_fleet
 from m100link.apps.station.config import Settings
 from m100link.apps.station.run import owning
 from m100link.apps.station.supervisor import leave_what_stays

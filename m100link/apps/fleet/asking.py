@@ -22,8 +22,16 @@ from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.bus.network import Answer, Bus
 from m100link.apps.fleet.expiry import DRIFT
 from m100link.apps.fleet.keys import Keys, session_in
-from m100link.apps.fleet.payloads import Order, Outcome, Progress, Reply, pack, unpack
-from m100link.apps.fleet.secret import Half, LeaseRequest
+from m100link.apps.fleet.payloads import (
+    Half,
+    LeaseRequest,
+    Order,
+    Outcome,
+    Progress,
+    Reply,
+    pack,
+    unpack,
+)
 from m100link.errors import NotAllowed, OutcomeUnknown, StaleLease, Unreachable
 
 PATIENCE_S = 10.0

@@ -24,8 +24,7 @@ from m100link.apps.fleet.asking import STEP_S, Asker
 from m100link.apps.fleet.expiry import AgentClock
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
-from m100link.apps.fleet.payloads import Progress, Reply, pack_steer
-from m100link.apps.fleet.secret import LeaseRequest
+from m100link.apps.fleet.payloads import LeaseRequest, Progress, Reply, pack_steer
 from m100link.errors import (
     FleetError,
     GuardRefused,

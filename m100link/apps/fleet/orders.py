@@ -19,8 +19,7 @@ from m100link.apps.agent.remote_error import Fault, MessageError, fault_of
 from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.missions.board import Missions
 from m100link.apps.fleet.order_log import Ledger
-from m100link.apps.fleet.payloads import Order
-from m100link.apps.fleet.secret import agree
+from m100link.apps.fleet.payloads import Order, agree
 from m100link.errors import M100Error, MissionRunning, NotAllowed, StaleLease, TaskRefused
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightPhase, FlightStatus

@@ -18,7 +18,7 @@ from m100link.apps.agent.transports import Channel, memory_channels
 from m100link.apps.bus.network import Bus
 from m100link.apps.fleet.agent import FleetAgent, Verify
 from m100link.apps.fleet.carrier import FleetChannel
-from m100link.apps.fleet.client import Fleet
+from m100link.apps.fleet.client import Fleet, open_fleet
 from m100link.apps.fleet.identity import nobody
 from m100link.apps.fleet.keys import DEFAULT_SITE, Keys, check_name, in_order
 from m100link.apps.fleet.logs.service import RATE, LogService
@@ -27,7 +27,6 @@ from m100link.apps.fleet.missions.board import MissionTeller
 from m100link.apps.fleet.order_log import FileLedger, Ledger, MemoryLedger
 from m100link.apps.fleet.publisher import AgentTold
 from m100link.apps.fleet.revocations import Revocations, RevocationService
-from m100link.apps.fleet.session import open_fleet
 from m100link.apps.fleet.show.service import Beside, ShowService
 from m100link.apps.station.config import Settings
 from m100link.apps.station.listeners import (

@@ -15,10 +15,10 @@ import pytest
 
 from m100link.apps.agent.messages import Action, Ask
 from m100link.apps.fleet.asking import Asker
+from m100link.apps.fleet.client import open_fleet
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.logs.words import LogQuestion, What, pack_question
 from m100link.apps.fleet.payloads import Outcome, pack
-from m100link.apps.fleet.session import open_fleet
 from m100link.log import read
 from tests.apps.cli.test_fleet import Site, site
 from tests.waiting import PATIENCE

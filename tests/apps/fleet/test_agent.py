@@ -29,6 +29,8 @@ from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.order_log import MemoryLedger
 from m100link.apps.fleet.payloads import (
     Card,
+    Half,
+    LeaseRequest,
     Order,
     Outcome,
     Progress,
@@ -38,7 +40,6 @@ from m100link.apps.fleet.payloads import (
     unpack,
     unpack_message,
 )
-from m100link.apps.fleet.secret import Half, LeaseRequest
 from m100link.errors import NotAllowed, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.setpoint import Setpoint

@@ -15,10 +15,9 @@ from m100link.apps.agent.messages import Action, Ask, Message
 from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.bus.network import Answer, Bus, Question
 from m100link.apps.fleet.asking import PATIENCE_S, STEP_S, Asker, Questions, believed, clocks_told
-from m100link.apps.fleet.client import Fleet
+from m100link.apps.fleet.client import Fleet, open_fleet
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.payloads import Order, Outcome, Progress, Reply, outcome_of, pack, unpack
-from m100link.apps.fleet.session import open_fleet
 from m100link.errors import M100Error, OutcomeUnknown, Unreachable
 from tests.apps.bus.memory import MemoryBus, MemoryNetwork, Weather
 from tests.apps.bus.pair import free_place, until

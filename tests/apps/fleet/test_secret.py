@@ -18,8 +18,18 @@ from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.bus.network import Answer, Question
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.payloads import Order, Outcome, Progress, Reply, pack, pack_steer, unpack
-from m100link.apps.fleet.secret import Half, LeaseRequest, agree
+from m100link.apps.fleet.payloads import (
+    Half,
+    LeaseRequest,
+    Order,
+    Outcome,
+    Progress,
+    Reply,
+    agree,
+    pack,
+    pack_steer,
+    unpack,
+)
 from m100link.apps.fleet.signing import signing, verifying
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.fleet.conftest import SITE, OnBoard, Rig

@@ -7,7 +7,7 @@ from contextlib import AsyncExitStack
 import anyio
 import pytest
 
-from m100link.apps.fleet.session import open_fleet
+from m100link.apps.fleet.client import open_fleet
 from m100link.errors import UsageError
 from tests.apps.bus.pair import free_place, until
 
