@@ -30,15 +30,15 @@ def test_an_item_that_the_document_does_not_have_is_known_by_its_own_names(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A table of the document's names is no second list of items: an item is declared once."""
-    another = replace(ITEMS[-1], bit=15, name="airspeed")
+    another = replace(ITEMS[-1], bit=15, name="nobody_has")
     monkeypatch.setattr("m100link.protocol.items.ITEMS", (*ITEMS, another))
     spec = find_spec("m100link.telemetry.columns")
     assert spec is not None
     assert spec.loader is not None
     made = module_from_spec(spec)
     spec.loader.exec_module(made)
-    assert made.ITEM_NAMES["airspeed"] is another
-    assert made.column_named("airspeed.control") == "airspeed.control"
+    assert made.ITEM_NAMES["nobody_has"] is another
+    assert made.column_named("nobody_has.control") == "nobody_has.control"
     assert made.column_named("vgx") == "velocity.north_m_s"
 
 
