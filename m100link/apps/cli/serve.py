@@ -328,6 +328,7 @@ class SettingsOptions(Protocol):
     @property
     def run(self) -> RunOptions:
         """How the station runs."""
+        ...
 
 
 def settings_of(options: SettingsOptions, *, launch: Path | None = None, **more: Any) -> Settings:

@@ -26,10 +26,12 @@ from m100link.geodesy import LocalFrame
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
 from tests.apps.cli.conftest import CommandLine
-from tests.apps.cli.test_fleet import Site
+from tests.apps.cli.test_fleet import Site, site
 from tests.apps.fleet.show.shows import FIVE, five
 from tests.apps.fleet.test_pki import free_port
 from tests.waiting import PATIENCE
+
+__all__ = ["site"]
 
 needs_zenoh = pytest.mark.skipif(
     find_spec("zenoh") is None, reason="the extra fleet is not installed"

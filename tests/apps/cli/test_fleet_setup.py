@@ -28,7 +28,11 @@ from m100link.log.folder import default_folder
 from tests.apps.cli.conftest import CommandLine
 from tests.apps.cli.test_fleet import Site
 from tests.apps.fleet.test_pki import free_port, until
+from tests.apps.cli.test_fleet import Site, site
+from tests.apps.fleet.test_acl import free_port, until
 from tests.waiting import PATIENCE
+
+__all__ = ["site"]
 
 needs_zenoh = pytest.mark.skipif(
     find_spec("zenoh") is None, reason="the extra fleet is not installed"
