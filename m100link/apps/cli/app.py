@@ -104,7 +104,7 @@ VERBS = {
     ),
     "log": (
         "log:app",
-        "Look at flight logs, make tables of them, mend what was cut off; no aircraft is needed.",
+        "Look at flight logs, make tables of them, mend damaged ones; no aircraft is needed.",
     ),
     "decode": (
         "decode:decode",
