@@ -45,7 +45,7 @@ each_item = pytest.mark.parametrize("item", ITEMS, ids=[item.name for item in IT
 
 def test_bits_names_and_rates_are_those_of_the_document() -> None:
     assert [(item.name, item.rate_hz) for item in ITEMS] == DOCUMENT
-    assert [item.bit for item in ITEMS] == list(range(12))
+    assert [item.bit for item in ITEMS] == list(range(len(DOCUMENT)))
     assert list(BY_NAME.values()) == list(BY_RECORD.values()) == list(ITEMS)
 
 

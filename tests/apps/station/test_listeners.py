@@ -5,7 +5,9 @@ from __future__ import annotations
 import random
 import socket
 from contextlib import AsyncExitStack
+from dataclasses import fields, replace
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -53,6 +55,16 @@ def test_each_row_names_a_module_that_serves() -> None:
         assert callable(module.serve), name
         assert hasattr(module, "prepare") is row.prepares, name
         assert row.beside in ("", *FRONTS), name
+
+
+def test_each_port_of_the_settings_is_of_a_front() -> None:
+    """Else it could be set, and nobody would listen there."""
+    for name in (one.name for one in fields(Settings)):
+        if name.endswith(("port", "ports")):
+            port: Any = (4711,) if name.endswith("s") else 4711
+            settings = replace(Settings(), **{name: port})
+            listening = {port for row in FRONTS.values() for port in row.ports(settings) or ()}
+            assert 4711 in listening, name
 
 
 async def test_sockets_reach_their_front_by_name_in_whatever_order(
