@@ -42,6 +42,7 @@ from m100link.apps.cli.serve import (
     warn_of,
 )
 from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, print_json, wants_json
+from m100link.apps.fleet.client import open_fleet
 from m100link.apps.fleet.identity import BadRights, Right, Rights, nobody
 from m100link.apps.fleet.keys import DEFAULT_SITE
 from m100link.apps.fleet.logs.service import RATE
@@ -51,14 +52,6 @@ from m100link.apps.fleet.pki import init as make_authority
 from m100link.apps.fleet.pki import issue as make_certificate
 from m100link.apps.fleet.pki import revoke as revoke_names
 from m100link.apps.fleet.revocations import LIST, Revocations, bring
-from m100link.apps.fleet.session import open_fleet
-from m100link.apps.fleet.client import open_fleet
-from m100link.apps.fleet.identity import Rights, nobody
-from m100link.apps.fleet.keys import DEFAULT_SITE
-from m100link.apps.fleet.logs.service import RATE
-from m100link.apps.fleet.lost_link import LostAction, LostPlan
-from m100link.apps.fleet.pki import router_config
-from m100link.apps.fleet.revocations import Revocations
 from m100link.apps.fleet.signing import tls_options, verifying
 from m100link.apps.station.config import ENVIRONMENT, ONLY_NAME, Settings, resolve
 from m100link.apps.station.fleet import (

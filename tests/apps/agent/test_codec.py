@@ -9,7 +9,6 @@ import math
 import struct
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 from enum import Enum
 from typing import Any, get_args, get_type_hints
 

@@ -26,10 +26,8 @@ from m100link.apps.station.run import _flights
 from m100link.log import read
 from m100link.log.folder import default_folder
 from tests.apps.cli.conftest import CommandLine
-from tests.apps.cli.test_fleet import Site
-from tests.apps.fleet.test_pki import free_port, until
 from tests.apps.cli.test_fleet import Site, site
-from tests.apps.fleet.test_acl import free_port, until
+from tests.apps.fleet.test_pki import free_port, until
 from tests.waiting import PATIENCE
 
 __all__ = ["site"]
