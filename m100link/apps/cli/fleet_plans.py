@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import cyclopts
 from cyclopts import Parameter
 
 from m100link.apps.agent.messages import Action, Ask, Message
@@ -24,7 +23,7 @@ from m100link.apps.cli.fleet import (
     told_when_interrupted,
 )
 from m100link.apps.cli.mission import event_name, event_words
-from m100link.apps.cli.options import Above0, AsJson, Flag
+from m100link.apps.cli.options import Above0, AsJson, Flag, group
 from m100link.apps.cli.plan import File, FileOptions, read_plan, require_free
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json, wants_json
 from m100link.apps.fleet.client import FleetAircraft
@@ -40,10 +39,9 @@ from m100link.flight.guards import Envelope
 from m100link.flight.missions.events import Finished, MissionEvent, MissionProgress, Reached
 from m100link.missions.plan import AtEnd, WaypointPlan
 
-missions = cyclopts.App(
-    name="mission",
-    help="Let an aircraft fly a plan by itself, and act on a mission that flies (firmware 3.1).",
-    version_flags=(),
+missions = group(
+    "mission",
+    "Let an aircraft fly a plan by itself, and act on a mission that flies (firmware 3.1).",
 )
 
 Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=())]
@@ -324,10 +322,8 @@ def _progress(card: MissionCard) -> str:
 # -- ``m100link fleet show``: look at shows and check them, and let a fleet fly them ---------------
 
 
-shows = cyclopts.App(
-    name="show",
-    help="Formations whose aircraft fly timed tracks: check them, draw them, fly them.",
-    version_flags=(),
+shows = group(
+    "show", "Formations whose aircraft fly timed tracks: check them, draw them, fly them."
 )
 
 

@@ -15,7 +15,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
-import cyclopts
 from cyclopts import Parameter
 
 from m100link.apps.agent.journal import JOURNAL_LOG
@@ -30,7 +29,7 @@ from m100link.apps.cli.fleet import (
     tell_results,
     wanted_names,
 )
-from m100link.apps.cli.options import Above0, AsJson, Counted, offered, options_of
+from m100link.apps.cli.options import Above0, AsJson, Counted, group, offered, options_of
 from m100link.apps.cli.plan import File, require_free
 from m100link.apps.cli.serve import (
     AS_USUAL,
@@ -313,15 +312,11 @@ async def _serve_console(
 # -- ``m100link fleet pki`` and ``fleet acl``: certificates of a fleet, and who may do what in  ----
 
 
-pki = cyclopts.App(
-    name="pki",
-    help="Certificates and signing keys of a fleet: an authority of its own, and what it issues.",
-    version_flags=(),
+pki = group(
+    "pki", "Certificates and signing keys of a fleet: an authority of its own, and what it issues."
 )
-acl = cyclopts.App(
-    name="acl",
-    help="Who may do what with which aircraft: look at a file of rights, make a router's rules.",
-    version_flags=(),
+acl = group(
+    "acl", "Who may do what with which aircraft: look at a file of rights, make a router's rules."
 )
 
 Pki = Annotated[Path | None, Parameter(env_var="M100LINK_PKI")]

@@ -7,7 +7,6 @@ from collections.abc import Awaitable, Callable
 from dataclasses import asdict
 from typing import Annotated
 
-import cyclopts
 from cyclopts import Parameter
 from rich.table import Table
 
@@ -26,16 +25,14 @@ from m100link.apps.cli.fleet_plans import missions, shows
 from m100link.apps.cli.fleet_setup import acl, agent, console, pki, router
 from m100link.apps.cli.fleet_watch import app as log
 from m100link.apps.cli.fleet_watch import lease, monitor, watch
-from m100link.apps.cli.options import Above0
+from m100link.apps.cli.options import Above0, group
 from m100link.apps.cli.terminal import ExitCode, print_json
 from m100link.apps.fleet.client import FleetAircraft
 from m100link.apps.fleet.keys import in_order
 from m100link.apps.fleet.payloads import Card
 
-app = cyclopts.App(
-    name="fleet",
-    help="Many aircraft on many machines: a router, agents on board, pilots, formations.",
-    version_flags=(),
+app = group(
+    "fleet", "Many aircraft on many machines: a router, agents on board, pilots, formations."
 )
 
 

@@ -11,7 +11,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
-import cyclopts
 from rich.filesize import decimal
 from rich.live import Live
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
@@ -27,7 +26,7 @@ from m100link.apps.cli.fleet import (
     tell_results,
     wanted_names,
 )
-from m100link.apps.cli.options import Above0, Flag
+from m100link.apps.cli.options import Above0, Flag, group
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json
 from m100link.apps.fleet.client import Fleet, FleetAircraft
 from m100link.apps.fleet.keys import Keys, in_order
@@ -208,11 +207,7 @@ def lease(name: str, /, *, take_over: Flag = False, options: FleetOptions = NO_O
 # -- ``m100link fleet log``: the flight logs that lie on board -------------------------------------
 
 
-app = cyclopts.App(
-    name="log",
-    help="List and fetch the flight logs that agents have recorded on board.",
-    version_flags=(),
-)
+app = group("log", "List and fetch the flight logs that agents have recorded on board.")
 
 
 async def _each(

@@ -15,13 +15,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Annotated, Any
 
-import cyclopts
 from cyclopts import Parameter
 
 from m100link.aircraft import Aircraft, connect
 from m100link.apps.cli.common import BY_LINK, LinkOptions, Place, Url, err, out, run_async
 from m100link.apps.cli.display import items_named, reading, status
-from m100link.apps.cli.options import Above0, AsJson, Firmware, offered
+from m100link.apps.cli.options import Above0, AsJson, Firmware, group, offered
 from m100link.apps.cli.terminal import ExitCode, complain, print_json, wants_json
 from m100link.errors import LinkError, UsageError
 from m100link.link.keyfile import read_key
@@ -385,10 +384,8 @@ def _is_there(target: Path) -> UsageError:
 
 # -- log -------------------------------------------------------------------------------------------
 
-app = cyclopts.App(
-    name="log",
-    help="Look at flight logs, make tables of them, mend damaged ones; no aircraft is needed.",
-    version_flags=(),
+app = group(
+    "log", "Look at flight logs, make tables of them, mend damaged ones; no aircraft is needed."
 )
 
 for _verb in (plot, csv, parquet, wireshark, ros2, layout, frames):

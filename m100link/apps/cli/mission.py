@@ -10,7 +10,6 @@ from contextlib import asynccontextmanager
 from dataclasses import asdict
 from typing import Annotated
 
-import cyclopts
 from cyclopts import Parameter
 from rich.console import Group
 from rich.live import Live
@@ -20,7 +19,7 @@ from m100link.aircraft import Aircraft, connect
 from m100link.apps.cli.common import AS_SET, AircraftOptions, Place, Url, err, out, run_async
 from m100link.apps.cli.display import Point, track_plot
 from m100link.apps.cli.flight import activate_app, confirm, hear_of_mission, require_no_mission
-from m100link.apps.cli.options import Above0, Flag
+from m100link.apps.cli.options import Above0, Flag, group
 from m100link.apps.cli.plan import File, FileOptions, read_plan, require_free
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json
 from m100link.errors import UsageError
@@ -45,10 +44,9 @@ from m100link.protocol.commands.missions import MissionStatus
 from m100link.protocol.records import FlightPhase, Position
 from m100link.telemetry.subscription import Latest
 
-app = cyclopts.App(
-    name="mission",
-    help="Let the aircraft fly a plan by itself, and act on a mission that flies (firmware 3.1).",
-    version_flags=(),
+app = group(
+    "mission",
+    "Let the aircraft fly a plan by itself, and act on a mission that flies (firmware 3.1).",
 )
 
 

@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
-from cyclopts import Parameter, validators
+from cyclopts import App, Parameter, validators
 
 from m100link.protocol.firmware import PROFILES
 
@@ -38,6 +38,11 @@ AsJson = Annotated[bool | None, Parameter(negative="--table")]
 
 Counted = Parameter(validator=validators.Number(gte=1))
 """Pieces: at least one."""
+
+
+def group(name: str, text: str) -> App:
+    """A verb that has verbs of its own."""
+    return App(name=name, help=text, version_flags=())
 
 
 def offered(candidates: Iterable[str] | Callable[[], Iterable[str]]) -> Any:

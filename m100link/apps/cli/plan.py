@@ -8,10 +8,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import cyclopts
 from cyclopts import Parameter
 
-from m100link.apps.cli.options import Above0, AsJson
+from m100link.apps.cli.options import Above0, AsJson, group
 from m100link.apps.cli.terminal import ExitCode, print_json, wants_json
 from m100link.errors import BadPlan, UsageError
 from m100link.geodesy import LocalFrame
@@ -21,11 +20,7 @@ from m100link.missions.plan import WaypointPlan
 from m100link.missions.survey import survey as lines_over
 from m100link.missions.waypoint import GimbalPitch, Heading, Stay, TurnTo, Waypoint, WaypointAction
 
-app = cyclopts.App(
-    name="plan",
-    help="Look at plans of waypoints, check and convert them; no aircraft is needed.",
-    version_flags=(),
-)
+app = group("plan", "Look at plans of waypoints, check and convert them; no aircraft is needed.")
 
 File = Annotated[str | Path, Parameter(allow_leading_hyphen=True)]
 """A name, or a hyphen for a standard stream: as it was typed. For a path shells offer files."""

@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import cyclopts
 from cyclopts import Parameter
 from rich.console import Group
 from rich.panel import Panel
@@ -20,7 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from m100link.apps.cli.common import out
-from m100link.apps.cli.options import Above0, Firmware, options_of
+from m100link.apps.cli.options import Above0, Firmware, group, options_of
 from m100link.apps.cli.terminal import AS_IT_IS, LogOptions, keys_pressed, print_json
 from m100link.errors import UsageError
 from m100link.link.keyfile import read_key
@@ -48,9 +47,7 @@ if TYPE_CHECKING:
     from m100link.sim.virtual import VirtualAircraft
 
 
-app = cyclopts.App(
-    name="sim", help="A virtual Matrice 100, for people and other programs.", version_flags=()
-)
+app = group("sim", "A virtual Matrice 100, for people and other programs.")
 
 
 _OfTheLine: Any = options_of(
