@@ -9,12 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from m100link.aircraft.activation import ActivationProgress, activate
 from m100link.aircraft.payload import AircraftCamera, AircraftGimbal
 from m100link.aircraft.rates import set_telemetry_rates
-from m100link.errors import (
-    CommandRefused,
-    LinkError,
-    LossReason,
-    UsageError,
-)
+from m100link.errors import CommandRefused, LinkError, LossReason, UsageError
 from m100link.errors.base import of_the_system
 from m100link.flight.authority import Authority, AuthorityInput, AuthorityState
 from m100link.flight.handover import release_authority

@@ -15,8 +15,7 @@ from m100link.log.channels import EVENT, LINK, Told
 _SECRET = re.compile(r"\b((?:key|app[-_ ]?id)[=: ]+)[^\s&,;]+", re.IGNORECASE)
 _KEY = re.compile(r"(?<![0-9a-f])[0-9a-f]{64}(?![0-9a-f])", re.IGNORECASE)
 
-COUNTERS_S = 1.0
-"""Between two records of the counters of the link."""
+COUNTERS_S = 1.0  # between two records of the counters of the link
 
 
 def observer(aircraft: Aircraft) -> Callable[[], list[Told]]:

@@ -134,8 +134,7 @@ _REASONS = {
 }
 
 
-_GONE = frozenset({_S.CONTESTED, _S.PAUSED, _S.LOST, _S.NONE})
-"""States that have a reason."""
+_GONE = frozenset({_S.CONTESTED, _S.PAUSED, _S.LOST, _S.NONE})  # states that have a reason
 
 _DEVICE_INPUTS: dict[Device | None, AuthorityInput] = {
     Device.RC: _I.DEVICE_RC,

@@ -345,5 +345,4 @@ def _as_it_is_now(handler: Any) -> Any:
     return signal.default_int_handler if task is not None and task.done() else handler
 
 
-SIGNALS = SignalWatch()
-"""The watch of this process."""
+SIGNALS = SignalWatch()  # the watch of this process

@@ -9,10 +9,7 @@ from functools import partial, update_wrapper
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
-from m100link.errors import (
-    TaskRefused,
-    UsageError,
-)
+from m100link.errors import TaskRefused, UsageError
 from m100link.flight.authority import AuthorityState
 from m100link.flight.block import ControlBlock, PauseAction, Steering
 from m100link.flight.guardian import patience_of

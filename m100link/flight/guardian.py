@@ -143,8 +143,7 @@ def virtual_rc_plan(commander: Commander, *, falls_back: bool) -> GuardianPlan:
 
 # -- guardian --------------------------------------------------------------------------------------
 
-PATIENCE_S = 2.0
-"""Seconds that the event loop may stand still before the guardian ends the flight."""
+PATIENCE_S = 2.0  # seconds that the event loop may stand still before the guardian ends the flight
 
 _SHORTEST_S, _LONGEST_S = 0.5, 60.0
 _RENEWAL_S = 0.1

@@ -74,11 +74,9 @@ def _is_possible(value: tuple[Any, ...]) -> bool:
 
 # -- guards ----------------------------------------------------------------------------------------
 
-GPS_HEALTH_NEEDED = 3
-"""From this health on the autopilot holds a position (document 2.2.3.1)."""
+GPS_HEALTH_NEEDED = 3  # from this health on the autopilot holds a position (document 2.2.3.1)
 
-MAX_COMMAND_M_S = 10.0
-"""Of velocity setpoints on each axis (document 3.2)."""
+MAX_COMMAND_M_S = 10.0  # of velocity setpoints on each axis (document 3.2)
 
 STICK_SPEED = 17.0
 """What full deflection may fly in P, m/s: the fastest that the maker says of this aircraft."""

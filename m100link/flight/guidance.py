@@ -27,8 +27,7 @@ __all__ = [
     "require_in_the_air",
 ]
 
-FRESH_S = 0.5
-"""Seconds after which what was measured is too old to steer by."""
+FRESH_S = 0.5  # seconds after which what was measured is too old to steer by
 
 STOOD_STILL_S = 0.25
 """A loop that ticks so many seconds late stood still: what arrived meanwhile is read only now."""

@@ -180,12 +180,10 @@ class Orbit:
 # -- loops -----------------------------------------------------------------------------------------
 
 _MAX_OFFSET_M = 10.0  # the autopilot flies larger offsets no faster; a wrong fix must not matter
-BRAKING_PER_S = 0.5
-"""Speed towards a place, m/s, for each metre that remains."""
+BRAKING_PER_S = 0.5  # speed towards a place, m/s, for each metre that remains
 _BEGINS_WITHIN_M = 0.5  # of the first point of an orbit: nearer needs no flight to it
 
-Place = tuple[float, float, float]
-"""Latitude and longitude, °, and height above take-off, m."""
+Place = tuple[float, float, float]  # latitude and longitude, °, and height above take-off, m
 
 
 class ClosedLoops:

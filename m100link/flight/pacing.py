@@ -85,8 +85,7 @@ class Ticker:
         return Tick(index, index * self.period, missed, max(0.0, loop.time() - deadline))
 
 
-KEPT = 0.9
-"""Share of the frames of a second that have to go out: below it the rate is not kept."""
+KEPT = 0.9  # share of the frames of a second that have to go out: below it the rate is not kept
 
 _WINDOW_S = 1.0
 

@@ -24,8 +24,7 @@ from m100link.errors.base import of_the_system
 MOST_WAITING = 1000
 """Records that wait for their handlers at most; what comes then is dropped, and counted."""
 
-FLUSH_S = 0.25
-"""Seconds that the end of a flight waits at most until what was logged is written."""
+FLUSH_S = 0.25  # seconds that the end of a flight waits at most until what was logged is written
 
 _COVERED = ("m100link", "asyncio")  # asyncio logs in the event loop that flies
 _OF_FLIGHTS = "m100link.flight"
@@ -217,8 +216,7 @@ def _say(text: str) -> None:
     os.write(descriptor, line.encode(errors="replace"))
 
 
-LOG_THREAD = LogThread()
-"""The one of this process."""
+LOG_THREAD = LogThread()  # the one of this process
 
 atexit.register(LOG_THREAD.leave_behind)  # before logging.shutdown, which was registered earlier
 

@@ -20,11 +20,9 @@ SETPOINT_LIFETIME = 0.2
 NEUTRAL_TIME = 0.3
 """Seconds of neutral after a setpoint expired; then silence, on which the aircraft hovers."""
 
-LONG_LIFETIME = 1.0
-"""Seconds above which a lifetime needs an argument that says so."""
+LONG_LIFETIME = 1.0  # seconds above which a lifetime needs an argument that says so
 
-_PERIOD = 1.0 / MAX_RATE_HZ
-"""Shortest time between two frames, on average."""
+_PERIOD = 1.0 / MAX_RATE_HZ  # shortest time between two frames, on average
 
 _SLACK = 0.1 * _PERIOD
 """By how much a program that ticks itself may be early or late on our grid, s."""

@@ -8,11 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Literal
 
-from m100link.errors import (
-    AuthorityLost,
-    M100Error,
-    TaskRefused,
-)
+from m100link.errors import AuthorityLost, M100Error, TaskRefused
 from m100link.flight.authority import AuthorityState
 from m100link.flight.guardian import NOTHING, Wanted
 from m100link.flight.guards import known
@@ -22,10 +18,7 @@ from m100link.flight.missions.keeper import MissionKeeper
 from m100link.flight.setpoints import NEUTRAL_TIME, SetpointLoop
 from m100link.flight.tasks import Commander, is_on_ground, run_task, switch_motors
 from m100link.protocol.commands.control import Task
-from m100link.protocol.records import (
-    FlightPhase,
-    FlightStatus,
-)
+from m100link.protocol.records import FlightPhase, FlightStatus
 
 if TYPE_CHECKING:
     from m100link.flight.tasks import Commander
@@ -34,8 +27,7 @@ if TYPE_CHECKING:
 _logger = logging.getLogger(__name__)
 
 
-StopAction = Literal["hover", "land"]
-"""What the stop path does after the neutral setpoint."""
+StopAction = Literal["hover", "land"]  # what the stop path does after the neutral setpoint
 
 _LANDING_DEADLINE_S = 60.0
 _LANDING_RETRY_S = 0.5

@@ -23,12 +23,7 @@ from m100link.errors import (
 from m100link.flight.guards import GuardKeeper, known
 from m100link.protocol.codes import ArmCode, TaskResultCode, TaskStartCode
 from m100link.protocol.commands.control import Arm, QueryTask, StartTask, Task
-from m100link.protocol.commands.virtual_rc import (
-    CENTRE,
-    TRAVEL,
-    VirtualRcData,
-    VirtualRcSettings,
-)
+from m100link.protocol.commands.virtual_rc import CENTRE, TRAVEL, VirtualRcData, VirtualRcSettings
 from m100link.protocol.records import FlightPhase, FlightStatus, Position
 
 if TYPE_CHECKING:
@@ -115,8 +110,7 @@ class TaskProgress:
     result: TaskResultCode | None
 
 
-TaskListener = Callable[[TaskProgress], None]
-"""Told about four times a second how far a task is."""
+TaskListener = Callable[[TaskProgress], None]  # told about four times a second how far a task is
 
 
 def task_sequences() -> Iterator[int]:

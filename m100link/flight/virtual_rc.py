@@ -38,8 +38,7 @@ from m100link.protocol.records import ControlDevice, RcMode, RemoteControl
 
 _logger = logging.getLogger(__name__)
 
-DEAD_MAN_S = 0.5
-"""Seconds that sticks stay where they were put; then they go back to the centre."""
+DEAD_MAN_S = 0.5  # seconds that sticks stay where they were put; then they go back to the centre
 
 ABANDONED_S = 3.0
 """Seconds without renewal after which it is switched off: the pilot's sticks fly again."""

@@ -29,8 +29,7 @@ _SEEN = "user.m100link.seen"
 """An extended attribute: it goes with the file, and who cannot read the one cannot read the other.
 Where a file system has none, nothing is noticed."""
 
-MAX_SECRET_SIZE = 4096
-"""Longest file with a secret, bytes."""
+MAX_SECRET_SIZE = 4096  # longest file with a secret, bytes
 
 _RAW_KEY_SIZE = 32
 

@@ -34,8 +34,7 @@ from m100link.wire.frame import Frame
 _logger = logging.getLogger(__name__)
 
 
-CLOSE_TIMEOUT = 1.0
-"""Seconds that closing waits for written bytes to leave."""
+CLOSE_TIMEOUT = 1.0  # seconds that closing waits for written bytes to leave
 
 FORGET_AFTER = 5.0
 """Seconds after which the same number is a new command, not a repeat.

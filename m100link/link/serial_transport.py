@@ -101,8 +101,7 @@ class SerialPort(Protocol):
 class PortState(Enum):
     """Where a transport is between its first byte and its end."""
 
-    OPEN = "open"
-    """Bytes go both ways."""
+    OPEN = "open"  # bytes go both ways
     CLOSING = "closing"
     """``close()`` came: what was accepted still leaves, nothing is accepted or read."""
     ENDING = "ending"

@@ -51,8 +51,7 @@ hour, which it would take all at once when it goes on."""
 _HOST_GONE_MS = 10_000
 """Without a sign of a host that was sent something, or that takes nothing: the line is lost."""
 
-_LOOK_S = 1.0
-"""Seconds in which the owners of a port are looked for: others are left unnamed."""
+_LOOK_S = 1.0  # seconds in which the owners of a port are looked for: others are left unnamed
 
 _CAN_WATCH_PORTS = os.name == "posix"
 

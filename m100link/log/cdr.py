@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 
 _HEAD = b"\x00\x01\x00\x00"  # CDR, little-endian
 
-_MOST = 65536
-"""Values of a sequence and bytes of a text that are read: nothing here has more."""
+_MOST = 65536  # values of a sequence and bytes of a text that are read: nothing here has more
 
 _EMPTY = "uint8 structure_needs_at_least_one_member"
 """What rosidl puts into a message without fields."""
@@ -278,8 +277,7 @@ def _read(kind: str, body: bytes, at: int) -> tuple[Any, int]:
 # service or an action ``package/srv/Name_Request``.
 
 
-OWN_PACKAGE = "m100_msgs"
-"""The package of messages that nobody else has."""
+OWN_PACKAGE = "m100_msgs"  # the package of messages that nobody else has
 
 _STANDARD = {
     "action_msgs/GoalInfo": "unique_identifier_msgs/UUID goal_id\nbuiltin_interfaces/Time stamp",

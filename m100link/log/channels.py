@@ -32,8 +32,7 @@ COMMAND, EVENT, LINK = "/m100/command", "/m100/event", "/m100/link"
 TRANSFORM, MESSAGE, STATE = "/tf", "/m100/log", "/m100/state"
 """What is told live besides, to who watches a flight."""
 
-Told = tuple[str, dict[str, Any]]
-"""A topic, and what is said on it."""
+Told = tuple[str, dict[str, Any]]  # a topic, and what is said on it
 
 
 class Schema(NamedTuple):

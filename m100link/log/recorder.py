@@ -51,8 +51,7 @@ _LEFT_TELLING = 2
 _TELLING = 3  # of them not zero: such four bytes do not come by chance
 
 
-ECHO_S = 30.0
-"""What was sent may come back for so long, s."""
+ECHO_S = 30.0  # what was sent may come back for so long, s
 
 
 def may_hold_secret(direction: Direction, data: bytes) -> bool:
@@ -175,14 +174,11 @@ def _size_of_frame(data: bytes, at: int) -> int:
 
 # -- recorder --------------------------------------------------------------------------------------
 
-BATCH_S = 0.1
-"""What the loop notes goes to the thread so often: reads of so long are one message."""
+BATCH_S = 0.1  # what the loop notes goes to the thread so often: reads of so long are one message
 
-FLUSH_S = 0.5
-"""A process that is killed loses what it noted for so long, and a batch."""
+FLUSH_S = 0.5  # a process that is killed loses what it noted for so long, and a batch
 
-FSYNC_S = 5.0
-"""A computer that loses its power loses so much."""
+FSYNC_S = 5.0  # a computer that loses its power loses so much
 
 MAX_WAITING = 16_000_000
 """Bytes of memory for what waits for a disk that stands still; the rest is dropped and counted."""

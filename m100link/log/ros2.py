@@ -35,8 +35,7 @@ from m100link.telemetry.sample import Sample
 # What the wire does not say is said to be unknown, as each message has it.
 
 
-Stamp = tuple[int, int]
-"""Seconds and nanoseconds of POSIX time."""
+Stamp = tuple[int, int]  # seconds and nanoseconds of POSIX time
 
 Vector = tuple[float, float, float]
 

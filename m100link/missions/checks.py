@@ -331,8 +331,7 @@ CLIMB_M_S = 3.0
 LANDING_M_S = 1.5
 HOMEWARD_M_S = 8.0
 TURN_DEG_S = 45.0
-CAMERA_S = 1.5
-"""A photograph, and the beginning and end of a video."""
+CAMERA_S = 1.5  # a photograph, and the beginning and end of a video
 
 
 @dataclass(frozen=True, slots=True)
@@ -512,8 +511,7 @@ def _around(plan: PlanValues, home: tuple[float, float] | None) -> tuple[float, 
 # -- what a plan says and does not mean, or means and does not say: legal, and worth a look --------
 
 
-FACTORY_HEIGHT_M = 120.0
-"""Up to here an aircraft flies until its app allows more."""
+FACTORY_HEIGHT_M = 120.0  # up to here an aircraft flies until its app allows more
 
 
 def remarks(plan: PlanValues) -> Iterator[str]:

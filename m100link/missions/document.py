@@ -276,11 +276,9 @@ def _action(index: int, field: str, value: object) -> WaypointAction:
 # -- plans in files: reading, writing, and which kind a file is ------------------------------------
 
 
-FILE_TYPE = "Plan"
-"""What QGroundControl writes into a file of a mission."""
+FILE_TYPE = "Plan"  # what QGroundControl writes into a file of a mission
 
-_LARGEST = 16 * 1024 * 1024
-"""Bytes; a survey of thousands of photographs has not half a megabyte."""
+_LARGEST = 16 * 1024 * 1024  # bytes; a survey of thousands of photographs has not half a megabyte
 
 
 def read(path: str | Path) -> bytes:

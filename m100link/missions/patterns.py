@@ -15,8 +15,7 @@ from m100link.errors import UsageError
 
 __all__ = ["length_m", "survey"]
 
-_MAX_LINES = 1000
-"""More are a mistake in the units."""
+_MAX_LINES = 1000  # more are a mistake in the units
 
 Point = tuple[float, float, float]
 

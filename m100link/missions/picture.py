@@ -11,8 +11,7 @@ from m100link.missions.checks import leg_lengths
 from m100link.missions.waypoint import PlanValues, TakePhoto, Trace
 
 _WIDTH, _MAP, _PROFILE, _EDGE = 480.0, 320.0, 90.0, 28.0
-_NAMED = 30
-"""So many waypoints have room for their numbers."""
+_NAMED = 30  # so many waypoints have room for their numbers
 
 
 def svg(plan: PlanValues) -> str:

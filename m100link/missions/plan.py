@@ -231,10 +231,7 @@ class WaypointPlan:
             BadPlan: It is not such a file, or an item is nothing that the M100 flies; it is named
                 by its number, such as ``item 3``, or ``item 3.12`` inside of a survey.
         """
-        from m100link.missions import (
-            document,
-            qgroundcontrol,
-        )
+        from m100link.missions import document, qgroundcontrol
 
         found = document.load_object(text)
         written = qgroundcontrol.extra_of(found)

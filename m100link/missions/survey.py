@@ -12,13 +12,11 @@ from m100link.missions.patterns import survey as lines_over
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import AtEnd, GimbalPitch, TakePhoto, Waypoint
 
-_MOST_POINTS = 10_000
-"""More are a mistake in the units."""
+_MOST_POINTS = 10_000  # more are a mistake in the units
 
 _DOWN = -90.0
 
-Place = tuple[float, float]
-"""Latitude and longitude, °."""
+Place = tuple[float, float]  # latitude and longitude, °
 
 
 def line_spacing(height: float, overlap: float, field_of_view_deg: float) -> float:

@@ -29,12 +29,9 @@ from m100link.missions.waypoint import (
 )
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
 
-_SLOTS = 16
-"""Places for actions in a point; 15 of them are used."""
-_NO_TIME_LIMIT = 0xFFFF
-"""What DJI's programs send for none."""
-_ROS_DEMO_YAW_MODE = 4
-"""DJI's ROS demo sends it; taken as 0."""
+_SLOTS = 16  # places for actions in a point; 15 of them are used
+_NO_TIME_LIMIT = 0xFFFF  # what DJI's programs send for none
+_ROS_DEMO_YAW_MODE = 4  # DJI's ROS demo sends it; taken as 0
 
 _ACTIONS: tuple[type[WaypointAction], ...] = (
     Stay,

@@ -19,8 +19,7 @@ from m100link.protocol.firmware import FirmwareProfile, Generation
 from m100link.protocol.packet import fitting_profiles
 from m100link.wire import Cipher, Frame, FrameDecoder, encode_frame
 
-Asked = dict[tuple[int, int], type[Command]]
-"""What was asked, by session and sequence number."""
+Asked = dict[tuple[int, int], type[Command]]  # what was asked, by session and sequence number
 
 _LONGEST_FRAME = 1023
 

@@ -42,14 +42,11 @@ BATTERY_LOW = 25
 """Charge, %, from which down the aircraft warns. Set in the pilot's app; no command reads it, and
 this is what the virtual aircraft has."""
 
-BATTERY_CRITICAL = 10
-"""Charge, %, from which down it lands by itself; the same holds for it."""
+BATTERY_CRITICAL = 10  # charge, %, from which down it lands by itself; the same holds for it
 
-MAX_TELEMETRY_AGE = 1.0
-"""Seconds without telemetry after which the aircraft counts as silent."""
+MAX_TELEMETRY_AGE = 1.0  # seconds without telemetry after which the aircraft counts as silent
 
-GOOD_GPS = 3
-"""From this health on the autopilot holds a position (document 2.2.3.1)."""
+GOOD_GPS = 3  # from this health on the autopilot holds a position (document 2.2.3.1)
 
 _BATTERY_GAP = 2
 

@@ -23,14 +23,11 @@ Sources = Sequence[tuple[str, Mapping[str, Any]]]
 PORT = 9090
 """Where rosbridge listens, and DJI's page of 2015 connects."""
 
-CONSOLE_PORT = 8090
-"""Where the console is served."""
+CONSOLE_PORT = 8090  # where the console is served
 
-ONLY_NAME = "m100"
-"""What the only aircraft of a station is called there."""
+ONLY_NAME = "m100"  # what the only aircraft of a station is called there
 
-MOST_AIRCRAFT = 8
-"""Aircraft of one station: each costs a process, and nobody watches more."""
+MOST_AIRCRAFT = 8  # aircraft of one station: each costs a process, and nobody watches more
 
 FRONT_NICENESS = 5
 """A third of the agent's share of a busy processor: it still serves, and holds nobody up."""

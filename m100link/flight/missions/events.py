@@ -319,8 +319,7 @@ TRANSITIONS: dict[RunState, dict[RunInput, RunState]] = {
 IN_THE_AIR = frozenset(_S) - {_S.READY, _S.DETACHED, _S.OVER}
 """States in which the aircraft flies by it, as far as anybody knows."""
 
-OWES_A_STOP = IN_THE_AIR - {_S.RETURNING}
-"""States that nobody may leave behind."""
+OWES_A_STOP = IN_THE_AIR - {_S.RETURNING}  # states that nobody may leave behind
 
 
 # -- what an aircraft that says no to a mission is reported as -------------------------------------

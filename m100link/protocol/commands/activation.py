@@ -7,13 +7,7 @@ from struct import Struct
 from typing import Any, ClassVar, Self
 
 from m100link.errors import BadAck, BadValue, PayloadTooLarge, UsageError
-from m100link.protocol.codes import (
-    AckCode,
-    ActivationCode,
-    MobileDataCode,
-    RatesCode,
-    VersionCode,
-)
+from m100link.protocol.codes import AckCode, ActivationCode, MobileDataCode, RatesCode, VersionCode
 from m100link.protocol.command import (
     Address,
     Problem,
@@ -28,8 +22,7 @@ from m100link.protocol.items import BY_NAME
 from m100link.wire.cipher import Key
 from m100link.wire.crc import frame_crc32
 
-MOBILE_DATA_LIMIT = 100
-"""Bytes of one transparent message, either way (document 2.2.1.3, 2.2.3.3)."""
+MOBILE_DATA_LIMIT = 100  # bytes of one transparent message, either way (document 2.2.1.3, 2.2.3.3)
 
 BUNDLE_ID_SIZE = 32
 _NAME_SIZE = 32
@@ -227,8 +220,7 @@ class Activate(Request[ActivationCode]):
         return cls(app_id, level, version, _text(bundle_id))
 
 
-RATES_HZ = (0, 1, 10, 50, 100)
-"""Rates of a telemetry item, by their code on the wire."""
+RATES_HZ = (0, 1, 10, 50, 100)  # rates of a telemetry item, by their code on the wire
 
 KEEP_RATE = 5
 _RATE_BYTES = 16

@@ -10,12 +10,7 @@ from typing import Any, ClassVar
 
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Address
-from m100link.protocol.commands.missions import (
-    Answer,
-    DownloadAnswer,
-    MissionRequest,
-    Unconfirmed,
-)
+from m100link.protocol.commands.missions import Answer, DownloadAnswer, MissionRequest, Unconfirmed
 from m100link.protocol.fields import Laid, Layout, Number, Reserved, latitude, longitude
 
 _RADIUS = 5.0, 500.0

@@ -293,8 +293,7 @@ Event: TypeAlias = Uploaded | Finished | Reached | OtherKind
 STATUSES = (IdleStatus, WaypointStatus, HotpointStatus, FollowStatus, IocStatus)
 """What a status may tell, by its kind."""
 
-EVENTS = (Uploaded, Finished, Reached)
-"""What a waypoint mission may tell, by its kind."""
+EVENTS = (Uploaded, Finished, Reached)  # what a waypoint mission may tell, by its kind
 
 _PUSH_SIZE = 6
 

@@ -10,8 +10,7 @@ from m100link.protocol.commands.activation import MOBILE_DATA_LIMIT, check_mobil
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.packet import TelemetryPacket
 
-AUTHORITY_LOST = 0x04
-"""The fixed value of the authority notification."""
+AUTHORITY_LOST = 0x04  # the fixed value of the authority notification
 
 
 @dataclass(frozen=True, slots=True)

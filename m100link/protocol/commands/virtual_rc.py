@@ -14,8 +14,7 @@ from m100link.protocol.command import Address, Movement, Problem, Push, exactly,
 from m100link.protocol.fields import Laid, Layout, Number
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
-CENTRE, TRAVEL = 1024, 660
-"""Each channel is 1024 ± 660."""
+CENTRE, TRAVEL = 1024, 660  # each channel is 1024 ± 660
 
 CHANNELS = ("roll", "pitch", "throttle", "yaw", "gear", "go_home", "mode")
 """The channels that mean something, in the order of the wire; nine more are spare."""

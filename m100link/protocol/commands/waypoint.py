@@ -98,8 +98,7 @@ ACTION_PARAMETERS = {
 """What the parameter of an action may be; that of the others means nothing."""
 
 _SLOTS = 16
-USED_SLOTS = 15
-"""Actions of a point at most, although there are 16 places for them."""
+USED_SLOTS = 15  # actions of a point at most, although there are 16 places for them
 
 
 @dataclass(frozen=True, slots=True)

@@ -72,8 +72,7 @@ class Airframe:
 # -- dynamics --------------------------------------------------------------------------------------
 
 GRAVITY = 9.80665
-STEPS_PER_SECOND = 100
-"""One step is one period of the fastest telemetry rate."""
+STEPS_PER_SECOND = 100  # one step is one period of the fastest telemetry rate
 STEP_S = 1.0 / STEPS_PER_SECOND
 
 
@@ -84,10 +83,8 @@ class ModelHorizontal(IntEnum):
     """Roll and pitch in radians."""
     VELOCITY = 1
     """m/s."""
-    POSITION = 2
-    """A place: metres north and east of the origin."""
-    BRAKE = 3
-    """Stop, then hold the place where it stopped."""
+    POSITION = 2  # a place: metres north and east of the origin
+    BRAKE = 3  # stop, then hold the place where it stopped
 
 
 class ModelVertical(IntEnum):

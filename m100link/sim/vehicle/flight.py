@@ -90,8 +90,7 @@ class TaskMachine:
 
 # -- flight ----------------------------------------------------------------------------------------
 
-GOOD_GPS = 3
-"""GPS health from which position and velocity can be controlled."""
+GOOD_GPS = 3  # GPS health from which position and velocity can be controlled
 
 _SPIN_UP_S = 1.0
 _FINISHING_S = 2.0  # flight status 5 lasts two seconds, say DJI's later documents

@@ -69,8 +69,7 @@ class Wander:
 
 # -- sensors ---------------------------------------------------------------------------------------
 
-Values = tuple[float, ...]
-"""The fields of one item."""
+Values = tuple[float, ...]  # the fields of one item
 
 # With noise = 1: decent sensors, well fused. What a filter makes of them wanders: standard
 # deviation, and memory in seconds. What an inertial sensor says itself is white.

@@ -19,12 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Notification
-from m100link.protocol.commands.missions import (
-    IdleStatus,
-    MissionStatus,
-    Reached,
-    WaypointEvent,
-)
+from m100link.protocol.commands.missions import IdleStatus, MissionStatus, Reached, WaypointEvent
 from m100link.sim.vehicle.dynamics import Guidance, ModelVertical
 from m100link.sim.vehicle.flight import GOOD_GPS, FlightController, Maneuver
 from m100link.sim.vehicle.missions.actions import Conditions, Payload

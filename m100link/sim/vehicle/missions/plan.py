@@ -253,14 +253,12 @@ class Stage(Enum):
 
     EMPTY = auto()
     """Nothing was uploaded, or it has ended."""
-    PLANNED = auto()
-    """The mission is there, points are missing."""
+    PLANNED = auto()  # the mission is there, points are missing
     READY = auto()
     """All points are there and fit together."""
     FLYING = auto()
     PAUSED = auto()
-    OTHER = auto()
-    """A mission of another kind runs."""
+    OTHER = auto()  # a mission of another kind runs
 
 
 class Order(Enum):

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from m100link.sim.vehicle.dynamics import Airframe
 
 
-BRAKING = 1.8
-"""Deceleration that missions plan with, m/s²."""
+BRAKING = 1.8  # deceleration that missions plan with, m/s²
 _NEARING = 0.8  # m/s per metre on the last metres before a stop
 _SIDEWAYS = 1.0  # m/s per metre beside the line
 _FASTEST_SIDEWAYS = 3.0

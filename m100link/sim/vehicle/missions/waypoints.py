@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from m100link.sim.vehicle.remote import Sticks
 
 
-BEFORE_ACTIONS, AFTER_ACTIONS = 4, 6
-"""Status in the event that a waypoint was reached."""
+BEFORE_ACTIONS, AFTER_ACTIONS = 4, 6  # status in the event that a waypoint was reached
 
 _STICK_DEAD_ZONE = 0.05
 _MOMENT_S = 0.2  # how long the status shows that a point was reached, or its actions are done

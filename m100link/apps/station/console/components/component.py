@@ -17,14 +17,7 @@ from m100link.apps.station.console.orders import Orders
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.tabs import Tabs
 from m100link.apps.station.console.view.fly import HELD, Reading
-from m100link.apps.station.console.view.texts import (
-    Kind,
-    Settings,
-    Speaker,
-    Text,
-    tr,
-    translations,
-)
+from m100link.apps.station.console.view.texts import Kind, Settings, Speaker, Text, tr, translations
 from m100link.apps.station.console.view.view import Memory, View
 from m100link.errors import GuardRefused, UsageError
 from m100link.protocol.commands.control import Task

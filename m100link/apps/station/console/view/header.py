@@ -8,13 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from m100link.apps.agent.messages import Replay
-from m100link.apps.station.console.view.situation import (
-    Hearing,
-    Inputs,
-    Level,
-    Ship,
-    Situation,
-)
+from m100link.apps.station.console.view.situation import Hearing, Inputs, Level, Ship, Situation
 from m100link.apps.station.console.view.texts import Kind, Quantity, Text, problem_text, tr
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.codes import ActivationCode
