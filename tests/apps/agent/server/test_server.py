@@ -548,7 +548,9 @@ async def test_what_is_asked_for_is_asked_of_the_agent_with_its_unit(
     assert done == (("", 4_567) if action is Action.MISSION_SPEED else None)
 
 
-@pytest.mark.parametrize("action", [one for one in Action if one is not Action.HALT], ids=lambda one: one.name)
+@pytest.mark.parametrize(
+    "action", [one for one in Action if one is not Action.HALT], ids=lambda one: one.name
+)
 async def test_every_action_has_a_row(action: Action) -> None:
     """A question without one would end as a fault of the agent; a halt waits for no table."""
     work: Any
