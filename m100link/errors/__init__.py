@@ -97,28 +97,26 @@ from m100link.errors.aircraft import (
     TelemetryStalled,
 )
 from m100link.errors.base import M100Error, OutOfResources
-from m100link.errors.fleet import (
-    FleetError,
-    NotAllowed,
-    OutcomeUnknown,
-    StaleLease,
-    Unreachable,
-)
 from m100link.errors.line import (
     AnotherAircraft,
+    FleetError,
     LineBlocked,
     LinkClosed,
     LinkError,
     LinkLost,
     NoAircraft,
     NoAnswer,
+    NotAllowed,
     NoValidFrame,
+    OutcomeUnknown,
     PortBusy,
     PortFailed,
     PortNotFound,
     PortPermissionDenied,
     ReplayEnded,
     SilentLine,
+    StaleLease,
+    Unreachable,
 )
 from m100link.errors.usage import (
     BadKey,
