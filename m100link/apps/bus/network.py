@@ -90,6 +90,7 @@ class Outlet(Held, Protocol):
 
     def is_wanted(self) -> bool:
         """Whether anybody is known to listen; what is kept is wanted by who comes late."""
+        ...
 
 
 class Inbox(Protocol[T]):
@@ -97,6 +98,7 @@ class Inbox(Protocol[T]):
 
     def take(self) -> list[T]:
         """All of it, oldest first; never waits."""
+        ...
 
 
 class Session(Protocol):
@@ -105,9 +107,11 @@ class Session(Protocol):
     @property
     def session(self) -> str:
         """Id of the session."""
+        ...
 
     def declare(self, token: str) -> Held:
         """Show a token as long as the session is there, and no longer."""
+        ...
 
 
 class Bus(Session, Protocol):
@@ -119,6 +123,7 @@ class Bus(Session, Protocol):
         ``within``: seconds that a message may wait for others to go with it: where many go, that
         costs a fraction. None waits for longer than it takes until an outlet is closed.
         """
+        ...
 
     def subscribe(
         self,
@@ -133,9 +138,11 @@ class Bus(Session, Protocol):
         ``within``: seconds that a message may wait outside of Python for others to be taken with
         it: where many come, that costs a fraction.
         """
+        ...
 
     def serve(self, key: str, take: Callable[[Question], None], *, depth: int = DEPTH) -> Held:
         """Hear questions; one that is lost or dropped looks to its asker like nobody."""
+        ...
 
     async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:
         """Ask everybody who serves it.
@@ -144,12 +151,15 @@ class Bus(Session, Protocol):
         nothing at all: nobody is there, or may not answer, or did not in time, or the way there or
         back is cut.
         """
+        ...
 
     def watch(self, pattern: str, take: Callable[[str, bool], None]) -> Held:
         """See tokens come (True) and go (False), those first that are there."""
+        ...
 
     async def tokens(self, pattern: str, *, timeout: float) -> list[str]:
         """The tokens that are there."""
+        ...
 
 
 class PolledBus(Session, Protocol):
@@ -160,18 +170,23 @@ class PolledBus(Session, Protocol):
 
         So many are ``kept`` for who comes late.
         """
+        ...
 
     def inbox(self, pattern: str, depth: int) -> Inbox[Received]:
         """Hear messages; of what is not taken in time the newest ``depth`` stay."""
+        ...
 
     def questions(self, key: str, depth: int) -> Inbox[Question]:
         """Hear questions; what is too much is not answered."""
+        ...
 
     def changes(self, pattern: str) -> Inbox[TokenChange]:
         """See tokens come and go, those first that are there; :data:`DEPTH` of them wait."""
+        ...
 
     def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
         """Ask whether anybody answers, for so many seconds: true for each who does."""
+        ...
 
 
 def fits(pattern: str, key: str) -> bool:

@@ -61,7 +61,7 @@ class MissionComputer:
     """Missions of one aircraft.
 
     ``is_active``: whether there is anything to do each step: a mission was uploaded or started
-    since power-on. Until then nothing here costs time.
+    since power-on. Until then nothing here costs time. ``running``: the mission, paused or not.
     """
 
     def __init__(

@@ -184,7 +184,7 @@ class WaypointUpload:
     """The memory for one waypoint mission.
 
     ``mission``: as 0x03/0x10 had it, with the idle speed that was set since; None without one.
-    ``plan``: all of it, once the check of the whole has passed.
+    ``points``: waypoints, by index. ``plan``: all of it, once the check of the whole has passed.
     """
 
     __slots__ = ("_settings", "_site", "mission", "plan", "points")
