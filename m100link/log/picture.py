@@ -17,7 +17,7 @@ from statistics import fmean
 from typing import Any, NamedTuple
 
 from m100link.errors import UsageError
-from m100link.geodesy import round_length
+from m100link.geodesy import MapView, svg_dot, svg_line, svg_text
 from m100link.log.story import Curve, Span, Story
 
 # -- what is drawn of a flight, whether as a picture or as a page: panels, their curves, colour ----
@@ -595,31 +595,22 @@ def _track(story: Story) -> tuple[str, list[tuple[float, float, float]]]:
     places = story.track.places()
     if not places:
         return _NOWHERE, []
-    norths, easts = [p[1] for p in places], [p[2] for p in places]
-    north, south = max(*norths, 0.0), min(*norths, 0.0)
-    east, west = max(*easts, 0.0), min(*easts, 0.0)
-    extent = max(north - south, east - west, 4.0)
-    scale = (_TRACK - 2 * _EDGE) / extent
-    left = _TRACK / 2 - (east + west) / 2 * scale
-    top = _TRACK / 2 + (north + south) / 2 * scale
-    drawn = [(at, round(left + e * scale, 1), round(top - n * scale, 1)) for at, n, e in places]
+    home = 0.0, 0.0
+    view = MapView([home, *((n, e) for _, n, e in places)], (_TRACK, _TRACK), _EDGE, least_m=4.0)
+    spots = [(at, *view.spot(north, east)) for at, north, east in places]
+    drawn = [(at, round(x, 1), round(y, 1)) for at, x, y in spots]
+    left, top = view.spot(*home)
     lines = "".join(
-        f'<polyline points="{" ".join(f"{x},{y}" for x, y in points)}" '
-        f'stroke="{PHASE_COLOURS.get(name, "#888")}" fill="none" stroke-width="2"/>'
+        svg_line(points, PHASE_COLOURS.get(name, "#888"), 2)
         for name, points in _by_phase(story, drawn)
     )
-    bar = round_length(extent / 2)
-    end = drawn[-1]
     svg = (
         f'<svg viewBox="0 0 {_TRACK:g} {_TRACK:g}" role="img" aria-label="track, north up">{lines}'
-        f'<circle cx="{left:.1f}" cy="{top:.1f}" r="6" fill="none" stroke="currentColor"/>'
-        f'<text x="{left + 9:.1f}" y="{top - 6:.1f}">home</text>'
-        f'<circle cx="{end[1]}" cy="{end[2]}" r="3.5" fill="currentColor"/>'
+        f"{svg_dot((left, top), 6)}{svg_text((left + 9, top - 6), 'home')}"
+        f"{svg_dot(drawn[-1][1:], 3.5, 'currentColor', 'none')}"
         '<circle id="place" r="5" fill="var(--alarm)" style="display:none"/>'
-        f'<path d="M12 {_TRACK - 12:g}h{bar * scale:.1f}" stroke="currentColor" stroke-width="2"/>'
-        f'<text x="{18 + bar * scale:.1f}" y="{_TRACK - 8:g}">{bar:g} m</text>'
-        f'<path d="M{_TRACK - 16:g} 34v-22l-5 9m5-9l5 9" stroke="currentColor" fill="none"/>'
-        f'<text x="{_TRACK - 20:g}" y="48">N</text></svg>'
+        f"{view.bar(12, _TRACK - 8, _TRACK / 2 - _EDGE)}"
+        f"{svg_text((_TRACK - 8, 14), 'N ↑', 'end')}</svg>"
     )
     return svg, drawn
 

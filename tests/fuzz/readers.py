@@ -28,6 +28,7 @@ PARSERS = frozenset(
 
 _REASONS: dict[str, tuple[str, ...]] = {
     "a pipe or memory to a process of ours": (
+        "apps/station/supervisor.py run_child",
         "flight/guardian.py Guardian._on_word",
         "flight/guardian_process.py Watch._refresh",
         "flight/guardian_process.py Watch._word",
@@ -48,6 +49,7 @@ _REASONS: dict[str, tuple[str, ...]] = {
         "apps/station/web/protocol.py WebSocketConnection.data_received",
     ),
     "a file of the installation, or what the kernel tells": (
+        "apps/station/console/view/texts.py translations",
         "apps/cli/manual.py _Page.text",
         "apps/cli/manual.py _unfenced",
         "apps/fleet/order_log.py since_boot",
