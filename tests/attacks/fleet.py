@@ -60,7 +60,7 @@ import m100link
 
 async def main():
     north = m100link.Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
-    async with m100link.apps.fleet.connect(sys.argv[1], name="flier") as fleet:
+    async with m100link.fleet.connect(sys.argv[1], name="flier") as fleet:
         async with fleet["a1"].control() as control:
             await control.take_off()
             async with control.hold(north):

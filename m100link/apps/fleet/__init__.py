@@ -2,7 +2,7 @@
 
 ::
 
-    async with m100link.apps.fleet.connect("tcp/base:7447") as fleet:
+    async with m100link.fleet.connect("tcp/base:7447") as fleet:
         results = await fleet.each(lambda aircraft: aircraft.take_off())
         async with fleet["a1"].control(stop="land") as control:
             await control.fly_to(latitude_deg=47.0, longitude_deg=8.0, height=10.0)
