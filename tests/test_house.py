@@ -193,7 +193,7 @@ def test_files_lines_and_contracts_stay_few() -> None:
 
 def test_the_manuals_house_names_places_that_exist() -> None:
     page = (ROOT / "docs/explanation/house.md").read_text(encoding="utf-8")
-    named = set(re.findall(r"`(m100link/[\w/.]+)`", page))
+    named = set(re.findall(r"`((?:m100link|tests|benchmarks)/[\w/.]+)`", page))
     assert len(named) > 20
     assert {place for place in named if not (ROOT / place).exists()} == set()
 

@@ -148,8 +148,8 @@ class ControlBlock:
         failure = self._life.failure
         if failure is not None and (error is None or is_ours or is_unexplained(error)):
             raise failure.again() from failure.__cause__
-        # After a signal the program does not go on behind the block as if it had flown.
-        return is_ours and self._life.cause is not StopCause.SIGNALLED
+        # Whatever else ended it, the program does not go on behind the block as if it had flown.
+        return is_ours and self._life.cause in (StopCause.LEFT, StopCause.NOT_ENTERED)
 
     async def obtain(self) -> None:
         """Obtain authority by hand; what ends it is raised by the next call that needs it.
