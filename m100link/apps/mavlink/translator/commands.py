@@ -38,6 +38,7 @@ from m100link.errors import GuardRefused, UsageError
 from m100link.missions.plan import WaypointPlan
 
 _SEA_LEVEL = (Frame.GLOBAL, Frame.GLOBAL_INT)
+_Place = tuple[float, float]  # latitude and longitude, degrees
 _RELATIVE = (Frame.GLOBAL_RELATIVE_ALT, Frame.GLOBAL_RELATIVE_ALT_INT)
 _ORBIT_TURNS = 200.0
 _NO_PLACE = 0x7FFFFFFF
@@ -82,8 +83,8 @@ class Commands:
         request: Callable[[int, float, Peer, float], bool],
         # Makes the wish that flies the mission; None where there is none.
         mission: Callable[[Peer, int | None], Wish | None],
-        # Why nobody may be at a place, with a radius around it; empty where one may.
-        fence: Callable[[float, float, float], str],
+        # Why nobody may fly from a place (None: from here) to another, or around it with a radius.
+        fence: Callable[[_Place | None, _Place, float], str],
     ) -> None:
         self._world = world
         self._deck = deck
@@ -275,14 +276,15 @@ class Commands:
         return other is not None
 
     def _fly_mission(self, wish: Wish, now: float) -> Result:
-        """Check each place of it first.
+        """Check each place of it first, and each way from one to the next.
 
         Raises:
             GuardRefused, UsageError: See :meth:`_check`.
         """
         if isinstance(wish.order, Flight):
+            before = None
             for leg in wish.order.legs:
-                self._check(leg)
+                before = self._check(leg, before)
             if wish.order.plan is not None:
                 self._check_plan(wish.order.plan)
         return self._deck.wish(wish, now)
@@ -350,18 +352,24 @@ class Commands:
         return asked.z - ground
 
     def _fly(self, order: GuidedOrder, mode: Mode, peer: Peer, now: float) -> Result:
+        if self._is_others(peer, mode.value):
+            return Result.TEMPORARILY_REJECTED
         self._check(order)
         return self._deck.wish(Wish(mode, Flight((order,)), peer), now)
 
-    def _check(self, order: GuidedOrder) -> None:
-        """Refuse now what the agent would refuse in flight.
+    def _check(self, order: GuidedOrder, begin: _Place | None = None) -> _Place | None:
+        """Refuse now what the agent would refuse in flight; give the place where the order ends.
+
+        ``begin``: where the order before it ends, None for where the aircraft is.
 
         Raises:
             GuardRefused, UsageError: Outside of the envelope or the fence, or not a flight at all.
         """
+        end = begin
         if isinstance(order, FlyTo | FlyAround):
             radius = order.radius if isinstance(order, FlyAround) else 0.0
-            why = self._fence(order.latitude_deg, order.longitude_deg, radius)
+            end = order.latitude_deg, order.longitude_deg
+            why = self._fence(begin, end, radius)
             if why:
                 raise UsageError(f"{name_of(order)}: {why}")
         known = self._world.known
@@ -371,6 +379,7 @@ class Commands:
                 raise error
             if isinstance(error, UsageError) and not is_standing:
                 raise error
+        return end
 
     # -- messages and rates ----------------------------------------------------------------------
 

@@ -308,7 +308,8 @@ _CIRCLES = {
     Command.NAV_FENCE_CIRCLE_INCLUSION: True,
     Command.NAV_FENCE_CIRCLE_EXCLUSION: False,
 }
-_AROUND = 8
+_AROUND_M = 2.0  # between the places of a circle that are looked at; at most 256
+_SHORTEST_DEGREE_M = 110_000.0  # of latitude; it is 110,574 m long at the equator
 _Local = tuple[float, float]  # north and east, m
 
 
@@ -318,10 +319,17 @@ class _Area:
 
     is_inside: bool  # whether to stay in it
     frame: LocalFrame  # metres from its first corner, or its centre
-    corners: tuple[tuple[float, float], ...] = ()  # north and east of that, m; empty for a circle
+    corners: tuple[_Local, ...] = ()  # north and east of that, m; empty for a circle
     radius: float = 0.0  # m
+    reach_deg: float = field(init=False)  # latitude within which all of it lies, of the frame's
+
+    def __post_init__(self) -> None:
+        reach = max([self.radius, *(math.hypot(*corner) for corner in self.corners)])
+        object.__setattr__(self, "reach_deg", reach / _SHORTEST_DEGREE_M)
 
     def has(self, latitude_deg: float, longitude_deg: float) -> bool:
+        if self._is_beside(latitude_deg, latitude_deg):
+            return False
         north, east = self.frame.to_local(latitude_deg, longitude_deg)
         if not self.corners:
             return math.hypot(north, east) <= self.radius
@@ -343,10 +351,18 @@ class _Area:
 
     def meets(self, begin: tuple[float, float], end: tuple[float, float]) -> bool:
         """Whether a straight way has a place in it."""
+        if self._is_beside(begin[0], end[0]):
+            return False
         way = self.frame.to_local(*begin), self.frame.to_local(*end)
         if not self.corners:
             return _distance((0.0, 0.0), *way) <= self.radius
         return self.has(*end) or any(_cross(*way, *edge) for edge in self._edges())
+
+    def _is_beside(self, begin_deg: float, end_deg: float) -> bool:
+        """Whether it lies north or south of all between two latitudes: most of 1000 areas do."""
+        low, high = min(begin_deg, end_deg), max(begin_deg, end_deg)
+        middle, reach = self.frame.latitude_deg, self.reach_deg
+        return low > middle + reach or high < middle - reach
 
     def _edges(self) -> Iterator[tuple[_Local, _Local]]:
         return zip(self.corners, (*self.corners[1:], self.corners[0]), strict=True)
@@ -388,7 +404,8 @@ class Fence:
         places = [(latitude_deg, longitude_deg)]
         if radius:
             frame = LocalFrame(latitude_deg, longitude_deg)
-            turns = (math.tau * place / _AROUND for place in range(_AROUND))
+            many = min(max(8, math.ceil(math.tau * radius / _AROUND_M)), 256)
+            turns = (math.tau * place / many for place in range(many))
             places += [
                 frame.to_geodetic(radius * math.cos(turn), radius * math.sin(turn))
                 for turn in turns
@@ -437,6 +454,7 @@ def read_fence(items: Sequence[Message]) -> Fence:
                 wanted, kind = _corners(number, item["param1"]), command
             if command != kind or item["param1"] != wanted:
                 raise Refused(MissionResult.INVALID, f"fence item {number}: another polygon begins")
+            _frame(number, place)  # a place at all
             waiting.append(place)
             if len(waiting) == wanted:
                 frame = _frame(number, waiting[0])

@@ -51,10 +51,10 @@ _PROGRESS_S = 0.3
 _UNKNOWN_PROGRESS = 255
 _VENDOR, _PRODUCT = 0x2CA3, 0x0100  # DJI's number at the USB forum; the product is ours
 _TO_ALL = (0, COMPONENT)
-_AHEAD_S = 1.0  # seconds ahead that the fence is looked at: what the aircraft needs to stop
-_AWAY_M_S = 0.3  # so fast it may be told to move away from the fence while it stands
+_AHEAD_S = 1.8  # so far ahead the fence is looked at: at a tilt of 30 degrees it needs them to stop
+_AWAY_M = 0.3  # so far it may be told to move away from the fence while it stands
 
-_FLIGHTS = (Running.FLIGHT, Running.MISSION)
+_FLIGHTS = (Running.FLIGHT, Running.MISSION, Running.PAUSED)
 """What leads back into the fence by itself, if it leads there."""
 
 _MISSION_MESSAGES = (
@@ -102,7 +102,7 @@ class Vehicle:
         )
         # The mission, and how far it is.
         self.flights = MissionFlights(self.world, self.deck, self._missions, self._texts.tell)
-        self._was_inside = True
+        self._breach_m: float | None = None  # the least since it is outside; None inside
         # Who waits for the answer to arming, and when they were told last that it takes time.
         self._arming: dict[Peer, float] = {}
         self._beaten_at = -math.inf
@@ -258,13 +258,21 @@ class Vehicle:
             return f"{self.deck.operator.name} flies" if self.deck.operator else ""
         return ""
 
-    def _may_fly_to(self, latitude_deg: float, longitude_deg: float, radius: float) -> str:
-        """Why the fence refuses a flight to a place or around it; empty if it does not."""
-        fence, end = self._missions.fence, (latitude_deg, longitude_deg)
+    def _may_fly_to(
+        self, begin: tuple[float, float] | None, end: tuple[float, float], radius: float
+    ) -> str:
+        """Why the fence refuses a flight to a place or around it; empty if it does not.
+
+        ``begin``: None for where the aircraft is.
+        """
+        fence, position = self._missions.fence, self.world.position
         why = fence.refusal(*end, radius)
-        position = self.world.position
-        if why or not fence.areas or position is None or self.deck.phase is not Phase.AIRBORNE:
+        if why or not fence.areas:
             return why
+        if begin is not None:
+            return fence.on_the_way(begin, end)
+        if position is None:
+            return ""
         here = position.latitude_deg, position.longitude_deg
         depth = fence.depth_m(*here)
         if not depth:
@@ -279,24 +287,26 @@ class Vehicle:
         """Hold before the fence; from outside only flights lead back, not setpoints.
 
         A flight that is begun again and again flies a little each time: from outside, none may lead
-        farther away.
+        farther away than it was at its least. A mission that is to pause may still fly.
         """
-        position, velocity = self.world.position, self.world.velocity
-        if position is None or self.deck.phase is not Phase.AIRBORNE:
-            self._was_inside = True
+        fence, position = self._missions.fence, self.world.position
+        if not fence.areas or position is None or self.deck.phase is not Phase.AIRBORNE:
+            self._breach_m = None
             return
-        fence, here = self._missions.fence, (position.latitude_deg, position.longitude_deg)
-        why = fence.refusal(*here)
-        was_inside, self._was_inside = self._was_inside, not why
-        if self.deck.running not in (*_FLIGHTS, Running.STREAM) or not fence.areas:
+        if self.deck.running not in (*_FLIGHTS, Running.STREAM):
+            self._breach_m = math.inf  # what begins outside has been asked for its direction
             return
+        here, velocity = (position.latitude_deg, position.longitude_deg), self.world.velocity
         speed = (0.0, 0.0) if velocity is None else (velocity.north_m_s, velocity.east_m_s)
         ahead = LocalFrame(*here).to_geodetic(speed[0] * _AHEAD_S, speed[1] * _AHEAD_S)
-        if not why:
-            why = fence.on_the_way(here, ahead)
-        elif not was_inside and self.deck.running in _FLIGHTS:
-            is_deeper = fence.depth_m(*ahead) > fence.depth_m(*here) + _AWAY_M_S * _AHEAD_S
-            why = why if is_deeper else ""
+        depth, least = fence.depth_m(*here), self._breach_m
+        if not depth:
+            self._breach_m, why = None, fence.on_the_way(here, ahead)
+        else:
+            self._breach_m = depth if least is None else min(depth, least)
+            is_deeper = least is None or fence.depth_m(*ahead) > least + _AWAY_M
+            leads_back = self.deck.running in _FLIGHTS and not is_deeper
+            why = "" if leads_back else fence.refusal(*here)
         if why:
             self.deck.hold(f"hold: {why}")
 

@@ -37,13 +37,16 @@ NOWHERE = 0x7FFFFFFF
 NORTH, EAST = 10.5, -20.25
 
 
+Place = tuple[float, float]
+
+
 class Asked:
     """Somebody asks; what becomes of it is kept."""
 
     def __init__(self, known: Known | None = None) -> None:
         self.wishes: list[Wish] = []
         self.texts: list[str] = []
-        self.fenced: list[tuple[float, float, float]] = []
+        self.fenced: list[tuple[Place | None, Place, float]] = []
         self.firsts: list[int | None] = []
         self.orders: list[Any] = []
         self.other: Peer | None = None
@@ -76,8 +79,8 @@ class Asked:
         self.firsts.append(first)
         return Wish(Mode.MISSION, None, peer)
 
-    def _fence(self, *place: float) -> str:
-        self.fenced.append(cast("tuple[float, float, float]", place))
+    def _fence(self, begin: Place | None, end: Place, radius: float) -> str:
+        self.fenced.append((begin, end, radius))
         return ""
 
     def ask(self, message: Message) -> Result | None:
@@ -170,9 +173,9 @@ def test_what_a_command_asks_for(message: Message, mode: Mode, order: object) ->
     assert (wish.mode, wish.peer) == (mode, PEER)
     assert found == order
     if isinstance(found, FlyTo):
-        assert asked.fenced == [(10.5001, -20.2501, 0.0)]
+        assert asked.fenced == [(None, (10.5001, -20.2501), 0.0)]
     if isinstance(found, FlyAround):
-        assert asked.fenced == [(found.latitude_deg, found.longitude_deg, found.radius)]
+        assert asked.fenced == [(None, (found.latitude_deg, found.longitude_deg), found.radius)]
 
 
 def test_a_speed_is_that_of_the_flights_that_come() -> None:

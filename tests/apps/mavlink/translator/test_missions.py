@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from random import Random
 from typing import Any
 
@@ -12,19 +12,21 @@ import pytest
 
 from m100link.apps.mavlink.translator.codec import Message
 from m100link.apps.mavlink.translator.missions import read_fence
-from m100link.apps.mavlink.translator.modes import Mode
+from m100link.apps.mavlink.translator.modes import MODES, Mode
 from m100link.apps.mavlink.translator.numbers import Command, MissionResult, MissionType, Result
 from m100link.apps.mavlink.translator.route import Refused
 from m100link.geodesy import LocalFrame
+from m100link.sim.line import LineFaults
 from tests.apps.mavlink.conftest import Ground, Rig
 
 pytestmark = pytest.mark.anyio
 
 Item = dict[str, Any]
+TAKEOFF = 22.5431, 113.9589
 
 
 def item(command: int, north: float = 0.0, east: float = 0.0, z: float = 0.0, **more: Any) -> Item:
-    frame = LocalFrame(22.5431, 113.9589)
+    frame = LocalFrame(*TAKEOFF)
     latitude, longitude = frame.to_geodetic(north, east)
     place = {"x": round(latitude * 1e7), "y": round(longitude * 1e7)} if north or east else {}
     return {"command": command, "frame": 6, "z": z, "param4": math.nan} | place | more
@@ -349,9 +351,11 @@ def corners(*places: tuple[float, float], kind: int = 5001) -> list[Item]:
     return [item(kind, north, east, param1=float(len(places))) for north, east in places]
 
 
-async def reposition(rig: Rig, ground: Ground, north: float, east: float) -> int:
+async def reposition(
+    rig: Rig, ground: Ground, north: float, east: float, speed: float = -1.0
+) -> int:
     place = item(0, north, east)
-    args = (-1, 1, 0, math.nan, place["x"] / 1e7, place["y"] / 1e7, rig.ground_altitude + 5.0)
+    args = (speed, 1, 0, math.nan, place["x"] / 1e7, place["y"] / 1e7, rig.ground_altitude + 5.0)
     return await ground.ask(Command.DO_REPOSITION, *args)
 
 
@@ -417,6 +421,123 @@ async def test_no_orders_lead_into_what_is_excluded(rig: Rig, ground: Ground, se
     assert math.dist(rig.aircraft.position, (0.0, 0.0)) > 1.0, "some of them were flown"
 
 
+async def deepest_m(rig: Rig, seconds: float, each: Callable[[], object] = lambda: None) -> float:
+    """How deep the aircraft gets into what the fence forbids."""
+    frame, found = LocalFrame(*TAKEOFF), 0.0
+    for _ in range(round(seconds * 20)):
+        each()
+        await anyio.sleep(0.05)
+        place = frame.to_geodetic(*rig.aircraft.position[:2])
+        found = max(found, rig.vehicle._missions.fence.depth_m(*place))
+    return found
+
+
+async def upload_fence(ground: Ground, *given: Item) -> None:
+    assert await Exchange(ground).upload(list(given), MissionType.FENCE) is MissionResult.ACCEPTED
+
+
+@pytest.mark.parametrize("north", [10, 60, 150])
+async def test_tilts_do_not_lead_out_of_a_fence(rig: Rig, ground: Ground, north: float) -> None:
+    """Tilted by 30 degrees it flies 18 m/s, and a program begins again as soon as it is held."""
+    await upload_fence(ground, *corners((-20, -20), (north, -20), (north, 20), (-20, 20)))
+    await ground.fly(5.0)
+    half = math.radians(-30.0) / 2.0
+
+    def tilt() -> None:
+        q = (math.cos(half), 0.0, math.sin(half), 0.0)
+        ground.send("SET_ATTITUDE_TARGET", target_system=1, type_mask=7, q=q, thrust=0.5)
+        offboard = MODES[Mode.OFFBOARD]
+        ground.command(Command.DO_SET_MODE, 1, offboard.main, offboard.sub)
+
+    assert await deepest_m(rig, 25.0, tilt) < 0.5
+    assert rig.aircraft.position[0] > north / 2.0, "it flew"
+
+
+async def test_a_slow_flight_creeps_into_no_second_area(rig: Rig, ground: Ground) -> None:
+    """From one strip the way out leads into the next, slower than a look ahead would notice."""
+    near = corners((3.0, -20), (4.3, -20), (4.3, 20), (3.0, 20), kind=5002)
+    far = corners((4.1, -20), (40, -20), (40, 20), (4.1, 20), kind=5002)
+    await ground.fly(5.0)
+    await reposition(rig, ground, 3.6, 0.01, speed=0.5)
+    await rig.until(lambda: rig.aircraft.position[0] > 3.5, within=30.0)
+    await upload_fence(ground, *near, *far)  # it stands in the first, 0.6 m from its middle
+    before = await deepest_m(rig, 5.0)
+    await reposition(rig, ground, 45.0, 0.01, speed=0.25)
+    assert await deepest_m(rig, 60.0) < before + 0.5
+
+
+async def test_a_mission_that_is_to_pause_is_still_held_before_a_fence() -> None:
+    async with Rig(firmware="3.1").running() as rig:
+        ground = rig.ground
+        await ground.fly(8.0)
+        await Exchange(ground).upload([waypoint(60.0, -10.0), waypoint(60.0, 95.0)])
+        assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+        await upload_fence(ground, item(5004, 60.0, 40.0, param1=10.0))  # it flies already
+        await rig.until(lambda: rig.aircraft.position[1] > 8.0, within=60.0)
+        rig.aircraft.line.to_aircraft.faults = LineFaults(loss=0.3)
+        for number in range(50):  # the order to pause waits behind them
+            ground.command(Command.DO_CHANGE_SPEED, 1, 5.0 + 0.01 * (number % 10))
+            await anyio.sleep(0.005)
+        ground.command(Command.DO_SET_MODE, 1, MODES[Mode.HOLD].main, MODES[Mode.HOLD].sub)
+        assert await deepest_m(rig, 30.0) < 0.5
+
+
+@pytest.mark.parametrize("firmware", ["1.0", "3.1"])
+async def test_a_fast_mission_is_held_before_a_fence(firmware: str) -> None:
+    async with Rig(firmware=firmware).running() as rig:
+        ground = rig.ground
+        await ground.fly(8.0)
+        fast = item(Command.DO_CHANGE_SPEED, param1=1.0, param2=10.0)
+        await Exchange(ground).upload([fast, waypoint(60.0, -10.0), waypoint(60.0, 75.0)])
+        assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+        await upload_fence(ground, item(5004, 60.0, 30.0, param1=6.0))
+        assert await deepest_m(rig, 40.0) < 0.5
+        assert "hold: an excluded area is on the way" in ground.texts
+
+
+async def test_a_circle_that_leaves_the_fence_between_eight_places_is_denied(
+    rig: Rig, ground: Ground
+) -> None:
+    """A bay cuts the circle for 18 degrees to both sides of a turn of 22.5 degrees."""
+
+    def place(radius: float, turn_deg: float) -> tuple[float, float]:
+        turn = math.radians(turn_deg)
+        return radius * math.cos(turn), radius * math.sin(turn)
+
+    around = [place(80, 22.4), (80.0, -80.0), (-80.0, -80.0), (-80.0, 80.0), (80.0, 80.0)]
+    bay = [place(11, 22.6), place(11, 40.5), place(6, 40.5), place(6, 4.5), place(11, 4.5)]
+    await upload_fence(ground, *corners(*around, place(80, 22.6), *bay, place(11, 22.4)))
+    await ground.fly(5.0)
+    here = LocalFrame(*TAKEOFF).to_geodetic(0.0, 0.0)
+    for radius, result in ((-10.0, Result.DENIED), (-5.0, Result.ACCEPTED)):
+        args = (radius, 2.0, 0, math.nan, *here, rig.ground_altitude + 5.0)
+        assert await ground.ask(Command.DO_ORBIT, *args) is result
+
+
+async def test_a_mission_flies_around_an_area_but_not_through_it(rig: Rig, ground: Ground) -> None:
+    await upload_fence(ground, item(5004, 30.0, 0.01, param1=10.0))
+    await ground.fly(5.0)
+    around = [waypoint(30.0, 30.0), waypoint(60.0, 0.01)]
+    for route, result in (
+        ([*around, waypoint(0.01, 0.01)], Result.DENIED),  # each place is allowed
+        (around, Result.ACCEPTED),  # the straight way from here to the last place is not
+    ):
+        assert await Exchange(ground).upload(route) is MissionResult.ACCEPTED
+        assert await ground.set_mode(Mode.MISSION) is result
+
+
+async def test_another_ground_station_is_refused_before_its_flight_is_looked_at(
+    rig: Rig, ground: Ground
+) -> None:
+    await upload_fence(ground, *fence(20.0))
+    await ground.fly(5.0)
+    outside = LocalFrame(*TAKEOFF).to_geodetic(40.0, 0.0)
+    other = Ground(rig, ("127.0.0.1", 7000), 246)
+    other.beat()
+    args = (-1, 1, 0, math.nan, *outside, rig.ground_altitude + 5.0)
+    assert await other.ask(Command.DO_REPOSITION, *args) is Result.TEMPORARILY_REJECTED
+
+
 async def test_an_area_that_is_excluded_is_not_flown_to(rig: Rig, ground: Ground) -> None:
     given = [item(5004, 20.0, 0.01, param1=5.0)]
     assert await Exchange(ground).upload(given, MissionType.FENCE) == 0
@@ -434,6 +555,7 @@ async def test_an_area_that_is_excluded_is_not_flown_to(rig: Rig, ground: Ground
         [item(5003, 1.0, 1.0, param1=math.nan)],
         [waypoint(1.0, 1.0)],
         [item(5001, 1.0, 1.0, param1=math.inf)],
+        [*square(9.0)[:3], {**square(9.0)[3], "x": 2_000_000_000}],
     ],
 )
 async def test_a_fence_that_is_not_whole_is_refused(ground: Ground, given: list[Item]) -> None:
