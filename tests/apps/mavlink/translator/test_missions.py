@@ -424,9 +424,9 @@ async def test_no_orders_lead_into_what_is_excluded(rig: Rig, ground: Ground, se
 async def deepest_m(rig: Rig, seconds: float, each: Callable[[], object] = lambda: None) -> float:
     """How deep the aircraft gets into what the fence forbids."""
     frame, found = LocalFrame(*TAKEOFF), 0.0
-    for _ in range(round(seconds * 20)):
+    for _ in range(round(seconds * 10)):
         each()
-        await anyio.sleep(0.05)
+        await anyio.sleep(0.1)
         place = frame.to_geodetic(*rig.aircraft.position[:2])
         found = max(found, rig.vehicle._missions.fence.depth_m(*place))
     return found
@@ -436,7 +436,7 @@ async def upload_fence(ground: Ground, *given: Item) -> None:
     assert await Exchange(ground).upload(list(given), MissionType.FENCE) is MissionResult.ACCEPTED
 
 
-@pytest.mark.parametrize("north", [10, 60, 150])
+@pytest.mark.parametrize("north", [10, 100])
 async def test_tilts_do_not_lead_out_of_a_fence(rig: Rig, ground: Ground, north: float) -> None:
     """Tilted by 30 degrees it flies 18 m/s, and a program begins again as soon as it is held."""
     await upload_fence(ground, *corners((-20, -20), (north, -20), (north, 20), (-20, 20)))
@@ -449,7 +449,7 @@ async def test_tilts_do_not_lead_out_of_a_fence(rig: Rig, ground: Ground, north:
         offboard = MODES[Mode.OFFBOARD]
         ground.command(Command.DO_SET_MODE, 1, offboard.main, offboard.sub)
 
-    assert await deepest_m(rig, 25.0, tilt) < 0.5
+    assert await deepest_m(rig, 15.0, tilt) < 0.5
     assert rig.aircraft.position[0] > north / 2.0, "it flew"
 
 
