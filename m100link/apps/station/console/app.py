@@ -97,7 +97,8 @@ def console_app(
             has_tiles=settings.tiles is not None,
             history=history_of(tab.aircraft),
             tabs=tabs,
-        ).build(key)
+            key=key,
+        )
 
     # Quasar would draw a bar over the line of state for each request behind the page, and a bar
     # that has no name for who listens to it. The page says itself what it waits for.

@@ -52,7 +52,9 @@ STATIC = Path(__file__).parent / "static"
 
 UPDATE_INTERVAL = 0.25
 
-VIEWS: dict[str, tuple[str, tuple[Callable[[PageContext], Component], ...]]] = {
+_Make = Callable[[PageContext], Component]
+
+VIEWS: dict[str, tuple[str, tuple[_Make, ...]]] = {
     "fly": ("flight", (Fly,)),
     "plan": ("route", (PlanPart,)),
     "check": ("checklist", (ChecklistPart,)),
@@ -68,7 +70,7 @@ _MAP_VIEWS = ("fly", "plan")
 
 
 class Page:
-    """One tab's page."""
+    """One tab's page, which updates itself."""
 
     def __init__(
         self,
@@ -79,6 +81,7 @@ class Page:
         has_tiles: bool,  # whether there are map tiles
         history: History,  # the last minutes of every number
         tabs: Tabs,  # who looks at this and at other aircraft
+        key: str,  # the secret part of the address of its socket
     ) -> None:
         self._agent, self._tab = agent, tab
         wording = Wording()
@@ -95,19 +98,14 @@ class Page:
             history,
             tabs,
         )
-        self._header: tuple[Component, ...] = (
-            FleetPart(self._context),
-            StatusPart(self._context),
-            AlarmsPart(self._context),
-            ReplayPart(self._context),
-        )
-        self._map = MapPart(self._context)
         self._sections: dict[str, ui.element] = {}
         self._parts: dict[str, list[Component]] = {}  # of the views that were built
-        self._shown = "fly"
+        self._build(key)
+        self._show("fly")
+        ui.timer(0.0, self._go_on, once=True)
+        ui.timer(UPDATE_INTERVAL, self._update)
 
-    def build(self, key: str) -> None:
-        """Lay the page out and start its updates."""
+    def _build(self, key: str) -> None:
         ui.add_head_html(f'<link rel="stylesheet" href="/console/console.css">{_HEAD}')
         told = json.dumps(for_browser(self._context.wording.settings.speaker))
         ui.add_body_html(
@@ -116,20 +114,17 @@ class Page:
             f'import {{start}} from "/console/shell.js"; start({json.dumps(key)});</script>'
         )
         with ui.element("header").props("id=header"):
-            for part in self._header:
-                part.build()
+            header: tuple[_Make, ...] = (FleetPart, StatusPart, AlarmsPart, ReplayPart)
+            self._header = [make(self._context) for make in header]
         self._context.buttons.add("stop", "actions.stop", self._tab.stop, kind="stop")
         self._build_bar()
         with ui.element("main").props("id=stage"):
             with ui.element("div").props("id=map-view"):
-                self._map.build()
+                self._map = MapPart(self._context)
             for name in VIEWS:
                 section = ui.element("section").props(f"data-view={name}")
                 self._context.wording.put(attribute(section), f"page.view.{name}")
                 self._sections[name] = section
-        self._show("fly")
-        ui.timer(0.0, self._go_on, once=True)
-        ui.timer(UPDATE_INTERVAL, self._update)
 
     async def _go_on(self) -> None:
         """Look and speak as it was chosen, and go on where the page was before a reload."""
@@ -149,14 +144,13 @@ class Page:
             self._show(name)
 
     def _build_bar(self) -> None:
-        put = self._context.wording.put
         with ui.element("nav").props("id=bar") as bar:
-            put(attribute(bar), "page.views")
+            self._context.wording.put(attribute(bar), "page.views")
             for name, (icon, _) in VIEWS.items():
                 tab = ui.element("button").props(f"type=button data-go={name}")
                 with tab:
                     ui.icon(icon).props("aria-hidden=true")
-                    put(ui.label().set_text, f"page.view.{name}")
+                    self._context.wording.label(f"page.view.{name}")
                 # The page shows the view by itself; here it is built, and kept up to date.
                 tab.on("click", partial(self._show, name), args=[])
 
@@ -165,8 +159,6 @@ class Page:
         if name not in self._parts:
             with self._sections[name]:
                 self._parts[name] = [make(self._context) for make in VIEWS[name][1]]
-                for part in self._parts[name]:
-                    part.build()
         self._update()
 
     def _update(self) -> None:

@@ -17,7 +17,7 @@ from m100link.apps.station.console.orders import Orders
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.tabs import Tabs
 from m100link.apps.station.console.view.fly import HELD, Reading
-from m100link.apps.station.console.view.texts import Kind, Settings, Speaker, Text, tr, translations
+from m100link.apps.station.console.view.texts import Kind, Settings, Speaker, Text, tr
 from m100link.apps.station.console.view.view import Memory, View
 from m100link.errors import GuardRefused, UsageError
 from m100link.protocol.commands.control import Task
@@ -42,6 +42,12 @@ class Wording:
         text = tr(key, **values)
         self.follow(lambda: show(self(text)))
 
+    def label(self, key: str, **values: object) -> ui.label:
+        """A label with a text, in the present element."""
+        label = ui.label()
+        self.put(label.set_text, key, **values)
+        return label
+
     def follow(self, show: Callable[[], object]) -> None:
         """Call this now and after every change of the settings."""
         self._followers.append(show)
@@ -65,6 +71,22 @@ def attribute(element: ui.element, name: str = "aria-label") -> Callable[[str], 
     return show
 
 
+def button(
+    wording: Wording,
+    key: str,  # of what stands on it
+    props: str,
+    work: Callable[..., object] | None = None,  # what a click does; None where the page does it
+    *,
+    looks: str = "act plain",  # its classes
+) -> ui.element:
+    """A button in the present element that gives the aircraft no order."""
+    with ui.element("button").classes(looks).props(f"type=button {props}") as made:
+        wording.label(key)
+    if work is not None:
+        made.on("click", work, args=[])
+    return made
+
+
 # -- buttons that give orders ----------------------------------------------------------------------
 
 _ENDS = frozenset({"stop", "release", "mission_pause", "mission_stop"})
@@ -77,34 +99,26 @@ ORDER = "(event) => emit(window.m100?.order(event) ?? {})"
 _STOP = "(event) => emit({press: event.detail})"
 
 
-async def _stood_still() -> None:
-    raise GuardRefused(
-        "the page stood still while the button was held; nothing was done",
-        guard="order_late",
-        cause="nobody knows whether it was held: the browser was busy with something else",
-        remedy="look at the aircraft, then hold it again",
-    )
-
-
-async def _withdrawn() -> None:
-    raise GuardRefused(
-        "the order was withdrawn while its button was held; nothing was done",
-        guard="not_offered",
-        cause="the checklist, the task or who has control changed in that second",
-        remedy="see what the page says, then hold it again",
-    )
-
-
-async def _shifted() -> None:
-    raise GuardRefused(
+_NOT_TAKEN = {
+    "shifted": GuardRefused(
         "the page shifted as the button was pressed; nothing was done",
         guard="page_shifted",
         cause="where the finger came down, another button had been just before",
         remedy="see which button is under the finger, then hold it again",
-    )
-
-
-_NOT_TAKEN = {"shifted": _shifted, "withdrawn": _withdrawn, "unsure": _stood_still}
+    ),
+    "withdrawn": GuardRefused(
+        "the order was withdrawn while its button was held; nothing was done",
+        guard="not_offered",
+        cause="the checklist, the task or who has control changed in that second",
+        remedy="see what the page says, then hold it again",
+    ),
+    "unsure": GuardRefused(
+        "the page stood still while the button was held; nothing was done",
+        guard="order_late",
+        cause="nobody knows whether it was held: the browser was busy with something else",
+        remedy="look at the aircraft, then hold it again",
+    ),
+}
 """What the page makes of a hold that gives no order."""
 
 
@@ -123,28 +137,23 @@ class Buttons:
     def __init__(self, agent: AgentClient, tab: Tab, wording: Wording) -> None:
         self._agent, self._tab, self._wording = agent, tab, wording
         self._buttons: dict[str, list[tuple[Any, bool]]] = {}
-        self._enabled: dict[Any, bool] = {}
 
     def add(
         self,
         name: str,  # of the order, as in ``view.actions``, which says whether it has to be held
-        label: str,  # what stands on it, or the key of that in the catalogue
+        key: str,  # of what stands on it
         work: Callable[..., Awaitable[Any]],
         *,
         kind: str = "",  # ``"stop"`` or ``"plain"``, else a usual one
         check: Callable[[object], None] | None = None,
     ) -> Any:
         """A button in the present element; several may give the same order."""
-        button = ui.element("button").classes(f"act {kind}").props(f"type=button data-act={name}")
-        with button:
-            text = ui.label(label)
-        if label in translations():
-            self._wording.put(text.set_text, label)
+        made = button(self._wording, key, f"data-act={name}", looks=f"act {kind}")
         is_held = name in HELD
         if is_held:
-            button.classes("hold")
-            for what, refuse in _NOT_TAKEN.items():
-                button.on(what, partial(self._refuse, refuse), js_handler=ORDER)
+            made.classes("hold")
+            for what in _NOT_TAKEN:
+                made.on(what, partial(self._refuse, what), js_handler=ORDER)
 
         async def pressed(event: GenericEventArguments) -> None:
             said = answer(event)
@@ -161,20 +170,18 @@ class Buttons:
             await asyncio.sleep(0)
 
         # A tap with a second finger makes no click: STOP is told by what the page makes of it.
-        button.on(
+        made.on(
             {"stop": "stopped"}.get(name, "held" if is_held else "click"),
             pressed,
             js_handler=_STOP if name == "stop" else ORDER,
         )
-        self._buttons.setdefault(name, []).append((button, True))
-        return button
+        self._buttons.setdefault(name, []).append((made, True))
+        return made
 
-    async def _refuse(
-        self, why: Callable[[], Awaitable[None]], event: GenericEventArguments
-    ) -> None:
+    def _refuse(self, what: str, event: GenericEventArguments) -> None:
         """A hold that gives no order: answered as one, or a lost connection would hide its end."""
         answer(event)
-        await self._tab.attempt(why)
+        self._tab.refusal = _NOT_TAKEN[what]
 
     def update(self, offered: Set[str]) -> None:
         """Let those be pressed whose order is offered."""
@@ -195,8 +202,7 @@ def card(key: str, wording: Wording) -> Any:
     """A box with a title; to be used as ``with``."""
     box = ui.element("section").classes("card w-full")
     with box, ui.element("h2"):
-        heading = ui.label()
-    wording.put(heading.set_text, key)
+        wording.label(key)
     wording.put(attribute(box), key)
     return box
 
@@ -204,7 +210,7 @@ def card(key: str, wording: Wording) -> Any:
 def field(name: str, key: str, wording: Wording) -> tuple[Any, Any, Any]:
     """A name and its value: the row, the value, the note below it."""
     with ui.element("div").classes("field") as row:
-        wording.put(ui.label().classes("name").set_text, key)
+        wording.label(key).classes("name")
         with ui.element("div"):
             value = ui.label("–").classes("value").props(f"data-field={name}")
             note = ui.label("").classes("note")
@@ -309,32 +315,26 @@ class NumberField:
 #
 #     class Clock:
 #         def __init__(self, page: PageContext) -> None:
-#             self._page = page
-#
-#         def build(self) -> None:
 #             self._text = ui.label("–").props("id=clock")
 #
 #         def update(self, view: View) -> None:
 #             self._text.set_text(f"{view.at:.0f} s")
 #
-# - The page calls ``build`` once, inside the element that holds the component: for the views other
-#   than Fly when an operator first looks at that view, so that the page is there soon.
+# - The page makes it inside the element that holds it, where it lays itself out: for the views
+#   other than Fly when an operator first looks at that view, so that the page is there soon.
 # - It calls ``update`` four times a second with one view model for the whole page, only while that
 #   view is looked at. Setting a text that stands there already costs nothing: just set.
 # - A rule about what is shown belongs to ``console/view/``: a test reads it without a browser.
 # - A button that gives an order comes from ``page.buttons``: it is kept grey unless
 #   ``view/fly.py`` offers it, and has to be held for a second where that says so.
-# - Words stand in ``console/texts/``: ``page.wording.put(label.set_text, key)`` for what stands
-#   there always, ``page.wording(text)`` for a text of the view model.
+# - Words stand in ``console/texts/``: ``page.wording.label(key)`` for what stands there always,
+#   ``page.wording(text)`` for a text of the view model.
 # - What runs in the browser is a module in ``static/``, loaded by ``page.load``; it imports
 #   ``m100`` from ``./shell.js`` (``m100.onLive``, ``m100.onMap``, ``m100.socket``).
 
 
 class Component(Protocol):
-    """A component of the page."""
-
-    def build(self) -> None:
-        """Lay it out inside the present element."""
+    """A component of the page, laid out inside the element in which it was made."""
 
     def update(self, view: View) -> None:
         """Show what is."""

@@ -12,6 +12,7 @@ from m100link.apps.station.console.components.component import (
     PageContext,
     ReadingRow,
     attribute,
+    button,
     card,
     field,
     say_options,
@@ -48,15 +49,9 @@ class TelemetryPart:
     """The values that the Fly view has no room for."""
 
     def __init__(self, page: PageContext) -> None:
-        self._page = page
-        self._rows: dict[str, ReadingRow] = {}
-
-    def build(self) -> None:
-        """Lay it out."""
-        wording = self._page.wording
+        self._wording = wording = page.wording
         with card("instruments.title", wording):
-            for one in FIELDS:
-                self._rows[one.name] = ReadingRow(one.name, wording)
+            self._rows = {one.name: ReadingRow(one.name, wording) for one in FIELDS}
         with card("instruments.attitude", wording):
             self._age = ui.label().classes("note").props("id=attitude-age")
             self._frame = ui.element("div").classes("attitude")
@@ -65,7 +60,7 @@ class TelemetryPart:
         with card("instruments.remote_control", wording):
             for name in _CHANNELS:
                 with ui.row().classes("w-full items-center gap-2 no-wrap"):
-                    wording.put(ui.label().classes("w-20").set_text, f"instruments.rc.{name}")
+                    wording.label(f"instruments.rc.{name}").classes("w-20")
                     ui.element("div").classes("grow").props(f"data-rc={name}")
 
     def _build_scene(self) -> None:
@@ -89,7 +84,7 @@ class TelemetryPart:
         for name, row in self._rows.items():
             row.show(view.instruments.readings[name])
         attitude = view.instruments.attitude
-        old = self._page.wording(tr("instruments.no_attitude"))
+        old = self._wording(tr("instruments.no_attitude"))
         self._age.set_text("" if attitude is not None else old)
         if attitude is None:
             self._frame.classes(add="stale")
@@ -108,17 +103,11 @@ class LinkPart:
     """How the ways to the aircraft and to the browser do."""
 
     def __init__(self, page: PageContext) -> None:
-        self._page = page
-        self._numbers: dict[str, Any] = {}
+        self._wording = wording = page.wording
         self._tables: dict[str, tuple[Any, tuple[Any, ...]]] = {}
-
-    def build(self) -> None:
-        """Lay it out. The page itself fills in the age that it measures."""
-        wording = self._page.wording
         with card("link.title", wording):
-            for name in LINK_ITEMS:
-                self._numbers[name] = field(name, f"link.{name}", wording)[1]
-            field("age", "link.age", wording)
+            self._numbers = {name: field(name, f"link.{name}", wording)[1] for name in LINK_ITEMS}
+            field("age", "link.age", wording)  # the page itself fills in what it measures
             self._reason = ui.label().classes("problem").props("id=connection-error")
         for name in ("causes", "rates", "dropped"):
             with card(f"link.{name}", wording):
@@ -127,7 +116,7 @@ class LinkPart:
 
     def update(self, view: View) -> None:
         """Show what is."""
-        speak = self._page.wording
+        speak = self._wording
         for name, text in view.link.texts.items():
             self._numbers[name].set_text(speak(text))
         self._reason.set_text(view.link.reason)
@@ -175,10 +164,7 @@ class PlotsPart:
         self._sent = 0
         self._is_whole_wanted = True
         self._version = 0  # of what is drawn: what comes late of another one is passed over
-
-    def build(self) -> None:
-        """Lay it out."""
-        wording = self._page.wording
+        wording = page.wording
         with card("plots.title", wording).props("id=plots-card"):
             with ui.row().classes("w-full items-center gap-2"):
                 self._chosen = ui.select(
@@ -196,9 +182,7 @@ class PlotsPart:
                 with ui.element("button").classes("act plain") as self._pause:
                     self._pause_text = ui.label()
                 self._pause.props("type=button id=plot-pause").on("click", self._toggle, args=[])
-                with ui.element("button").classes("act plain") as csv:
-                    wording.put(ui.label().set_text, "plots.csv")
-                csv.props("type=button id=plot-csv").on("click", self._download, args=[])
+                csv = button(wording, "plots.csv", "id=plot-csv", self._download)
                 wording.put(attribute(csv, "title"), "plots.csv.note")
             self._chart: Any = ui.echart({}).classes("w-full").props("id=plots role=img")
             wording.put(attribute(self._chart), "plots.chart")
@@ -294,10 +278,7 @@ class EventsPart:
         self._last = 0
         self._said_in: object = None
         self._placed: list[Any] = []
-
-    def build(self) -> None:
-        """Lay it out."""
-        wording = self._page.wording
+        wording = page.wording
         with card("events.title", wording):
             with ui.row().classes("items-end gap-2 w-full"):
                 level = ui.select({name: name for name in LEVELS}, value=self._least)
@@ -317,13 +298,9 @@ class EventsPart:
             wording.put(attribute(self._list, "aria-label"), "events.title")
 
     def _build_save(self, how: Format) -> None:
-        with (
-            ui.element("button")
-            .classes("act plain")
-            .props(f"type=button data-save={how.value}") as save
-        ):
-            label = ui.label()
-        self._page.wording.put(label.set_text, "events.export", how=how.value.upper())
+        save = ui.element("button").classes("act plain").props(f"type=button data-save={how.value}")
+        with save:
+            self._page.wording.label("events.export", how=how.value.upper())
         save.on("click", lambda: self._save(how))
 
     def _choose(self, *, least: str | None = None, words: str | None = None) -> None:

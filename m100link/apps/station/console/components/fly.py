@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,95 +34,75 @@ class Fly:
     """A part made of parts."""
 
     def __init__(self, page: PageContext) -> None:
-        self._places: tuple[tuple[str, Component], ...] = (
-            ("hud", InstrumentsPart(page)),
-            ("orders", ActionsPart(page)),
-            ("clicked", ClickPart(page)),
-            ("steering", SticksPart(page.wording)),
+        made: tuple[tuple[str, Callable[[PageContext], Component]], ...] = (
+            ("hud", InstrumentsPart),
+            ("orders", ActionsPart),
+            ("clicked", ClickPart),
         )
-
-    def build(self) -> None:
-        """Lay it out: where each place stands is said by the style sheet, for every size."""
-        for place, part in self._places:
-            with ui.element("div").classes(f"place {place}"):
-                part.build()
+        self._parts = []
+        for place, make in made:
+            with _place(place):
+                self._parts.append(make(page))
+        with _place("steering"):
+            _build_sticks(page.wording)
 
     def update(self, view: View) -> None:
         """Show what is."""
-        for _, part in self._places:
+        for part in self._parts:
             part.update(view)
 
 
-# -- what keys do, and what the last one just did --------------------------------------------------
+def _place(name: str) -> ui.element:
+    """Where it stands is said by the style sheet, for every size."""
+    return ui.element("div").classes(f"place {name}")
 
 
-class LegendPart:
-    """Stands between the sticks; ``static/steer.js`` fills it in."""
+# -- what one steers with --------------------------------------------------------------------------
+# The pad. ``static/steer.js`` makes beats of it while something is held, and fills in the legend
+# between the sticks: what keys do, and what the last one just did.
 
-    def __init__(self, wording: Wording) -> None:
-        self._wording = wording
 
-    def build(self) -> None:
-        """Lay it out."""
-        put = self._wording.put
-        with ui.element("div").classes("legend"):
-            put(ui.label().classes("idle by-keys").set_text, "page.legend.idle")
-            put(ui.label().classes("idle by-finger").set_text, "page.legend.idle.finger")
-            ui.element("div").props("id=did role=status")
-            put(ui.label().classes("keys").set_text, "page.legend.keys")
-            with ui.element("div").classes("choices"):
-                self._build_step("slower", "−")
-                put(_span().set_content, "page.legend.speed")
-                ui.element("output").props("data-level")
-                self._build_step("faster", "+")
-                with ui.element("button").props("type=button data-steer=mode"):
-                    put(_span().classes("mode").set_content, "page.legend.mode")
-                    ui.element("b").props("data-mode")
-                    ui.element("span").classes("hint").props("data-hint")
+def _build_sticks(wording: Wording) -> None:
+    with ui.element("div").props("id=pad tabindex=0 role=group") as pad:
+        _build_stick(wording, "climb", "turn,up")
+        with ui.element("div").classes("between"):
+            _build_legend(wording)
+        _build_stick(wording, "move", "right,forward")
+    wording.put(attribute(pad), "page.steering")
 
-    def _build_step(self, what: str, sign: str) -> None:
-        button = ui.element("button").props(f"type=button data-steer={what}")
-        with button:
-            ui.label(sign).props("aria-hidden=true")
-        self._wording.put(attribute(button), f"page.legend.{what}")
 
-    def update(self, view: View) -> None:
-        """What it shows comes from the hand, not from the aircraft."""
+def _build_stick(wording: Wording, name: str, axes: str) -> None:
+    key = f"page.stick.{name}"
+    with ui.element("div").classes(f"stick {name}").props(f"data-axes={axes} role=img") as stick:
+        wording.label(key)
+    wording.put(attribute(stick), "page.stick", what=Text(key))
+
+
+def _build_legend(wording: Wording) -> None:
+    with ui.element("div").classes("legend"):
+        wording.label("page.legend.idle").classes("idle by-keys")
+        wording.label("page.legend.idle.finger").classes("idle by-finger")
+        ui.element("div").props("id=did role=status")
+        wording.label("page.legend.keys").classes("keys")
+        with ui.element("div").classes("choices"):
+            _build_step(wording, "slower", "−")
+            wording.put(_span().set_content, "page.legend.speed")
+            ui.element("output").props("data-level")
+            _build_step(wording, "faster", "+")
+            with ui.element("button").props("type=button data-steer=mode"):
+                wording.put(_span().classes("mode").set_content, "page.legend.mode")
+                ui.element("b").props("data-mode")
+                ui.element("span").classes("hint").props("data-hint")
+
+
+def _build_step(wording: Wording, what: str, sign: str) -> None:
+    with ui.element("button").props(f"type=button data-steer={what}") as step:
+        ui.label(sign).props("aria-hidden=true")
+    wording.put(attribute(step), f"page.legend.{what}")
 
 
 def _span() -> ui.html:
     return ui.html("", sanitize=False, tag="span")
-
-
-# -- what one steers with --------------------------------------------------------------------------
-
-
-class SticksPart:
-    """The pad. ``static/steer.js`` makes beats of it while something is held."""
-
-    def __init__(self, wording: Wording) -> None:
-        self._wording = wording
-        self._legend = LegendPart(wording)
-
-    def build(self) -> None:
-        """Lay it out."""
-        with ui.element("div").props("id=pad tabindex=0 role=group") as pad:
-            self._build_stick("climb", "turn,up")
-            with ui.element("div").classes("between"):
-                self._legend.build()
-            self._build_stick("move", "right,forward")
-        self._wording.put(attribute(pad), "page.steering")
-
-    def _build_stick(self, name: str, axes: str) -> None:
-        key = f"page.stick.{name}"
-        stick = ui.element("div").classes(f"stick {name}").props(f"data-axes={axes} role=img")
-        with stick:
-            self._wording.put(ui.label().set_text, key)
-        self._wording.put(attribute(stick), "page.stick", what=Text(key))
-
-    def update(self, view: View) -> None:
-        """Show what is."""
-        self._legend.update(view)
 
 
 # -- the instruments over the map ------------------------------------------------------------------
@@ -133,17 +114,11 @@ class InstrumentsPart:
     """What a pilot looks at. The canvas is drawn by ``static/instruments.js`` from the socket."""
 
     def __init__(self, page: PageContext) -> None:
-        self._page = page
-        self._rows: dict[str, ReadingRow] = {}
-
-    def build(self) -> None:
-        """Lay it out."""
         horizon = ui.element("canvas").props("id=horizon role=img")
-        self._page.wording.put(attribute(horizon), "instruments.horizon")
+        page.wording.put(attribute(horizon), "instruments.horizon")
         with ui.element("div").classes("values"):
-            for one in FIELDS:
-                if one.name in _SHOWN:
-                    self._rows[one.name] = ReadingRow(one.name, self._page.wording)
+            names = [one.name for one in FIELDS if one.name in _SHOWN]
+            self._rows = {name: ReadingRow(name, page.wording) for name in names}
 
     def update(self, view: View) -> None:
         """Show what is."""
@@ -229,17 +204,12 @@ class ChecklistPart:
 
     def __init__(self, page: PageContext) -> None:
         self._page = page
-        self._rows: dict[Item, _Row] = {}
         self._take_over = TakeOverDialog(page.tab, page.wording)
-
-    def build(self) -> None:
-        """Lay it out."""
-        wording, desk = self._page.wording, self._page.memory.checklist
+        wording, desk = page.wording, page.memory.checklist
         with card("checklist.title", wording):
             self._summary = ui.label().classes("summary").props("id=check-summary role=status")
             with ui.element("ul").classes("checks").props("id=checks"):
-                for item, is_needed in ITEMS.items():
-                    self._rows[item] = self._build_row(item, is_needed=is_needed)
+                self._rows = {item: self._build_row(item) for item in ITEMS}
             free = ui.checkbox(on_change=lambda event: self._say_free(is_free=bool(event.value)))
             self._free = free.props("id=free-said").classes("free")
             wording.put(self._free.set_text, "checklist.free.box")
@@ -248,25 +218,23 @@ class ChecklistPart:
             wording.put(lambda text: self._why.props(f'label="{text}"'), "checklist.why")
             wording.put(lambda text: self._why.props(f'hint="{text}"'), "checklist.why.note")
             with ui.element("div").classes("acts"):
-                add = self._page.buttons.add
-                add("activate", "actions.activate", self._page.tab.activate, kind="plain")
+                add = page.buttons.add
+                add("activate", "actions.activate", page.tab.activate, kind="plain")
                 add("obtain", "actions.obtain", self._take_over.obtain, kind="plain")
-                add("take_off", "actions.take_off", self._page.take_off)
+                add("take_off", "actions.take_off", page.take_off)
 
-    def _build_row(self, item: Item, *, is_needed: bool) -> _Row:
+    def _build_row(self, item: Item) -> _Row:
         wording = self._page.wording
         with ui.element("li").classes("check").props(f"data-check={item.value}") as box:
             shape = ui.label().classes("shape").props("aria-hidden=true")
             with ui.element("div"):
                 with ui.element("div").classes("check-head"):
-                    name = ui.label().classes("name")
+                    wording.label(f"checklist.{item.value}").classes("name")
                     state = ui.label().classes("unseen")
                     seen = ui.label().classes("seen")
-                    if is_needed:
-                        needed = ui.label().classes("needed")
-                        wording.put(needed.set_text, "checklist.needed")
+                    if ITEMS[item]:
+                        wording.label("checklist.needed").classes("needed")
                 remedy = ui.label().classes("remedy")
-        wording.put(name.set_text, f"checklist.{item.value}")
         return _Row(box, shape, state, seen, remedy)
 
     def _say_free(self, *, is_free: bool) -> None:
@@ -319,15 +287,12 @@ class ActionsPart:
     def __init__(self, page: PageContext) -> None:
         self._page = page
         self._take_over = TakeOverDialog(page.tab, page.wording)
-
-    def build(self) -> None:
-        """Lay it out."""
-        tab, add = self._page.tab, self._page.buttons.add
+        tab, add = page.tab, page.buttons.add
         with ui.element("div").classes("acts"):
             add("activate", "actions.activate", tab.activate, kind="plain")
             add("obtain", "actions.obtain", self._take_over.obtain)
             add("release", "actions.release", tab.release, kind="plain")
-            add("take_off", "actions.take_off", self._page.take_off)
+            add("take_off", "actions.take_off", page.take_off)
             add("land", "actions.land", lambda: tab.fly(Task.LAND))
             add("go_home", "actions.go_home", lambda: tab.fly(Task.GO_HOME))
         with ui.element("div").classes("acts simple"):
@@ -339,15 +304,15 @@ class ActionsPart:
             self._number = ui.select(list(_SIMPLE), value=0).classes("task-number")
             self._number.props("dense outlined id=task-number")
             keys = {number: f"page.simple.{number}" for number in _SIMPLE}
-            say_options(self._number, keys, self._page.wording)
-            self._page.wording.put(attribute(self._number), "page.which_task")
+            say_options(self._number, keys, page.wording)
+            page.wording.put(attribute(self._number), "page.which_task")
         # Behind the buttons: it comes and goes, and they stay where the finger is.
         with ui.element("div").classes("told"):
             self._activation = ui.label().props("id=activation")
             with ui.element("button").props("type=button data-go=check id=why-not") as why_not:
                 self._why_not = ui.label()
             self._why_not_button = why_not.classes("see")
-            why_not.on("click", lambda: self._page.show("check"), args=[])
+            why_not.on("click", lambda: page.show("check"), args=[])
 
     def update(self, view: View) -> None:
         """Show what is."""

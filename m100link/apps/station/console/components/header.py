@@ -11,7 +11,13 @@ from nicegui import events, ui
 from nicegui.events import GenericEventArguments
 
 from m100link.apps.agent.messages import Action
-from m100link.apps.station.console.components.component import ORDER, PageContext, answer, attribute
+from m100link.apps.station.console.components.component import (
+    ORDER,
+    PageContext,
+    answer,
+    attribute,
+    button,
+)
 from m100link.apps.station.console.view.alarms import Alarm, AlarmName, AlarmState
 from m100link.apps.station.console.view.header import SPEEDS, FleetRow, ReplayView
 from m100link.apps.station.console.view.situation import Level
@@ -31,9 +37,7 @@ class StatusPart:
         self._page = page
         self._level = ""
         self._since: float | None = None
-
-    def build(self) -> None:
-        """Lay it out."""
+        wording = page.wording
         with ui.element("div").classes("banner").props("id=banner") as self._banner:
             self._shape = ui.label().classes("shape").props("aria-hidden=true")
             with ui.element("div").classes("said").props("role=status"):
@@ -42,27 +46,19 @@ class StatusPart:
             # Counted by the page itself; read aloud it would never end.
             self._counter = ui.label().classes("since").props("aria-hidden=true")
             self._flies = ui.label().classes("flies").props("id=task role=status")
-            self._virtual = ui.label().classes("virtual").props("id=virtual")
-        self._page.wording.put(self._virtual.set_text, "status.virtual")
+            self._virtual = wording.label("status.virtual").classes("virtual").props("id=virtual")
         self._problem = ui.label().classes("problem").props("id=problem role=alert")
         with ui.element("div").classes("page-lost").props("id=page-lost role=alert") as lost:
             with ui.element("div"):
-                said = ui.label()
-                todo = ui.label().classes("remedy")
+                wording.label("status.page_lost")
+                wording.label("status.page_lost.remedy").classes("remedy")
             ui.label().classes("since").props("aria-hidden=true id=page-lost-since")
-            silence = ui.element("button").props("type=button id=page-lost-seen").classes("see")
-            with silence:
-                seen = ui.label()
+            button(wording, "alarms.acknowledge", "id=page-lost-seen", looks="see")
         with ui.element("div").classes("unanswered").props("id=unanswered role=alert hidden"):
             ui.label().props("id=unanswered-said")
-            with ui.element("button").props("type=button id=unanswered-seen").classes("see"):
-                known = ui.label()
+            button(wording, "alarms.acknowledge", "id=unanswered-seen", looks="see")
         ui.label().classes("page-said").props("id=page-said role=status")
-        self._page.wording.put(known.set_text, "alarms.acknowledge")
-        self._page.wording.put(said.set_text, "status.page_lost")
-        self._page.wording.put(todo.set_text, "status.page_lost.remedy")
-        self._page.wording.put(seen.set_text, "alarms.acknowledge")
-        self._page.wording.put(attribute(lost, "data-text"), "status.page_lost")
+        wording.put(attribute(lost, "data-text"), "status.page_lost")
         # When this view was made, on the station's clock: the page knows how old it is.
         self._beat = ui.element("i").props("id=view-beat hidden")
 
@@ -106,38 +102,27 @@ class AlarmsPart:
 
     def __init__(self, page: PageContext) -> None:
         self._page = page
-        self._rows: dict[AlarmName, _Row] = {}
         self._spoken: dict[AlarmName, float] = {}  # what was told to be spoken, and since when
-
-    def build(self) -> None:
-        """Lay it out."""
-        wording = self._page.wording
+        wording = page.wording
         with ui.element("ul").props("id=alarms").classes("alarms") as alarms:
-            for name in AlarmName:
-                self._rows[name] = self._build_row(name)
+            self._rows = {name: self._build_row(name) for name in AlarmName}
         wording.put(attribute(alarms), "alarms.title")
         # What a screen reader says at once, whatever it is saying.
         self._loud = ui.label().classes("unseen").props("id=alarm-loud role=alert")
         with ui.element("div").classes("sound-blocked").props("id=sound-blocked hidden"):
-            note = ui.label()
-            with ui.element("button").props("type=button id=allow-sound").classes("see"):
-                allow = ui.label()
-        wording.put(note.set_text, "alarms.sound_blocked")
-        wording.put(allow.set_text, "alarms.allow_sound")
+            wording.label("alarms.sound_blocked")
+            button(wording, "alarms.allow_sound", "id=allow-sound", looks="see")
         self._sound = ui.element("i").props("id=alarm-sound hidden data-level= data-say=[]")
-        self._page.load("alarms.js")
+        page.load("alarms.js")
 
     def _build_row(self, name: AlarmName) -> _Row:
         with ui.element("li").classes("alarm").props(f"data-alarm={name.value}") as box:
             shape = ui.label().classes("shape").props("aria-hidden=true")
             text = ui.label().classes("what")
-            with ui.element("button").props(f"type=button data-see={name.value}") as button:
-                see = ui.label()
-        button.classes("see")
-        self._page.wording.put(see.set_text, "alarms.acknowledge")
-        button.on("click", lambda: self._acknowledge(name))
+            seen, props = partial(self._acknowledge, name), f"data-see={name.value}"
+            see = button(self._page.wording, "alarms.acknowledge", props, seen, looks="see")
         box.set_visibility(False)
-        return _Row(box, shape, text, button)
+        return _Row(box, shape, text, see)
 
     def _acknowledge(self, name: AlarmName) -> None:
         text = self._page.memory.acknowledge(name)
@@ -209,21 +194,22 @@ class ReplayPart:
         self._is_held = False  # a finger moves the place
         self._duration_s = -1.0
         self._is_marked = False  # the page: what one flies with is hidden
-
-    def build(self) -> None:
-        """Lay it out."""
-        put = self._page.wording.put
+        put = page.wording.put
         with ui.element("section").props("id=replay") as self._bar:
             put(attribute(self._bar), "replay.bar")
             with ui.element("div").classes("said"):
                 self._title = ui.label().classes("title").props("id=replay-title")
-                put(ui.label().classes("nothing").set_text, "replay.nothing")
+                page.wording.label("replay.nothing").classes("nothing")
                 self._place = ui.label().props("id=replay-place")
                 self._note = ui.label().props("id=replay-note")
             with ui.element("div").classes("moves"):
-                self._button("back", "replay.back", "by -10")
-                self._toggle = self._button("toggle", "replay.pause", "toggle")
-                self._button("on", "replay.on", "by 10")
+                back, on = partial(self._order, "by -10"), partial(self._order, "by 10")
+                button(page.wording, "replay.back", "data-replay=back", back)
+                toggle = ui.element("button").classes("act plain")
+                with toggle.props("type=button data-replay=toggle"):
+                    self._toggle = ui.label()
+                toggle.on("click", partial(self._order, "toggle"), args=[])
+                button(page.wording, "replay.on", "data-replay=on", on)
                 self._slider = ui.slider(min=0.0, max=1.0, step=_STEP, value=0.0)
                 self._slider.props("id=replay-slider")
                 put(attribute(self._slider), "replay.place")
@@ -234,15 +220,6 @@ class ReplayPart:
                 put(attribute(self._speed, "label"), "replay.speed")
                 self._speed.on_value_change(self._sped)
         self._bar.set_visibility(False)
-
-    def _button(self, name: str, key: str, order: str) -> ui.label:
-        button = ui.element("button").classes("act plain")
-        button.props(f"type=button data-replay={name}")
-        with button:
-            text = ui.label()
-        self._page.wording.put(text.set_text, key)
-        button.on("click", partial(self._order, order), args=[])
-        return text
 
     def _order(self, text: str) -> None:
         agent, tab = self._page.agent, self._page.tab
@@ -299,12 +276,9 @@ class FleetPart:
     def __init__(self, page: PageContext) -> None:
         self._page = page
         self._rows: dict[str, _ShipRow] = {}  # as they came
-
-    def build(self) -> None:
-        """Lay it out."""
         self._place = ui.element("nav").props("id=fleet")
         self._place.set_visibility(False)  # of one aircraft there is no list
-        self._page.wording.put(attribute(self._place), "fleet.label")
+        page.wording.put(attribute(self._place), "fleet.label")
 
     def update(self, view: View) -> None:
         """Show what is; of a fleet more may come."""
@@ -331,12 +305,8 @@ class _ShipRow:
                 self._battery = ui.label()
             self._turn: Any = turn
             turn.on("click", self._turn_to, args=[])
-            stop = (
-                ui.element("button").classes("ship-stop").props(f'type=button data-halt="{name}"')
-            )
+            stop = button(page.wording, "actions.stop", f'data-halt="{name}"', looks="ship-stop")
             page.wording.put(attribute(stop), "fleet.stop", name=name)
-            with stop:
-                page.wording.put(ui.label().set_text, "actions.stop")
             stop.on("click", self._stop, js_handler=ORDER)
 
     def _turn_to(self) -> None:

@@ -11,7 +11,12 @@ from typing import Any, TypeGuard
 from nicegui import events, ui
 
 from m100link.apps.agent.preview import preview
-from m100link.apps.station.console.components.component import NumberField, PageContext, attribute
+from m100link.apps.station.console.components.component import (
+    NumberField,
+    PageContext,
+    attribute,
+    button,
+)
 from m100link.apps.station.console.view.map import (
     FASTEST_M_S,
     HIGHEST_M,
@@ -56,17 +61,13 @@ class MapPart:
     """One map for both views; drawn on by ``static/map.js``."""
 
     def __init__(self, page: PageContext) -> None:
-        self._page = page
         self._shown = Chart(None, ())
-
-    def build(self) -> None:
-        """Lay it out."""
         options = {"zoomControl": False, "attributionControl": False, "maxZoom": 22}
         with ui.element("div").props("id=map-frame"):
             self.leaflet = FlightMap(zoom=18, options=options | {"keyboard": False})
             self.leaflet.props(f"id=map data-vue={self.leaflet.id}").classes("map")
             self.leaflet.clear_layers()  # the tiles of the Internet
-            if self._page.has_tiles:
+            if page.has_tiles:
                 self.leaflet.tile_layer(
                     url_template="/tiles/{z}/{x}/{y}.png",
                     options={"maxNativeZoom": 19, "maxZoom": 22},
@@ -77,7 +78,7 @@ class MapPart:
                 with tool:
                     ui.icon(icon).props("aria-hidden=true")
                 for name in ("title", "aria-label"):
-                    self._page.wording.put(attribute(tool, name), f"page.map.{what}")
+                    page.wording.put(attribute(tool, name), f"page.map.{what}")
         ui.label().props("id=map-home").classes("map-home")
 
     def update(self, view: View) -> None:
@@ -125,48 +126,38 @@ class ClickPart:
         self._told: tuple[tuple[Refusal, ...], Settings] | None = None  # and what it was said in
         self._fields: dict[str, ui.element] = {}
         self._numbers: dict[str, NumberField] = {}
-        self._wishes: dict[Wish, ui.element] = {}
+        self._build()
 
     # -- layout ----------------------------------------------------------------------------------
 
-    def build(self) -> None:
-        """Lay it out."""
-        put = self._page.wording.put
+    def _build(self) -> None:
+        wording = self._page.wording
         self._page.load("overlays.js")
         ui.on("map_pointed", self._clicked)
         ui.on("map_dragged", self._dragged)
-        self._opener = ui.element("button").classes("act plain").props("type=button id=point-open")
-        with self._opener:
-            put(ui.label().set_text, "click.title")
-        self._opener.on("click", lambda: self._open(is_open=True), args=[])
+        begin, end = partial(self._open, is_open=True), partial(self._open, is_open=False)
+        self._opener = button(wording, "click.title", "id=point-open", begin)
         with ui.element("div").classes("card click").props("id=click role=region") as self._card:
-            put(attribute(self._card), "click.title")
-            put(ui.label().classes("hint").set_text, "click.hint")
-            self._build_wishes()
+            wording.put(attribute(self._card), "click.title")
+            wording.label("click.hint").classes("hint")
+            with ui.element("div").classes("choices").props("role=group"):
+                self._wishes = {wish: self._build_wish(wish) for wish in Wish}
             self._build_fields()
             self._preview = ui.label().props("id=click-preview role=status")
             self._refusals = ui.element("div").props("id=click-refusals role=alert")
             with ui.element("div").classes("acts"):
                 add = self._page.buttons.add
                 self._fly_button = add("guide", "click.fly", self._fly, check=self._check_shown)
-                close = ui.element("button").classes("act plain")
-                with close.props("type=button id=point-close"):
-                    put(ui.label().set_text, "click.close")
-                close.on("click", lambda: self._open(is_open=False), args=[])
+                button(wording, "click.close", "id=point-close", end)
         with ui.element("div").classes("card guided").props("id=guided") as self._guided:
             self._flying = ui.label().props("id=guided-flying role=status")
             self._page.buttons.add("hover", "click.hover", self._hover, kind="plain")
         self._guided.set_visibility(False)
         self._open(is_open=False)
 
-    def _build_wishes(self) -> None:
-        with ui.element("div").classes("choices").props("role=group"):
-            for wish in Wish:
-                button = ui.element("button").props(f"type=button data-wish={wish.value}")
-                with button:
-                    self._page.wording.put(ui.label().set_text, f"click.{wish.value}")
-                button.on("click", partial(self._wish, wish), args=[])
-                self._wishes[wish] = button
+    def _build_wish(self, wish: Wish) -> ui.element:
+        key, props = f"click.{wish.value}", f"data-wish={wish.value}"
+        return button(self._page.wording, key, props, partial(self._wish, wish), looks="")
 
     def _build_fields(self) -> None:
         with ui.element("div").classes("numbers") as self._fields["way"]:
@@ -232,8 +223,8 @@ class ClickPart:
 
     def _wish(self, wish: Wish) -> None:
         self._pointed, self._problem = replace(self._pointed, wish=wish), None
-        for one, button in self._wishes.items():
-            button.props(f"aria-pressed={'true' if one is wish else 'false'}")
+        for one, choice in self._wishes.items():
+            choice.props(f"aria-pressed={'true' if one is wish else 'false'}")
         for name, field in self._fields.items():
             field.set_visibility(name in _SHOWN[wish])
 

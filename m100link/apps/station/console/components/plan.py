@@ -17,6 +17,7 @@ from m100link.apps.station.console.components.component import (
     PageContext,
     Wording,
     attribute,
+    button,
     card,
     say_options,
 )
@@ -57,10 +58,7 @@ class PlanPart:
         self._chosen: int | None = None
         self._is_area = False  # clicks make corners of the area, and not points
         self._found = checked(Draft())
-        self._waypoint = WaypointPart(
-            page.wording, self._change_point, self._move_point, self._refuse
-        )
-        self._whole = WholePart(page.wording, self._change, self._survey)
+        self._build()
 
     @property
     def _draft(self) -> Draft:
@@ -68,26 +66,25 @@ class PlanPart:
 
     # -- layout ----------------------------------------------------------------------------------
 
-    def build(self) -> None:
-        """Lay it out."""
+    def _build(self) -> None:
         self._page.load("overlays.js")
         ui.on("map_pointed", self._clicked)
         ui.on("plan_moved", self._moved)
         ui.on("plan_chosen", self._picked)
         wording = self._page.wording
         with card("plan.title", wording):
-            wording.put(ui.label().classes("hint").set_text, "plan.hint")
+            wording.label("plan.hint").classes("hint")
             self._build_tools()
             self._problem = ui.label().classes("problem").props("id=plan-problem role=alert")
             self._summary = ui.label().props("id=plan-summary role=status")
             self._notes = ui.element("ul").props("id=plan-notes").classes("notes")
             self._rows = ui.element("ol").props("id=plan-rows").classes("rows")
-        self._waypoint.build()
+        self._waypoint = WaypointPart(wording, self._change_point, self._move_point, self._refuse)
         with card("plan.profile", wording):
             self._chart = ui.echart({}).classes("profile")
             self._chart.props("id=plan-profile role=img")
             wording.put(attribute(self._chart), "plan.profile")
-        self._whole.build()
+        self._whole = WholePart(wording, self._change, self._survey)
         self._build_files()
         self._build_mission()
         wording.follow(self._show)
@@ -105,11 +102,7 @@ class PlanPart:
             self._tool("fit", lambda: _run("map.fit()"))
 
     def _tool(self, word: str, work: Callable[[], None]) -> ui.element:
-        button = ui.element("button").props(f"type=button data-plan={word}")
-        with button:
-            self._page.wording.put(ui.label().set_text, f"plan.{word}")
-        button.on("click", work, args=[])
-        return button
+        return button(self._page.wording, f"plan.{word}", f"data-plan={word}", work, looks="")
 
     def _build_files(self) -> None:
         with card("plan.file", self._page.wording):
@@ -122,7 +115,7 @@ class PlanPart:
                 ".then((map) => map.open(event.target))",
             )
             with ui.element("label").classes("act plain").props("for=plan-file"):
-                self._page.wording.put(ui.label().set_text, "plan.open")
+                self._page.wording.label("plan.open")
             ui.on("plan_opened", self._opened)
             with ui.element("div").classes("choices"):
                 self._tool("export_plan", lambda: self._save("plan"))
@@ -277,8 +270,8 @@ class PlanPart:
         draft = self._draft
         found = self._found = checked(draft, self._here())
         self._summary.set_text(self._say(summary_of(draft, found)))
-        for is_area, button in self._modes.items():
-            button.props(f"aria-pressed={'true' if is_area is self._is_area else 'false'}")
+        for is_area, mode in self._modes.items():
+            mode.props(f"aria-pressed={'true' if is_area is self._is_area else 'false'}")
         self._notes.clear()
         with self._notes:
             for note in found.notes:
@@ -359,12 +352,9 @@ class WaypointPart:
         move: Callable[[int], None],  # puts it earlier (-1) or later (1), or removes it (0)
         refuse: Callable[[str], None],  # told what is not an action
     ) -> None:
-        self._wording, self._change, self._move, self._refuse = wording, change, move, refuse
+        self._change, self._refuse = change, refuse
         self._numbers: dict[str, NumberField] = {}
         self._is_showing = False  # what is set then was not typed
-
-    def build(self) -> None:
-        """Lay it out."""
         with ui.element("div").classes("card w-full").props("id=waypoint") as self._card:
             self._title = ui.label().classes("title")
             with ui.element("div").classes("numbers"):
@@ -376,7 +366,7 @@ class WaypointPart:
                     ("longitude_deg", "longitude", 1e-5, None),
                 ):
                     number = NumberField(
-                        self._wording,
+                        wording,
                         f"plan.{word}",
                         kind=kind,
                         step=step,
@@ -386,15 +376,13 @@ class WaypointPart:
                     self._numbers[name] = number
             self._actions = ui.input()
             self._actions.props("dense outlined debounce=500 for=waypoint-actions")
-            self._wording.put(attribute(self._actions, "label"), "plan.actions")
-            self._wording.put(attribute(self._actions, "hint"), "plan.actions_hint")
+            wording.put(attribute(self._actions, "label"), "plan.actions")
+            wording.put(attribute(self._actions, "hint"), "plan.actions_hint")
             self._actions.on_value_change(self._acted)
             with ui.element("div").classes("choices"):
                 for word, by in (("earlier", -1), ("later", 1), ("remove", 0)):
-                    button = ui.element("button").props(f"type=button data-plan={word}")
-                    with button:
-                        self._wording.put(ui.label().set_text, f"plan.{word}")
-                    button.on("click", partial(self._move, by), args=[])
+                    props = f"data-plan={word}"
+                    button(wording, f"plan.{word}", props, partial(move, by), looks="")
         self._card.set_visibility(False)
 
     def show(self, index: int | None, point: Waypoint | None) -> None:
@@ -463,15 +451,11 @@ class WholePart:
         change: Callable[[Draft], None],  # takes another draft
         survey: Callable[..., None],  # makes lines over the area
     ) -> None:
-        self._wording, self._change, self._survey = wording, change, survey
+        self._change, self._survey = change, survey
         self._draft = Draft()
         self._selects: dict[str, ui.select] = {}
         self._lines: dict[str, NumberField] = {}
         self._is_showing = False  # what is set then was not chosen
-
-    def build(self) -> None:
-        """Lay it out."""
-        wording = self._wording
         with ui.element("div").classes("card w-full"), ui.element("div").classes("numbers"):
             self._speed = NumberField(
                 wording,
@@ -504,10 +488,7 @@ class WholePart:
                     )
                     number.element.props(f"dense outlined clearable for=survey-{name}")
                     self._lines[name] = number
-            button = ui.element("button").classes("act plain").props("type=button data-plan=lines")
-            with button:
-                wording.put(ui.label().set_text, "plan.lines")
-            button.on("click", self._make_lines, args=[])
+            button(wording, "plan.lines", "data-plan=lines", self._make_lines)
 
     def show(self, draft: Draft) -> None:
         """Show what holds for a draft."""

@@ -15,6 +15,7 @@ from m100link.apps.station.console.components.component import (
     PageContext,
     Wording,
     attribute,
+    button,
     card,
     say_options,
 )
@@ -77,9 +78,6 @@ class SettingsPart:
 
     def __init__(self, page: PageContext) -> None:
         self._page = page
-
-    def build(self) -> None:
-        """Lay it out."""
         wording = self._page.wording
         with card("settings.title", wording):
             name = ui.input(value=self._page.tab.name).props("for=name outlined maxlength=64")
@@ -93,15 +91,12 @@ class SettingsPart:
                 box.on_value_change(self._chooser(field, bool))
                 wording.put(box.set_text, f"settings.{field}")
             with ui.element("div").classes("acts"):
-                with ui.element("button").classes("act plain") as attempt:
-                    label = ui.label()
-                attempt.props("type=button id=try-sound").on("click", self._try_sound)
-            wording.put(label.set_text, "settings.try_sound")
+                button(wording, "settings.try_sound", "id=try-sound", self._try_sound)
             for key in ("settings.english_errors", "settings.kept"):
-                wording.put(ui.label().classes("note-plain").set_text, key)
+                wording.label(key).classes("note-plain")
         if self._page.orders is not None:
             with card("status.virtual", wording):
-                SimPanel(self._page.orders, wording).build()
+                SimPanel(self._page.orders, wording)
 
     def _build_choice(self, field: str, kind: type[Enum]) -> None:
         wording = self._page.wording
@@ -166,12 +161,9 @@ class SimPanel:
 
     def __init__(self, orders: Orders, wording: Wording) -> None:
         self._orders, self._wording = orders, wording
-
-    def build(self) -> None:
-        """Lay it out inside the present element."""
-        shown = self._orders.status
+        shown = orders.status
         with ui.row().classes("items-center gap-2"):
-            self._wording.put(ui.label().set_text, "sim.mode")
+            wording.label("sim.mode")
             ui.toggle(
                 [mode.name for mode in RcMode],
                 value=shown["rc_mode"],

@@ -27,7 +27,8 @@ def test_the_model_points_where_the_aircraft_does() -> None:
     state = AircraftState(lambda: 0.0)
     state.update(known.sample())
     turned: list[tuple[float, float, float]] = []
-    part = TelemetryPart(cast(Any, SimpleNamespace(wording=Speaker())))
+    part = object.__new__(TelemetryPart)
+    part._wording = cast(Any, Speaker())
     label: Any = SimpleNamespace(set_text=lambda text: None, classes=lambda **_: None)
     part._rows, part._age, part._frame = {}, label, label
     part._model = cast(Any, SimpleNamespace(rotate=lambda *angles: turned.append(angles)))
