@@ -17,7 +17,7 @@ from m100link.apps.agent.server.server import Service
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.station.ros.client import Client
 from m100link.apps.station.ros.dji_sdk import DjiSdk
-from m100link.apps.station.ros.graph import Graph, Rosout, add_rosapi
+from m100link.apps.station.ros.graph import Graph, add_rosapi, add_rosout
 from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.node_2015 import Node
 from m100link.sim.clock import virtual_clock_loop
@@ -95,7 +95,7 @@ class Rig:
             clients = Clients(self.front, self.graph)
             Node(self.front, self.graph, clients)
             DjiSdk(self.front, self.graph, clients)
-            Rosout({"m100": self.front}, self.graph)
+            add_rosout({"m100": self.front}, self.graph)
             add_rosapi(self.graph)
             await self.until(lambda: self.front.is_connected)
             yield self

@@ -11,15 +11,15 @@ from __future__ import annotations
 
 import asyncio
 import math
-import time
 from collections.abc import Callable
+from typing import Any
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.latency import MAX_LATE, WayTime
 from m100link.apps.agent.messages import Action
 from m100link.apps.station.ros.graph import Call, Graph, Listener, Topic
 from m100link.apps.station.ros.leases import Clients
-from m100link.apps.station.ros.messages import Message
+from m100link.apps.station.ros.messages import Message, present
 from m100link.apps.station.ros.missions import Missions
 from m100link.errors import BadSetpoint, GuardRefused, M100Error, UsageError
 from m100link.geodesy import LocalFrame
@@ -27,7 +27,7 @@ from m100link.log.ros2 import in_body
 from m100link.protocol.commands.control import Arm, Task
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
 from m100link.protocol.firmware import FIRMWARE_3_1
-from m100link.protocol.records import Position
+from m100link.protocol.records import AngularVelocity, Battery, Position, RemoteControl
 from m100link.protocol.setpoint import (
     ControlMode,
     Horizontal,
@@ -41,7 +41,6 @@ from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Newest
 
 GROUND, BODY = "ground_ENU", "body_FLU"
-_ZERO_COVARIANCE = [0.0] * 9
 _RC_FULL = 10_000.0
 _GRAVITY_M_S2 = 9.80665
 _WAY = "way of setpoints"
@@ -76,6 +75,100 @@ def joy_setpoint(flag: int, x: float, y: float, z: float, yaw: float) -> Setpoin
     return Setpoint(ControlMode(horizontal, vertical, yaw_mode), first, second, z, turn, frame)
 
 
+# -- what each topic has of a package --------------------------------------------------------------
+
+_Make = Callable[[Sample], Message | None]  # fields that differ from their defaults; None: nothing
+
+
+def _of(item: str, make: Callable[[Any], Message]) -> _Make:
+    """Of the packages that have this item."""
+
+    def told(sample: Sample) -> Message | None:
+        record = getattr(sample, item)
+        return None if record is None else make(record)
+
+    return told
+
+
+def _imu(sample: Sample) -> Message | None:
+    attitude, rates, ground = sample.attitude, sample.angular_velocity, sample.acceleration
+    if attitude is None or rates is None or ground is None:
+        return None
+    # An accelerometer feels what keeps the aircraft from falling: gravity is added.
+    east, north, up = ground.enu
+    felt = in_body(attitude.enu_flu_xyzw, (east, north, up + _GRAVITY_M_S2))
+    return {
+        "orientation": _quaternion(attitude.enu_flu_xyzw),
+        "angular_velocity": _xyz(*_turns(rates)),
+        "linear_acceleration": _xyz(*felt),
+    }
+
+
+def _turns(rates: AngularVelocity) -> tuple[float, float, float]:
+    return rates.forward_rad_s, -rates.right_rad_s, -rates.down_rad_s
+
+
+def _fix(position: Position) -> Message:
+    return {
+        "status": {"status": 0 if has_fix(position) else -1, "service": 1},
+        "latitude": position.latitude_deg,
+        "longitude": position.longitude_deg,
+        "altitude": position.altitude_m,
+    }
+
+
+def _health(sample: Sample) -> Message | None:
+    health = sample.position and sample.position.gps_health
+    return None if health is None else {"data": health}
+
+
+def _remote(rc: RemoteControl) -> Message:
+    sticks = [value / _RC_FULL for value in (rc.roll, rc.pitch, rc.yaw, rc.throttle)]
+    return {"axes": [*sticks, float(rc.mode), math.nan if rc.gear is None else float(rc.gear)]}
+
+
+def _charge(battery: Battery) -> Message:
+    unknown = ("voltage", "current", "charge", "capacity", "design_capacity")
+    # 0 to 1 is the standard; DJI's node puts 0 to 100 there.
+    percentage = battery.percent / 100.0 if battery.is_possible else math.nan
+    return {**dict.fromkeys(unknown, math.nan), "percentage": percentage, "present": True}
+
+
+def _vector(item: str, read: Callable[[Any], tuple[float, float, float]]) -> _Make:
+    return _of(item, lambda record: {"vector": _xyz(*read(record))})
+
+
+_VECTOR = "geometry_msgs/Vector3Stamped"
+
+_TELEMETRY: tuple[tuple[str, str, str, _Make], ...] = (
+    (
+        *("attitude", "geometry_msgs/QuaternionStamped", BODY),
+        _of("attitude", lambda turned: {"quaternion": _quaternion(turned.enu_flu_xyzw)}),
+    ),
+    ("imu", "sensor_msgs/Imu", BODY, _imu),
+    ("gps_position", "sensor_msgs/NavSatFix", "gps", _of("position", _fix)),
+    ("gps_health", "std_msgs/UInt8", "", _health),
+    (
+        *("height_above_takeoff", "std_msgs/Float32", ""),
+        _of("position", lambda position: {"data": position.height_m}),
+    ),
+    ("velocity", _VECTOR, GROUND, _vector("velocity", lambda velocity: velocity.enu)),
+    ("angular_velocity_fused", _VECTOR, BODY, _vector("angular_velocity", _turns)),
+    ("acceleration_ground_fused", _VECTOR, GROUND, _vector("acceleration", lambda one: one.enu)),
+    ("rc", "sensor_msgs/Joy", "rc", _of("remote_control", _remote)),
+    (
+        *("gimbal_angle", _VECTOR, GROUND),
+        _vector("gimbal", lambda one: (one.roll_deg, one.pitch_deg, one.yaw_deg)),
+    ),
+    (
+        *("flight_status", "std_msgs/UInt8", ""),
+        _of("flight_status", lambda status: {"data": status.status}),
+    ),
+    ("battery_state", "sensor_msgs/BatteryState", "", _of("battery", _charge)),
+)
+"""Name, type, frame where there is a header, and what makes it."""
+
+
 class DjiSdk:
     """Topics and services under ``/dji_sdk``."""
 
@@ -83,7 +176,7 @@ class DjiSdk:
         self._agent, self._graph, self._clients = agent, graph, clients
         self._sequence = 0
         self._origin: tuple[LocalFrame, float] | None = None
-        self._topics: list[tuple[Topic, Callable[[Sample], Message | None]]] = []
+        self._topics: list[tuple[Topic, str, _Make]] = []
         self._add_telemetry()
         self._add_setpoints()
         self._add_services()
@@ -96,32 +189,25 @@ class DjiSdk:
     # -- telemetry -------------------------------------------------------------------------------
 
     def _add_telemetry(self) -> None:
-        for name, kind, build in (
-            ("attitude", "geometry_msgs/QuaternionStamped", self._attitude),
-            ("imu", "sensor_msgs/Imu", self._imu),
-            ("gps_position", "sensor_msgs/NavSatFix", self._gps_position),
-            ("gps_health", "std_msgs/UInt8", self._gps_health),
-            ("height_above_takeoff", "std_msgs/Float32", self._height),
-            ("local_position", "geometry_msgs/PointStamped", self._local_position),
-            ("velocity", "geometry_msgs/Vector3Stamped", self._velocity),
-            ("angular_velocity_fused", "geometry_msgs/Vector3Stamped", self._angular_velocity),
-            ("acceleration_ground_fused", "geometry_msgs/Vector3Stamped", self._acceleration),
-            ("rc", "sensor_msgs/Joy", self._rc),
-            ("gimbal_angle", "geometry_msgs/Vector3Stamped", self._gimbal),
-            ("flight_status", "std_msgs/UInt8", self._flight_status),
-            ("battery_state", "sensor_msgs/BatteryState", self._battery),
-        ):
-            self._topics.append((self._graph.add_topic(f"/dji_sdk/{name}", kind), build))
+        for name, kind, frame, make in _TELEMETRY:
+            self._add_told(name, kind, frame, make)
+        kind = "geometry_msgs/PointStamped"
+        self._add_told("local_position", kind, "/local", self._local_position)
+
+    def _add_told(self, name: str, kind: str, frame: str, make: _Make) -> None:
+        self._topics.append((self._graph.add_topic(f"/dji_sdk/{name}", kind), frame, make))
 
     async def _watch(self) -> None:
         async with self._agent.samples(Newest(20)) as samples:
             async for sample in samples:
-                for topic, build in self._topics:
+                for topic, frame, make in self._topics:
                     # Nobody pays for a topic that nobody reads.
-                    if topic.subscribers:
-                        message = build(sample)
-                        if message is not None:
-                            self._graph.publish(topic, message, sample.received_at)
+                    made = make(sample) if topic.subscribers else None
+                    if made is not None:
+                        message = topic.type.default() | made
+                        if "header" in message:
+                            message["header"] = self._header(frame)
+                        self._graph.publish(topic, message, sample.received_at)
 
     async def _watch_mobile(self) -> None:
         async with self._agent.from_mobile(Newest(50)) as messages:
@@ -130,63 +216,7 @@ class DjiSdk:
 
     def _header(self, frame: str) -> Message:
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
-        seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
-        return {
-            "seq": self._sequence,
-            "stamp": {"secs": seconds, "nsecs": nanoseconds},
-            "frame_id": frame,
-        }
-
-    def _vector(self, frame: str, x: float, y: float, z: float) -> Message:
-        return {"header": self._header(frame), "vector": _xyz(x, y, z)}
-
-    def _attitude(self, sample: Sample) -> Message | None:
-        attitude = sample.attitude
-        if attitude is None:
-            return None
-        return {
-            "header": self._header(BODY),
-            "quaternion": _quaternion(attitude.enu_flu_xyzw),
-        }
-
-    def _imu(self, sample: Sample) -> Message | None:
-        attitude, rates, ground = sample.attitude, sample.angular_velocity, sample.acceleration
-        if attitude is None or rates is None or ground is None:
-            return None
-        orientation = attitude.enu_flu_xyzw
-        # An accelerometer feels what keeps the aircraft from falling: gravity is added.
-        east, north, up = ground.enu
-        felt = in_body(orientation, (east, north, up + _GRAVITY_M_S2))
-        return {
-            "header": self._header(BODY),
-            "orientation": _quaternion(orientation),
-            "orientation_covariance": _ZERO_COVARIANCE,
-            "angular_velocity": _xyz(rates.forward_rad_s, -rates.right_rad_s, -rates.down_rad_s),
-            "angular_velocity_covariance": _ZERO_COVARIANCE,
-            "linear_acceleration": _xyz(*felt),
-            "linear_acceleration_covariance": _ZERO_COVARIANCE,
-        }
-
-    def _gps_position(self, sample: Sample) -> Message | None:
-        position = sample.position
-        if position is None:
-            return None
-        return {
-            "header": self._header("gps"),
-            "status": {"status": 0 if has_fix(position) else -1, "service": 1},
-            "latitude": position.latitude_deg,
-            "longitude": position.longitude_deg,
-            "altitude": position.altitude_m,
-            "position_covariance": _ZERO_COVARIANCE,
-            "position_covariance_type": 0,
-        }
-
-    def _gps_health(self, sample: Sample) -> Message | None:
-        health = sample.position and sample.position.gps_health
-        return None if health is None else {"data": health}
-
-    def _height(self, sample: Sample) -> Message | None:
-        return None if sample.position is None else {"data": sample.position.height_m}
+        return {"seq": self._sequence, "stamp": present(), "frame_id": frame}
 
     def _local_position(self, sample: Sample) -> Message | None:
         position = sample.position
@@ -194,59 +224,7 @@ class DjiSdk:
             return None
         frame, altitude = self._origin
         north, east = frame.to_local(position.latitude_deg, position.longitude_deg)
-        point = _xyz(east, north, position.altitude_m - altitude)
-        return {"header": self._header("/local"), "point": point}
-
-    def _velocity(self, sample: Sample) -> Message | None:
-        return None if sample.velocity is None else self._vector(GROUND, *sample.velocity.enu)
-
-    def _acceleration(self, sample: Sample) -> Message | None:
-        ground = sample.acceleration
-        return None if ground is None else self._vector(GROUND, *ground.enu)
-
-    def _angular_velocity(self, sample: Sample) -> Message | None:
-        rates = sample.angular_velocity
-        if rates is None:
-            return None
-        return self._vector(BODY, rates.forward_rad_s, -rates.right_rad_s, -rates.down_rad_s)
-
-    def _rc(self, sample: Sample) -> Message | None:
-        rc = sample.remote_control
-        if rc is None:
-            return None
-        sticks = [value / _RC_FULL for value in (rc.roll, rc.pitch, rc.yaw, rc.throttle)]
-        axes = [*sticks, float(rc.mode), math.nan if rc.gear is None else float(rc.gear)]
-        return {"header": self._header("rc"), "axes": axes, "buttons": []}
-
-    def _gimbal(self, sample: Sample) -> Message | None:
-        gimbal = sample.gimbal
-        if gimbal is None:
-            return None
-        return self._vector(GROUND, gimbal.roll_deg, gimbal.pitch_deg, gimbal.yaw_deg)
-
-    def _flight_status(self, sample: Sample) -> Message | None:
-        return None if sample.flight_status is None else {"data": sample.flight_status.status}
-
-    def _battery(self, sample: Sample) -> Message | None:
-        battery = sample.battery
-        if battery is None:
-            return None
-        unknown = dict.fromkeys(
-            ("voltage", "current", "charge", "capacity", "design_capacity"), math.nan
-        )
-        return {
-            "header": self._header(""),
-            **unknown,
-            # 0 to 1 is the standard; DJI's node puts 0 to 100 there.
-            "percentage": battery.percent / 100.0 if battery.is_possible else math.nan,
-            "power_supply_status": 0,
-            "power_supply_health": 0,
-            "power_supply_technology": 0,
-            "present": True,
-            "cell_voltage": [],
-            "location": "",
-            "serial_number": "",
-        }
+        return {"point": _xyz(east, north, position.altitude_m - altitude)}
 
     # -- setpoints -------------------------------------------------------------------------------
 
@@ -291,7 +269,7 @@ class DjiSdk:
         for name, kind, handler in (
             ("activation", "Activation", self._activate),
             ("sdk_control_authority", "SDKControlAuthority", self._authority),
-            ("sdk_permission_control", "SDKPermissionControl", self._permission),
+            ("sdk_permission_control", "SDKPermissionControl", self._authority),
             ("drone_task_control", "DroneTaskControl", self._task),
             ("query_drone_version", "QueryDroneVersion", self._version),
             ("set_local_pos_ref", "SetLocalPosRef", self._set_origin),
@@ -319,10 +297,6 @@ class DjiSdk:
             if not self._agent.has_authority:
                 self._clients.let_go(call.session)
         return {"result": True, "cmd_set": 1, "cmd_id": 0, "ack_data": 2 if wanted else 1}
-
-    async def _permission(self, call: Call) -> Message:
-        await self._authority(call)
-        return {"result": True}
 
     async def _task(self, call: Call) -> Message:
         number = call.request["task"]
@@ -430,34 +404,24 @@ class Payload:
 
     def _on_angles(self, session: Listener, message: Message, now: float) -> None:
         """Radians, as DJI's node has them; seconds are whole."""
-        try:
-            command = GimbalAngle(
-                yaw_deg=math.degrees(message["yaw"]),
-                roll_deg=math.degrees(message["roll"]),
-                pitch_deg=math.degrees(message["pitch"]),
-                mode=message["mode"],
-                duration_s=max(_SHORTEST_S, float(message["ts"])),
-            )
-            data = command.value(FIRMWARE_3_1)
-        except M100Error as error:
-            self._clients.complain(session, error)
-        else:
-            self._send(session, Action.GIMBAL_ANGLES, data)
+        command = GimbalAngle(
+            yaw_deg=math.degrees(message["yaw"]),
+            roll_deg=math.degrees(message["roll"]),
+            pitch_deg=math.degrees(message["pitch"]),
+            mode=message["mode"],
+            duration_s=max(_SHORTEST_S, float(message["ts"])),
+        )
+        self._send(session, Action.GIMBAL_ANGLES, command)
 
     def _on_rates(self, session: Listener, message: Message, now: float) -> None:
         """Radians per second: roll, pitch, yaw. One message turns it for half a second."""
         vector = message["vector"]
-        try:
-            command = GimbalSpeed(
-                yaw_deg_s=math.degrees(vector["z"]),
-                roll_deg_s=math.degrees(vector["x"]),
-                pitch_deg_s=math.degrees(vector["y"]),
-            )
-            data = command.value(FIRMWARE_3_1)
-        except M100Error as error:
-            self._clients.complain(session, error)
-        else:
-            self._send(session, Action.GIMBAL_RATES, data)
+        command = GimbalSpeed(
+            yaw_deg_s=math.degrees(vector["z"]),
+            roll_deg_s=math.degrees(vector["x"]),
+            pitch_deg_s=math.degrees(vector["y"]),
+        )
+        self._send(session, Action.GIMBAL_RATES, command)
 
     async def _angles(self, call: Call) -> Message:
         """Tenths of a degree and of a second."""
@@ -492,7 +456,13 @@ class Payload:
         await self._agent.ask(action, self._clients.lease(call.session), data=data)
         return {"result": True}
 
-    def _send(self, session: Listener, action: Action, data: bytes) -> None:
+    def _send(self, session: Listener, action: Action, command: GimbalAngle | GimbalSpeed) -> None:
+        try:
+            data = command.value(FIRMWARE_3_1)
+        except M100Error as error:
+            self._clients.complain(session, error)
+            return
+
         async def send() -> None:
             await self._agent.ask(action, self._clients.lease(session), data=data)
 

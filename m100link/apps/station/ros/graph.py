@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from operator import attrgetter
 from typing import Any, Protocol
 
 from m100link.apps.agent.client import AgentClient
@@ -216,7 +217,8 @@ class _Failed(Exception):
 
 def add_rosapi(graph: Graph) -> None:
     """Offer the services of rosapi about everything in the graph."""
-    api = _RosApi(graph)
+    api, of_service = _RosApi(graph), partial(_details, "service", SERVICES)
+    no_param = _failing("there are no parameters here that could be changed")
     for name, kind, answer in (
         ("topics", "Topics", api.topics),
         ("topic_type", "TopicType", api.topic_type),
@@ -230,19 +232,19 @@ def add_rosapi(graph: Graph) -> None:
         ("service_providers", "ServiceProviders", api.service_providers),
         ("service_node", "ServiceNode", api.service_node),
         ("service_host", "ServiceHost", api.service_host),
-        ("action_servers", "GetActionServers", api.action_servers),
-        ("nodes", "Nodes", api.nodes),
+        ("action_servers", "GetActionServers", lambda _: {"action_servers": []}),
+        ("nodes", "Nodes", lambda _: {"nodes": [NODE]}),
         ("node_details", "NodeDetails", api.node_details),
-        ("message_details", "MessageDetails", api.message_details),
-        ("service_request_details", "ServiceRequestDetails", api.request_details),
-        ("service_response_details", "ServiceResponseDetails", api.response_details),
-        ("get_time", "GetTime", api.get_time),
-        ("get_param", "GetParam", api.get_param),
-        ("get_param_names", "GetParamNames", api.get_param_names),
-        ("has_param", "HasParam", api.has_param),
-        ("search_param", "SearchParam", api.search_param),
-        ("set_param", "SetParam", api.no_param),
-        ("delete_param", "DeleteParam", api.no_param),
+        ("message_details", "MessageDetails", _details("message", MESSAGES, lambda one: one)),
+        ("service_request_details", "ServiceRequestDetails", of_service(attrgetter("request"))),
+        ("service_response_details", "ServiceResponseDetails", of_service(attrgetter("response"))),
+        ("get_time", "GetTime", lambda _: {"time": present()}),
+        ("get_param", "GetParam", lambda asked: {"value": asked["default"] or json.dumps(None)}),
+        ("get_param_names", "GetParamNames", lambda _: {"names": []}),
+        ("has_param", "HasParam", lambda _: {"exists": False}),
+        ("search_param", "SearchParam", lambda _: {"global_name": ""}),
+        ("set_param", "SetParam", no_param),
+        ("delete_param", "DeleteParam", no_param),
     ):
         graph.add_service(f"/rosapi/{name}", f"rosapi/{kind}", _answering(answer))
 
@@ -255,6 +257,13 @@ def _answering(answer: Callable[[Message], Message]) -> Callable[[Call], None]:
             call.fail(str(error))
 
     return on_call
+
+
+def _failing(reason: str) -> Callable[[Message], Message]:
+    def answer(_: Message) -> Message:
+        raise _Failed(reason)
+
+    return answer
 
 
 class _RosApi:
@@ -310,12 +319,6 @@ class _RosApi:
         is_here = canonical_name(request["service"]) in self._graph.services
         return {"host": "localhost" if is_here else ""}
 
-    def action_servers(self, _: Message) -> Message:
-        return {"action_servers": []}
-
-    def nodes(self, _: Message) -> Message:
-        return {"nodes": [NODE]}
-
     def node_details(self, request: Message) -> Message:
         if canonical_name(request["node"]) != NODE:
             return {}
@@ -326,42 +329,18 @@ class _RosApi:
             "services": sorted(self._graph.services),
         }
 
-    def message_details(self, request: Message) -> Message:
-        kind = MESSAGES.get(canonical_type(request["type"]))
-        if kind is None:
-            raise _Failed(f"there is no message type {request['type'][:128]!r} here")
+
+def _details(
+    what: str, known: Mapping[str, Any], half: Callable[[Any], MessageType]
+) -> Callable[[Message], Message]:
+    def answer(request: Message) -> Message:
+        found = known.get(canonical_type(request["type"]))
+        if found is None:
+            raise _Failed(f"there is no {what} type {request['type'][:128]!r} here")
+        kind = half(found)
         return {"typedefs": [_typedef(one) for one in (kind, *nested(kind))]}
 
-    def request_details(self, request: Message) -> Message:
-        return self._half(request, lambda name: SERVICES[name].request)
-
-    def response_details(self, request: Message) -> Message:
-        return self._half(request, lambda name: SERVICES[name].response)
-
-    def _half(self, request: Message, half: Callable[[str], MessageType]) -> Message:
-        name = canonical_type(request["type"])
-        if name not in SERVICES:
-            raise _Failed(f"there is no service type {request['type'][:128]!r} here")
-        kind = half(name)
-        return {"typedefs": [_typedef(one) for one in (kind, *nested(kind))]}
-
-    def get_time(self, _: Message) -> Message:
-        return {"time": present()}
-
-    def get_param(self, request: Message) -> Message:
-        return {"value": request["default"] or json.dumps(None)}
-
-    def get_param_names(self, _: Message) -> Message:
-        return {"names": []}
-
-    def has_param(self, _: Message) -> Message:
-        return {"exists": False}
-
-    def search_param(self, _: Message) -> Message:
-        return {"global_name": ""}
-
-    def no_param(self, _: Message) -> Message:
-        raise _Failed("there are no parameters here that could be changed")
+    return answer
 
 
 def _typedef(kind: MessageType) -> Message:
@@ -391,21 +370,19 @@ LEVELS = {"info": 2, "warning": 4, "error": 8}
 """Level of an event, and its number in rosgraph_msgs/Log."""
 
 
-class Rosout:
-    """Publishes each event."""
+def add_rosout(agents: Mapping[str, AgentClient], graph: Graph) -> None:
+    """Publish each event."""
+    topic = graph.add_topic("/rosout", "rosgraph_msgs/Log")
 
-    def __init__(self, agents: Mapping[str, AgentClient], graph: Graph) -> None:
-        self._graph = graph
-        self._topic = graph.add_topic("/rosout", "rosgraph_msgs/Log")
-        for name, agent in agents.items():
-            node = f"{NODE}/{name}" if len(agents) > 1 else NODE
-            agent.on_event.append(partial(self._tell, agent, node))
-
-    def _tell(self, agent: AgentClient, node: str, event: Event) -> None:
-        message = self._topic.type.default() | {
+    def tell(agent: AgentClient, node: str, event: Event) -> None:
+        message = topic.type.default() | {
             "header": {"seq": event.number & 0xFFFFFFFF, "stamp": present(), "frame_id": ""},
             "level": LEVELS.get(event.level, 2),
             "name": node,
             "msg": event.text,
         }
-        self._graph.publish(self._topic, message, agent.now)
+        graph.publish(topic, message, agent.now)
+
+    for name, agent in agents.items():
+        node = f"{NODE}/{name}" if len(agents) > 1 else NODE
+        agent.on_event.append(partial(tell, agent, node))

@@ -121,19 +121,22 @@ class Clients:
     def answering(
         self, name: str, handler: Callable[[Call], Coroutine[Any, Any, Message]]
     ) -> Callable[[Call], None]:
-        """Answer when the aircraft has; a refusal is an answer, trouble is a failure."""
+        """Answer when the aircraft has; a refusal is an answer, trouble is a failure.
+
+        Generations of DJI's node tell more or less of one thing: each type has the fields it knows.
+        """
 
         async def answer(call: Call) -> None:
             try:
-                call.respond(await handler(call))
+                told = await handler(call)
             except CommandRefused as error:
                 call.session.status("error", str(error))
-                refused: Message = {"result": False}
-                if "ack_data" in call.service.type.response.default():
-                    refused["ack_data"] = max(0, error.code)
-                call.respond(refused)
+                told = {"result": False, "ack_data": max(0, error.code)}
             except M100Error as error:
                 call.fail(str(error))
+                return
+            known = call.service.type.response.default()
+            call.respond({name: value for name, value in told.items() if name in known})
 
         def on_call(call: Call) -> None:
             if self.admits(call.session):

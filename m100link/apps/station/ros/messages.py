@@ -151,18 +151,21 @@ _INTEGERS = {
 _FLOAT32_MAX = 3.4028235677973366e38
 _MAX_ARRAY = 1000  # elements of an array without a bound of its own
 
-# RFC 8746 tags of little-endian typed arrays, and the struct letter of their elements.
-_TYPED_ARRAYS = {
-    "uint16": (69, "H"),
-    "uint32": (70, "I"),
-    "uint64": (71, "Q"),
-    "int8": (72, "b"),
-    "byte": (72, "b"),
-    "int16": (77, "h"),
-    "int32": (78, "i"),
-    "int64": (79, "q"),
-    "float32": (85, "f"),
-    "float64": (86, "d"),
+# Letter of struct, and the RFC 8746 tag of a little-endian typed array: 0 for what has none.
+_SCALARS = {
+    "bool": ("?", 0),
+    "byte": ("b", 72),
+    "char": ("B", 0),
+    "int8": ("b", 72),
+    "uint8": ("B", 0),
+    "int16": ("h", 77),
+    "uint16": ("H", 69),
+    "int32": ("i", 78),
+    "uint32": ("I", 70),
+    "int64": ("q", 79),
+    "uint64": ("Q", 71),
+    "float32": ("f", 85),
+    "float64": ("d", 86),
 }
 
 
@@ -455,31 +458,16 @@ def _for_cbor(field: Field, value: Any) -> Any:
         if field.length is None:
             return nested.to_cbor(value)
         return [nested.to_cbor(one) for one in value]
-    if field.length is None or field.type not in _TYPED_ARRAYS:
+    letter, tag = _SCALARS.get(field.type, ("", 0))
+    if field.length is None or not tag:
         return value
     from cbor2 import CBORTag
 
-    tag, letter = _TYPED_ARRAYS[field.type]
     return CBORTag(tag, struct.pack(f"<{len(value)}{letter}", *value))
 
 
 # -- messages as ROS 1 has them in bytes -----------------------------------------------------------
 
-_LETTERS = {
-    "bool": "?",
-    "byte": "b",
-    "char": "B",
-    "int8": "b",
-    "uint8": "B",
-    "int16": "h",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "int64": "q",
-    "uint64": "Q",
-    "float32": "f",
-    "float64": "d",
-}
 _RULE = "=" * 80
 
 
@@ -496,16 +484,16 @@ def _pieces(kind: MessageType, message: Message) -> Iterator[bytes]:
             continue
         if not field.length:
             yield struct.pack("<I", len(value))
-        if field.type in _LETTERS:
-            yield struct.pack(f"<{len(value)}{_LETTERS[field.type]}", *value)
+        if field.type in _SCALARS:
+            yield struct.pack(f"<{len(value)}{_SCALARS[field.type][0]}", *value)
         else:
             for one in value:
                 yield from _scalar(field.type, one)
 
 
 def _scalar(kind: str, value: Any) -> Iterator[bytes]:
-    if kind in _LETTERS:
-        yield struct.pack(f"<{_LETTERS[kind]}", value)
+    if kind in _SCALARS:
+        yield struct.pack(f"<{_SCALARS[kind][0]}", value)
     elif kind == "string":
         data = value.encode()
         yield struct.pack("<I", len(data)) + data

@@ -68,9 +68,9 @@ class Missions:
             ("mission_waypoint_download", "MissionWpDownload", self._info),
             ("mission_waypoint_get_speed", "MissionWpGetSpeed", self._get_speed),
             ("mission_waypoint_set_speed", "MissionWpSetSpeed", self._set_speed),
-            ("mission_hotpoint_download", "MissionHpDownload", self._circle_download),
-            ("mission_hotpoint_set_speed", "MissionHpSetSpeed", self._set_circle_speed),
-            ("mission_hotpoint_set_radius", "MissionHpSetRadius", self._set_circle_radius),
+            ("mission_hotpoint_download", "MissionHpDownload", self._circle_info),
+            ("mission_hotpoint_set_speed", "MissionHpSetSpeed", self._set_rate),
+            ("mission_hotpoint_set_radius", "MissionHpSetRadius", self._set_radius),
             ("mission_hotpoint_reset_yaw", "MissionHpResetYaw", self._reset_heading),
         ):
             graph.add_service(
@@ -113,9 +113,7 @@ class Missions:
         return _done(WaypointMission.ADDRESS)
 
     async def _act(self, call: Call) -> Message:
-        number = call.request["action"]
-        if number >= len(_ACTIONS):
-            raise UsageError("action is 0 (start), 1 (stop), 2 (pause) or 3 (resume)")
+        number = _number(call)
         await self._agent.ask(_ACTIONS[number], self._clients.held(call.session))
         return _done((0x03, 0x12 if number < 2 else 0x13))
 
@@ -187,9 +185,7 @@ class Missions:
         return found
 
     async def _act_circle(self, call: Call) -> Message:
-        number = call.request["action"]
-        if number >= len(_ACTIONS):
-            raise UsageError("action is 0 (start), 1 (stop), 2 (pause) or 3 (resume)")
+        number = _number(call)
         lease = self._clients.held(call.session)
         if number == 0:
             await self._agent.ask(Action.HOTPOINT_START, lease, data=self._circle(call)[1])
@@ -198,30 +194,18 @@ class Missions:
         return _done((0x03, (0x20, 0x21, 0x22, 0x22)[number]))
 
     async def _circle_info(self, call: Call) -> Message:
-        return {"hotpoint_task": self._circle(call)[0]} | _done((0x03, 0x26), with_result=False)
-
-    async def _circle_download(self, call: Call) -> Message:
-        return {"hotpoint_task": self._circle(call)[0]}
-
-    async def _set_circle_radius(self, call: Call) -> Message:
-        await self._set_radius(call)
-        return {"result": True}
-
-    async def _set_circle_speed(self, call: Call) -> Message:
-        await self._turn(call, call.request["speed"])
-        return {"result": True}
+        return {"hotpoint_task": self._circle(call)[0]} | _done((0x03, 0x26))
 
     async def _set_radius(self, call: Call) -> Message:
         await self._change(call, Action.HOTPOINT_RADIUS, call.request["radius"])
         return _done((0x03, 0x24))
 
     async def _set_rate(self, call: Call) -> Message:
-        await self._turn(call, call.request["yaw_rate"])
-        return _done((0x03, 0x23))
-
-    async def _turn(self, call: Call, rate: float) -> None:
-        signed = rate if call.request["direction"] else -rate
+        asked = call.request
+        rate = asked["yaw_rate" if "yaw_rate" in asked else "speed"]
+        signed = rate if asked["direction"] else -rate
         await self._change(call, Action.HOTPOINT_RATE, signed)
+        return _done((0x03, 0x23))
 
     async def _reset_heading(self, call: Call) -> Message:
         await self._change(call, Action.HOTPOINT_HEADING, 0.0)
@@ -235,9 +219,15 @@ class Missions:
         await self._agent.ask(action, lease, number=round(max(-1e4, min(1e4, value)) * 1000))
 
 
-def _done(address: tuple[int, int], *, with_result: bool = True) -> Message:
-    told: Message = {"cmd_set": address[0], "cmd_id": address[1]}
-    return {"result": True} | told if with_result else told
+def _number(call: Call) -> int:
+    number: int = call.request["action"]
+    if number >= len(_ACTIONS):
+        raise UsageError("action is 0 (start), 1 (stop), 2 (pause) or 3 (resume)")
+    return number
+
+
+def _done(address: tuple[int, int]) -> Message:
+    return {"result": True, "cmd_set": address[0], "cmd_id": address[1]}
 
 
 def _push(kind: int, data: bytes) -> Message:

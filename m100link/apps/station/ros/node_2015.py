@@ -23,16 +23,18 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Callable, Coroutine
+from functools import partial
+from typing import Any
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.guided import ANGLE_MODE, VELOCITY_MODE, setpoint_of
 from m100link.apps.agent.lease import LeaseHeld
-from m100link.apps.station.ros.graph import Graph, Listener, Publication
+from m100link.apps.station.ros.graph import Graph, Listener, Publication, Topic
 from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.messages import Message
 from m100link.errors import (
     ActivationRefused,
-    AuthorityLost,
     AuthorityRefused,
     CommandNotSupported,
     CommandRefused,
@@ -42,7 +44,7 @@ from m100link.errors import (
     NotActivated,
     UsageError,
 )
-from m100link.protocol.codes import ActivationCode, AuthorityCode
+from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Battery, FlightStatus
 from m100link.telemetry.subscription import Newest
@@ -60,6 +62,7 @@ _CLOSED_BY_APP = 4.0
 _STALE = 3.0
 _VERSION_PAUSE = 10.0
 _MODE, _LAST = "control mode", "last setpoint"
+_Order = Callable[[Listener, float], Coroutine[Any, Any, None]]  # whose, and the number that came
 _NEEDS_MORE = (NotActivated, LevelTooLow, CommandNotSupported, KeyRejected)
 
 
@@ -69,19 +72,22 @@ class Node:
     def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
         self._agent, self._graph, self._clients = agent, graph, clients
         number = "std_msgs/Float32"
-        graph.add_topic("/sdk_request_cmd", number, self._on_command)
-        graph.add_topic("/nav_open_close_request", number, self._on_open_close)
+        for name, work in (
+            ("/sdk_request_cmd", self._command),
+            ("/nav_open_close_request", self._open_or_close),
+            ("/sdk_request_simple_task", self._simple_task),
+            ("/sdk_request_activation", self._activate),
+        ):
+            graph.add_topic(name, number, partial(self._on_order, name, work))
         graph.add_topic("/sdk_request_ctrl", "geometry_msgs/Quaternion", self._on_control)
         graph.add_topic("/sdk_request_ctrl_mode", number, self._on_mode)
-        graph.add_topic("/sdk_request_simple_task", number, self._on_simple_task)
-        graph.add_topic("/sdk_request_activation", number, self._on_activation)
         self._battery = graph.add_topic("/battery_status", number)
         self._open_close = graph.add_topic("/nav_open_close_status", number)
         self._flight_status = graph.add_topic("/flight_status", number)
         self._activation = graph.add_topic("/activation_status", number)
         self._test_fre = graph.add_topic("/test_fre", number)
-        agent.on_activating.append(self._activation_code)
-        agent.on_authority_taken.append(self._authority_taken)
+        agent.on_activating.append(lambda code: self._tell(self._activation, float(code)))
+        agent.on_authority_taken.append(lambda _: self._tell(self._open_close, _CLOSED_BY_APP))
         self._version_told_at = float("-inf")
         agent.background.spawn(self._watch(), "/test_fre")
         agent.background.spawn(self._publish_each_second(), "1 Hz topics")
@@ -91,15 +97,11 @@ class Node:
     async def _publish_each_second(self) -> None:
         while True:
             await asyncio.sleep(1.0)
-            telemetry, now = self._agent.telemetry, self._agent.now
+            telemetry = self._agent.telemetry
             status = telemetry.fresh(FlightStatus, within=_STALE) if telemetry else None
             battery = telemetry.fresh(Battery, within=_STALE) if telemetry else None
-            self._graph.publish(
-                self._flight_status, {"data": float(status.status) if status else 0.0}, now
-            )
-            self._graph.publish(
-                self._battery, {"data": float(battery.percent) if battery else 0.0}, now
-            )
+            self._tell(self._flight_status, float(status.status) if status else 0.0)
+            self._tell(self._battery, float(battery.percent) if battery else 0.0)
 
     async def _watch(self) -> None:
         async with self._agent.samples(Newest(50)) as samples:
@@ -109,36 +111,24 @@ class Node:
                     message: Message = {"data": float(device.control)}
                     self._graph.publish(self._test_fre, message, sample.received_at)
 
-    def _activation_code(self, code: ActivationCode) -> None:
-        self._tell_activation(float(code))
-
-    def _tell_activation(self, number: float) -> None:
-        self._graph.publish(self._activation, {"data": number}, self._agent.now)
-
-    def _authority_taken(self, error: AuthorityLost) -> None:
-        self._tell_open_close(_CLOSED_BY_APP)
-
-    def _tell_open_close(self, number: float) -> None:
-        self._graph.publish(self._open_close, {"data": number}, self._agent.now)
+    def _tell(self, topic: Topic, number: float) -> None:
+        self._graph.publish(topic, {"data": number}, self._agent.now)
 
     # -- what the node is asked ------------------------------------------------------------------
 
-    def _on_activation(self, session: Listener, message: Message, now: float) -> None:
-        self._clients.run(session, lambda: self._activate(session), "activation")
+    def _on_order(
+        self, name: str, work: _Order, session: Listener, message: Message, now: float
+    ) -> None:
+        self._clients.run(session, lambda: work(session, message["data"]), name)
 
-    async def _activate(self, session: Listener) -> None:
+    async def _activate(self, session: Listener, data: float = 0.0) -> None:
         try:
             await self._agent.activate(self._clients.lease(session))
         except ActivationRefused:
             pass  # its code was published, and the reason is in the events
         except CommandRefused:
-            self._tell_activation(NO_AUTHORITY)
+            self._tell(self._activation, NO_AUTHORITY)
             raise
-
-    def _on_open_close(self, session: Listener, message: Message, now: float) -> None:
-        self._clients.run(
-            session, lambda: self._open_or_close(session, message["data"]), "open/close"
-        )
 
     async def _open_or_close(self, session: Listener, data: float) -> None:
         wanted = _byte(data)
@@ -148,14 +138,14 @@ class Node:
             lease = await self._clients.take(session)
             if wanted:
                 await self._agent.obtain(lease)
-                self._tell_open_close(float(AuthorityCode.OBTAINED))
+                self._tell(self._open_close, float(AuthorityCode.OBTAINED))
             else:
                 await self._agent.release(lease)
                 self._clients.let_go(session)
-                self._tell_open_close(float(AuthorityCode.RELEASED))
+                self._tell(self._open_close, float(AuthorityCode.RELEASED))
         except AuthorityRefused as error:
             self._clients.let_go(session)
-            self._tell_open_close(float(error.code))
+            self._tell(self._open_close, float(error.code))
             raise
         except LeaseHeld:
             # Only this client is refused; the others still see it open.
@@ -164,14 +154,11 @@ class Node:
             raise
         except _NEEDS_MORE:
             self._clients.let_go(session)
-            self._tell_activation(NO_AUTHORITY)
+            self._tell(self._activation, NO_AUTHORITY)
             raise
         except M100Error:
             self._clients.let_go(session)
             raise
-
-    def _on_command(self, session: Listener, message: Message, now: float) -> None:
-        self._clients.run(session, lambda: self._command(session, message["data"]), "command")
 
     async def _command(self, session: Listener, data: float) -> None:
         number = _byte(data)
@@ -183,7 +170,7 @@ class Node:
         try:
             await self._agent.fly(self._clients.held(session), Task(number))
         except _NEEDS_MORE:
-            self._tell_activation(NO_AUTHORITY)
+            self._tell(self._activation, NO_AUTHORITY)
             raise
 
     def _on_mode(self, session: Listener, message: Message, now: float) -> None:
@@ -205,11 +192,6 @@ class Node:
             self._agent.steer(self._clients.held(session), setpoint, lifetime)
         except M100Error as error:
             self._clients.complain(session, error)
-
-    def _on_simple_task(self, session: Listener, message: Message, now: float) -> None:
-        self._clients.run(
-            session, lambda: self._simple_task(session, message["data"]), "simple task"
-        )
 
     async def _simple_task(self, session: Listener, data: float) -> None:
         if not math.isfinite(data):

@@ -28,7 +28,7 @@ from m100link.apps.station.config import namespace_of
 from m100link.apps.station.listeners import Fronts
 from m100link.apps.station.ros.client import Client, Limits
 from m100link.apps.station.ros.dji_sdk import DjiSdk
-from m100link.apps.station.ros.graph import Graph, Rosout, add_rosapi
+from m100link.apps.station.ros.graph import Graph, add_rosapi, add_rosout
 from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.node_2015 import Node
 from m100link.apps.station.web.access_control import AccessControl
@@ -79,7 +79,7 @@ class Bridge:
             clients = self.clients[name] = Clients(agent, part)
             Node(agent, part, clients)
             DjiSdk(agent, part, clients)
-        Rosout(agents, self.graph)
+        add_rosout(agents, self.graph)
         add_rosapi(self.graph)
         self.agent.background.spawn(self._guard(), "lag")
         routes: list[BaseRoute] = [

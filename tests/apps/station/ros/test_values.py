@@ -37,7 +37,7 @@ from m100link.apps.agent.messages import (
 from m100link.apps.agent.remote_error import Fault
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.station.ros.dji_sdk import DjiSdk
-from m100link.apps.station.ros.graph import Graph, Rosout
+from m100link.apps.station.ros.graph import Graph, add_rosout
 from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.node_2015 import Node
 from m100link.errors import AuthorityLost
@@ -91,7 +91,7 @@ class KnownRig(Rig):
             clients = Clients(self.front, self.graph)
             Node(self.front, self.graph, clients)
             DjiSdk(self.front, self.graph, clients)
-            Rosout({"m100": self.front}, self.graph)
+            add_rosout({"m100": self.front}, self.graph)
             yield self
 
 
