@@ -32,6 +32,7 @@ from m100link.apps.station.config import Settings
 from m100link.apps.station.listeners import (
     Fronts,
     Sockets,
+    beside,
     keep_reached,
     open_sockets,
     serving_fronts,
@@ -98,30 +99,18 @@ async def serving_fleet(
             await agents[name].require_alone()
             for event in agents[name].client.events:
                 tell(name, event)
-            agents[name].client.on_event.append(_teller(tell, name))
-        # One that fails takes the process with it, which is started again.
-        async with asyncio.TaskGroup() as group:
-            running = [
-                group.create_task(one.run(), name=f"m100link fleet: {name}")
-                for name, one in agents.items()
-            ]
-            beside = Beside()
-            running += [
-                group.create_task(service.run(), name=f"m100link fleet {what}: {name}")
-                for name, one in agents.items()
-                for what, service in _services(
-                    one, bus, keys[name], aircraft[name], fleet, beside
-                ).items()
-            ]
-            try:
-                yield agents
-            finally:
-                for work in running:
-                    work.cancel()
-
-
-def _teller(tell: Callable[[str, Event], None], name: str) -> Callable[[Event], None]:
-    return lambda event: tell(name, event)
+            agents[name].client.on_event.append(partial(tell, name))
+        others = Beside()
+        served = {
+            f"m100link fleet {what}: {name}": service.run()
+            for name, one in agents.items()
+            for what, service in _services(
+                one, bus, keys[name], aircraft[name], fleet, others
+            ).items()
+        }
+        owned = {f"m100link fleet: {name}": one.run() for name, one in agents.items()}
+        async with beside(owned | served):
+            yield agents
 
 
 class _Service(Protocol):
@@ -134,12 +123,12 @@ def _services(
     keys: Keys,
     settings: Settings,
     fleet: FleetSettings,
-    beside: Beside,
+    others: Beside,
 ) -> dict[str, _Service]:
     """What is served for an aircraft beside its agent, by what it is."""
     verify, revocations = fleet.verify, fleet.revocations
     folder = None if settings.no_record else settings.record
-    show = ShowService(one.client, bus, keys, verify=verify, namesakes=one.namesakes, beside=beside)
+    show = ShowService(one.client, bus, keys, verify=verify, namesakes=one.namesakes, beside=others)
     served: dict[str, _Service] = {
         "fronts": AgentTold(one.client, bus, keys, one.boot),
         "show": show,
@@ -330,11 +319,6 @@ async def serving_fleet_console(
                 ships.look(fronts.shown())
                 await asyncio.sleep(_LOOK_S)
 
-        async with asyncio.TaskGroup() as group:
-            working = [group.create_task(come()), group.create_task(look())]
-            try:
-                yield FleetConsole(fronts, sockets)
-            finally:
-                for one in working:
-                    one.cancel()
-                await ships.let_go()  # while there are ways
+        stack.push_async_callback(ships.let_go)  # while there are ways
+        async with beside({"m100link console: come": come(), "m100link console: look": look()}):
+            yield FleetConsole(fronts, sockets)

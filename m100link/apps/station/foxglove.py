@@ -33,7 +33,7 @@ from m100link.apps.station.listeners import Fronts
 from m100link.apps.station.web.access_control import AccessControl
 from m100link.apps.station.web.limits import SparingLogger, TokenBucket
 from m100link.apps.station.web.protocol import WebSocketConnection
-from m100link.apps.station.web.server import serve_http
+from m100link.apps.station.web.server import serve_http, until_one_ends
 from m100link.errors.texts import read_json
 from m100link.log.channels import (
     FIX,
@@ -324,12 +324,7 @@ class FoxgloveServer:
     def app(self, settings: Settings) -> AccessControl:
         """The application behind its gate."""
         routes = [WebSocketRoute("/{path:path}", self._serve), Route("/", self._greet)]
-        return AccessControl(
-            Starlette(routes=routes),
-            hosts=settings.host_names(),
-            origins=settings.allow_origin,
-            access=settings.access(),
-        )
+        return AccessControl.of(Starlette(routes=routes), settings)
 
     @asynccontextmanager
     async def feeding(self) -> AsyncIterator[None]:
@@ -381,14 +376,9 @@ class FoxgloveServer:
         self._viewers[viewer] = None
         try:
             await websocket.accept(subprotocol=spoken)
-            reading = asyncio.create_task(self._read(websocket, viewer))
-            writing = asyncio.create_task(self._write(websocket, viewer, wake))
-            try:
-                await asyncio.wait((reading, writing), return_when=asyncio.FIRST_COMPLETED)
-            finally:
-                for task in (reading, writing):
-                    task.cancel()
-                await asyncio.gather(reading, writing, return_exceptions=True)
+            await until_one_ends(
+                self._read(websocket, viewer), self._write(websocket, viewer, wake)
+            )
         except WebSocketDisconnect:
             pass
         finally:

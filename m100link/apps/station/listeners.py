@@ -21,7 +21,7 @@ import asyncio
 import errno
 import logging
 import socket
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
@@ -292,6 +292,21 @@ async def serving_fronts(
         fronts = Fronts(stack, settings, sockets, reach, orders, is_kept=is_kept)
         await fronts.serve()
         yield fronts
+
+
+@asynccontextmanager
+async def beside(works: Mapping[str, Coroutine[Any, Any, None]]) -> AsyncIterator[None]:
+    """Run these while the block runs, each in a task of its name.
+
+    One that fails takes the process with it, which is started again.
+    """
+    async with asyncio.TaskGroup() as group:
+        running = [group.create_task(work, name=name) for name, work in works.items()]
+        try:
+            yield
+        finally:
+            for one in running:
+                one.cancel()
 
 
 async def keep_reached(agent: AgentClient, reach: Reach) -> None:

@@ -21,7 +21,7 @@ from m100link.apps.mavlink.translator.codec import SignatureMemory, Signer, Snap
 from m100link.apps.mavlink.translator.numbers import AUTOPILOT_GENERIC, AUTOPILOT_PX4
 from m100link.apps.mavlink.translator.peers import Address
 from m100link.apps.station.config import Settings
-from m100link.apps.station.listeners import Fronts
+from m100link.apps.station.listeners import Fronts, beside
 from m100link.errors import UsageError
 from m100link.link.keyfile import read_key
 from m100link.log.folder import state_folder
@@ -125,13 +125,8 @@ async def serving_mavlink(
             await stack.enter_async_context(_remembering(signer, bridge))
         for place, one in enumerate(sockets):
             senders.append(await stack.enter_async_context(serving(one, receiver(place))))
-        # A bridge that fails takes the process with it, which is started again.
-        async with asyncio.TaskGroup() as group:
-            running = group.create_task(bridge.run(), name="m100link station: MAVLink")
-            try:
-                yield bridge
-            finally:
-                running.cancel()
+        async with beside({"m100link station: MAVLink": bridge.run()}):
+            yield bridge
 
 
 @asynccontextmanager

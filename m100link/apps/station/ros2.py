@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import socket
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
@@ -14,7 +13,7 @@ from m100link.apps.ros2.graph import Names
 from m100link.apps.ros2.node import Node, open_ros2
 from m100link.apps.ros2.topics import INPUTS, SERVICES
 from m100link.apps.station.config import Settings, namespace_of
-from m100link.apps.station.listeners import Fronts
+from m100link.apps.station.listeners import Fronts, beside
 from m100link.errors import UsageError
 
 MOST_DOMAIN = 232  # the greatest domain that every middleware of ROS 2 knows
@@ -100,14 +99,5 @@ async def serving_ros2(
             )
             for number, (name, agent) in enumerate(agents.items())
         ]
-        # A node that fails takes the process with it, which is started again.
-        async with asyncio.TaskGroup() as group:
-            running = [
-                group.create_task(node.run(), name=f"m100link station: {node.name.full}")
-                for node in nodes
-            ]
-            try:
-                yield nodes
-            finally:
-                for one in running:
-                    one.cancel()
+        async with beside({f"m100link station: {node.name.full}": node.run() for node in nodes}):
+            yield nodes

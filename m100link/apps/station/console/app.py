@@ -113,12 +113,7 @@ def console_app(
         show_welcome_message=False,
         reconnect_timeout=_RECONNECT_S,
     )
-    return AccessControl(
-        PageRateLimit(app, "/"),
-        hosts=settings.host_names(),
-        origins=settings.allow_origin,
-        access=settings.access(),
-    )
+    return AccessControl.of(PageRateLimit(app, "/"), settings)
 
 
 async def serve(fronts: Fronts) -> None:

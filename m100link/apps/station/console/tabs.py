@@ -17,6 +17,7 @@ from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.view.fly import live, seen_from_afar
 from m100link.apps.station.web.limits import to_evict
 from m100link.apps.station.web.protocol import WebSocketConnection
+from m100link.apps.station.web.server import until_one_ends
 
 LIVE_INTERVAL = 0.05  # seconds between two updates of the instruments
 OTHERS_INTERVAL = 0.5  # seconds between two places of the aircraft that the page does not show
@@ -177,18 +178,12 @@ class Tabs:
         return True
 
     async def _talk(self, websocket: WebSocket, place: _Place) -> None:
-        works = [
-            asyncio.create_task(self._read(websocket, place)),
-            asyncio.create_task(self._write(websocket, place.tab)),
-            asyncio.create_task(place.leaving.wait()),
-        ]
-        try:
-            await asyncio.wait(works, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            place.tab.lost()  # first of all: motion stops
-            for work in works:
-                work.cancel()
-            await asyncio.gather(*works, return_exceptions=True)
+        await until_one_ends(
+            self._read(websocket, place),
+            self._write(websocket, place.tab),
+            place.leaving.wait(),
+            at_once=place.tab.lost,  # motion stops
+        )
         if place.leaving.is_set() and websocket.client_state is WebSocketState.CONNECTED:
             await websocket.close(_POLICY_VIOLATION, "another tab needs the place")
 

@@ -110,10 +110,7 @@ class SparingLogger(logging.LoggerAdapter[logging.Logger]):
 class Visitor(Protocol):
     """A connection, as the door sees it."""
 
-    @property
-    def peer(self) -> str:
-        """Where it comes from."""
-        ...
+    peer: str  # address that it comes from
 
     @property
     def is_answered(self) -> bool:
@@ -178,20 +175,9 @@ SILENCE = 10.0  # seconds without a word after which a client may have to make r
 class Guest(Protocol):
     """A client, as far as its place goes."""
 
-    @property
-    def peer(self) -> str:
-        """Address that it comes from."""
-        ...
-
-    @property
-    def heard_at(self) -> float:
-        """When it last said anything; when it came, if it never did."""
-        ...
-
-    @property
-    def has_spoken(self) -> bool:
-        """Whether it ever said anything."""
-        ...
+    peer: str  # address that it comes from
+    heard_at: float  # when it last said anything; when it came, if it never did
+    has_spoken: bool  # whether it ever said anything
 
     @property
     def subscribes(self) -> bool:

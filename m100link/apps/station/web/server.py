@@ -12,7 +12,7 @@ import os
 import socket
 import ssl
 import time
-from collections.abc import AsyncIterator, Generator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Generator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
@@ -52,7 +52,6 @@ _LAG = 0.1
 _PACKING_TIME = 0.001
 """Seconds after which what was packed for a client is written, and others have their turn."""
 _WRITE_SIZE = 64 * 1024
-_LAST_PORT = 65535
 
 
 class Bridge:
@@ -101,12 +100,7 @@ class Bridge:
 
     def app(self, settings: Settings) -> AccessControl:
         """The application behind its gate."""
-        return AccessControl(
-            self._app,
-            hosts=settings.host_names(),
-            origins=settings.allow_origin,
-            access=settings.access(),
-        )
+        return AccessControl.of(self._app, settings)
 
     async def _greet(self, request: Request) -> Response:
         return PlainTextResponse("m100link station: rosbridge v2 on this port, by WebSocket.\n")
@@ -185,16 +179,12 @@ class Bridge:
             connection: WebSocketConnection = websocket.scope["state"]["connection"]
             connection.is_steering = lambda: self._steers(session)
             self._log.info("%s connected", name)
-            writing = asyncio.create_task(self._write(websocket, session, wake, closing))
-            reading = asyncio.create_task(self._read(websocket, session))
-            try:
-                await asyncio.wait((writing, reading), return_when=asyncio.FIRST_COMPLETED)
-            finally:
-                # The motion stops now, not when the tasks have ended.
-                session.close(self.agent.now)
-                for task in (writing, reading):
-                    task.cancel()
-                await asyncio.gather(writing, reading, return_exceptions=True)
+            await until_one_ends(
+                self._write(websocket, session, wake, closing),
+                self._read(websocket, session),
+                # The motion stops now, not when both have ended.
+                at_once=lambda: session.close(self.agent.now),
+            )
         except WebSocketDisconnect:
             pass
         finally:
@@ -278,6 +268,21 @@ def _frames(session: Client) -> list[str | bytes]:
     return frames
 
 
+async def until_one_ends(
+    *works: Coroutine[Any, Any, object],
+    at_once: Callable[[], None] = lambda: None,  # called before the others are ended
+) -> None:
+    """Run them together until the first one ends, whatever it met, and end the others."""
+    tasks = [asyncio.create_task(work) for work in works]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        at_once()
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
 class Server(uvicorn.Server):
     """uvicorn inside a program: signals stay with the program."""
 
@@ -344,28 +349,10 @@ class Server(uvicorn.Server):
             self.servers.append(cast(asyncio.Server, listener))
         self.started = True
 
-    async def run_on(self, sockets: Sequence[socket.socket]) -> None:
-        """Serve until cancelled; clients are told and the sockets closed."""
-        serving = asyncio.create_task(self.serve(sockets=list(sockets)))
-        try:
-            await asyncio.shield(serving)
-        except asyncio.CancelledError:
-            self.should_exit = True
-            await serving
-            raise
-        finally:
-            for listening in sockets:
-                listening.close()
-
     def stop_listening(self) -> None:
         """Take no new connections; those that are there stay."""
         for one in self.servers:
             one.close()
-
-    async def wait_started(self) -> None:
-        """Wait until connections are answered."""
-        while not self.started:  # noqa: ASYNC110 - uvicorn has no event for it
-            await asyncio.sleep(0.01)
 
 
 # -- as a front ------------------------------------------------------------------------------------
@@ -391,17 +378,18 @@ async def serve_http(
 
 @contextlib.asynccontextmanager
 async def _serving(server: Server, sockets: list[socket.socket]) -> AsyncIterator[None]:
-    serving = asyncio.create_task(server.run_on(sockets), name="m100link station: server")
-    started = asyncio.create_task(server.wait_started())
+    serving = asyncio.create_task(server.serve(sockets=sockets), name="m100link station: server")
     try:
-        await asyncio.wait((serving, started), return_when=asyncio.FIRST_COMPLETED)
+        while not (server.started or serving.done()):  # noqa: ASYNC110 - uvicorn has no event
+            await asyncio.sleep(0.01)
         if serving.done():
             await serving
         yield
     finally:
-        started.cancel()
-        serving.cancel()
-        await asyncio.gather(serving, started, return_exceptions=True)
+        server.should_exit = True  # clients are told
+        await asyncio.gather(serving, return_exceptions=True)
+        for one in sockets:
+            one.close()
 
 
 # -- folders that the station serves ---------------------------------------------------------------
