@@ -122,7 +122,7 @@ async def busy(clients: int, burners: int, seconds: float) -> dict[str, float]:
 
 def dropped(graph: Graph) -> int:
     """Messages that clients lost because they were slow."""
-    return sum(one.dropped for one in graph.sessions if isinstance(one, Client))
+    return sum(one.outbox.dropped for one in graph.sessions if isinstance(one, Client))
 
 
 async def until_connected(lines: asyncio.StreamReader, clients: int) -> None:
@@ -162,12 +162,12 @@ def messages(name: str, number: int, *, takes: bool) -> Side:
         client.deliver(publications[0], 0.0)
 
     def run() -> int:
-        before, taken = client.dropped, 0
+        before, taken = client.outbox.dropped, 0
         for index in range(number):
             client.deliver(publications[index % TOPICS], 0.0)
             if takes:
-                taken += client.next_frame() is not None
-        return taken if takes else client.dropped - before
+                taken += client.outbox.next_frame() is not None
+        return taken if takes else client.outbox.dropped - before
 
     return timed(name, number, run)
 

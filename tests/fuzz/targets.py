@@ -166,9 +166,9 @@ def _rosbridge() -> Callable[[bytes], None]:
             if number % 2 == 0:
                 text = one.decode("utf-8", "replace")
             client.receive(text, number * 0.1)
-        client.advance(1.0)
+        client.outbox.advance(1.0)
         for _ in range(200):
-            frame = client.next_frame()
+            frame = client.outbox.next_frame()
             if frame is None:
                 break
             if isinstance(frame, str):

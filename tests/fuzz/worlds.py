@@ -485,9 +485,9 @@ async def on_rosbridge() -> AsyncIterator[Take]:
                 text = one.decode("utf-8", "replace")
                 page.receive(one if number % 2 else text, rig.agent.now)
             await asyncio.sleep(0.02)
-            page.advance(rig.agent.now)
+            page.outbox.advance(rig.agent.now)
             for _ in range(200):
-                if (frame := page.next_frame()) is None:
+                if (frame := page.outbox.next_frame()) is None:
                     break
                 cbor2.loads(frame) if isinstance(frame, bytes) else json.loads(frame)
             page.close(rig.agent.now)

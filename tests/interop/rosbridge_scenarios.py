@@ -409,8 +409,8 @@ def ours(steps: list[Step]) -> Seen:
             now += 0.12
         else:
             now += rest[0]
-        client.advance(now)
-        while (frame := client.next_frame()) is not None:
+        client.outbox.advance(now)
+        while (frame := client.outbox.next_frame()) is not None:
             frames.append(read(frame))
     statuses = [frame["level"][:4] for frame in frames if frame.get("op") == "status"]
     rest_of = [frame for frame in frames if frame.get("op") != "status"]

@@ -54,8 +54,8 @@ class FakeClient:
         self.send("call_service", service=service, args=args)
 
     def read(self) -> list[Any]:
-        self.session.advance(self._rig.agent.now)
-        while (frame := self.session.next_frame()) is not None:
+        self.session.outbox.advance(self._rig.agent.now)
+        while (frame := self.session.outbox.next_frame()) is not None:
             assert isinstance(frame, str)
             self.inbox.append(json.loads(frame))
         return self.inbox

@@ -1,7 +1,7 @@
 """rosbridge v2 with one client, without a transport and without a clock.
 
 Frames go in by :meth:`Client.receive` with the present time, frames come out of
-:meth:`Client.next_frame`; :meth:`Client.next_wakeup` says when to look again. Everything a client
+:meth:`Outbox.next_frame`; :meth:`Outbox.next_wakeup` says when to look again. Everything a client
 can make grow has a limit, and a client that is slow, noisy or malicious costs itself messages, not
 others.
 """
@@ -85,7 +85,7 @@ class Client:
         self.graph = graph
         self.name = name
         self.limits = limits or Limits()
-        self.on_output = on_output
+        self._on_output = on_output
         self._on_disconnect = on_disconnect
         self.refused = 0  # frames not carried out
         self.close_reason: str | None = None  # set when the client has to be disconnected
@@ -94,7 +94,7 @@ class Client:
         self.heard_at = float("-inf")  # when it last said anything; when it came, if it never did
         self.has_spoken = False  # whether it ever said anything
         self.data: dict[str, Any] = {}  # for the node: what it knows about this client
-        self._outbox = Outbox(self.limits.waiting, self._output)
+        self.outbox = Outbox(self.limits.waiting, on_output)  # what waits for it
         self._advertised: dict[str, set[str]] = {}
         self._reassembly = Reassembly(self.limits.message_size)
         self._level = _LEVELS.index("error")
@@ -114,13 +114,13 @@ class Client:
             "call_service": self._call_service,
             "fragment": self._fragment,
             "set_level": self._set_level,
-            "status": self._ignore,
+            "status": lambda *_: None,  # what a client tells about itself changes nothing
         }
         graph.sessions.add(self)
 
     def close(self, now: float) -> None:
         """The client has gone."""
-        self._outbox.clear()
+        self.outbox.clear()
         self.graph.leave(self, now)
 
     # -- what comes in ---------------------------------------------------------------------------
@@ -192,9 +192,6 @@ class Client:
             raise _Fault(f"there is no operation {str(operation)[:64]!r} here")
         handler(message, now)
 
-    def _ignore(self, message: dict[str, Any], now: float) -> None:
-        """What a client tells about itself changes nothing."""
-
     def _topic(self, message: dict[str, Any]) -> Topic:
         name = _text(message, "topic")
         topic = self.graph.topics.get(canonical_name(name))
@@ -242,16 +239,16 @@ class Client:
         topic = self._topic(message)
         name = message["topic"]
         wish = self._wish(message)
-        count = sum(len(one.wishes) for one in self._outbox.subscriptions.values())
+        count = sum(len(one.wishes) for one in self.outbox.subscriptions.values())
         if count >= self.limits.subscriptions:
             raise _Fault(f"at most {self.limits.subscriptions} subscriptions are possible")
-        subscription = self._outbox.subscription(topic, name)
+        subscription = self.outbox.subscription(topic, name)
         topic.subscribers.add(self)
         is_new = not subscription.wishes
         subscription.wishes[str(message.get("id"))] = wish
         subscription.merge()
         if is_new and topic.last is not None:
-            self._outbox.offer(subscription, Publication(topic, topic.last), now)
+            self.outbox.offer(subscription, Publication(topic, topic.last), now)
 
     def _wish(self, message: dict[str, Any]) -> Wish:
         size, compression = self._packing(message)
@@ -264,7 +261,7 @@ class Client:
 
     def _unsubscribe(self, message: dict[str, Any], now: float) -> None:
         name = _text(message, "topic")
-        subscription = self._outbox.subscriptions.get(name)
+        subscription = self.outbox.subscriptions.get(name)
         if subscription is None:
             raise _Remark(f"{name[:128]!r} was not subscribed")
         if "id" in message:
@@ -273,7 +270,7 @@ class Client:
             subscription.wishes.clear()
         if subscription.wishes:
             subscription.merge()
-        elif self._outbox.unsubscribe(name):
+        elif self.outbox.unsubscribe(name):
             subscription.topic.subscribers.discard(self)
 
     def _call_service(self, message: dict[str, Any], now: float) -> None:
@@ -358,12 +355,12 @@ class Client:
         if size is None:
             self._answer(text)
             return
-        for frame in self._outbox.fragmented(text, size):
+        for frame in self.outbox.fragmented(text, size):
             self._answer(frame)
 
     def deliver(self, publication: Publication, now: float) -> None:
         """A message was published on a topic that this client subscribed."""
-        self._outbox.deliver(publication, now)
+        self.outbox.deliver(publication, now)
 
     def deliver_alone(self, publication: Publication, now: float) -> None:
         """The same for a message that is meant for this client only."""
@@ -371,42 +368,22 @@ class Client:
             self.deliver(publication, now)
 
     def _answer(self, frame: str | bytes) -> None:
-        self._outbox.answers.append(frame)
-        if len(self._outbox.answers) > self.limits.answers:
+        self.outbox.answers.append(frame)
+        if len(self.outbox.answers) > self.limits.answers:
             self.disconnect("the client does not read")
-        self._output()
+        self._on_output()
 
     def disconnect(self, reason: str) -> None:
         """Let go of this client; its socket is closed by whoever holds it."""
         if self.close_reason is None:
             self.close_reason = reason
             self._on_disconnect()
-            self._output()
+            self._on_output()
 
     @property
     def subscribes(self) -> bool:
         """Whether it gets anything."""
-        return bool(self._outbox.subscriptions)
-
-    @property
-    def dropped(self) -> int:
-        """Messages dropped because the client was slow."""
-        return self._outbox.dropped
-
-    def advance(self, now: float) -> None:
-        """Let time pass: release what throttled subscriptions held back."""
-        self._outbox.advance(now)
-
-    def next_wakeup(self) -> float | None:
-        """When :meth:`advance` has something to do."""
-        return self._outbox.next_wakeup()
-
-    def next_frame(self) -> str | bytes | None:
-        """The next frame to send."""
-        return self._outbox.next_frame()
-
-    def _output(self) -> None:
-        self.on_output()
+        return bool(self.outbox.subscriptions)
 
 
 def _refuse_constant(text: str) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from importlib.resources import files
 from itertools import accumulate
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, generate_latest
 from prometheus_client.metrics_core import (
@@ -33,6 +33,7 @@ from m100link.apps.station.ros.client import Client
 from m100link.apps.station.web.access_control import AccessControl
 from m100link.apps.station.web.server import Bridge, serve_http
 from m100link.protocol.items import ITEMS
+from m100link.telemetry.state import AircraftState
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -85,6 +86,9 @@ _COUNTED: tuple[tuple[str, str, str, Mapping[str, str]], ...] = (
 """Name, help, label, and the counters of :class:`~m100link.LinkStatistics` by the label's value."""
 
 
+_Family = tuple[type[Any], str, str, list[str], list[tuple[Any, ...]]]
+
+
 class StationMetrics(Collector):
     """What is counted in a station, taken when somebody scrapes."""
 
@@ -96,118 +100,111 @@ class StationMetrics(Collector):
 
     def collect(self) -> Iterator[Metric]:
         """All families, each with its samples."""
-        yield from self._states()
-        yield from self._counters()
-        yield from self._agents()
-        yield self._round_trips()
+        for kind, name, text, labels, samples in self._families():
+            family = kind(name, text, labels=labels)
+            for values, *told in samples:
+                family.add_metric(values, *told)
+            yield family
+
+    def _families(self) -> Iterator[_Family]:
+        """Class, name, help, labels, and of each sample the labels' values and what it tells."""
+        agents = self._bridge.agents.items()
+        # What was counted, of each aircraft of which it is known now.
+        links = [
+            (name, agent.link)
+            for name, agent in agents
+            if agent.link is not None and agent.is_connected
+        ]
+        yield (
+            *(StateSetMetricFamily, "m100_connection", "Where the connection to the aircraft is"),
+            ["aircraft"],
+            [([name], {one: one == _state_of(agent) for one in _STATES}) for name, agent in agents],
+        )
+        yield (
+            *(GaugeMetricFamily, "m100_authority", "Whether control authority is held"),
+            ["aircraft"],
+            [([name], agent.has_authority) for name, agent in agents],
+        )
+        for metric, text, label, counted in _COUNTED:
+            yield (
+                *(CounterMetricFamily, metric, text),
+                ["aircraft", label] if label else ["aircraft"],
+                [
+                    ([name, value] if label else [name], link.counters.get(counter, 0))
+                    for name, link in links
+                    for value, counter in counted.items()
+                ],
+            )
+        yield (
+            *(CounterMetricFamily, "m100_link_discards"),
+            "Starts of frames and frames that were discarded, by cause",
+            ["aircraft", "cause"],
+            [([name, why], count) for name, link in links for why, count in link.discards.items()],
+        )
+        yield (
+            *(GaugeMetricFamily, "m100_agent_loop_lag_seconds"),
+            "How late the process that flies was at worst in the last second",
+            ["aircraft"],
+            [([name], link.loop_lag) for name, link in links],
+        )
+        yield (
+            *(HistogramMetricFamily, "m100_link_round_trip_seconds"),
+            "How long answered requests took, repeats included",
+            ["aircraft"],
+            [([name], _buckets(link), link.round_trips_s) for name, link in links],
+        )
         yield from self._telemetry()
         yield from self._clients()
 
-    def _links(self) -> Iterator[tuple[str, LinkCounted]]:
-        """What was counted, of each aircraft of which it is known now."""
-        for name, agent in self._bridge.agents.items():
-            if agent.link is not None and agent.is_connected:
-                yield name, agent.link
-
-    def _states(self) -> Iterator[Metric]:
-        state = StateSetMetricFamily(
-            "m100_connection", "Where the connection to the aircraft is", labels=["aircraft"]
-        )
-        held = GaugeMetricFamily(
-            "m100_authority", "Whether control authority is held", labels=["aircraft"]
-        )
-        for name, agent in self._bridge.agents.items():
-            now = _state_of(agent)
-            state.add_metric([name], {one: one == now for one in _STATES})
-            held.add_metric([name], agent.has_authority)
-        yield state
-        yield held
-
-    def _counters(self) -> Iterator[Metric]:
-        for metric, text, label, counted in _COUNTED:
-            family = CounterMetricFamily(
-                metric, text, labels=["aircraft", *([label] if label else [])]
-            )
-            for name, link in self._links():
-                for value, counter in counted.items():
-                    labels = [name, *([value] if label else [])]
-                    family.add_metric(labels, link.counters.get(counter, 0))
-            yield family
-
-    def _agents(self) -> Iterator[Metric]:
-        discards = CounterMetricFamily(
-            "m100_link_discards",
-            "Starts of frames and frames that were discarded, by cause",
-            labels=["aircraft", "cause"],
-        )
-        lag = GaugeMetricFamily(
-            "m100_agent_loop_lag_seconds",
-            "How late the process that flies was at worst in the last second",
-            labels=["aircraft"],
-        )
-        for name, link in self._links():
-            lag.add_metric([name], link.loop_lag)
-            for cause, count in link.discards.items():
-                discards.add_metric([name, cause], count)
-        yield discards
-        yield lag
-
-    def _round_trips(self) -> Metric:
-        family = HistogramMetricFamily(
-            "m100_link_round_trip_seconds",
-            "How long answered requests took, repeats included",
-            labels=["aircraft"],
-        )
-        for name, link in self._links():
-            bounds = [one if one != "inf" else "+Inf" for one in link.round_trips]
-            counts = accumulate(link.round_trips.values())
-            family.add_metric([name], list(zip(bounds, counts, strict=True)), link.round_trips_s)
-        return family
-
-    def _telemetry(self) -> Iterator[Metric]:
-        rates = GaugeMetricFamily(
-            "m100_telemetry_rate_hertz",
+    def _telemetry(self) -> Iterator[_Family]:
+        connected = [
+            (name, agent, agent.telemetry)
+            for name, agent in self._bridge.agents.items()
+            if agent.telemetry is not None and agent.is_connected
+        ]
+        yield (
+            *(GaugeMetricFamily, "m100_telemetry_rate_hertz"),
             "Arrivals of a telemetry item per second, 0 when it stopped",
-            labels=["aircraft", "item"],
+            ["aircraft", "item"],
+            [
+                ([name, item.name], _rate(telemetry, item.record))
+                for name, _, telemetry in connected
+                for item in ITEMS
+                if telemetry.statistics(item.record).count
+            ],
         )
-        mismatches = CounterMetricFamily(
-            "m100_telemetry_mismatches",
+        yield (
+            *(CounterMetricFamily, "m100_telemetry_mismatches"),
             "Telemetry packages that do not fit the firmware",
-            labels=["aircraft"],
+            ["aircraft"],
+            [([name], agent.state.mismatches) for name, agent, _ in connected],
         )
-        for name, agent in self._bridge.agents.items():
-            telemetry = agent.telemetry
-            if telemetry is None or not agent.is_connected:
-                continue
-            mismatches.add_metric([name], agent.state.mismatches)
-            for item in ITEMS:
-                counted = telemetry.statistics(item.record)
-                if counted.count:
-                    is_fresh = telemetry.fresh(item.record, within=_STALE_AFTER) is not None
-                    rate = (counted.rate_hz or 0.0) if is_fresh else 0.0
-                    rates.add_metric([name, item.name], rate)
-        yield rates
-        yield mismatches
 
-    def _clients(self) -> Iterator[Metric]:
+    def _clients(self) -> Iterator[_Family]:
         clients = [one for one in self._bridge.graph.sessions if isinstance(one, Client)]
-        yield GaugeMetricFamily("m100_clients", "Clients of rosbridge", value=len(clients))
-        dropped = CounterMetricFamily(
-            "m100_client_dropped_messages",
+        yield GaugeMetricFamily, "m100_clients", "Clients of rosbridge", [], [([], len(clients))]
+        yield (
+            *(CounterMetricFamily, "m100_client_dropped_messages"),
             "Messages that a client of rosbridge did not get because it is slow",
-            labels=["client"],
+            ["client"],
+            [([client.name], client.outbox.dropped) for client in clients],
         )
-        for client in clients:
-            dropped.add_metric([client.name], client.dropped)
-        yield dropped
-        pictures = CounterMetricFamily(
-            "m100_console_dropped_pictures",
+        yield (
+            *(CounterMetricFamily, "m100_console_dropped_pictures"),
             "Pictures of telemetry that a tab of the console did not get because it is slow",
-            labels=["tab"],
+            ["tab"],
+            [([name], count) for name, count in self._dropped_by_tabs().items()],
         )
-        for name, count in self._dropped_by_tabs().items():
-            pictures.add_metric([name], count)
-        yield pictures
+
+
+def _buckets(link: LinkCounted) -> list[tuple[str, int]]:
+    bounds = [one if one != "inf" else "+Inf" for one in link.round_trips]
+    return list(zip(bounds, accumulate(link.round_trips.values()), strict=True))
+
+
+def _rate(telemetry: AircraftState, record: type[tuple[Any, ...]]) -> float:
+    is_fresh = telemetry.fresh(record, within=_STALE_AFTER) is not None
+    return (telemetry.statistics(record).rate_hz or 0.0) if is_fresh else 0.0
 
 
 def _state_of(agent: AgentClient) -> str:
@@ -241,12 +238,7 @@ def metrics_app(
         Route("/metrics", metrics),
         Route("/dashboard.json", dashboard),
     ]
-    return AccessControl(
-        Starlette(routes=routes),
-        hosts=settings.host_names(),
-        origins=settings.allow_origin,
-        access=settings.access(),
-    )
+    return AccessControl.of(Starlette(routes=routes), settings)
 
 
 async def serve(fronts: Fronts) -> None:

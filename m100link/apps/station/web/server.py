@@ -121,7 +121,7 @@ class Bridge:
 
     def dropped(self) -> dict[str, int]:
         """Messages that clients did not get because they are slow, by their names."""
-        return {one.name: one.dropped for one in self._sessions}
+        return {one.name: one.outbox.dropped for one in self._sessions}
 
     def _make_room(self, peer: str) -> bool:
         """Whether one more client may come, for which another may have to go.
@@ -189,7 +189,7 @@ class Bridge:
             pass
         finally:
             session.close(self.agent.now)
-            self._log.info("%s has gone (%d messages dropped)", name, session.dropped)
+            self._log.info("%s has gone (%d messages dropped)", name, session.outbox.dropped)
 
     async def _read(self, websocket: WebSocket, session: Client) -> None:
         while True:
@@ -217,7 +217,7 @@ class Bridge:
             while session.close_reason is None:
                 wake.clear()
                 began, now = time.thread_time(), self.agent.now
-                session.advance(now)
+                session.outbox.advance(now)
                 frames = _frames(session)
                 if not frames:
                     await self._wait(session, wake)
@@ -239,7 +239,7 @@ class Bridge:
                     await websocket.close(_POLICY_VIOLATION, session.close_reason[:120])
 
     async def _wait(self, session: Client, wake: asyncio.Event) -> None:
-        due = session.next_wakeup()
+        due = session.outbox.next_wakeup()
         if due is None:
             await wake.wait()
             return
@@ -260,7 +260,7 @@ def _frames(session: Client) -> list[str | bytes]:
     """What waits for a client, as far as it can be packed in a short time and fits one write."""
     frames: list[str | bytes] = []
     size, until = 0, time.perf_counter() + _PACKING_TIME
-    while size < _WRITE_SIZE and (frame := session.next_frame()) is not None:
+    while size < _WRITE_SIZE and (frame := session.outbox.next_frame()) is not None:
         frames.append(frame)
         size += len(frame)
         if time.perf_counter() > until:

@@ -41,13 +41,13 @@ class Bench:
 
     def output(self) -> list[Any]:
         frames: list[str | bytes] = []
-        while (frame := self.client.next_frame()) is not None:
+        while (frame := self.client.outbox.next_frame()) is not None:
             frames.append(frame)
         return [cbor2.loads(f) if isinstance(f, bytes) else json.loads(f) for f in frames]
 
     def publish(self, *values: float, every: float = 0.0) -> None:
         for value in values:
-            self.client.advance(self.now)
+            self.client.outbox.advance(self.now)
             self.graph.publish(self.height, {"data": value}, self.now)
             self.now += every
 
@@ -170,7 +170,7 @@ def test_throttling_without_a_queue_drops_what_comes_between() -> None:
     bench.send("subscribe", topic="/height", throttle_rate=100)
     bench.publish(*range(10), every=0.05)
     assert bench.values() == [0, 2, 4, 6, 8]
-    assert bench.client.next_wakeup() is None
+    assert bench.client.outbox.next_wakeup() is None
 
 
 def test_throttling_with_a_queue_keeps_the_newest_and_sends_them_later() -> None:
@@ -178,9 +178,9 @@ def test_throttling_with_a_queue_keeps_the_newest_and_sends_them_later() -> None
     bench.send("subscribe", topic="/height", throttle_rate=100, queue_length=2)
     bench.publish(*range(6))
     assert bench.values() == [0]
-    assert bench.client.next_wakeup() == pytest.approx(0.1, abs=1e-5)
+    assert bench.client.outbox.next_wakeup() == pytest.approx(0.1, abs=1e-5)
     for bench.now in (0.1, 0.2, 0.3):
-        bench.client.advance(bench.now)
+        bench.client.outbox.advance(bench.now)
     assert bench.values() == [4, 5]
 
 
@@ -321,8 +321,8 @@ def test_a_slow_reader_loses_its_oldest_messages_and_nothing_else() -> None:
     for client in (bench.client, other):
         client.receive('{"op":"subscribe","topic":"/height"}', 0.0)
     bench.publish(*range(8))
-    assert (bench.values(), bench.client.dropped) == ([3, 4, 5, 6, 7], 3)
-    assert other.dropped == 0
+    assert (bench.values(), bench.client.outbox.dropped) == ([3, 4, 5, 6, 7], 3)
+    assert other.outbox.dropped == 0
 
 
 def test_a_rare_message_is_not_pushed_out_by_a_fast_topic() -> None:

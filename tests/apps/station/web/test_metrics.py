@@ -212,7 +212,7 @@ async def test_it_is_on_this_machine_only_and_not_there_unasked() -> None:
 def slow(name: str, dropped: int) -> Client:
     """A client of rosbridge that did not get everything."""
     client = Client.__new__(Client)
-    client.name, client._outbox = name, cast(Any, SimpleNamespace(dropped=dropped))
+    client.name, client.outbox = name, cast(Any, SimpleNamespace(dropped=dropped))
     return client
 
 
