@@ -61,7 +61,6 @@ class Tab:
         self.person = ""
         self.lease: Lease | None = None  # its lease, in force or not
         self.refusal: M100Error | None = None  # what was refused last; None for nothing
-        self.plan: WaypointPlan | None = None  # what was uploaded last, None before
         self.beats = 0  # beats that were sent on
         self.refused = 0  # messages that could not be used
         self.dropped = 0  # pictures of telemetry that its page did not get because it is slow
@@ -179,14 +178,6 @@ class Tab:
         """Fly a simple task."""
         await self._agent.start_pattern(self.lease, number)
 
-    async def upload_plan(self, content: bytes) -> None:
-        """Give the agent a plan, JSON or QGroundControl's; the aircraft gets it with the start.
-
-        Raises ``BadPlan``: it cannot be read, or the aircraft would refuse it. Raises
-        ``LeaseRefused``: this tab has no control.
-        """
-        await self.give_plan(WaypointPlan.parse(content))
-
     async def give_plan(self, plan: WaypointPlan) -> None:
         """Give the agent a plan; the aircraft gets it with the start.
 
@@ -197,7 +188,6 @@ class Tab:
         await self._agent.ask(Action.MISSION_PLAN, lease, data=mission.value(FIRMWARE_3_1))
         for point in points:
             await self._agent.ask(Action.MISSION_POINT, lease, data=point.value(FIRMWARE_3_1))
-        self.plan = plan
 
     async def order_mission(self, action: Action) -> None:
         """Start, pause, resume or stop a mission."""

@@ -94,7 +94,7 @@ async def fly_up(operator: Operator) -> None:
 
 async def fly_a_mission(operator: Operator) -> None:
     tab = operator.browser.tab
-    await tab.upload_plan(plan_of(operator.rig).to_json().encode())
+    await tab.give_plan(plan_of(operator.rig))
     await tab.order_mission(Action.MISSION_START)
     await operator.watch(lambda: operator.rig.front.state.mission_index >= 0)
 

@@ -69,14 +69,6 @@ class ItemState(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
-    """What was found."""
-
-    state: ItemState  # how it stands
-    seen: Text  # what telemetry says
-
-
-@dataclass(frozen=True, slots=True)
 class Check:
     """One line of the list."""
 
@@ -107,84 +99,82 @@ class Checklist:
 # -- what is right ---------------------------------------------------------------------------------
 
 
-def _found(is_right: bool | None, seen: Text) -> Finding:
-    states = {True: ItemState.RIGHT, False: ItemState.WRONG, None: ItemState.UNKNOWN}
-    return Finding(states[is_right], seen)
+_Finding = tuple[bool | None, Text]  # whether it is right, None when unknown; what telemetry says
 
-
+_STATES = {True: ItemState.RIGHT, False: ItemState.WRONG, None: ItemState.UNKNOWN}
 _UNKNOWN = Text("unit.unknown")
 
 
-def _line(now: Situation) -> Finding:
+def _line(now: Situation) -> _Finding:
     age = now.telemetry_age
     if not now.is_connected or age is None:
-        return _found(False, tr("checklist.line.none"))
+        return False, tr("checklist.line.none")
     is_heard = age <= MAX_TELEMETRY_AGE
-    return _found(is_heard, tr("checklist.line.heard" if is_heard else "checklist.line.silent"))
+    return is_heard, tr("checklist.line.heard" if is_heard else "checklist.line.silent")
 
 
-def _quality(now: Situation) -> Finding:
+def _quality(now: Situation) -> _Finding:
     line, page = now.round_trip, now.page_trip
     if line is None or page is None:
-        return _found(None, _UNKNOWN)
+        return None, _UNKNOWN
     seen = tr("checklist.quality.seen", line=round(1000 * line), page=round(1000 * page))
-    return _found(line <= _MAX_LINE_TRIP and page <= MAX_ROUND_TRIP, seen)
+    return line <= _MAX_LINE_TRIP and page <= MAX_ROUND_TRIP, seen
 
 
-def _activation(now: Situation) -> Finding:
+def _activation(now: Situation) -> _Finding:
     key = "checklist.activation.done" if now.is_activated else "checklist.activation.none"
-    return _found(now.is_activated, tr(key))
+    return now.is_activated, tr(key)
 
 
-def _ground(now: Situation) -> Finding:
+def _ground(now: Situation) -> _Finding:
     stands = now.is_on_ground
     if stands is None:
-        return _found(None, _UNKNOWN)
-    return _found(stands, tr("checklist.ground.yes" if stands else "checklist.ground.no"))
+        return None, _UNKNOWN
+    return stands, tr("checklist.ground.yes" if stands else "checklist.ground.no")
 
 
-def _switch(now: Situation) -> Finding:
+def _switch(now: Situation) -> _Finding:
     if now.switch is None:
-        return _found(None, _UNKNOWN)
-    return _found(now.switch is RcMode.F, tr("checklist.switch.seen", switch=now.switch.name))
+        return None, _UNKNOWN
+    return now.switch is RcMode.F, tr("checklist.switch.seen", switch=now.switch.name)
 
 
-def _control(now: Situation) -> Finding:
+def _control(now: Situation) -> _Finding:
     if now.is_flown_here:
-        return _found(True, tr("checklist.control.yours"))
+        return True, tr("checklist.control.yours")
     if now.holder and not now.has_lease:
-        return _found(False, tr("status.other", name=now.holder))
-    return _found(False, tr("checklist.control.none"))
+        return False, tr("status.other", name=now.holder)
+    return False, tr("checklist.control.none")
 
 
-def _gps(now: Situation) -> Finding:
+def _gps(now: Situation) -> _Finding:
     if now.gps is None:
-        return _found(None, _UNKNOWN)
-    return _found(now.gps >= GOOD_GPS, tr("checklist.gps.seen", health=now.gps))
+        return None, _UNKNOWN
+    return now.gps >= GOOD_GPS, tr("checklist.gps.seen", health=now.gps)
 
 
-def _home(now: Situation) -> Finding:
+def _home(now: Situation) -> _Finding:
     is_known = now.place is not None
-    return _found(is_known or None, tr("checklist.home.here") if is_known else _UNKNOWN)
+    return is_known or None, tr("checklist.home.here") if is_known else _UNKNOWN
 
 
-def _battery(now: Situation) -> Finding:
+def _battery(now: Situation) -> _Finding:
     if now.battery is None:
-        return _found(None, _UNKNOWN)
-    return _found(now.battery > ENOUGH_BATTERY, tr("unit.percent", percent=now.battery))
+        return None, _UNKNOWN
+    return now.battery > ENOUGH_BATTERY, tr("unit.percent", percent=now.battery)
 
 
-def _guards(now: Situation) -> Finding:
+def _guards(now: Situation) -> _Finding:
     height, radius = now.limits.max_height_m, now.limits.max_radius_m
     if height is None or radius is None:
-        return _found(False, tr("checklist.guards.off"))
+        return False, tr("checklist.guards.off")
     seen = tr(
         "checklist.guards.seen", height=Quantity.length(height), radius=Quantity.length(radius)
     )
-    return _found(True, seen)
+    return True, seen
 
 
-_FINDERS: dict[Item, Callable[[Situation], Finding]] = {
+_FINDERS: dict[Item, Callable[[Situation], _Finding]] = {
     Item.LINE: _line,
     Item.QUALITY: _quality,
     Item.ACTIVATION: _activation,
@@ -232,8 +222,8 @@ class ChecklistDesk:
         is_free = self.is_free(now.now)
         findings = {item: find(now) for item, find in _FINDERS.items()}
         key = "checklist.free.said" if is_free else "checklist.free.unsaid"
-        findings[Item.FREE] = _found(is_free, tr(key))
-        checks = tuple(_check(item, findings[item]) for item in Item)
+        findings[Item.FREE] = is_free, tr(key)
+        checks = tuple(_check(item, *findings[item]) for item in Item)
         wrong = [check for check in checks if check.state is not ItemState.RIGHT]
         is_possible = not any(check.is_needed for check in wrong)
         has_reason = len(self._reason) >= LEAST_REASON
@@ -247,10 +237,9 @@ class ChecklistDesk:
         )
 
 
-def _check(item: Item, found: Finding) -> Check:
-    is_right = found.state is ItemState.RIGHT
+def _check(item: Item, is_right: bool | None, seen: Text) -> Check:
     remedy = None if is_right else Text(f"checklist.{item.value}.remedy")
-    return Check(item, found.state, found.seen, remedy, ITEMS[item])
+    return Check(item, _STATES[is_right], seen, remedy, ITEMS[item])
 
 
 # -- which buttons can be pressed ------------------------------------------------------------------
@@ -279,10 +268,10 @@ def actions_of(inputs: Inputs, now: Situation, checklist: Checklist) -> frozense
     What leaves the ground is offered by the checklist. Where nobody knows whether the aircraft
     stands, it counts as standing. What flies does not take off.
     """
-    if inputs.is_replay:
+    if now.is_replay:
         return frozenset()  # nothing flies, and nothing would obey
     offered = {"stop"}
-    if inputs.is_connected:
+    if now.is_connected:
         offered.add("activate")
         if not inputs.has_control:
             offered.add("obtain")
@@ -432,25 +421,13 @@ def live(state: AircraftState | None, now: float) -> dict[str, Any]:
     if status is not None and status.phase is FlightPhase.STANDBY:
         message["ground"] = True
     if attitude is not None:
-        message["att"] = [
-            round(angle, 2) for angle in (attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg)
-        ]
+        message["att"] = _rounded(2, attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg)
     if position is not None:
-        message["pos"] = [
-            round(position.latitude_deg, 8),
-            round(position.longitude_deg, 8),
-            round(position.height_m, 2),
-        ]
+        place = _rounded(8, position.latitude_deg, position.longitude_deg)
+        message["pos"] = [*place, round(position.height_m, 2)]
     if velocity is not None:
-        message["vel"] = [
-            round(speed, 2)
-            for speed in (
-                velocity.ground_speed_m_s,
-                velocity.up_m_s,
-                velocity.north_m_s,
-                velocity.east_m_s,
-            )
-        ]
+        over_ground = velocity.ground_speed_m_s, velocity.up_m_s
+        message["vel"] = _rounded(2, *over_ground, velocity.north_m_s, velocity.east_m_s)
     if rates is not None:
         message["yaw_rate"] = round(rates.yaw_rate_deg_s, 1)
     if rc is not None:
@@ -459,17 +436,18 @@ def live(state: AircraftState | None, now: float) -> dict[str, Any]:
     return message
 
 
+def _rounded(digits: int, *numbers: float) -> list[float]:
+    return [round(one, digits) for one in numbers]
+
+
 def seen_from_afar(name: str, state: AircraftState | None) -> dict[str, Any]:
     """What the map draws of an aircraft that the page does not show; no place when it is old."""
     message: dict[str, Any] = {"name": name}
     position = state.fresh(Position, within=1.0) if state is not None else None
     attitude = state.finite(Attitude, within=1.0) if state is not None else None
     if position is not None and position.is_possible:
-        message["pos"] = [
-            round(position.latitude_deg, 7),
-            round(position.longitude_deg, 7),
-            round(position.height_m, 1),
-        ]
+        place = _rounded(7, position.latitude_deg, position.longitude_deg)
+        message["pos"] = [*place, round(position.height_m, 1)]
     if attitude is not None:
         message["yaw"] = round(attitude.yaw_deg)
     return message

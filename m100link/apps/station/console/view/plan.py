@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import accumulate, pairwise
 from typing import Self
 
@@ -57,35 +57,15 @@ class Draft:
     @classmethod
     def of(cls, plan: WaypointPlan, area: tuple[Place, ...] = ()) -> Self:
         """The draft of a plan."""
-        return cls(
-            tuple(plan.waypoints),
-            plan.speed,
-            plan.max_speed,
-            plan.heading,
-            plan.trace,
-            plan.at_end,
-            plan.on_rc_loss,
-            plan.gimbal_by_waypoint,
-            plan.repeat,
-            area,
-        )
+        same = {name: getattr(plan, name) for name in _OF_A_PLAN}
+        return cls(points=tuple(plan.waypoints), area=area, **same)
 
     def plan(self) -> WaypointPlan:
         """The plan.
 
         Raises ``BadPlan``: the aircraft would refuse it.
         """
-        return WaypointPlan(
-            self.points,
-            speed=self.speed,
-            max_speed=self.max_speed,
-            heading=self.heading,
-            trace=self.trace,
-            at_end=self.at_end,
-            on_rc_loss=self.on_rc_loss,
-            gimbal_by_waypoint=self.gimbal_by_waypoint,
-            repeat=self.repeat,
-        )
+        return WaypointPlan(self.points, **{name: getattr(self, name) for name in _OF_A_PLAN})
 
     # -- changes ---------------------------------------------------------------------------------
 
@@ -153,6 +133,9 @@ class Draft:
             at_end=self.at_end,
         )
         return replace(self, points=tuple(plan.waypoints))
+
+
+_OF_A_PLAN = [one.name for one in fields(Draft) if one.name not in ("points", "area")]
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from m100link.apps.agent.messages import Event, LeaseChanged, Limits, LinkCounted, State, Topic
 from m100link.errors import LossReason, M100Error
@@ -26,10 +26,6 @@ from m100link.protocol.records import (
 )
 from m100link.telemetry.integrity import GOOD_GPS
 from m100link.telemetry.state import AircraftState
-
-if TYPE_CHECKING:
-    from m100link.telemetry.state import AircraftState
-
 
 FRESH_S: dict[type[Any], float] = {
     Position: 1.2,
@@ -161,7 +157,7 @@ def situation_of(inputs: Inputs) -> Situation:
         aborted=aborted.number if aborted is not None else 0,
         aborted_why=aborted.text if aborted is not None else "",
         is_virtual=inputs.is_virtual,
-        is_replay=inputs.is_replay,
+        is_replay=state.replay is not None,
         **_measured(inputs.telemetry, state.limits),
     )
 
@@ -257,19 +253,9 @@ class Inputs:
     dropped: tuple[tuple[str, int], ...] = ()
 
     @property
-    def is_replay(self) -> bool:
-        """Whether it is a recorded flight."""
-        return self.state.replay is not None
-
-    @property
     def is_heard(self) -> bool:
         """Whether what the agent told is news."""
         return not self.is_silent and not self.is_gone
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether the aircraft is connected, by an agent that is heard."""
-        return self.state.connection == "connected" and self.is_heard
 
     @property
     def has_control(self) -> bool:

@@ -68,15 +68,15 @@ async def test_a_plan_from_a_file_is_flown(newer: Rig, as_qgroundcontrol: bool) 
     plan = plan_of(newer)
     text = plan.to_qgroundcontrol() if as_qgroundcontrol else plan.to_json()
     tab = browser.tab
-    assert await tab.attempt(lambda: tab.upload_plan(text.encode())), tab.problem
-    assert SAY(summary(tab.plan)) == "3 waypoints, 30 m at 4.0 m/s, height 8 m to 8 m"
+    assert await tab.attempt(lambda: tab.give_plan(WaypointPlan.parse(text))), tab.problem
+    assert SAY(summary(newer.front.plan)) == "3 waypoints, 30 m at 4.0 m/s, height 8 m to 8 m"
     assert await tab.attempt(lambda: tab.order_mission(Action.MISSION_START)), tab.problem
 
     async def see() -> list[str]:
         seen: list[str] = []
         while not seen or newer.front.state.mission != "no mission":
             what, part = progress(
-                tab.plan, newer.front.state.mission, newer.front.state.mission_index
+                newer.front.plan, newer.front.state.mission, newer.front.state.mission_index
             )
             text = SAY(what)
             assert 0.0 <= part < 1.0
@@ -100,7 +100,7 @@ async def test_a_plan_from_a_file_is_flown(newer: Rig, as_qgroundcontrol: bool) 
 async def test_pause_resume_and_stop(newer: Rig) -> None:
     browser = await airborne(newer)
     tab = browser.tab
-    await tab.upload_plan(plan_of(newer).to_json().encode())
+    await tab.give_plan(plan_of(newer))
     await keep_alive(browser, tab.order_mission(Action.MISSION_START))
     for action in (Action.MISSION_PAUSE, Action.MISSION_RESUME, Action.MISSION_STOP):
         await keep_alive(browser, anyio.sleep(1.5))
@@ -111,11 +111,12 @@ async def test_pause_resume_and_stop(newer: Rig) -> None:
 
 async def test_what_is_not_a_plan_or_comes_from_somebody_without_control(newer: Rig) -> None:
     browser = await airborne(newer)
-    assert not await browser.tab.attempt(lambda: browser.tab.upload_plan(b"\xff{"))
-    assert browser.tab.plan is None
+    assert not await browser.tab.attempt(
+        lambda: browser.tab.give_plan(WaypointPlan.parse(b"\xff{"))
+    )
+    assert newer.front.plan is None
     other = Browser(newer, "other").tab
-    content = plan_of(newer).to_json().encode()
-    assert not await other.attempt(lambda: other.upload_plan(content))
+    assert not await other.attempt(lambda: other.give_plan(plan_of(newer)))
     assert "tab has control" in other.problem
     assert not await other.attempt(lambda: other.order_mission(Action.MISSION_START))
 
