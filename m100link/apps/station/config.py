@@ -420,10 +420,9 @@ LAUNCH_NAMES = {
 """Parameter of DJI's node, and what it is called here."""
 
 _MAX_SIZE = 256 * 1024
-_INTEGERS = ("baud_rate", "app_id", "level", "app_version")
 
 
-def read_launch(path: Path) -> tuple[dict[str, str | int], list[str]]:
+def read_launch(path: Path) -> tuple[dict[str, str], list[str]]:
     """The parameters of DJI's node in a launch file, and the names of those without a use here.
 
     Raises ``UsageError``: the file cannot be read, is not XML, has a document type or a value that
@@ -440,7 +439,7 @@ def read_launch(path: Path) -> tuple[dict[str, str | int], list[str]]:
         raise UsageError(f"{path} has {len(text)} bytes: that is not a launch file")
     found = _parameters(text, path)
     used = {
-        LAUNCH_NAMES[name]: _value(LAUNCH_NAMES[name], value, path)
+        LAUNCH_NAMES[name]: _known(LAUNCH_NAMES[name], value, path)
         for name, value in found.items()
         if name in LAUNCH_NAMES
     }
@@ -474,15 +473,10 @@ def _parameters(text: bytes, path: Path) -> dict[str, str]:
     return found
 
 
-def _value(name: str, value: str, path: Path) -> str | int:
+def _known(name: str, value: str, path: Path) -> str:
     if "$(" in value:
         raise UsageError(
             f"{path}: {name} is {value!r}, which only roslaunch understands",
             remedy="write the value itself there, or give it by flag or environment",
         )
-    if name not in _INTEGERS:
-        return value
-    try:
-        return int(value, 0)
-    except ValueError:
-        raise UsageError(f"{path}: {name} is {value!r}, which is not a number") from None
+    return value

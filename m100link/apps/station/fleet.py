@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Coroutine, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event
@@ -102,19 +102,13 @@ async def serving_fleet(
             agents[name].client.on_event.append(partial(tell, name))
         others = Beside()
         served = {
-            f"m100link fleet {what}: {name}": service.run()
+            f"m100link fleet {what}: {name}": work
             for name, one in agents.items()
-            for what, service in _services(
-                one, bus, keys[name], aircraft[name], fleet, others
-            ).items()
+            for what, work in _services(one, bus, keys[name], aircraft[name], fleet, others).items()
         }
         owned = {f"m100link fleet: {name}": one.run() for name, one in agents.items()}
         async with beside(owned | served):
             yield agents
-
-
-class _Service(Protocol):
-    async def run(self) -> None: ...
 
 
 def _services(
@@ -124,22 +118,22 @@ def _services(
     settings: Settings,
     fleet: FleetSettings,
     others: Beside,
-) -> dict[str, _Service]:
-    """What is served for an aircraft beside its agent, by what it is."""
+) -> dict[str, Coroutine[Any, Any, None]]:
+    """What serves an aircraft beside its agent, by what it is."""
     verify, revocations = fleet.verify, fleet.revocations
     folder = None if settings.no_record else settings.record
     show = ShowService(one.client, bus, keys, verify=verify, namesakes=one.namesakes, beside=others)
-    served: dict[str, _Service] = {
-        "fronts": AgentTold(one.client, bus, keys, one.boot),
-        "show": show,
-        "missions": MissionTeller(one.missions, bus, keys, one.boot),
-        "logs": LogService(bus, keys, folder, verify=verify, rate=fleet.log_rate),
+    served = {
+        "fronts": AgentTold(one.client, bus, keys, one.boot).run(),
+        "show": show.run(),
+        "missions": MissionTeller(one.missions, bus, keys, one.boot).run(),
+        "logs": LogService(bus, keys, folder, verify=verify, rate=fleet.log_rate).run(),
     }
     if revocations is not None:
         shut_out = (one.shut_out, lambda: show.shut_out(revocations.since))
         served["revoked"] = RevocationService(
             bus, keys, one.boot, revocations, shut_out=shut_out, note=one.client.note
-        )
+        ).run()
     return served
 
 

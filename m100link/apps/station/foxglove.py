@@ -10,7 +10,6 @@ import asyncio
 import contextlib
 import json
 import logging
-import math
 import struct
 import time
 from collections import deque
@@ -30,6 +29,7 @@ from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event
 from m100link.apps.station.config import Settings, namespace_of
 from m100link.apps.station.listeners import Fronts
+from m100link.apps.station.ros.messages import without_nan
 from m100link.apps.station.web.access_control import AccessControl
 from m100link.apps.station.web.limits import SparingLogger, TokenBucket
 from m100link.apps.station.web.protocol import WebSocketConnection
@@ -288,16 +288,8 @@ class Feed:
         return max(0, round((at + self._utc_offset_s) * 1e9))
 
     def _tell(self, name: str, topic: str, at: float, said: dict[str, Any]) -> None:
-        data = json.dumps(_finite(said), separators=(",", ":")).encode()
+        data = json.dumps(without_nan(said), separators=(",", ":")).encode()
         self._publish(self._numbers[name, topic], self._nanoseconds(at), data)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {key: _finite(one) for key, one in value.items()}
-    return value
 
 
 # -- the server that Foxglove and Lichtblick connect to --------------------------------------------

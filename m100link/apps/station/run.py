@@ -85,15 +85,10 @@ def _virtual(credentials: Credentials | None, firmware: str | None, place: int) 
         latitude, longitude = first.to_geodetic(0.0, BESIDE * place)
         settings = replace(settings, latitude_deg=latitude, longitude_deg=longitude)
     firmware = firmware or FIRMWARE_1_0.name  # what forces a real one chooses this one
-    if credentials is None:
-        return VirtualAircraft(firmware=firmware, settings=settings)
-    return VirtualAircraft(
-        firmware=firmware,
-        app_id=credentials.app_id,
-        key=credentials.key,
-        level=credentials.level,
-        settings=settings,
-    )
+    known: dict[str, Any] = {}
+    if credentials is not None:
+        known = {name: getattr(credentials, name) for name in ("app_id", "key", "level")}
+    return VirtualAircraft(firmware=firmware, settings=settings, **known)
 
 
 def _flights(settings: Settings, tell: Callable[[str, str], None]) -> Flights | None:
@@ -175,14 +170,10 @@ async def owning(
 class Running:
     """A station that runs in one event loop: to look into it, not to fly."""
 
-    owner: Owner  # what owns the aircraft
+    agent: Agent  # the aircraft and its lease
+    virtual: VirtualAircraft | None  # the virtual aircraft that it brought, or None
     fronts: Fronts  # what strangers reach
     sockets: Sockets  # where
-
-    @property
-    def agent(self) -> Agent:
-        """The aircraft and its lease."""
-        return self.owner.agent
 
     @property
     def has_authority(self) -> bool:
@@ -193,11 +184,6 @@ class Running:
     def bridge(self) -> Bridge:
         """What rosbridge clients reach."""
         return cast("Bridge", self.fronts.made["rosbridge"])
-
-    @property
-    def virtual(self) -> VirtualAircraft | None:
-        """The virtual aircraft that it brought, or None."""
-        return self.owner.virtual
 
     def console_path(self) -> str:
         """Path that opens the console in a browser, with a code that works once where needed."""
@@ -231,12 +217,13 @@ async def running(
             owner.service.attach(its)
             return ours
 
-        virtual_one = owner.virtual
-        orders = {} if virtual_one is None else {ONLY_NAME: orders_in_process(virtual_one)}
+        orders = {}
+        if owner.virtual is not None:
+            orders[ONLY_NAME] = orders_in_process(owner.virtual)
         fronts = await stack.enter_async_context(
             serving_fronts(settings, sockets, {ONLY_NAME: reach}, orders)
         )
-        yield Running(owner, fronts, sockets)
+        yield Running(owner.agent, owner.virtual, fronts, sockets)
 
 
 # -- in two processes ------------------------------------------------------------------------------
@@ -249,14 +236,10 @@ async def running(
 class RunningApart:
     """A station in two processes."""
 
-    owner: Owner  # what owns the aircraft, in this process
+    agent: Agent  # the aircraft and its lease, in this process
+    virtual: VirtualAircraft | None  # the virtual aircraft that it brought, or None
     front: Child  # the other process
     sockets: Sockets  # where the fronts listen
-
-    @property
-    def agent(self) -> Agent:
-        """The aircraft and its lease."""
-        return self.owner.agent
 
     @property
     def has_authority(self) -> bool:
@@ -348,7 +331,7 @@ async def running_apart(
         await stack.enter_async_context(supervised(front))
         # Before the child is waited for: one that hangs must not fly on until its lease ends.
         stack.callback(owner.service.close)
-        yield RunningApart(owner, front, sockets)
+        yield RunningApart(owner.agent, owner.virtual, front, sockets)
 
 
 # -- several aircraft ------------------------------------------------------------------------------

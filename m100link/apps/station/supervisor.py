@@ -14,7 +14,7 @@ import os
 import signal
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
-from contextlib import AbstractContextManager, AsyncExitStack, asynccontextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import asdict
 from typing import Any
 
@@ -195,7 +195,8 @@ def run_child(work: Callable[[dict[str, Any], asyncio.Event], Awaitable[None]]) 
         await work(request, ended)
 
     try:
-        with logging_as_told(request):
+        log = request["log"]  # as the parent does
+        with writing_log(None if log is None else LogOutput(**log)):
             asyncio.run(run())
     except M100Error as error:
         answer(fault=asdict(Fault.of(error)))
@@ -207,12 +208,6 @@ def answer(**values: Any) -> None:
     """Tell whoever started this process that it runs, or what kept it from it."""
     sys.stdout.write(json.dumps(values) + "\n")
     sys.stdout.flush()
-
-
-def logging_as_told(request: dict[str, Any]) -> AbstractContextManager[None]:
-    """Log while the block runs, as the parent does."""
-    log = request["log"]
-    return writing_log(None if log is None else LogOutput(**log))
 
 
 def leave_what_stays() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from m100link.apps.station.config import LAUNCH_NAMES, Settings, read_launch, resolve
+from m100link.apps.station.config import LAUNCH_NAMES, Settings, resolve
 from m100link.errors import BadKey, UsageError
 
 KEY = "00112233445566778899aabbccddeeff" * 2
@@ -154,14 +154,14 @@ OUTSIDE = """<!DOCTYPE launch [<!ENTITY x SYSTEM "file:///etc/passwd">]>
         ("", "is not XML"),
         ('<launch><param name="app_id" value="<!-- your appid -->"/></launch>', "own values"),
         ('<launch><param name="app_id" value="$(arg id)"/></launch>', "only roslaunch"),
-        ('<launch><param name="app_id" value="ten"/></launch>', "not a number"),
+        ('<launch><param name="app_id" value="ten"/></launch>', "app_id cannot be 'ten'"),
         ("<launch>" + " " * 300_000 + "</launch>", "not a launch file"),
     ],
 )
 def test_launch_files_made_to_harm_or_not_filled_in(tmp_path: Path, text: str, says: str) -> None:
     path = write(tmp_path / "x.launch", text)
     with pytest.raises(UsageError, match=says):
-        read_launch(path)
+        resolve({}, {}, launch=path)
 
 
 def test_a_key_that_is_none_is_told_without_being_shown(tmp_path: Path) -> None:

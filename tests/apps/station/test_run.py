@@ -95,8 +95,8 @@ async def flying(
 
 def east(one: RunningApart) -> float:
     """Velocity to the east of the last frame that reached the aircraft, m/s."""
-    assert one.owner.virtual is not None
-    moves = one.owner.virtual.autopilot.received_movements
+    assert one.virtual is not None
+    moves = one.virtual.autopilot.received_movements
     return float(moves[-1].pitch_or_y) if moves else 0.0
 
 
@@ -120,8 +120,8 @@ async def test_a_front_that_is_killed_costs_a_hover_and_comes_back() -> None:
         os.kill(killed, signal.SIGKILL)
         await until(lambda: east(one) == 0.0)
         await until(lambda: not one.agent.holding.has_authority)
-        assert one.owner.virtual is not None
-        assert one.owner.virtual.height > 1.0
+        assert one.virtual is not None
+        assert one.virtual.height > 1.0
         await until(lambda: one.front.pid not in (None, killed))
         async with connect(f"ws://127.0.0.1:{one.sockets.port('rosbridge')}") as client:
             answer = await Pilot(client).call("/dji_sdk/sdk_control_authority", control_enable=1)

@@ -68,7 +68,7 @@ def console_app(
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     tabs = tabs or Tabs(agents)
     histories: dict[str, History] = {}
-    unheard = _Unheard()
+    unheard: dict[str, Client] = {}
 
     def history_of(name: str) -> History:
         if name not in histories:  # of one that came later from its first page on
@@ -89,7 +89,7 @@ def console_app(
     def page(client: Client, aircraft: str = "", moved: str = "") -> None:
         key, tab = tabs.open(aircraft, moved)
         client.on_delete(lambda: tabs.close(key))
-        unheard.add(client)
+        _wait_to_hear(client, unheard)
         Page(
             tab.agent,
             tab,
@@ -125,19 +125,13 @@ async def serve(fronts: Fronts) -> None:
     await serve_http(fronts, "console", app, lifespan="on")
 
 
-class _Unheard:
-    """Pages whose browser has not opened its socket."""
-
-    def __init__(self) -> None:
-        self._clients: dict[str, Client] = {}
-
-    def add(self, client: Client) -> None:
-        """A page was asked for."""
-        if len(self._clients) >= MOST_UNHEARD:
-            self._clients.pop(next(iter(self._clients))).delete()
-        self._clients[client.id] = client
-        client.on_connect(lambda: self._clients.pop(client.id, None))
-        client.on_delete(lambda: self._clients.pop(client.id, None))
+def _wait_to_hear(client: Client, unheard: dict[str, Client]) -> None:
+    """Keep a page that was asked for, until its browser opens its socket."""
+    if len(unheard) >= MOST_UNHEARD:
+        unheard.pop(next(iter(unheard))).delete()
+    unheard[client.id] = client
+    client.on_connect(lambda: unheard.pop(client.id, None))
+    client.on_delete(lambda: unheard.pop(client.id, None))
 
 
 def _log_nothing_of_strangers() -> None:

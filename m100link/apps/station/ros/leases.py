@@ -189,57 +189,44 @@ class Clients:
         self._agent.background.spawn(self._answer(call, handler), f"lease {action}")
 
     async def _answer(
-        self, call: Call, handler: Callable[[Call], Coroutine[Any, Any, None]]
+        self, call: Call, handler: Callable[[Call], Coroutine[Any, Any, Message]]
     ) -> None:
         try:
-            await handler(call)
+            told = {"success": True, **await handler(call)}
+            told["remaining"] = self._agent.state.lease_remaining
         except LeaseRefused as error:
-            call.respond(
-                {"success": False, "message": str(error), "holder": self._agent.holder.name}
-            )
+            told = {"success": False, "message": str(error)}
         except M100Error as error:
             call.fail(str(error))
+            return
+        call.respond(told | {"holder": self._agent.holder.name})
 
-    def _respond(self, call: Call, token: str = "", message: str = "") -> None:
-        call.respond(
-            {
-                "success": True,
-                "message": message,
-                "token": token,
-                "holder": self._agent.holder.name,
-                "remaining": self._agent.state.lease_remaining,
-            }
-        )
+    async def _status(self, call: Call) -> Message:
+        return {}
 
-    async def _status(self, call: Call) -> None:
-        self._respond(call)
-
-    def _granted(self, call: Call, lease: Lease) -> None:
+    def _granted(self, call: Call, lease: Lease) -> Message:
         if call.session in self._graph.sessions:
             self._graph.known(call.session)[_LEASE] = lease
         else:
             self._agent.let_go(lease)
-        self._respond(call, lease.token)
+        return {"token": lease.token}
 
-    async def _acquire(self, call: Call) -> None:
+    async def _acquire(self, call: Call) -> Message:
         name = call.request["name"] or call.session.name
-        self._granted(call, await self._agent.acquire(name))
+        return self._granted(call, await self._agent.acquire(name))
 
-    async def _renew(self, call: Call) -> None:
-        self._granted(call, await self._agent.renew(call.request["token"]))
+    async def _renew(self, call: Call) -> Message:
+        return self._granted(call, await self._agent.renew(call.request["token"]))
 
-    async def _release(self, call: Call) -> None:
+    async def _release(self, call: Call) -> Message:
         await self._agent.release_lease(call.request["token"])
-        self._respond(call)
+        return {}
 
-    async def _ask_take_over(self, call: Call) -> None:
+    async def _ask_take_over(self, call: Call) -> Message:
         name = call.request["name"] or call.session.name
         wanted = await self._agent.ask_take_over(name)
-        self._respond(
-            call,
-            wanted.token,
-            f"{wanted.from_name} would lose control; confirm with this token",
-        )
+        asked = f"{wanted.from_name} would lose control; confirm with this token"
+        return {"token": wanted.token, "message": asked}
 
-    async def _confirm(self, call: Call) -> None:
-        self._granted(call, await self._agent.confirm(call.request["token"]))
+    async def _confirm(self, call: Call) -> Message:
+        return self._granted(call, await self._agent.confirm(call.request["token"]))

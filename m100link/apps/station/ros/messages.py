@@ -234,7 +234,7 @@ class MessageType:
         try:
             return json.dumps(message, allow_nan=False, separators=(",", ":"), default=_base64)
         except ValueError:
-            return json.dumps(_without_nan(message), separators=(",", ":"), default=_base64)
+            return json.dumps(without_nan(message), separators=(",", ":"), default=_base64)
 
     def to_cbor(self, message: Message) -> Message:
         """The message with its numeric arrays as RFC 8746 typed arrays, to be dumped by cbor2."""
@@ -442,13 +442,14 @@ def _base64(value: Any) -> str:
     raise TypeError(f"{type(value).__name__} is not a value of a ROS message")
 
 
-def _without_nan(value: Any) -> Any:
+def without_nan(value: Any) -> Any:
+    """A value as JSON takes it, which has no NaN and no infinity: null stands for them."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
-        return {name: _without_nan(one) for name, one in value.items()}
+        return {name: without_nan(one) for name, one in value.items()}
     if isinstance(value, list):
-        return [_without_nan(one) for one in value]
+        return [without_nan(one) for one in value]
     return value
 
 
