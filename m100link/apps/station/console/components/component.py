@@ -48,6 +48,44 @@ class Wording:
         self.put(label.set_text, key, **values)
         return label
 
+    def button(
+        self,
+        key: str,  # of what stands on it
+        props: str,
+        work: Callable[..., object] | None = None,  # what a click does; None where the page does it
+        *,
+        looks: str = "act plain",  # its classes
+    ) -> ui.element:
+        """A button in the present element that gives the aircraft no order."""
+        with ui.element("button").classes(looks).props(f"type=button {props}") as made:
+            self.label(key)
+        if work is not None:
+            made.on("click", work, args=[])
+        return made
+
+    def card(self, key: str) -> ui.element:
+        """A box with a title; to be used as ``with``."""
+        box = ui.element("section").classes("card w-full")
+        with box, ui.element("h2"):
+            self.label(key)
+        self.put(attribute(box), key)
+        return box
+
+    def field(self, name: str, key: str) -> tuple[ui.element, ui.label, ui.label]:
+        """A name and its value: the row, the value, the note below it."""
+        with ui.element("div").classes("field") as row:
+            self.label(key).classes("name")
+            with ui.element("div"):
+                value = ui.label("–").classes("value").props(f"data-field={name}")
+                note = ui.label("").classes("note")
+        return row, value, note
+
+    def options(self, select: Any, keys: Mapping[Any, str]) -> None:
+        """Let the options of a select be said in the operator's language."""
+        self.follow(
+            lambda: select.set_options({value: self(Text(key)) for value, key in keys.items()})
+        )
+
     def follow(self, show: Callable[[], object]) -> None:
         """Call this now and after every change of the settings."""
         self._followers.append(show)
@@ -69,22 +107,6 @@ def attribute(element: ui.element, name: str = "aria-label") -> Callable[[str], 
             element.update()
 
     return show
-
-
-def button(
-    wording: Wording,
-    key: str,  # of what stands on it
-    props: str,
-    work: Callable[..., object] | None = None,  # what a click does; None where the page does it
-    *,
-    looks: str = "act plain",  # its classes
-) -> ui.element:
-    """A button in the present element that gives the aircraft no order."""
-    with ui.element("button").classes(looks).props(f"type=button {props}") as made:
-        wording.label(key)
-    if work is not None:
-        made.on("click", work, args=[])
-    return made
 
 
 # -- buttons that give orders ----------------------------------------------------------------------
@@ -148,7 +170,7 @@ class Buttons:
         check: Callable[[object], None] | None = None,
     ) -> Any:
         """A button in the present element; several may give the same order."""
-        made = button(self._wording, key, f"data-act={name}", looks=f"act {kind}")
+        made = self._wording.button(key, f"data-act={name}", looks=f"act {kind}")
         is_held = name in HELD
         if is_held:
             made.classes("hold")
@@ -198,38 +220,12 @@ class Buttons:
 _DIGITS = 2  # of what was converted
 
 
-def card(key: str, wording: Wording) -> Any:
-    """A box with a title; to be used as ``with``."""
-    box = ui.element("section").classes("card w-full")
-    with box, ui.element("h2"):
-        wording.label(key)
-    wording.put(attribute(box), key)
-    return box
-
-
-def field(name: str, key: str, wording: Wording) -> tuple[Any, Any, Any]:
-    """A name and its value: the row, the value, the note below it."""
-    with ui.element("div").classes("field") as row:
-        wording.label(key).classes("name")
-        with ui.element("div"):
-            value = ui.label("–").classes("value").props(f"data-field={name}")
-            note = ui.label("").classes("note")
-    return row, value, note
-
-
-def say_options(select: Any, keys: Mapping[Any, str], wording: Wording) -> None:
-    """Let the options of a select be said in the operator's language."""
-    wording.follow(
-        lambda: select.set_options({value: wording(Text(key)) for value, key in keys.items()})
-    )
-
-
 class ReadingRow:
     """A row that shows a reading, struck through while it is stale."""
 
     def __init__(self, name: str, wording: Wording) -> None:
         self._wording = wording
-        self._row, self._value, self._note = field(name, f"instruments.{name}", wording)
+        self._row, self._value, self._note = wording.field(name, f"instruments.{name}")
         self._is_stale = False
 
     def show(self, reading: Reading) -> None:

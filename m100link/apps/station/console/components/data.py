@@ -8,15 +8,7 @@ from typing import Any
 
 from nicegui import events, ui
 
-from m100link.apps.station.console.components.component import (
-    PageContext,
-    ReadingRow,
-    attribute,
-    button,
-    card,
-    field,
-    say_options,
-)
+from m100link.apps.station.console.components.component import PageContext, ReadingRow, attribute
 from m100link.apps.station.console.kept import COLUMNS, INTERVAL
 from m100link.apps.station.console.view.data import (
     FIRST_CHOICE,
@@ -50,14 +42,14 @@ class TelemetryPart:
 
     def __init__(self, page: PageContext) -> None:
         self._wording = wording = page.wording
-        with card("instruments.title", wording):
+        with wording.card("instruments.title"):
             self._rows = {one.name: ReadingRow(one.name, wording) for one in FIELDS}
-        with card("instruments.attitude", wording):
+        with wording.card("instruments.attitude"):
             self._age = ui.label().classes("note").props("id=attitude-age")
             self._frame = ui.element("div").classes("attitude")
             with self._frame:
                 self._build_scene()
-        with card("instruments.remote_control", wording):
+        with wording.card("instruments.remote_control"):
             for name in _CHANNELS:
                 with ui.row().classes("w-full items-center gap-2 no-wrap"):
                     wording.label(f"instruments.rc.{name}").classes("w-20")
@@ -105,12 +97,12 @@ class LinkPart:
     def __init__(self, page: PageContext) -> None:
         self._wording = wording = page.wording
         self._tables: dict[str, tuple[Any, tuple[Any, ...]]] = {}
-        with card("link.title", wording):
-            self._numbers = {name: field(name, f"link.{name}", wording)[1] for name in LINK_ITEMS}
-            field("age", "link.age", wording)  # the page itself fills in what it measures
+        with wording.card("link.title"):
+            self._numbers = {name: wording.field(name, f"link.{name}")[1] for name in LINK_ITEMS}
+            wording.field("age", "link.age")  # the page itself fills in what it measures
             self._reason = ui.label().classes("problem").props("id=connection-error")
         for name in ("causes", "rates", "dropped"):
-            with card(f"link.{name}", wording):
+            with wording.card(f"link.{name}"):
                 box = ui.element("div").props(f"id=link-{name}").classes("w-full")
                 self._tables[name] = box, ()
 
@@ -165,7 +157,7 @@ class PlotsPart:
         self._is_whole_wanted = True
         self._version = 0  # of what is drawn: what comes late of another one is passed over
         wording = page.wording
-        with card("plots.title", wording).props("id=plots-card"):
+        with wording.card("plots.title").props("id=plots-card"):
             with ui.row().classes("w-full items-center gap-2"):
                 self._chosen = ui.select(
                     list(COLUMNS),
@@ -182,7 +174,7 @@ class PlotsPart:
                 with ui.element("button").classes("act plain") as self._pause:
                     self._pause_text = ui.label()
                 self._pause.props("type=button id=plot-pause").on("click", self._toggle, args=[])
-                csv = button(wording, "plots.csv", "id=plot-csv", self._download)
+                csv = wording.button("plots.csv", "id=plot-csv", self._download)
                 wording.put(attribute(csv, "title"), "plots.csv.note")
             self._chart: Any = ui.echart({}).classes("w-full").props("id=plots role=img")
             wording.put(attribute(self._chart), "plots.chart")
@@ -279,13 +271,13 @@ class EventsPart:
         self._said_in: object = None
         self._placed: list[Any] = []
         wording = page.wording
-        with card("events.title", wording):
+        with wording.card("events.title"):
             with ui.row().classes("items-end gap-2 w-full"):
                 level = ui.select({name: name for name in LEVELS}, value=self._least)
                 level.props("outlined dense for=event-level").classes("min-w-32")
                 level.on_value_change(lambda event: self._choose(least=str(event.value)))
                 wording.put(attribute(level, "label"), "events.level")
-                say_options(level, {name: f"events.level.{name}" for name in LEVELS}, wording)
+                wording.options(level, {name: f"events.level.{name}" for name in LEVELS})
                 words = ui.input().props("outlined dense clearable for=event-words").classes("grow")
                 words.on_value_change(lambda event: self._choose(words=str(event.value or "")))
                 wording.put(attribute(words, "label"), "events.words")

@@ -18,8 +18,6 @@ from m100link.apps.station.console.components.component import (
     Wording,
     answer,
     attribute,
-    card,
-    say_options,
 )
 from m100link.apps.station.console.components.map import ClickPart
 from m100link.apps.station.console.tab import Tab
@@ -206,7 +204,7 @@ class ChecklistPart:
         self._page = page
         self._take_over = TakeOverDialog(page.tab, page.wording)
         wording, desk = page.wording, page.memory.checklist
-        with card("checklist.title", wording):
+        with wording.card("checklist.title"):
             self._summary = ui.label().classes("summary").props("id=check-summary role=status")
             with ui.element("ul").classes("checks").props("id=checks"):
                 self._rows = {item: self._build_row(item) for item in ITEMS}
@@ -304,7 +302,7 @@ class ActionsPart:
             self._number = ui.select(list(_SIMPLE), value=0).classes("task-number")
             self._number.props("dense outlined id=task-number")
             keys = {number: f"page.simple.{number}" for number in _SIMPLE}
-            say_options(self._number, keys, page.wording)
+            page.wording.options(self._number, keys)
             page.wording.put(attribute(self._number), "page.which_task")
         # Behind the buttons: it comes and goes, and they stay where the finger is.
         with ui.element("div").classes("told"):

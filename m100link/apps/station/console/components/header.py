@@ -11,13 +11,7 @@ from nicegui import events, ui
 from nicegui.events import GenericEventArguments
 
 from m100link.apps.agent.messages import Action
-from m100link.apps.station.console.components.component import (
-    ORDER,
-    PageContext,
-    answer,
-    attribute,
-    button,
-)
+from m100link.apps.station.console.components.component import ORDER, PageContext, answer, attribute
 from m100link.apps.station.console.view.alarms import Alarm, AlarmName, AlarmState
 from m100link.apps.station.console.view.header import SPEEDS, FleetRow, ReplayView
 from m100link.apps.station.console.view.situation import Level
@@ -53,10 +47,10 @@ class StatusPart:
                 wording.label("status.page_lost")
                 wording.label("status.page_lost.remedy").classes("remedy")
             ui.label().classes("since").props("aria-hidden=true id=page-lost-since")
-            button(wording, "alarms.acknowledge", "id=page-lost-seen", looks="see")
+            wording.button("alarms.acknowledge", "id=page-lost-seen", looks="see")
         with ui.element("div").classes("unanswered").props("id=unanswered role=alert hidden"):
             ui.label().props("id=unanswered-said")
-            button(wording, "alarms.acknowledge", "id=unanswered-seen", looks="see")
+            wording.button("alarms.acknowledge", "id=unanswered-seen", looks="see")
         ui.label().classes("page-said").props("id=page-said role=status")
         wording.put(attribute(lost, "data-text"), "status.page_lost")
         # When this view was made, on the station's clock: the page knows how old it is.
@@ -111,7 +105,7 @@ class AlarmsPart:
         self._loud = ui.label().classes("unseen").props("id=alarm-loud role=alert")
         with ui.element("div").classes("sound-blocked").props("id=sound-blocked hidden"):
             wording.label("alarms.sound_blocked")
-            button(wording, "alarms.allow_sound", "id=allow-sound", looks="see")
+            wording.button("alarms.allow_sound", "id=allow-sound", looks="see")
         self._sound = ui.element("i").props("id=alarm-sound hidden data-level= data-say=[]")
         page.load("alarms.js")
 
@@ -120,7 +114,7 @@ class AlarmsPart:
             shape = ui.label().classes("shape").props("aria-hidden=true")
             text = ui.label().classes("what")
             seen, props = partial(self._acknowledge, name), f"data-see={name.value}"
-            see = button(self._page.wording, "alarms.acknowledge", props, seen, looks="see")
+            see = self._page.wording.button("alarms.acknowledge", props, seen, looks="see")
         box.set_visibility(False)
         return _Row(box, shape, text, see)
 
@@ -204,12 +198,12 @@ class ReplayPart:
                 self._note = ui.label().props("id=replay-note")
             with ui.element("div").classes("moves"):
                 back, on = partial(self._order, "by -10"), partial(self._order, "by 10")
-                button(page.wording, "replay.back", "data-replay=back", back)
+                page.wording.button("replay.back", "data-replay=back", back)
                 toggle = ui.element("button").classes("act plain")
                 with toggle.props("type=button data-replay=toggle"):
                     self._toggle = ui.label()
                 toggle.on("click", partial(self._order, "toggle"), args=[])
-                button(page.wording, "replay.on", "data-replay=on", on)
+                page.wording.button("replay.on", "data-replay=on", on)
                 self._slider = ui.slider(min=0.0, max=1.0, step=_STEP, value=0.0)
                 self._slider.props("id=replay-slider")
                 put(attribute(self._slider), "replay.place")
@@ -305,7 +299,7 @@ class _ShipRow:
                 self._battery = ui.label()
             self._turn: Any = turn
             turn.on("click", self._turn_to, args=[])
-            stop = button(page.wording, "actions.stop", f'data-halt="{name}"', looks="ship-stop")
+            stop = page.wording.button("actions.stop", f'data-halt="{name}"', looks="ship-stop")
             page.wording.put(attribute(stop), "fleet.stop", name=name)
             stop.on("click", self._stop, js_handler=ORDER)
 

@@ -11,12 +11,7 @@ from typing import Any, TypeGuard
 from nicegui import events, ui
 
 from m100link.apps.agent.preview import preview
-from m100link.apps.station.console.components.component import (
-    NumberField,
-    PageContext,
-    attribute,
-    button,
-)
+from m100link.apps.station.console.components.component import NumberField, PageContext, attribute
 from m100link.apps.station.console.view.map import (
     FASTEST_M_S,
     HIGHEST_M,
@@ -136,7 +131,7 @@ class ClickPart:
         ui.on("map_pointed", self._clicked)
         ui.on("map_dragged", self._dragged)
         begin, end = partial(self._open, is_open=True), partial(self._open, is_open=False)
-        self._opener = button(wording, "click.title", "id=point-open", begin)
+        self._opener = wording.button("click.title", "id=point-open", begin)
         with ui.element("div").classes("card click").props("id=click role=region") as self._card:
             wording.put(attribute(self._card), "click.title")
             wording.label("click.hint").classes("hint")
@@ -148,7 +143,7 @@ class ClickPart:
             with ui.element("div").classes("acts"):
                 add = self._page.buttons.add
                 self._fly_button = add("guide", "click.fly", self._fly, check=self._check_shown)
-                button(wording, "click.close", "id=point-close", end)
+                wording.button("click.close", "id=point-close", end)
         with ui.element("div").classes("card guided").props("id=guided") as self._guided:
             self._flying = ui.label().props("id=guided-flying role=status")
             self._page.buttons.add("hover", "click.hover", self._hover, kind="plain")
@@ -157,7 +152,7 @@ class ClickPart:
 
     def _build_wish(self, wish: Wish) -> ui.element:
         key, props = f"click.{wish.value}", f"data-wish={wish.value}"
-        return button(self._page.wording, key, props, partial(self._wish, wish), looks="")
+        return self._page.wording.button(key, props, partial(self._wish, wish), looks="")
 
     def _build_fields(self) -> None:
         with ui.element("div").classes("numbers") as self._fields["way"]:

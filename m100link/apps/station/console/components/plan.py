@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from enum import IntEnum
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 from nicegui import events, ui
 
@@ -17,9 +17,6 @@ from m100link.apps.station.console.components.component import (
     PageContext,
     Wording,
     attribute,
-    button,
-    card,
-    say_options,
 )
 from m100link.apps.station.console.view.plan import (
     Draft,
@@ -72,7 +69,7 @@ class PlanPart:
         ui.on("plan_moved", self._moved)
         ui.on("plan_chosen", self._picked)
         wording = self._page.wording
-        with card("plan.title", wording):
+        with wording.card("plan.title"):
             wording.label("plan.hint").classes("hint")
             self._build_tools()
             self._problem = ui.label().classes("problem").props("id=plan-problem role=alert")
@@ -80,7 +77,7 @@ class PlanPart:
             self._notes = ui.element("ul").props("id=plan-notes").classes("notes")
             self._rows = ui.element("ol").props("id=plan-rows").classes("rows")
         self._waypoint = WaypointPart(wording, self._change_point, self._move_point, self._refuse)
-        with card("plan.profile", wording):
+        with wording.card("plan.profile"):
             self._chart = ui.echart({}).classes("profile")
             self._chart.props("id=plan-profile role=img")
             wording.put(attribute(self._chart), "plan.profile")
@@ -102,10 +99,10 @@ class PlanPart:
             self._tool("fit", lambda: _run("map.fit()"))
 
     def _tool(self, word: str, work: Callable[[], None]) -> ui.element:
-        return button(self._page.wording, f"plan.{word}", f"data-plan={word}", work, looks="")
+        return self._page.wording.button(f"plan.{word}", f"data-plan={word}", work, looks="")
 
     def _build_files(self) -> None:
-        with card("plan.file", self._page.wording):
+        with self._page.wording.card("plan.file"):
             # A label that looks like a button: a screen reader makes nothing of what Quasar has.
             chosen = ui.element("input").classes("unseen")
             chosen.props('type=file accept=".json,.plan" id=plan-file')
@@ -123,7 +120,7 @@ class PlanPart:
 
     def _build_mission(self) -> None:
         tab, add = self._page.tab, self._page.buttons.add
-        with card("plan.mission", self._page.wording):
+        with self._page.wording.card("plan.mission"):
             self._uploaded = ui.label().props("id=plan-uploaded")
             self._plan = ui.label().props("id=plan")
             with ui.element("div").classes("acts"):
@@ -335,20 +332,13 @@ def _place(args: Any) -> Place | None:
 # -- the chosen waypoint of a plan -----------------------------------------------------------------
 
 
-class ChangePoint(Protocol):
-    """Changes values of the chosen waypoint."""
-
-    def __call__(self, **values: object) -> None:
-        """With the fields of :class:`~m100link.Waypoint` that change."""
-
-
 class WaypointPart:
     """A card for one waypoint."""
 
     def __init__(
         self,
         wording: Wording,  # says what stands there
-        change: ChangePoint,  # changes its values
+        change: Callable[..., None],  # takes the fields of :class:`~m100link.Waypoint` that change
         move: Callable[[int], None],  # puts it earlier (-1) or later (1), or removes it (0)
         refuse: Callable[[str], None],  # told what is not an action
     ) -> None:
@@ -382,7 +372,7 @@ class WaypointPart:
             with ui.element("div").classes("choices"):
                 for word, by in (("earlier", -1), ("later", 1), ("remove", 0)):
                     props = f"data-plan={word}"
-                    button(wording, f"plan.{word}", props, partial(move, by), looks="")
+                    wording.button(f"plan.{word}", props, partial(move, by), looks="")
         self._card.set_visibility(False)
 
     def show(self, index: int | None, point: Waypoint | None) -> None:
@@ -468,14 +458,13 @@ class WholePart:
             self._speed.element.props("dense outlined debounce=300 for=plan-speed")
             for name, word, kind in _CHOICES:
                 select = ui.select([one.value for one in kind])
-                say_options(
-                    select, {one.value: f"plan.{word}.{one.name.lower()}" for one in kind}, wording
-                )
+                said = {one.value: f"plan.{word}.{one.name.lower()}" for one in kind}
+                wording.options(select, said)
                 wording.put(attribute(select, "label"), f"plan.{word}")
                 select.props(f"dense outlined for=plan-{word}")
                 select.on_value_change(partial(self._selected, name, kind))
                 self._selects[name] = select
-        with card("plan.survey", wording):
+        with wording.card("plan.survey"):
             with ui.element("div").classes("numbers"):
                 for name, value, low, step, measure in _LINES:
                     number = NumberField(
@@ -488,7 +477,7 @@ class WholePart:
                     )
                     number.element.props(f"dense outlined clearable for=survey-{name}")
                     self._lines[name] = number
-            button(wording, "plan.lines", "data-plan=lines", self._make_lines)
+            wording.button("plan.lines", "data-plan=lines", self._make_lines)
 
     def show(self, draft: Draft) -> None:
         """Show what holds for a draft."""

@@ -11,14 +11,7 @@ from typing import Any, TypeAlias
 from nicegui import ui
 from nicegui.events import ValueChangeEventArguments
 
-from m100link.apps.station.console.components.component import (
-    PageContext,
-    Wording,
-    attribute,
-    button,
-    card,
-    say_options,
-)
+from m100link.apps.station.console.components.component import PageContext, Wording, attribute
 from m100link.apps.station.console.orders import Orders
 from m100link.apps.station.console.view.texts import (
     Language,
@@ -79,7 +72,7 @@ class SettingsPart:
     def __init__(self, page: PageContext) -> None:
         self._page = page
         wording = self._page.wording
-        with card("settings.title", wording):
+        with wording.card("settings.title"):
             name = ui.input(value=self._page.tab.name).props("for=name outlined maxlength=64")
             name.classes("w-60")
             name.on_value_change(lambda event: self._rename(str(event.value)))
@@ -91,11 +84,11 @@ class SettingsPart:
                 box.on_value_change(self._chooser(field, bool))
                 wording.put(box.set_text, f"settings.{field}")
             with ui.element("div").classes("acts"):
-                button(wording, "settings.try_sound", "id=try-sound", self._try_sound)
+                wording.button("settings.try_sound", "id=try-sound", self._try_sound)
             for key in ("settings.english_errors", "settings.kept"):
                 wording.label(key).classes("note-plain")
         if self._page.orders is not None:
-            with card("status.virtual", wording):
+            with wording.card("status.virtual"):
                 SimPanel(self._page.orders, wording)
 
     def _build_choice(self, field: str, kind: type[Enum]) -> None:
@@ -107,7 +100,7 @@ class SettingsPart:
         choice.on_value_change(self._chooser(field, kind))
         wording.put(attribute(choice, "label"), f"settings.{field}")
         if field in _NAMED:
-            say_options(choice, {one: f"settings.{field}.{one}" for one in values}, wording)
+            wording.options(choice, {one: f"settings.{field}.{one}" for one in values})
 
     def _rename(self, name: str) -> None:
         self._page.tab.name = name[:64]
@@ -209,7 +202,7 @@ class SimPanel:
             ),
         )
         line.props("outlined dense id=sim-line for=sim-line-input").classes("w-40")
-        say_options(line, {name: f"sim.line.{name}" for name in _LINES}, self._wording)
+        self._wording.options(line, {name: f"sim.line.{name}" for name in _LINES})
         self._wording.put(attribute(line, "label"), "sim.line")
 
     def _number(self, name: str, order: str, high: int, value: int) -> None:
