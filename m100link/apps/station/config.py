@@ -8,14 +8,17 @@ import secrets
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.parsers import expat
 
-from m100link.apps.station.web.access_control import Access, is_loopback
+from m100link.apps.station.web.access_control import Access, AccessControl, is_loopback
 from m100link.errors import UsageError
 from m100link.errors.texts import read_path, read_toml
 from m100link.link.keyfile import read_key, read_token, read_watched
 from m100link.protocol.commands.activation import Credentials
+
+if TYPE_CHECKING:
+    from starlette.types import ASGIApp
 
 Sources = Sequence[tuple[str, Mapping[str, Any]]]
 """Settings by name with who says them, strongest first."""
@@ -222,14 +225,16 @@ class Settings:
         named = self.allow_host[0] if self.allow_host and self.host in nearest else self.host
         return f"{_in_url(nearest.get(named, named))}:{port}"
 
-    def access(self) -> Access | None:
-        """What clients have to show; None where nothing is needed.
+    def gate(self, app: ASGIApp) -> AccessControl:
+        """An application behind its gate: who may come, and what clients have to show.
 
         Raises:
             UsageError: See :meth:`access_token`.
         """
         token = self.access_token()
-        return None if token is None else Access(token)
+        access = None if token is None else Access(token)
+        names = self.host_names()
+        return AccessControl(app, hosts=names, origins=self.allow_origin, access=access)
 
     def is_plain_beyond_loopback(self) -> bool:
         """Whether the token and everything else would travel readable through a network."""

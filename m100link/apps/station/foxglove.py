@@ -316,7 +316,7 @@ class FoxgloveServer:
     def app(self, settings: Settings) -> AccessControl:
         """The application behind its gate."""
         routes = [WebSocketRoute("/{path:path}", self._serve), Route("/", self._greet)]
-        return AccessControl.of(Starlette(routes=routes), settings)
+        return settings.gate(Starlette(routes=routes))
 
     @asynccontextmanager
     async def feeding(self) -> AsyncIterator[None]:

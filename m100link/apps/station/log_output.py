@@ -56,14 +56,8 @@ def tell_elsewhere(logger: str) -> None:
     found.propagate = False
 
 
-class TextLines(logging.Formatter):
-    """Lines for people: time of day, level, logger, message."""
-
-    default_msec_format = "%s.%03d"
-    default_time_format = "%H:%M:%S"
-
-    def __init__(self) -> None:
-        super().__init__("%(asctime)s %(levelname)s %(name)s: %(message)s")
+_TEXT_LINES = "%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s", "%H:%M:%S"
+"""For people: time of day, level, logger, message."""
 
 
 class JsonLines(logging.Formatter):
@@ -146,7 +140,7 @@ def writing_log(output: LogOutput | None) -> Iterator[None]:
         return
     logger = logging.getLogger("m100link")
     before, level = list(logger.handlers), logger.level
-    handler = LinesInThread(JsonLines() if output.as_json else TextLines())
+    handler = LinesInThread(JsonLines() if output.as_json else logging.Formatter(*_TEXT_LINES))
     for other in before:
         logger.removeHandler(other)
     logger.addHandler(handler)

@@ -17,13 +17,13 @@ from nicegui import app as nicegui_app
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
-from starlette.routing import WebSocketRoute
+from starlette.routing import Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from m100link.apps.station.console.kept import History
 from m100link.apps.station.console.orders import Orders
-from m100link.apps.station.console.page import STATIC, Page, worker_routes
+from m100link.apps.station.console.page import STATIC, Page, worker
 from m100link.apps.station.console.tabs import Tabs
 from m100link.apps.station.listeners import Fronts
 from m100link.apps.station.web.access_control import AccessControl
@@ -78,8 +78,7 @@ def console_app(
 
     for name in agents:
         history_of(name)
-    app.router.routes.append(WebSocketRoute("/steer/{key}", tabs.serve))
-    app.router.routes.extend(worker_routes())
+    app.router.routes += [WebSocketRoute("/steer/{key}", tabs.serve), Route("/sw.js", worker)]
     app.mount("/console", Policy(StaticFiles(directory=STATIC)))
     if settings.tiles is not None:
         if not settings.tiles.is_dir():
@@ -113,7 +112,7 @@ def console_app(
         show_welcome_message=False,
         reconnect_timeout=_RECONNECT_S,
     )
-    return AccessControl.of(PageRateLimit(app, "/"), settings)
+    return settings.gate(PageRateLimit(app, "/"))
 
 
 async def serve(fronts: Fronts) -> None:

@@ -44,10 +44,6 @@ class LeaseKeeper:
         agent, lease = self._leases.get(name, (None, None))
         return agent is not None and agent.holds(lease)
 
-    def __len__(self) -> int:
-        """How many are kept and in force."""
-        return sum(name in self for name in self._leases)
-
     def add(self, name: str, agent: AgentClient, lease: Lease) -> None:
         """Keep one."""
         self._leases[name] = agent, lease
@@ -170,17 +166,12 @@ class History:
 
     def __init__(self) -> None:
         self._size = round(KEPT_S / INTERVAL)
-        self._count = 0  # of rows ever added
+        self.count = 0  # of rows ever added; a reader begins with what it has not seen
         self._times = array("d", [math.nan]) * self._size
         self._columns = {name: array("d", [math.nan]) * self._size for name in COLUMNS}
         self._lags: list[float] = []
         # Seconds that the event loop of this process was late, at worst in the last second.
         self.lag = 0.0
-
-    @property
-    def count(self) -> int:
-        """Rows that were ever added; a reader begins with what it has not seen."""
-        return self._count
 
     async def keep(self, agent: AgentClient) -> None:
         """Add a row ten times a second, until cancelled."""
@@ -205,11 +196,11 @@ class History:
         ``utc``: seconds since 1970. ``telemetry``: newest values and their ages; None while there
         are none.
         """
-        place = self._count % self._size
+        place = self.count % self._size
         self._times[place] = utc
         for name, value in zip(COLUMNS, self._row(telemetry, state), strict=True):
             self._columns[name][place] = math.nan if value is None else float(value)
-        self._count += 1
+        self.count += 1
 
     def _row(self, telemetry: AircraftState | None, state: State) -> Iterator[Any]:
         for record, readers in _READERS:
@@ -235,8 +226,8 @@ class History:
         step: int = 1,
     ) -> list[tuple[float, ...]]:
         """Rows as ``(utc, value, …)``, oldest first; NaN where there was no value."""
-        end = self._count if until is None else min(until, self._count)
-        first = max(since, end - round(last_s / INTERVAL), self._count - self._size, 0)
+        end = self.count if until is None else min(until, self.count)
+        first = max(since, end - round(last_s / INTERVAL), self.count - self._size, 0)
         columns = [self._times, *(self._columns[name] for name in names)]
         return [
             tuple(column[number % self._size] for column in columns)

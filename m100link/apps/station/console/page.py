@@ -14,7 +14,6 @@ from pathlib import Path
 
 from nicegui import ui
 from starlette.responses import FileResponse, Response
-from starlette.routing import BaseRoute, Route
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.station.console.components.component import (
@@ -239,12 +238,8 @@ _HEAD = (
 """What the page has in its head. Beyond this machine workers need TLS; without, there is none."""
 
 
-def worker_routes() -> list[BaseRoute]:
+async def worker(request: object) -> Response:
     """The worker, from where it may stand before the whole console."""
-    return [Route("/sw.js", _worker)]
-
-
-async def _worker(request: object) -> Response:
     return FileResponse(
         STATIC / "sw.js", media_type="text/javascript", headers={"cache-control": "no-cache"}
     )

@@ -275,9 +275,7 @@ class DjiSdk:
             ("set_local_pos_ref", "SetLocalPosRef", self._set_origin),
             ("send_data_to_mobile", "SendMobileData", self._send_to_mobile),
         ):
-            self._graph.add_service(
-                f"/dji_sdk/{name}", f"dji_sdk/{kind}", self._clients.answering(name, handler)
-            )
+            self._clients.offer(name, kind, handler)
 
     async def _activate(self, call: Call) -> Message:
         await self._agent.activate(self._clients.lease(call.session))
@@ -398,9 +396,7 @@ class Payload:
             ("gimbal_speed_control", "GimbalSpeedControl", self._rates),
             ("drone_arm_control", "DroneArmControl", self._arm),
         ):
-            graph.add_service(
-                f"/dji_sdk/{name}", f"dji_sdk/{kind}", clients.answering(name, handler)
-            )
+            clients.offer(name, kind, handler)
 
     def _on_angles(self, session: Listener, message: Message, now: float) -> None:
         """Radians, as DJI's node has them; seconds are whole."""

@@ -118,10 +118,10 @@ class Clients:
 
         self._agent.background.spawn(guarded(), f"{name} for {session.name}")
 
-    def answering(
-        self, name: str, handler: Callable[[Call], Coroutine[Any, Any, Message]]
-    ) -> Callable[[Call], None]:
-        """Answer when the aircraft has; a refusal is an answer, trouble is a failure.
+    def offer(
+        self, name: str, kind: str, handler: Callable[[Call], Coroutine[Any, Any, Message]]
+    ) -> None:
+        """Offer a service of ``dji_sdk``: a refusal is an answer, trouble is a failure.
 
         Generations of DJI's node tell more or less of one thing: each type has the fields it knows.
         """
@@ -144,7 +144,7 @@ class Clients:
             else:
                 call.fail("more than the orders that one client may give")
 
-        return on_call
+        self._graph.add_service(f"/dji_sdk/{name}", f"dji_sdk/{kind}", on_call)
 
     def _steer_refused(self, fence: int, error: M100Error) -> None:
         for session in self._graph.sessions:

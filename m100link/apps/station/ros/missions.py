@@ -73,9 +73,7 @@ class Missions:
             ("mission_hotpoint_set_radius", "MissionHpSetRadius", self._set_radius),
             ("mission_hotpoint_reset_yaw", "MissionHpResetYaw", self._reset_heading),
         ):
-            graph.add_service(
-                f"/dji_sdk/{name}", f"dji_sdk/{kind}", clients.answering(name, handler)
-            )
+            clients.offer(name, kind, handler)
         agent.on_mission_told.append(self._told)
         agent.background.spawn(self._keep_telling(), "mission status")
 

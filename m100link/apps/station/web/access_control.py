@@ -19,8 +19,6 @@ from m100link.apps.station.web.limits import SparingLogger
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Receive, Scope, Send
 
-    from m100link.apps.station.config import Settings
-
 COOKIE = "m100link_token"
 """The cookie that stands for the token in a browser; under TLS it begins with ``__Host-``."""
 
@@ -161,15 +159,6 @@ class AccessControl:
         self.access = access
         self.refused = 0  # requests turned away
         self._log = SparingLogger(logging.getLogger(__name__))
-
-    @classmethod
-    def of(cls, app: ASGIApp, settings: Settings) -> AccessControl:
-        """The gate that the settings of a station ask for.
-
-        Raises ``UsageError``: the token cannot be one.
-        """
-        names, origins = settings.host_names(), settings.allow_origin
-        return cls(app, hosts=names, origins=origins, access=settings.access())
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Check a request, then pass it on."""

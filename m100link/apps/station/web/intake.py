@@ -138,7 +138,7 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
         self._intake = intake
         self._inner = inner
         self._loop = asyncio.get_running_loop()
-        self._transport: asyncio.Transport | None = None
+        self._outer: asyncio.Transport  # once a client has come
         self._space = memoryview(bytearray(READ))
         self._begin = self._end = 0  # what was read and not parsed
         self._bytes = TokenBucket(BYTES_RATE, BYTES_AT_ONCE)
@@ -153,11 +153,6 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
         return cast(Connection, self._inner)
 
     @property
-    def _outer(self) -> asyncio.Transport:
-        assert self._transport is not None
-        return self._transport
-
-    @property
     def steers(self) -> bool:
         """Whether it holds control of an aircraft."""
         return self._connection.steers
@@ -166,7 +161,7 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """A client has come."""
-        self._transport = cast(asyncio.Transport, transport)
+        self._outer = cast(asyncio.Transport, transport)
         self._inner.connection_made(self)
 
     def connection_lost(self, exc: Exception | None) -> None:

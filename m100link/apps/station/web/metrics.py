@@ -238,7 +238,7 @@ def metrics_app(
         Route("/metrics", metrics),
         Route("/dashboard.json", dashboard),
     ]
-    return AccessControl.of(Starlette(routes=routes), settings)
+    return settings.gate(Starlette(routes=routes))
 
 
 async def serve(fronts: Fronts) -> None:

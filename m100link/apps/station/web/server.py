@@ -100,7 +100,7 @@ class Bridge:
 
     def app(self, settings: Settings) -> AccessControl:
         """The application behind its gate."""
-        return AccessControl.of(self._app, settings)
+        return settings.gate(self._app)
 
     async def _greet(self, request: Request) -> Response:
         return PlainTextResponse("m100link station: rosbridge v2 on this port, by WebSocket.\n")

@@ -21,6 +21,7 @@ from m100link.apps.station.console.view.texts import Kind, Settings, Speaker, Te
 from m100link.apps.station.console.view.view import Memory, View
 from m100link.errors import GuardRefused, UsageError
 from m100link.protocol.commands.control import Task
+from m100link.protocol.records import Position
 
 # -- the texts of a page, also when its language changes -------------------------------------------
 
@@ -377,6 +378,12 @@ class PageContext:
             )
             self.agent.note(english(said), "warning")
         await self.tab.fly(Task.TAKE_OFF)
+
+    def here(self, within: float) -> tuple[float, float] | None:
+        """Where the aircraft was so many seconds ago at most: latitude and longitude, °."""
+        telemetry = self.agent.telemetry
+        position = None if telemetry is None else telemetry.finite(Position, within=within)
+        return None if position is None else (position.latitude_deg, position.longitude_deg)
 
     def load(self, module: str) -> None:
         """Load ``static/<module>`` into this page, also after it was built."""

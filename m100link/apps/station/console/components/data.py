@@ -167,7 +167,9 @@ class PlotsPart:
                     on_change=self._choose,
                 )
                 self._chosen.props("id=plot-names dense use-chips").classes("grow")
-                wording.follow(self._name_options)
+                wording.follow(
+                    lambda: self._chosen.set_options({one: wording(label(one)) for one in COLUMNS})
+                )
                 wording.put(attribute(self._chosen, "label"), "plots.numbers", most=MOST)
                 seconds = ui.select(RANGES, value=self._seconds, on_change=self._set_range)
                 wording.put(attribute(seconds.props("id=plot-range dense"), "label"), "plots.range")
@@ -180,10 +182,6 @@ class PlotsPart:
             wording.put(attribute(self._chart), "plots.chart")
             wording.follow(self._say_again)
 
-    def _name_options(self) -> None:
-        said = self._page.wording
-        self._chosen.set_options({name: said(label(name)) for name in COLUMNS})
-
     def _say_again(self) -> None:
         """In another language, or other units: then every point is another one, too."""
         self._name_pause()
@@ -192,12 +190,9 @@ class PlotsPart:
     def _draw_anew(self) -> None:
         self._chart.options.clear()
         self._chart.options.update(chart(self._names, self._page.wording.settings.speaker))
-        self._resize()
+        self._chart.style(f"height: {height(self._names)}px")
         self._chart.update()
         self._is_whole_wanted = True
-
-    def _resize(self) -> None:
-        self._chart.style(f"height: {height(self._names)}px")
 
     # -- what is chosen --------------------------------------------------------------------------
 

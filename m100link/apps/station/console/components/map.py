@@ -256,12 +256,13 @@ class ClickPart:
         self._pointed, self._problem = self._pointed.changed(name, value), None
 
     def _by_distance(self, _: float | None) -> None:
-        telemetry = self._page.agent.telemetry
-        position = None if telemetry is None else telemetry.finite(Position, within=1.0)
-        distance, bearing = self._distance.value, self._bearing.value
-        if position is None or not _is_number(distance) or not _is_number(bearing):
+        here, distance, bearing = (
+            self._page.here(within=1.0),
+            self._distance.value,
+            self._bearing.value,
+        )
+        if here is None or distance is None or bearing is None:
             return
-        here = position.latitude_deg, position.longitude_deg
         self._pointed = self._pointed.by_distance(here, distance, bearing)
 
     def _check_shown(self, shown: object) -> None:

@@ -38,7 +38,6 @@ from m100link.errors import M100Error, UsageError
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.survey import line_spacing
 from m100link.missions.waypoint import AtEnd, Heading, Trace, Waypoint
-from m100link.protocol.records import Position
 
 _FIRST_HEIGHT_M = 20.0
 
@@ -180,7 +179,7 @@ class PlanPart:
         if points:
             after = points[-1 if self._chosen is None else self._chosen]
             self._add((after.latitude_deg + 2e-4, after.longitude_deg))
-        elif (here := self._here()) is not None:
+        elif (here := self._page.here(within=2.0)) is not None:
             self._add(here)
         else:
             self._add((0.0, 0.0))
@@ -224,7 +223,7 @@ class PlanPart:
 
     def _survey(self, **how: Any) -> None:
         try:
-            draft = self._draft.surveyed(start=self._here(), **how)
+            draft = self._draft.surveyed(start=self._page.here(within=2.0), **how)
         except UsageError as error:
             self._refuse(str(error))
         else:
@@ -257,15 +256,10 @@ class PlanPart:
 
     # -- what is shown ---------------------------------------------------------------------------
 
-    def _here(self) -> Place | None:
-        telemetry = self._page.agent.telemetry
-        position = None if telemetry is None else telemetry.finite(Position, within=2.0)
-        return None if position is None else (position.latitude_deg, position.longitude_deg)
-
     def _show(self) -> None:
         """Show the draft: after each change of it or of the settings, and only then."""
         draft = self._draft
-        found = self._found = checked(draft, self._here())
+        found = self._found = checked(draft, self._page.here(within=2.0))
         self._summary.set_text(self._say(summary_of(draft, found)))
         for is_area, mode in self._modes.items():
             mode.props(f"aria-pressed={'true' if is_area is self._is_area else 'false'}")

@@ -302,6 +302,7 @@ class AlarmChange:
 class _Watched:
     """One alarm of one tab."""
 
+    one: Definition
     state: AlarmState = AlarmState.QUIET  # where it stands
     is_so: bool = False  # what was judged last and was not unknown
     # When the judgement began to differ from the state; None while it does not.
@@ -315,18 +316,16 @@ class AlarmDesk:
     """The alarms of one tab: whoever looks at it has to acknowledge them."""
 
     def __init__(self, definitions: tuple[Definition, ...] = ALARMS) -> None:
-        self._definitions = {one.name: one for one in definitions}
-        self._watched = {name: _Watched() for name in self._definitions}
+        self._watched = {one.name: _Watched(one) for one in definitions}
         self._has_looked = False
 
     @property
     def shown(self) -> tuple[Alarm, ...]:
         """What has something to tell, the most urgent first, without what a stronger one covers."""
         return tuple(
-            Alarm(name, one.level, watched.state, watched.text, watched.began_at)
-            for name, one in self._definitions.items()
-            if (watched := self._watched[name]).state is not AlarmState.QUIET
-            and not self._is_covered(one)
+            Alarm(name, watched.one.level, watched.state, watched.text, watched.began_at)
+            for name, watched in self._watched.items()
+            if watched.state is not AlarmState.QUIET and not self._is_covered(watched.one)
         )
 
     @property
@@ -338,48 +337,46 @@ class AlarmDesk:
     def _is_covered(self, one: Definition) -> bool:
         stronger = one.within
         while stronger is not None:
-            if self._watched[stronger].state in (AlarmState.RAISED, AlarmState.ACKNOWLEDGED):
+            above = self._watched[stronger]
+            if above.state in (AlarmState.RAISED, AlarmState.ACKNOWLEDGED):
                 return True
-            stronger = self._definitions[stronger].within
+            stronger = above.one.within
         return False
 
     def advance(self, now: Situation) -> list[AlarmChange]:
         """Judge every alarm; returns what changed."""
         changes: list[AlarmChange] = []
-        for name, one in self._definitions.items():
-            watched = self._watched[name]
+        for watched in self._watched.values():
+            one = watched.one
             if one.mark is not None:
-                changes += self._look_at_mark(one, watched, one.mark(now), now)
+                changes += self._look_at_mark(watched, one.mark(now), now)
             elif one.judge is not None:
-                changes += self._judge(one, watched, one.judge(now), now)
+                changes += self._judge(watched, one.judge(now), now)
         self._has_looked = True
         return changes
 
     def acknowledge(self, name: AlarmName, at: float) -> list[AlarmChange]:
         """The operator knows of an alarm, and so of what it covers; returns what changed."""
-        one, watched = self._definitions[name], self._watched[name]
-        changes = self._feed(one, watched, AlarmInput.SEEN, at)
-        if one.mark is not None:  # what only happened is over when it is known
-            changes += self._feed(one, watched, AlarmInput.ENDS, at)
-        for covered in self._definitions.values():
-            if covered.within is name and self._watched[covered.name].state is AlarmState.RAISED:
-                changes += self.acknowledge(covered.name, at)
+        watched = self._watched[name]
+        changes = self._feed(watched, AlarmInput.SEEN, at)
+        if watched.one.mark is not None:  # what only happened is over when it is known
+            changes += self._feed(watched, AlarmInput.ENDS, at)
+        for covered, other in self._watched.items():
+            if other.one.within is name and other.state is AlarmState.RAISED:
+                changes += self.acknowledge(covered, at)
         return changes
 
-    def _look_at_mark(
-        self, one: Definition, watched: _Watched, mark: object, now: Situation
-    ) -> list[AlarmChange]:
+    def _look_at_mark(self, watched: _Watched, mark: object, now: Situation) -> list[AlarmChange]:
         is_new = mark is not None and mark != watched.mark
         has_ended = mark is None and watched.mark is not None
         watched.mark = mark
         if is_new and self._has_looked:
-            watched.text = one.text(now)
-            return self._feed(one, watched, AlarmInput.BEGINS, now.now)
-        return self._feed(one, watched, AlarmInput.ENDS, now.now) if has_ended else []
+            watched.text = watched.one.text(now)
+            return self._feed(watched, AlarmInput.BEGINS, now.now)
+        return self._feed(watched, AlarmInput.ENDS, now.now) if has_ended else []
 
-    def _judge(
-        self, one: Definition, watched: _Watched, verdict: bool | None, now: Situation
-    ) -> list[AlarmChange]:
+    def _judge(self, watched: _Watched, verdict: bool | None, now: Situation) -> list[AlarmChange]:
+        one = watched.one
         if verdict is not None and verdict is not watched.is_so:
             watched.turned_at = now.now if watched.turned_at is None else watched.turned_at
             needed = one.begins_after if verdict else one.ends_after
@@ -388,20 +385,18 @@ class AlarmDesk:
                 if verdict:
                     watched.text = one.text(now)
                 what = AlarmInput.BEGINS if verdict else AlarmInput.ENDS
-                return self._feed(one, watched, what, now.now)
+                return self._feed(watched, what, now.now)
         elif verdict is not None:
             watched.turned_at = None
             if verdict:
                 watched.text = one.text(now)
         return []
 
-    def _feed(
-        self, one: Definition, watched: _Watched, what: AlarmInput, at: float
-    ) -> list[AlarmChange]:
+    def _feed(self, watched: _Watched, what: AlarmInput, at: float) -> list[AlarmChange]:
         after = TRANSITIONS[watched.state].get(what)
         if after is None:
             return []
         watched.state = after
         if after is AlarmState.RAISED:
             watched.began_at = at
-        return [AlarmChange(at, one.name, one.level, after, watched.text)]
+        return [AlarmChange(at, watched.one.name, watched.one.level, after, watched.text)]

@@ -304,14 +304,10 @@ def upload_of(plan: WaypointPlan | None, uploaded: WaypointPlan | None, name: st
     """Whether start would fly what is drawn here."""
     if uploaded is None:
         return tr("plan.is_not_uploaded")
-    if plan is not None and as_on_the_wire(plan) == as_on_the_wire(uploaded):
+    # What the aircraft gets: two plans that differ in nothing else fly the same.
+    if plan is not None and plan.to_wire() == uploaded.to_wire():
         return tr("plan.is_uploaded")
     return tr("plan.is_another", name=name)
-
-
-def as_on_the_wire(plan: WaypointPlan) -> object:
-    """What the aircraft gets of it: two plans that differ in nothing else fly the same."""
-    return plan.to_wire()
 
 
 def row_of(number: int, point: Waypoint) -> Text:
