@@ -25,7 +25,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mappi
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, Protocol
+from typing import Any
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.transports import Channel
@@ -194,13 +194,6 @@ def listen(host: str, port: int) -> socket.socket:
 # -- the fronts on them ----------------------------------------------------------------------------
 
 
-class StopsListening(Protocol):
-    """A server that can leave its port."""
-
-    def stop_listening(self) -> None:
-        """Take no new connections; those that are there stay."""
-
-
 class Fronts:
     """The fronts of a process: what all of them have, and what one has for another."""
 
@@ -224,7 +217,7 @@ class Fronts:
         self.made: dict[str, object] = {}  # what a front is for others, by its name
         # What the clients of a front did not get because they are slow, by the front's name.
         self.dropped: dict[str, Callable[[], Mapping[str, int]]] = {}
-        self.servers: list[StopsListening] = []
+        self.leave_port: list[Callable[[], None]] = []  # of each server; its connections stay
         self.access: Access | None = None  # what browsers have to show; None: nothing
         # The aircraft that pages of the console show.
         self.shown: Callable[[], frozenset[str]] = frozenset
@@ -273,8 +266,8 @@ class Fronts:
 
     def stop_listening(self) -> None:
         """Leave the ports to another station; connections that are there stay."""
-        for server in self.servers:
-            server.stop_listening()
+        for leave_port in self.leave_port:
+            leave_port()
 
 
 @asynccontextmanager

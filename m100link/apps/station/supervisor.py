@@ -14,7 +14,7 @@ import os
 import signal
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
-from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from contextlib import asynccontextmanager, suppress
 from dataclasses import asdict
 from typing import Any
 
@@ -53,7 +53,7 @@ class Child:
         self._process: asyncio.subprocess.Process | None = None
         self._starts = 0
         self.answer: dict[str, Any] = {}  # what it answered when it ran
-        self.on_restart: list[Callable[[], None]] = []  # called when it runs again
+        self.on_restart: list[Callable[[], object]] = []  # called when it runs again
 
     @property
     def pid(self) -> int | None:
@@ -159,26 +159,21 @@ async def supervised(
 
     Raises ``M100Error``: what one of them met. None of the others runs on then.
     """
-    async with AsyncExitStack() as stack:
-
-        async def end() -> None:
-            await asyncio.gather(*(one.end(timeout) for one in children))
-
-        stack.push_async_callback(end)
+    try:
         for met in await asyncio.gather(*(one.start() for one in children), return_exceptions=True):
             if met is not None:
                 raise met
         keeping = [
             asyncio.create_task(one.keep(), name="m100link station: child") for one in children
         ]
-
-        async def stop_keeping() -> None:
+        try:
+            yield
+        finally:
             for task in keeping:
                 task.cancel()
             await asyncio.gather(*keeping, return_exceptions=True)
-
-        stack.push_async_callback(stop_keeping)
-        yield
+    finally:
+        await asyncio.gather(*(one.end(timeout) for one in children))
 
 
 # -- the child's side -----------------------------------------------------------------------------

@@ -425,23 +425,14 @@ def _read(text: str | bytes) -> dict[str, Any] | None:
         return None
     if not isinstance(message, dict) or message.get("op") not in ("beat", "rest", "alive", "stop"):
         return None
-    wanted = ("at", "x", "y", "z", "w") if message["op"] == "beat" else ("at",)
-    if not all(_is_number(message.get(name)) for name in wanted):
-        return None
-    if not _is_told(message):
-        return None
-    for name in ("n", "mode") if message["op"] == "beat" else ("n",):
-        if type(message.get(name)) is not int:
-            return None
-    return message
-
-
-def _is_told(message: dict[str, Any]) -> bool:
-    """Whether both times of the station are there, or none."""
-    given = [name in message for name in ("told", "held")]
-    return not any(given) or (
-        all(given) and _is_number(message["told"]) and _is_number(message["held"])
-    )
+    numbers, integers = ["at"], ["n"]
+    if message["op"] == "beat":
+        numbers += ["x", "y", "z", "w"]
+        integers += ["mode"]
+    if "told" in message or "held" in message:  # both times of the station, or none
+        numbers += ["told", "held"]
+    are_numbers = all(_is_number(message.get(name)) for name in numbers)
+    return message if are_numbers and all(type(message.get(n)) is int for n in integers) else None
 
 
 def _is_number(value: Any) -> TypeGuard[float]:

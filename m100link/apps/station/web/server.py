@@ -373,7 +373,7 @@ async def serve_http(
     """Serve an application on the sockets of a front."""
     server = Server.make(app, fronts.settings, lifespan=lifespan, intake=fronts.intake)
     await fronts.stack.enter_async_context(_serving(server, fronts.take(name)))
-    fronts.servers.append(server)
+    fronts.leave_port.append(server.stop_listening)
 
 
 @contextlib.asynccontextmanager

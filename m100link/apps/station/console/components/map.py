@@ -13,13 +13,7 @@ from nicegui import events, ui
 from m100link.apps.agent.preview import preview
 from m100link.apps.station.console.components.component import NumberField, PageContext, attribute
 from m100link.apps.station.console.view.map import (
-    FASTEST_M_S,
-    HIGHEST_M,
-    LOWEST_M,
-    MOST_TURNS,
-    SLOWEST_M_S,
-    SMALLEST_M,
-    WIDEST_M,
+    OFFERED,
     Chart,
     ClickView,
     Drawing,
@@ -159,19 +153,19 @@ class ClickPart:
             far = {"kind": Kind.LENGTH, "limits": (0, 5000)}
             self._distance = self._number("distance", self._by_distance, **far)
             self._bearing = self._number("bearing", self._by_distance, limits=(0, 360))
-        for name, word, low, high, step, kind in (
-            ("height", "height_m", LOWEST_M, HIGHEST_M, 0.5, Kind.LENGTH),
-            ("speed", "speed", SLOWEST_M_S, FASTEST_M_S, 0.5, Kind.SPEED),
-            ("radius", "radius", SMALLEST_M, WIDEST_M, 1.0, Kind.LENGTH),
-            ("turns", "turns", 0.25, MOST_TURNS, 0.25, None),
-            ("yaw_deg", "yaw", 0, 359, 1, None),
+        for name, word, step, kind in (
+            ("height", "height_m", 0.5, Kind.LENGTH),
+            ("speed", "speed", 0.5, Kind.SPEED),
+            ("radius", "radius", 1.0, Kind.LENGTH),
+            ("turns", "turns", 0.25, None),
+            ("yaw_deg", "yaw", 1, None),
         ):
             with ui.element("div").classes("dragged") as self._fields[name]:
                 self._numbers[name] = self._number(
                     word,
                     partial(self._changed, name),
                     kind=kind,
-                    limits=(low, high),
+                    limits=OFFERED.get(name, (0, 359)),
                     step=step,
                     value=getattr(self._pointed, name),
                 )
@@ -248,7 +242,7 @@ class ClickPart:
         """A flight to a point keeps the height that the aircraft has, unless somebody says so."""
         telemetry = self._page.agent.telemetry
         position = None if telemetry is None else telemetry.finite(Position, within=1.0)
-        if position is not None and position.height_m > LOWEST_M:
+        if position is not None and position.height_m > OFFERED["height"][0]:
             self._pointed = self._pointed.changed("height", round(position.height_m))
             self._numbers["height"].set(self._pointed.height)
 

@@ -61,12 +61,14 @@ def _fence(inputs: Inputs) -> Fence | None:
 # Pure: whoever points holds a :class:`Pointed`, each change makes another one, and
 # :func:`click_of` says what stands beside the point.
 
-LOWEST_M, HIGHEST_M = 2.0, 120.0
-"""Heights that the page offers; the guards say which of them are flown."""
+OFFERED = {
+    "height": (2.0, 120.0),  # m
+    "speed": (0.5, 10.0),  # m/s
+    "radius": (3.0, 100.0),  # m
+    "turns": (0.25, 20.0),
+}
+"""Least and most that the page offers; the guards say what of it is flown."""
 
-SLOWEST_M_S, FASTEST_M_S = 0.5, 10.0
-SMALLEST_M, WIDEST_M = 3.0, 100.0
-MOST_TURNS = 20.0
 _FARTHEST_M = 5000.0
 
 
@@ -115,12 +117,7 @@ class Pointed:
             return self
         if name == "yaw_deg":
             return replace(self, yaw_deg=value % 360.0)
-        low, high = {
-            "height": (LOWEST_M, HIGHEST_M),
-            "speed": (SLOWEST_M_S, FASTEST_M_S),
-            "radius": (SMALLEST_M, WIDEST_M),
-            "turns": (0.25, MOST_TURNS),
-        }[name]
+        low, high = OFFERED[name]
         # One of four numbers, all of them floats.
         return replace(self, **{name: max(low, min(high, float(value)))})  # type: ignore[arg-type]
 

@@ -10,7 +10,6 @@ from m100link.apps.agent.guided import ChangeHeading, ChangeHeight, FlyAround, F
 from m100link.apps.agent.messages import Limits, State
 from m100link.apps.agent.preview import Preview
 from m100link.apps.station.console.view.map import (
-    HIGHEST_M,
     Drawing,
     Fence,
     Pointed,
@@ -82,7 +81,7 @@ def test_pointing_again_is_a_flight_there_but_a_circle_stays_one() -> None:
 
 @pytest.mark.parametrize(
     ("name", "value", "kept"),
-    [("height", 1e9, HIGHEST_M), ("height", -5, 2.0), ("speed", 99, 10.0), ("turns", 0, 0.25)],
+    [("height", 1e9, 120.0), ("height", -5, 2.0), ("speed", 99, 10.0), ("turns", 0, 0.25)],
 )
 def test_numbers_stay_within_what_is_offered(name: str, value: float, kept: float) -> None:
     assert getattr(Pointed().changed(name, value), name) == kept
