@@ -7,15 +7,13 @@ import contextlib
 import importlib
 import logging
 import os
-import queue
 import re
-import threading
 import webbrowser
 from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, Self
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 from cyclopts import Parameter
 
@@ -24,7 +22,7 @@ from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.cli.options import offered, options_of
 from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, print_json
 from m100link.apps.station.config import ENVIRONMENT, ONLY_NAME, Settings, namespace_of, resolve
-from m100link.apps.station.log_output import log_of, tell_elsewhere
+from m100link.apps.station.log_output import Teller, log_of, tell_elsewhere
 from m100link.errors import UsageError
 
 if TYPE_CHECKING:
@@ -34,8 +32,6 @@ if TYPE_CHECKING:
 
 
 _MOST_UNTOLD = 200
-_LAST_WORDS = 1.0
-"""Seconds that the end waits for what is still to be told."""
 
 
 @Parameter(name="*")
@@ -136,7 +132,7 @@ async def _serve(
     tell_elsewhere(JOURNAL_LOG)
     events = logging.getLogger(__name__)
     log_of(next(iter(aircraft)) if len(aircraft) == 1 else "")
-    with Teller() as teller:
+    with Teller("talk", _MOST_UNTOLD) as teller:
 
         def tell(name: str, event: Event) -> None:
             if options.log.log_json:
@@ -189,37 +185,6 @@ async def _running(
             tell(name, event)
         one.agent.journal.on_event.append(partial(tell, name))
         yield one, one.front if isinstance(one, RunningApart) else None
-
-
-class Teller:
-    """Tells in a thread of its own what happens while an aircraft flies.
-
-    A terminal that was stopped by Ctrl-S and a pipe that nobody reads or that was closed are no
-    reason to hold up setpoints, or to raise where something happened.
-    """
-
-    def __init__(self) -> None:
-        self._work: queue.Queue[Callable[[], object] | None] = queue.Queue(_MOST_UNTOLD)
-        self._thread = threading.Thread(target=self._run, name="m100link: talk", daemon=True)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        with contextlib.suppress(queue.Full):
-            self._work.put(None, timeout=_LAST_WORDS)
-            self._thread.join(_LAST_WORDS)
-
-    def do(self, print_it: Callable[[], object]) -> None:
-        """Have something printed; what nobody reads in time is not."""
-        with contextlib.suppress(queue.Full):
-            self._work.put_nowait(print_it)
-
-    def _run(self) -> None:
-        with contextlib.suppress(OSError):  # nobody reads it any more
-            while (print_it := self._work.get()) is not None:
-                print_it()
 
 
 class _Station(Protocol):

@@ -11,19 +11,19 @@ import logging
 import queue
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from logging.handlers import QueueHandler
-from typing import Any
+from functools import partial
+from typing import Self
 
 from m100link.errors import M100Error
 
 LEVELS = ("debug", "info", "warning", "error")
 
 _MOST_UNREAD = 2000
-_LAST_WORDS = 1.0  # seconds that the end waits for lines that are still to be read
+_LAST_WORDS = 1.0  # seconds that the end waits for what is still to be told
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,52 +83,66 @@ class JsonLines(logging.Formatter):
         return json.dumps(told)
 
 
-class LinesInThread(QueueHandler):
-    """Formats where it is called, which must not wait, and writes in a thread."""
+class Teller:
+    """Tells in a thread of its own what happens while an aircraft flies.
 
-    def __init__(self, lines: logging.Formatter) -> None:
-        self._lines: queue.Queue[str | None] = queue.Queue(_MOST_UNREAD)
-        super().__init__(self._lines)
-        self.setFormatter(lines)
-        self._unread = 0
-        self._thread = threading.Thread(target=self._write, name="m100link: log", daemon=True)
+    A terminal that was stopped by Ctrl-S and a pipe that nobody reads or that was closed are no
+    reason to hold up setpoints, or to raise where something happened.
+    """
+
+    def __init__(self, name: str, most: int) -> None:
+        self._work: queue.Queue[Callable[[], object] | None] = queue.Queue(most)
+        self._thread = threading.Thread(target=self._run, name=f"m100link: {name}", daemon=True)
+
+    def __enter__(self) -> Self:
         self._thread.start()
+        return self
 
-    def prepare(self, record: logging.LogRecord) -> str:
-        """The line, without what a record holds on to."""
-        line = self.format(record)
-        if not self._unread:
-            return line
-        text = f"{self._unread} lines of the log were not read in time, and left out"
-        told = logging.LogRecord(__name__, logging.WARNING, __file__, 0, text, None, None)
-        return f"{self.format(told)}\n{line}"
-
-    def enqueue(self, record: Any) -> None:
-        """Put a line where the thread finds it."""
-        try:
-            self._lines.put_nowait(record)
-            self._unread = 0
-        except queue.Full:
-            self._unread += 1
-
-    def wait_until_read(self) -> None:
-        """Wait until all lines are written, however long that takes."""
-        self._lines.join()
-
-    def close(self) -> None:
-        """Give what is left a moment to be read."""
-        with suppress(queue.Full):
-            self._lines.put(None, timeout=_LAST_WORDS)
+    def __exit__(self, *_: object) -> None:
+        with suppress(queue.Full, KeyboardInterrupt):  # only the last words are lost
+            self._work.put(None, timeout=_LAST_WORDS)
             self._thread.join(_LAST_WORDS)
-        super().close()
 
-    def _write(self) -> None:
-        with suppress(OSError, ValueError):  # nobody reads it any more
-            while (line := self._lines.get()) is not None:
-                # Asked for each time: a live display takes it over, and writes above itself.
-                sys.stderr.write(f"{line}\n")
-                sys.stderr.flush()
-                self._lines.task_done()
+    def do(self, print_it: Callable[[], object]) -> bool:
+        """Have something printed; False: nobody read in time what came before, and it is not."""
+        try:
+            self._work.put_nowait(print_it)
+        except queue.Full:
+            return False
+        return True
+
+    def _run(self) -> None:
+        with suppress(OSError):  # nobody reads it any more
+            while (print_it := self._work.get()) is not None:
+                print_it()
+
+
+class LinesInThread(logging.Handler):
+    """Formats where it is called, which must not wait, and has the line written in a thread."""
+
+    def __init__(self, lines: logging.Formatter, teller: Teller) -> None:
+        super().__init__()
+        self.setFormatter(lines)
+        self._teller, self._unread = teller, 0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Have a line written, or count it."""
+        try:
+            line = self.format(record)
+            if self._unread:
+                text = f"{self._unread} lines of the log were not read in time, and left out"
+                told = logging.LogRecord(__name__, logging.WARNING, __file__, 0, text, None, None)
+                line = f"{self.format(told)}\n{line}"
+            self._unread = 0 if self._teller.do(partial(_write, line)) else self._unread + 1
+        except Exception:  # noqa: BLE001 - a line that cannot be made raises nowhere, as in logging
+            self.handleError(record)
+
+
+def _write(line: str) -> None:
+    # Asked for each time: a live display takes it over, and writes above itself.
+    with suppress(ValueError):  # it was closed
+        sys.stderr.write(f"{line}\n")
+        sys.stderr.flush()
 
 
 @contextmanager
@@ -140,19 +154,20 @@ def writing_log(output: LogOutput | None) -> Iterator[None]:
         return
     logger = logging.getLogger("m100link")
     before, level = list(logger.handlers), logger.level
-    handler = LinesInThread(JsonLines() if output.as_json else logging.Formatter(*_TEXT_LINES))
-    for other in before:
-        logger.removeHandler(other)
-    logger.addHandler(handler)
-    logger.setLevel(output.level.upper())
-    _in_force = output
-    try:
-        yield
-    finally:
-        _in_force = None
-        logger.setLevel(level)
+    lines = JsonLines() if output.as_json else logging.Formatter(*_TEXT_LINES)
+    with Teller("log", _MOST_UNREAD) as teller:
+        handler = LinesInThread(lines, teller)
         for other in before:
-            logger.addHandler(other)
-        logger.removeHandler(handler)
-        with suppress(KeyboardInterrupt):  # only the last lines are lost
+            logger.removeHandler(other)
+        logger.addHandler(handler)
+        logger.setLevel(output.level.upper())
+        _in_force = output
+        try:
+            yield
+        finally:
+            _in_force = None
+            logger.setLevel(level)
+            for other in before:
+                logger.addHandler(other)
+            logger.removeHandler(handler)
             handler.close()

@@ -25,9 +25,10 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
-from m100link.apps.cli import serve as serving
-from m100link.apps.cli.serve import _MOST_UNTOLD, StationOptions, Teller, aircraft_of
+from m100link.apps.cli.serve import StationOptions, aircraft_of
 from m100link.apps.mavlink.translator.codec import Message, read_datagram, write_frame
+from m100link.apps.station import log_output
+from m100link.apps.station.log_output import Teller
 from m100link.errors import M100Error
 from tests.apps.cli.conftest import CommandLine
 from tests.apps.station.test_run import Pilot
@@ -401,17 +402,17 @@ def test_aircraft_of_the_configuration_file_keep_their_names(
 
 
 def test_what_is_not_read_holds_up_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serving, "_LAST_WORDS", PATIENCE)  # the machine may hold up the thread
+    monkeypatch.setattr(log_output, "_LAST_WORDS", PATIENCE)  # the machine may hold up the thread
     told: list[int] = []
     stopped = threading.Event()
-    with Teller() as teller:
+    with Teller("talk", 200) as teller:
         teller.do(lambda: told.append(1))
         teller.do(partial(stopped.wait, PATIENCE))  # Ctrl-S
-        for number in range(10 * _MOST_UNTOLD):
+        for number in range(2000):
             teller.do(partial(told.append, number))
         stopped.set()
     assert told[:2] == [1, 0]
-    assert len(told) <= 1 + _MOST_UNTOLD
+    assert len(told) <= 1 + 200
 
 
 def test_a_closed_pipe_ends_the_talk_and_nothing_else() -> None:
@@ -419,7 +420,7 @@ def test_a_closed_pipe_ends_the_talk_and_nothing_else() -> None:
         raise BrokenPipeError
 
     told: list[int] = []
-    with Teller() as teller:
+    with Teller("talk", 200) as teller:
         teller.do(broken)
         teller.do(lambda: told.append(1))
     assert told == []
