@@ -159,8 +159,7 @@ class Settings:
     def credentials(self) -> Credentials | None:
         """What activation needs, or None when there is no app id.
 
-        Raises:
-            UsageError, BadKey: The key is missing or cannot be one.
+        Raises ``UsageError, BadKey``: the key is missing or cannot be one.
         """
         if self.app_id is None:
             return None
@@ -181,8 +180,7 @@ class Settings:
     def access_token(self) -> str | None:
         """The token that clients have to know; None on the own machine unless one was set.
 
-        Raises:
-            UsageError: The bind needs one and none was given, or it is too short.
+        Raises ``UsageError``: the bind needs one and none was given, or it is too short.
         """
         token = self.token
         if self.token_file is not None:
@@ -204,8 +202,7 @@ class Settings:
     def niceness(self) -> int:
         """How much lower the priority of the fronts is.
 
-        Raises:
-            UsageError: There is no such priority.
+        Raises ``UsageError``: there is no such priority.
         """
         if not 0 <= self.front_niceness <= _MAX_NICENESS:
             raise UsageError(
@@ -228,8 +225,7 @@ class Settings:
     def gate(self, app: ASGIApp) -> AccessControl:
         """An application behind its gate: who may come, and what clients have to show.
 
-        Raises:
-            UsageError: See :meth:`access_token`.
+        Raises ``UsageError``: see :meth:`access_token`.
         """
         token = self.access_token()
         access = None if token is None else Access(token)

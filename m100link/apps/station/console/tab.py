@@ -74,18 +74,21 @@ class Tab:
         self._press = Press()
         self._stopped_at = -math.inf
         self._complained_at = -math.inf
-        self._is_closed = False
         self._stopping: asyncio.Task[Any] | None = None  # one at a time, however often it is said
-        agent.on_steer_refused.append(self._steer_refused)
         # What a hand that still holds something had no part in, whoever it was: until it has let go
         # it moves nothing. Empty when it may.
         self._has_to_let_go = ""
         self._beat_at = -math.inf  # the last one, flown or refused, by the page's clock
         self._late_since: float | None = None  # the first late one since one was in time
         self._stop_press: object = None  # which press of STOP the task above answers
-        agent.on_event.append(self._event)
-        agent.on_lease.append(self._lease_changed)
-        agent.on_authority_taken.append(self._authority_taken)
+        self._heard: list[tuple[list[Any], Callable[..., None]]] = [
+            (agent.on_steer_refused, self._steer_refused),
+            (agent.on_event, self._event),
+            (agent.on_lease, self._lease_changed),
+            (agent.on_authority_taken, self._authority_taken),
+        ]
+        for callbacks, callback in self._heard:
+            callbacks.append(callback)
 
     @property
     def has_spoken(self) -> bool:
@@ -406,13 +409,9 @@ class Tab:
     def close(self) -> None:
         """The tab is gone for good."""
         self.lost()
-        if self._is_closed:
-            return
-        self._is_closed = True
-        self._agent.on_steer_refused.remove(self._steer_refused)
-        self._agent.on_event.remove(self._event)
-        self._agent.on_lease.remove(self._lease_changed)
-        self._agent.on_authority_taken.remove(self._authority_taken)
+        while self._heard:
+            callbacks, callback = self._heard.pop()
+            callbacks.remove(callback)
 
 
 def _read(text: str | bytes) -> dict[str, Any] | None:

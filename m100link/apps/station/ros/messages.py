@@ -360,13 +360,9 @@ _NO_BYTES = "{} is neither base64 nor a list of bytes"
 
 def _read_bytes(value: Any, path: str) -> bytes:
     try:
-        if isinstance(value, str):
-            return base64.b64decode(value, validate=True)
-        if isinstance(value, list | bytes):
-            return bytes(value)
+        return base64.b64decode(value, validate=True) if isinstance(value, str) else bytes(value)
     except (binascii.Error, ValueError, TypeError):
-        pass
-    raise BadMessage(_NO_BYTES.format(path))
+        raise BadMessage(_NO_BYTES.format(path)) from None
 
 
 def _fail(path: str, wanted: str) -> Any:

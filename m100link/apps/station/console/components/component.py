@@ -245,6 +245,7 @@ class NumberField:
         self,
         wording: Wording,  # says what it is called, and knows the units
         key: str,  # of its name in the catalogue, with ``{unit}`` in it where there is a kind
+        props: str,
         *,
         kind: Kind | None = None,  # what it measures; None where nobody chooses the unit
         # Least and greatest value that is offered, in the unit of the protocol.
@@ -257,7 +258,8 @@ class NumberField:
         self._wording, self.kind, self._limits = wording, kind, limits
         self._value, self._changed = value, changed
         self._is_showing = False  # what is set then was not typed
-        self.element = ui.number(step=step)  # the number on the page, in the operator's unit
+        # The number on the page, in the operator's unit.
+        self.element = ui.number(step=step).props(f"dense outlined {props}")
         self.element.on_value_change(self._typed)
         unit = {} if kind is None else {"unit": kind}
         wording.put(attribute(self.element, "label"), key, **unit)

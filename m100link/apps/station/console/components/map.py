@@ -195,9 +195,8 @@ class ClickPart:
         self._page.wording.follow(follow)
 
     def _number(self, word: str, changed: Callable[[Any], None], **options: Any) -> NumberField:
-        number = NumberField(self._page.wording, f"click.{word}", changed=changed, **options)
-        number.element.props(f"dense outlined for=click-{word}")
-        return number
+        wording, props = self._page.wording, f"for=click-{word}"
+        return NumberField(wording, f"click.{word}", props, changed=changed, **options)
 
     # -- what the operator does ------------------------------------------------------------------
 

@@ -349,15 +349,14 @@ class WaypointPart:
                     ("latitude_deg", "latitude", 1e-5, None),
                     ("longitude_deg", "longitude", 1e-5, None),
                 ):
-                    number = NumberField(
+                    self._numbers[name] = NumberField(
                         wording,
                         f"plan.{word}",
+                        f"debounce=300 for=waypoint-{word}",
                         kind=kind,
                         step=step,
                         changed=partial(self._typed, name),
                     )
-                    number.element.props(f"dense outlined debounce=300 for=waypoint-{word}")
-                    self._numbers[name] = number
             self._actions = ui.input()
             self._actions.props("dense outlined debounce=500 for=waypoint-actions")
             wording.put(attribute(self._actions, "label"), "plan.actions")
@@ -444,12 +443,12 @@ class WholePart:
             self._speed = NumberField(
                 wording,
                 "plan.speed",
+                "debounce=300 for=plan-speed",
                 kind=Kind.SPEED,
                 limits=(0, 15),
                 step=0.5,
                 changed=self._sped,
             )
-            self._speed.element.props("dense outlined debounce=300 for=plan-speed")
             for name, word, kind in _CHOICES:
                 select = ui.select([one.value for one in kind])
                 said = {one.value: f"plan.{word}.{one.name.lower()}" for one in kind}
@@ -461,16 +460,15 @@ class WholePart:
         with wording.card("plan.survey"):
             with ui.element("div").classes("numbers"):
                 for name, value, low, step, measure in _LINES:
-                    number = NumberField(
+                    self._lines[name] = NumberField(
                         wording,
                         f"plan.{name}",
+                        f"clearable for=survey-{name}",
                         kind=measure,
                         limits=(low, None),
                         step=step,
                         value=value,
                     )
-                    number.element.props(f"dense outlined clearable for=survey-{name}")
-                    self._lines[name] = number
             wording.button("plan.lines", "data-plan=lines", self._make_lines)
 
     def show(self, draft: Draft) -> None:
