@@ -6,9 +6,10 @@ The ground is ``map``, the body ``base_link``.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
-from typing import IO, Any
+from operator import attrgetter
+from typing import IO, Any, NamedTuple
 
 from m100link.log.cdr import Template, definition, encode
 from m100link.log.channels import COMMAND, EVENT
@@ -282,6 +283,116 @@ class Messages:
 
 def _flu(rates: AngularVelocity) -> Vector:
     return (rates.forward_rad_s, -rates.right_rad_s, -rates.down_rad_s)
+
+
+# -- what DJI's own node ``dji_sdk`` tells, by its names: for ROS 1 and ROS 2 ----------------------
+# Frames and units are those of that node: degrees of the wire for the gimbal, mode and gear raw in
+# ``rc``.
+
+DJI_GROUND, DJI_BODY = "ground_ENU", "body_FLU"
+
+
+class DjiTopic(NamedTuple):
+    """A topic of that node, as a package of telemetry fills it."""
+
+    kind: str
+    frame: str | None  # of its header; None where it has none
+    # The message without its header; None where the package has nothing for it.
+    make: Callable[[Sample], dict[str, Any] | None]
+
+
+def _of(item: str, make: Callable[[Any], dict[str, Any]]) -> Callable[[Sample], Any]:
+    def made(sample: Sample) -> dict[str, Any] | None:
+        record = getattr(sample, item)
+        return None if record is None else make(record)
+
+    return made
+
+
+def _vector_of(
+    frame: str, item: str, read: Callable[[Any], Vector] = attrgetter("enu")
+) -> DjiTopic:
+    make = _of(item, lambda record: {"vector": _named(read(record))})
+    return DjiTopic("geometry_msgs/Vector3Stamped", frame, make)
+
+
+def _named(values: tuple[float, ...]) -> dict[str, float]:
+    return dict(zip("xyzw", values, strict=False))
+
+
+def _dji_imu(sample: Sample) -> dict[str, Any] | None:
+    attitude, rates, ground = sample.attitude, sample.angular_velocity, sample.acceleration
+    if attitude is None or rates is None or ground is None:
+        return None
+    # An accelerometer feels what keeps the aircraft from falling: gravity is added.
+    east, north, up = ground.enu
+    made = {
+        "orientation": attitude.enu_flu_xyzw,
+        "angular_velocity": _flu(rates),
+        "linear_acceleration": in_body(attitude.enu_flu_xyzw, (east, north, up + _GRAVITY_M_S2)),
+    }
+    unknown = {f"{name}_covariance": _UNKNOWN for name in made}
+    return {name: _named(values) for name, values in made.items()} | unknown
+
+
+def _dji_fix(position: Position) -> dict[str, Any]:
+    return {
+        "status": {"status": _FIX if has_fix(position) else _NO_FIX, "service": _GPS},
+        "latitude": position.latitude_deg,
+        "longitude": position.longitude_deg,
+        "altitude": position.altitude_m,
+        "position_covariance": _UNKNOWN,
+        "position_covariance_type": 0,
+    }
+
+
+def _dji_health(sample: Sample) -> dict[str, Any] | None:
+    health = sample.position and sample.position.gps_health
+    return None if health is None else {"data": health}
+
+
+def _dji_remote(rc: RemoteControl) -> dict[str, Any]:
+    sticks = [one / _STICK for one in (rc.roll, rc.pitch, rc.yaw, rc.throttle)]
+    axes = [*sticks, float(rc.mode), math.nan if rc.gear is None else float(rc.gear)]
+    return {"axes": axes, "buttons": []}
+
+
+def _dji_battery(battery: Battery) -> dict[str, Any]:
+    unknown = ("voltage", "temperature", "current", "charge", "capacity", "design_capacity")
+    return {
+        **dict.fromkeys(unknown, math.nan),
+        # 0 to 1 is the standard; DJI's node puts 0 to 100 there.
+        "percentage": battery.percent / 100.0 if battery.is_possible else math.nan,
+        **{f"power_supply_{what}": 0 for what in ("status", "health", "technology")},
+        "present": True,
+        **{"cell_voltage": [], "cell_temperature": [], "location": "", "serial_number": ""},
+    }
+
+
+DJI_TOPICS: Mapping[str, DjiTopic] = {
+    "attitude": DjiTopic(
+        *("geometry_msgs/QuaternionStamped", DJI_BODY),
+        _of("attitude", lambda one: {"quaternion": _named(one.enu_flu_xyzw)}),
+    ),
+    "imu": DjiTopic("sensor_msgs/Imu", DJI_BODY, _dji_imu),
+    "gps_position": DjiTopic("sensor_msgs/NavSatFix", "gps", _of("position", _dji_fix)),
+    "gps_health": DjiTopic("std_msgs/UInt8", None, _dji_health),
+    "height_above_takeoff": DjiTopic(
+        "std_msgs/Float32", None, _of("position", lambda one: {"data": one.height_m})
+    ),
+    "velocity": _vector_of(DJI_GROUND, "velocity"),
+    "angular_velocity_fused": _vector_of(DJI_BODY, "angular_velocity", _flu),
+    "acceleration_ground_fused": _vector_of(DJI_GROUND, "acceleration"),
+    "rc": DjiTopic("sensor_msgs/Joy", "rc", _of("remote_control", _dji_remote)),
+    "gimbal_angle": _vector_of(
+        DJI_GROUND, "gimbal", attrgetter("roll_deg", "pitch_deg", "yaw_deg")
+    ),
+    "flight_status": DjiTopic(
+        "std_msgs/UInt8", None, _of("flight_status", lambda one: {"data": one.status})
+    ),
+    "battery_state": DjiTopic("sensor_msgs/BatteryState", "", _of("battery", _dji_battery)),
+}
+"""By its name below ``dji_sdk/``."""
 
 
 # -- ros2 ------------------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
-from typing import Any
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.latency import MAX_LATE, WayTime
@@ -23,11 +22,11 @@ from m100link.apps.station.ros.messages import Message, present
 from m100link.apps.station.ros.missions import Missions
 from m100link.errors import BadSetpoint, GuardRefused, M100Error, UsageError
 from m100link.geodesy import LocalFrame
-from m100link.log.ros2 import in_body
+from m100link.log.ros2 import DJI_TOPICS, DjiTopic
 from m100link.protocol.commands.control import Arm, Task
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
 from m100link.protocol.firmware import FIRMWARE_3_1
-from m100link.protocol.records import AngularVelocity, Battery, Position, RemoteControl
+from m100link.protocol.records import Position
 from m100link.protocol.setpoint import (
     ControlMode,
     Horizontal,
@@ -40,9 +39,6 @@ from m100link.telemetry.integrity import has_fix
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Newest
 
-GROUND, BODY = "ground_ENU", "body_FLU"
-_RC_FULL = 10_000.0
-_GRAVITY_M_S2 = 9.80665
 _WAY = "way of setpoints"
 
 
@@ -75,100 +71,6 @@ def joy_setpoint(flag: int, x: float, y: float, z: float, yaw: float) -> Setpoin
     return Setpoint(ControlMode(horizontal, vertical, yaw_mode), first, second, z, turn, frame)
 
 
-# -- what each topic has of a package --------------------------------------------------------------
-
-_Make = Callable[[Sample], Message | None]  # fields that differ from their defaults; None: nothing
-
-
-def _of(item: str, make: Callable[[Any], Message]) -> _Make:
-    """Of the packages that have this item."""
-
-    def told(sample: Sample) -> Message | None:
-        record = getattr(sample, item)
-        return None if record is None else make(record)
-
-    return told
-
-
-def _imu(sample: Sample) -> Message | None:
-    attitude, rates, ground = sample.attitude, sample.angular_velocity, sample.acceleration
-    if attitude is None or rates is None or ground is None:
-        return None
-    # An accelerometer feels what keeps the aircraft from falling: gravity is added.
-    east, north, up = ground.enu
-    felt = in_body(attitude.enu_flu_xyzw, (east, north, up + _GRAVITY_M_S2))
-    return {
-        "orientation": _quaternion(attitude.enu_flu_xyzw),
-        "angular_velocity": _xyz(*_turns(rates)),
-        "linear_acceleration": _xyz(*felt),
-    }
-
-
-def _turns(rates: AngularVelocity) -> tuple[float, float, float]:
-    return rates.forward_rad_s, -rates.right_rad_s, -rates.down_rad_s
-
-
-def _fix(position: Position) -> Message:
-    return {
-        "status": {"status": 0 if has_fix(position) else -1, "service": 1},
-        "latitude": position.latitude_deg,
-        "longitude": position.longitude_deg,
-        "altitude": position.altitude_m,
-    }
-
-
-def _health(sample: Sample) -> Message | None:
-    health = sample.position and sample.position.gps_health
-    return None if health is None else {"data": health}
-
-
-def _remote(rc: RemoteControl) -> Message:
-    sticks = [value / _RC_FULL for value in (rc.roll, rc.pitch, rc.yaw, rc.throttle)]
-    return {"axes": [*sticks, float(rc.mode), math.nan if rc.gear is None else float(rc.gear)]}
-
-
-def _charge(battery: Battery) -> Message:
-    unknown = ("voltage", "current", "charge", "capacity", "design_capacity")
-    # 0 to 1 is the standard; DJI's node puts 0 to 100 there.
-    percentage = battery.percent / 100.0 if battery.is_possible else math.nan
-    return {**dict.fromkeys(unknown, math.nan), "percentage": percentage, "present": True}
-
-
-def _vector(item: str, read: Callable[[Any], tuple[float, float, float]]) -> _Make:
-    return _of(item, lambda record: {"vector": _xyz(*read(record))})
-
-
-_VECTOR = "geometry_msgs/Vector3Stamped"
-
-_TELEMETRY: tuple[tuple[str, str, str, _Make], ...] = (
-    (
-        *("attitude", "geometry_msgs/QuaternionStamped", BODY),
-        _of("attitude", lambda turned: {"quaternion": _quaternion(turned.enu_flu_xyzw)}),
-    ),
-    ("imu", "sensor_msgs/Imu", BODY, _imu),
-    ("gps_position", "sensor_msgs/NavSatFix", "gps", _of("position", _fix)),
-    ("gps_health", "std_msgs/UInt8", "", _health),
-    (
-        *("height_above_takeoff", "std_msgs/Float32", ""),
-        _of("position", lambda position: {"data": position.height_m}),
-    ),
-    ("velocity", _VECTOR, GROUND, _vector("velocity", lambda velocity: velocity.enu)),
-    ("angular_velocity_fused", _VECTOR, BODY, _vector("angular_velocity", _turns)),
-    ("acceleration_ground_fused", _VECTOR, GROUND, _vector("acceleration", lambda one: one.enu)),
-    ("rc", "sensor_msgs/Joy", "rc", _of("remote_control", _remote)),
-    (
-        *("gimbal_angle", _VECTOR, GROUND),
-        _vector("gimbal", lambda one: (one.roll_deg, one.pitch_deg, one.yaw_deg)),
-    ),
-    (
-        *("flight_status", "std_msgs/UInt8", ""),
-        _of("flight_status", lambda status: {"data": status.status}),
-    ),
-    ("battery_state", "sensor_msgs/BatteryState", "", _of("battery", _charge)),
-)
-"""Name, type, frame where there is a header, and what makes it."""
-
-
 class DjiSdk:
     """Topics and services under ``/dji_sdk``."""
 
@@ -176,7 +78,7 @@ class DjiSdk:
         self._agent, self._graph, self._clients = agent, graph, clients
         self._sequence = 0
         self._origin: tuple[LocalFrame, float] | None = None
-        self._topics: list[tuple[Topic, str, _Make]] = []
+        self._topics: list[tuple[Topic, DjiTopic]] = []
         self._add_telemetry()
         self._add_setpoints()
         self._add_services()
@@ -189,24 +91,22 @@ class DjiSdk:
     # -- telemetry -------------------------------------------------------------------------------
 
     def _add_telemetry(self) -> None:
-        for name, kind, frame, make in _TELEMETRY:
-            self._add_told(name, kind, frame, make)
-        kind = "geometry_msgs/PointStamped"
-        self._add_told("local_position", kind, "/local", self._local_position)
-
-    def _add_told(self, name: str, kind: str, frame: str, make: _Make) -> None:
-        self._topics.append((self._graph.add_topic(f"/dji_sdk/{name}", kind), frame, make))
+        local = DjiTopic("geometry_msgs/PointStamped", "/local", self._local_position)
+        for name, told in {**DJI_TOPICS, "local_position": local}.items():
+            self._topics.append((self._graph.add_topic(f"/dji_sdk/{name}", told.kind), told))
 
     async def _watch(self) -> None:
         async with self._agent.samples(Newest(20)) as samples:
             async for sample in samples:
-                for topic, frame, make in self._topics:
+                for topic, told in self._topics:
                     # Nobody pays for a topic that nobody reads.
-                    made = make(sample) if topic.subscribers else None
+                    made = told.make(sample) if topic.subscribers else None
                     if made is not None:
-                        message = topic.type.default() | made
-                        if "header" in message:
-                            message["header"] = self._header(frame)
+                        # ROS 1 has fewer fields than ROS 2, and a number in each header.
+                        message = topic.type.default()
+                        message |= {name: made[name] for name in made if name in message}
+                        if told.frame is not None:
+                            message["header"] = self._header(told.frame)
                         self._graph.publish(topic, message, sample.received_at)
 
     async def _watch_mobile(self) -> None:
@@ -224,7 +124,7 @@ class DjiSdk:
             return None
         frame, altitude = self._origin
         north, east = frame.to_local(position.latitude_deg, position.longitude_deg)
-        return {"point": _xyz(east, north, position.altitude_m - altitude)}
+        return {"point": {"x": east, "y": north, "z": position.altitude_m - altitude}}
 
     # -- setpoints -------------------------------------------------------------------------------
 
@@ -356,15 +256,6 @@ def _check_way(session: Listener, stamp: Message, now: float) -> None:
             cause="the network is slow or blocked, or the stamps are not times of sending",
             remedy="stamp each setpoint when it is sent, or leave the stamp away",
         )
-
-
-def _xyz(x: float, y: float, z: float) -> Message:
-    return {"x": x, "y": y, "z": z}
-
-
-def _quaternion(xyzw: tuple[float, float, float, float]) -> Message:
-    x, y, z, w = xyzw
-    return {"x": x, "y": y, "z": z, "w": w}
 
 
 # -- gimbal, camera and motors ---------------------------------------------------------------------
