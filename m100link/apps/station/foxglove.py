@@ -33,7 +33,7 @@ from m100link.apps.station.ros.messages import without_nan
 from m100link.apps.station.web.access_control import AccessControl
 from m100link.apps.station.web.limits import SparingLogger, TokenBucket
 from m100link.apps.station.web.protocol import WebSocketConnection
-from m100link.apps.station.web.server import serve_http, until_one_ends
+from m100link.apps.station.web.server import frames_of, serve_http, until_one_ends
 from m100link.errors.texts import read_json
 from m100link.log.channels import (
     FIX,
@@ -379,13 +379,8 @@ class FoxgloveServer:
 
     async def _read(self, websocket: WebSocket, viewer: Viewer) -> None:
         loop = asyncio.get_running_loop()
-        while True:
-            message = await websocket.receive()
-            if message["type"] == "websocket.disconnect":
-                return
-            data = message.get("text")
-            viewer.receive(message.get("bytes", b"") if data is None else data, loop.time())
-            await asyncio.sleep(0)  # others have their turn between two of them
+        async for frame in frames_of(websocket):
+            viewer.receive(frame, loop.time())
 
     async def _write(self, websocket: WebSocket, viewer: Viewer, wake: asyncio.Event) -> None:
         # A viewer that does not read waits here alone: what it misses is dropped, and its pings

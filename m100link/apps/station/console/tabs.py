@@ -17,7 +17,7 @@ from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.view.fly import live, seen_from_afar
 from m100link.apps.station.web.limits import to_evict
 from m100link.apps.station.web.protocol import WebSocketConnection
-from m100link.apps.station.web.server import until_one_ends
+from m100link.apps.station.web.server import frames_of, until_one_ends
 
 LIVE_INTERVAL = 0.05  # seconds between two updates of the instruments
 OTHERS_INTERVAL = 0.5  # seconds between two places of the aircraft that the page does not show
@@ -188,15 +188,11 @@ class Tabs:
             await websocket.close(_POLICY_VIOLATION, "another tab needs the place")
 
     async def _read(self, websocket: WebSocket, place: _Place) -> None:
-        while True:
-            message = await websocket.receive()
-            if message["type"] == "websocket.disconnect":
-                return
+        async for frame in frames_of(websocket):
             place.heard_at, place.has_spoken = self._agent.now, True
-            answer = place.tab.receive(message.get("text") or message.get("bytes") or "")
+            answer = place.tab.receive(frame)
             if answer is not None and _is_up_to_date(place.tab.agent):
                 await websocket.send_json(answer)
-            await asyncio.sleep(0)
 
     async def _write(self, websocket: WebSocket, tab: Tab) -> None:
         agent = tab.agent

@@ -192,16 +192,10 @@ class Bridge:
             self._log.info("%s has gone (%d messages dropped)", name, session.outbox.dropped)
 
     async def _read(self, websocket: WebSocket, session: Client) -> None:
-        while True:
-            message = await websocket.receive()
-            if message["type"] == "websocket.disconnect":
-                return
-            data = message.get("text")
+        async for frame in frames_of(websocket):
             began, now = time.thread_time(), self.agent.now
-            session.receive(message.get("bytes", b"") if data is None else data, now)
+            session.receive(frame, now)
             session.charge(time.thread_time() - began, now)
-            # Frames may wait in a row: others have their turn between them.
-            await asyncio.sleep(0)
 
     async def _write(
         self,
@@ -266,6 +260,18 @@ def _frames(session: Client) -> list[str | bytes]:
         if time.perf_counter() > until:
             break
     return frames
+
+
+async def frames_of(websocket: WebSocket) -> AsyncIterator[str | bytes]:
+    """What a client sends, until it leaves."""
+    while True:
+        message = await websocket.receive()
+        if message["type"] == "websocket.disconnect":
+            return
+        data = message.get("text")
+        yield message.get("bytes", b"") if data is None else data
+        # Frames may wait in a row: others have their turn between them.
+        await asyncio.sleep(0)
 
 
 async def until_one_ends(
