@@ -140,7 +140,7 @@ def _switch(now: Situation) -> _Finding:
 
 
 def _control(now: Situation) -> _Finding:
-    if now.is_flown_here:
+    if now.is_connected and now.has_lease and now.has_authority:
         return True, tr("checklist.control.yours")
     if now.holder and not now.has_lease:
         return False, tr("status.other", name=now.holder)
@@ -270,18 +270,20 @@ def actions_of(inputs: Inputs, now: Situation, checklist: Checklist) -> frozense
     """
     if now.is_replay:
         return frozenset()  # nothing flies, and nothing would obey
+    state = inputs.state
+    has_control = inputs.has_lease and state.has_authority and inputs.is_heard
     offered = {"stop"}
     if now.is_connected:
         offered.add("activate")
-        if not inputs.has_control:
+        if not has_control:
             offered.add("obtain")
     if inputs.has_lease:
         offered |= {"release", "mission_upload"}
-    if inputs.state.guided is not None:
+    if state.guided is not None:
         offered.add("hover")  # anybody may
-    if inputs.has_control and inputs.flies_mission:
+    if has_control and state.mission not in ("", "no mission"):  # whoever started it
         offered |= MISSIONS
-    elif inputs.has_control and not inputs.state.task:
+    elif has_control and not state.task:
         offered |= FLIGHTS
         if now.is_on_ground is not False and not checklist.may_take_off:
             offered -= FROM_GROUND

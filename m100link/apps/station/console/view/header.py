@@ -107,15 +107,6 @@ class Cause(Enum):
     FREE = "free"  # nobody has the lease, and who flies is not known
 
 
-@dataclass(frozen=True, slots=True)
-class Rule:
-    """When a cause is told."""
-
-    cause: Cause
-    level: Level  # how urgent it is
-    holds: Callable[[Situation], bool]  # whether it is so
-
-
 def _is_aircraft_silent(now: Situation) -> bool:
     return (now.telemetry_age or 0.0) > MAX_TELEMETRY_AGE
 
@@ -126,38 +117,36 @@ def _lacks_authority(now: Situation) -> bool:
 
 _C, _L = Cause, Level
 
-RULES: tuple[Rule, ...] = (
-    Rule(_C.AGENT_GONE, _L.DANGER, lambda now: now.hearing is Hearing.GONE),
-    Rule(_C.AGENT_SILENT, _L.DANGER, lambda now: now.hearing is Hearing.SILENT),
-    Rule(_C.LINE_LOST, _L.DANGER, lambda now: now.connection == "lost"),
-    Rule(_C.CONNECTING, _L.WARNING, lambda now: now.connection != "connected"),
-    Rule(_C.NEVER_HEARD, _L.WARNING, lambda now: now.telemetry_at is None),
-    Rule(_C.AIRCRAFT_SILENT, _L.DANGER, _is_aircraft_silent),
-    Rule(_C.APP, _L.WARNING, lambda now: now.device is Device.APP),
-    Rule(_C.SWITCH, _L.WARNING, lambda now: now.switch not in (None, RcMode.F)),
-    Rule(_C.REPLAY, _L.NEUTRAL, lambda now: now.is_replay),
-    Rule(_C.OTHER, _L.WARNING, lambda now: bool(now.holder) and not now.has_lease),
-    Rule(_C.NOT_ACTIVATED, _L.WARNING, lambda now: not now.is_activated),
-    Rule(_C.PENDING, _L.WARNING, lambda now: now.holding in ("obtaining", "resuming")),
-    Rule(_C.GIVING_BACK, _L.NEUTRAL, lambda now: now.holding == "releasing"),
-    Rule(
-        _C.MISSION,
+RULES: dict[Cause, tuple[Level, Callable[[Situation], bool]]] = {
+    _C.AGENT_GONE: (_L.DANGER, lambda now: now.hearing is Hearing.GONE),
+    _C.AGENT_SILENT: (_L.DANGER, lambda now: now.hearing is Hearing.SILENT),
+    _C.LINE_LOST: (_L.DANGER, lambda now: now.connection == "lost"),
+    _C.CONNECTING: (_L.WARNING, lambda now: now.connection != "connected"),
+    _C.NEVER_HEARD: (_L.WARNING, lambda now: now.telemetry_at is None),
+    _C.AIRCRAFT_SILENT: (_L.DANGER, _is_aircraft_silent),
+    _C.APP: (_L.WARNING, lambda now: now.device is Device.APP),
+    _C.SWITCH: (_L.WARNING, lambda now: now.switch not in (None, RcMode.F)),
+    _C.REPLAY: (_L.NEUTRAL, lambda now: now.is_replay),
+    _C.OTHER: (_L.WARNING, lambda now: bool(now.holder) and not now.has_lease),
+    _C.NOT_ACTIVATED: (_L.WARNING, lambda now: not now.is_activated),
+    _C.PENDING: (_L.WARNING, lambda now: now.holding in ("obtaining", "resuming")),
+    _C.GIVING_BACK: (_L.NEUTRAL, lambda now: now.holding == "releasing"),
+    _C.MISSION: (
         _L.GOOD,
         lambda now: now.has_lease and now.has_authority and now.has_mission,
     ),
-    Rule(_C.YOURS, _L.GOOD, lambda now: now.has_lease and now.has_authority),
-    Rule(_C.RC, _L.WARNING, lambda now: _lacks_authority(now) and now.device is Device.RC),
-    Rule(
-        _C.TAKEN,
+    _C.YOURS: (_L.GOOD, lambda now: now.has_lease and now.has_authority),
+    _C.RC: (_L.WARNING, lambda now: _lacks_authority(now) and now.device is Device.RC),
+    _C.TAKEN: (
         _L.WARNING,
         lambda now: _lacks_authority(now) and now.holding in ("taken", "paused"),
     ),
-    Rule(_C.NO_AUTHORITY, _L.WARNING, _lacks_authority),
-    Rule(_C.KEPT, _L.WARNING, lambda now: now.has_authority and not now.holder),
-    Rule(_C.FREE_RC, _L.NEUTRAL, lambda now: now.device is Device.RC),
-    Rule(_C.FREE, _L.NEUTRAL, lambda now: True),
-)
-"""What is told, in the order of what has to be done first."""
+    _C.NO_AUTHORITY: (_L.WARNING, _lacks_authority),
+    _C.KEPT: (_L.WARNING, lambda now: now.has_authority and not now.holder),
+    _C.FREE_RC: (_L.NEUTRAL, lambda now: now.device is Device.RC),
+    _C.FREE: (_L.NEUTRAL, lambda now: True),
+}
+"""What is told, in the order of what has to be done first: how urgent it is, and when it is so."""
 
 _TASKS = {
     "take off": "status.task.take_off",
@@ -187,12 +176,11 @@ _WITHOUT_REMEDY = (Cause.PENDING, Cause.GIVING_BACK, Cause.YOURS)
 
 def status_line(now: Situation) -> StatusLine:
     """The line for a situation."""
-    rule = next(rule for rule in RULES if rule.holds(now))
-    cause = rule.cause
+    cause, level = next((cause, level) for cause, (level, holds) in RULES.items() if holds(now))
     key = f"status.{cause.value}"
     return StatusLine(
         cause=cause,
-        level=rule.level,
+        level=level,
         text=Text(key, _values(cause, now)),
         remedy=None if cause in _WITHOUT_REMEDY else Text(f"{key}.remedy"),
         flies=_flies(now) if now.is_connected and not _is_aircraft_silent(now) else None,

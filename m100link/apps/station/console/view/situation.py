@@ -111,11 +111,6 @@ class Situation:
         return self.hearing is Hearing.HEARD and self.connection == "connected"
 
     @property
-    def is_flown_here(self) -> bool:
-        """Whether this tab steers: it has the lease, and the aircraft obeys the station."""
-        return self.is_connected and self.has_lease and self.has_authority
-
-    @property
     def has_mission(self) -> bool:
         """Whether a mission flies the aircraft, whoever started it."""
         return self.mission not in ("", "no mission", "IOC")
@@ -256,13 +251,3 @@ class Inputs:
     def is_heard(self) -> bool:
         """Whether what the agent told is news."""
         return not self.is_silent and not self.is_gone
-
-    @property
-    def has_control(self) -> bool:
-        """Whether what this tab wants is obeyed."""
-        return self.has_lease and self.state.has_authority and self.is_heard
-
-    @property
-    def flies_mission(self) -> bool:
-        """Whether the aircraft says that it flies a mission, whoever started it."""
-        return self.state.mission not in ("", "no mission")
