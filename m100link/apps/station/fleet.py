@@ -94,8 +94,7 @@ async def serving_fleet(
         )
         agents = {}
         for place, (name, settings) in enumerate(aircraft.items()):
-            ledger = _ledger(stack, fleet, keys[name])
-            agents[name] = await _agent(stack, settings, place, ledger, keys[name], bus, fleet)
+            agents[name] = await _agent(stack, settings, place, keys[name], bus, fleet)
             await agents[name].require_alone()
             for event in agents[name].client.events:
                 tell(name, event)
@@ -149,11 +148,11 @@ async def _agent(
     stack: AsyncExitStack,
     settings: Settings,
     place: int,
-    ledger: Ledger,
     keys: Keys,
     bus: Bus,
     fleet: FleetSettings,
 ) -> FleetAgent:
+    ledger = _ledger(stack, fleet, keys)
     owner = await stack.enter_async_context(
         owning(settings, place=place, leases_before=ledger.leases_before)
     )

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
+from functools import partial
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.latency import MAX_LATE, WayTime
@@ -138,30 +138,26 @@ class DjiSdk:
             self._graph.add_topic(
                 f"/dji_sdk/flight_control_setpoint_{name}",
                 "sensor_msgs/Joy",
-                self._setpoint_handler(flag),
+                partial(self._on_setpoint, flag),
             )
 
-    def _setpoint_handler(
-        self, fixed_flag: int | None
-    ) -> Callable[[Listener, Message, float], None]:
-        def handle(session: Listener, message: Message, now: float) -> None:
-            axes = message["axes"]
-            count = 5 if fixed_flag is None else 4
-            try:
-                _check_way(session, message["header"]["stamp"], now)
-                if len(axes) != count:
-                    raise UsageError(f"this topic takes {count} axes, not {len(axes)}")
-                flag = fixed_flag
-                if flag is None:
-                    if not (math.isfinite(axes[4]) and 0 <= axes[4] <= 255):
-                        raise UsageError("the fifth axis is the control flag, 0 to 255")
-                    flag = int(axes[4])
-                setpoint = joy_setpoint(flag, axes[0], axes[1], axes[2], axes[3])
-                self._agent.steer(self._clients.held(session), setpoint)
-            except M100Error as error:
-                self._clients.complain(session, error)
-
-        return handle
+    def _on_setpoint(
+        self, flag: int | None, session: Listener, message: Message, now: float
+    ) -> None:
+        axes = message["axes"]
+        count = 5 if flag is None else 4
+        try:
+            _check_way(session, message["header"]["stamp"], now)
+            if len(axes) != count:
+                raise UsageError(f"this topic takes {count} axes, not {len(axes)}")
+            if flag is None:
+                if not (math.isfinite(axes[4]) and 0 <= axes[4] <= 255):
+                    raise UsageError("the fifth axis is the control flag, 0 to 255")
+                flag = int(axes[4])
+            setpoint = joy_setpoint(flag, axes[0], axes[1], axes[2], axes[3])
+            self._agent.steer(self._clients.held(session), setpoint)
+        except M100Error as error:
+            self._clients.complain(session, error)
 
     # -- services --------------------------------------------------------------------------------
 

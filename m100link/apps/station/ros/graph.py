@@ -150,8 +150,9 @@ class Graph:
         # Services by name, those of all namespaces.
         self.services: dict[str, Service] = {} if whole is None else whole.services
         self.sessions: set[Listener] = set() if whole is None else whole.sessions
-        self._on_leave: list[Callable[[Listener, float], None]] = (
-            [] if whole is None else whole._on_leave
+        # Called when a client has gone.
+        self.on_leave: list[Callable[[Listener, float], None]] = (
+            [] if whole is None else whole.on_leave
         )
 
     def namespace(self, name: str) -> Graph:
@@ -182,10 +183,6 @@ class Graph:
         name = self.prefix + name
         self.services[name] = Service(name, SERVICES[type_name], on_call)
 
-    def on_leave(self, callback: Callable[[Listener, float], None]) -> None:
-        """Call this when a client has gone."""
-        self._on_leave.append(callback)
-
     def publish(self, topic: Topic, message: Message, now: float) -> None:
         """Give a message to every subscriber."""
         if topic.latched:
@@ -201,7 +198,7 @@ class Graph:
             self.sessions.discard(session)
             for topic in self.topics.values():
                 topic.subscribers.discard(session)
-            for callback in self._on_leave:
+            for callback in self.on_leave:
                 callback(session, now)
 
 

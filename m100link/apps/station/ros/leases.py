@@ -30,7 +30,7 @@ class Clients:
     def __init__(self, agent: AgentClient, graph: Graph) -> None:
         self._agent = agent
         self._graph = graph
-        graph.on_leave(self._left)
+        graph.on_leave.append(self._left)
         graph.add_service("/m100link/lease", "m100link/Lease", self._on_lease)
         agent.on_steer_refused.append(self._steer_refused)
         agent.background.spawn(self._keep_renewing(), "renewal")

@@ -231,14 +231,12 @@ class PageRateLimit:
         self._waiting = 0
         self._turn = asyncio.Lock()
         self._opens_at = 0.0
-        self.turned_away = 0  # requests that were told to come again
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Wait for a turn, if this needs one."""
         if scope["type"] != "http" or scope["path"] != self._path:
             await self._app(scope, receive, send)
         elif self._waiting >= PLACES:
-            self.turned_away += 1
             await _send_away(send)
         else:
             await self._take_turn(scope, receive, send)

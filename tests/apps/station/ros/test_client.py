@@ -363,7 +363,7 @@ def test_an_oversized_frame_is_refused_before_it_is_read() -> None:
 def test_a_client_that_leaves_leaves_nothing() -> None:
     bench = Bench()
     left: list[Listener] = []
-    bench.graph.on_leave(lambda session, now: left.append(session))
+    bench.graph.on_leave.append(lambda session, now: left.append(session))
     bench.send("subscribe", topic="/height")
     bench.send("call_service", service="/task")
     bench.client.close(0.0)
