@@ -117,6 +117,22 @@ def test_a_class_of_a_program_has_the_code_of_its_base() -> None:
     assert OfAProgram.error_code == "M100-LINK-LOST"
 
 
+def test_an_error_is_made_of_what_was_seen_and_of_what_its_class_annotates() -> None:
+    class OfAProgram(errors.TaskError):
+        wind_m_s: float = 0.0
+
+    told = OfAProgram("no", command="land", wind_m_s=12.0, remedy="wait")
+    assert (told.seen, told.cause, told.remedy, told.command) == ("no", "", "wait", "land")
+    assert (told.code, told.situation, told.wind_m_s) == (-1, {}, 12.0)
+    told.situation["battery_percent"] = 20
+    assert errors.TaskRefused("no").situation == {} == errors.NotObserved("no").situation
+    assert vars(told.again()) == vars(told)
+    with pytest.raises(TypeError, match="TaskRefused has no wind_m_s"):
+        errors.TaskRefused("no", wind_m_s=12.0)  # type: ignore[call-arg] # what is asked
+    with pytest.raises(TypeError):
+        errors.AckTimeout("no", "execute")  # type: ignore[call-arg] # by keyword alone
+
+
 def test_the_page_has_every_class_with_its_anchor(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -58,22 +58,10 @@ class AckTimeout(
         tries: How many times it was transmitted.
     """
 
-    def __init__(
-        self,
-        seen: str,
-        *,
-        command: str = "",
-        session: int = 0,
-        sequence: int = 0,
-        tries: int = 0,
-        cause: str = "",
-        remedy: str = "",
-    ) -> None:
-        super().__init__(seen, cause=cause, remedy=remedy)
-        self.command = command
-        self.session = session
-        self.sequence = sequence
-        self.tries = tries
+    command: str = ""
+    session: int = 0
+    sequence: int = 0
+    tries: int = 0
 
 
 class KeyRejected(
@@ -88,9 +76,7 @@ class KeyRejected(
         command: Name of the encrypted command.
     """
 
-    def __init__(self, seen: str, *, command: str = "", cause: str = "", remedy: str = "") -> None:
-        super().__init__(seen, cause=cause, remedy=remedy)
-        self.command = command
+    command: str = ""
 
 
 class BadAck(
@@ -106,18 +92,8 @@ class BadAck(
         payload: The bytes of the ack.
     """
 
-    def __init__(
-        self,
-        seen: str,
-        *,
-        command: str = "",
-        payload: bytes = b"",
-        cause: str = "",
-        remedy: str = "",
-    ) -> None:
-        super().__init__(seen, cause=cause, remedy=remedy)
-        self.command = command
-        self.payload = payload
+    command: str = ""
+    payload: bytes = b""
 
 
 class CommandRefused(
@@ -133,12 +109,8 @@ class CommandRefused(
         code: The ack code as an integer; unknown codes keep their number.
     """
 
-    def __init__(
-        self, seen: str, *, command: str = "", code: int = -1, cause: str = "", remedy: str = ""
-    ) -> None:
-        super().__init__(seen, cause=cause, remedy=remedy)
-        self.command = command
-        self.code = code
+    command: str = ""
+    code: int = -1
 
 
 class ActivationRefused(
@@ -201,18 +173,7 @@ class TaskError(
         situation: Telemetry values at that moment which explain it.
     """
 
-    def __init__(
-        self,
-        seen: str,
-        *,
-        command: str = "",
-        code: int = -1,
-        situation: dict[str, object] | None = None,
-        cause: str = "",
-        remedy: str = "",
-    ) -> None:
-        super().__init__(seen, command=command, code=code, cause=cause, remedy=remedy)
-        self.situation = situation or {}
+    situation: dict[str, object] = {}  # noqa: RUF012 (each error gets a copy)
 
 
 class TaskRefused(
@@ -254,16 +215,7 @@ class NotObserved(
         situation: Telemetry values when waiting ended.
     """
 
-    def __init__(
-        self,
-        seen: str,
-        *,
-        situation: dict[str, object] | None = None,
-        cause: str = "",
-        remedy: str = "",
-    ) -> None:
-        super().__init__(seen, cause=cause, remedy=remedy)
-        self.situation = situation or {}
+    situation: dict[str, object] = {}  # noqa: RUF012 (each error gets a copy)
 
 
 class MissionRefused(
@@ -278,18 +230,7 @@ class MissionRefused(
         point: Index of the waypoint that was refused, counted from 0; None when it is the whole.
     """
 
-    def __init__(
-        self,
-        seen: str,
-        *,
-        command: str = "",
-        code: int = -1,
-        point: int | None = None,
-        cause: str = "",
-        remedy: str = "",
-    ) -> None:
-        super().__init__(seen, command=command, code=code, cause=cause, remedy=remedy)
-        self.point = point
+    point: int | None = None
 
 
 class MissionAborted(
@@ -306,20 +247,9 @@ class MissionAborted(
         index: The waypoint that it was flying to, counted from 0; None when nobody knows.
     """
 
-    def __init__(
-        self,
-        seen: str,
-        *,
-        mission: str = "",
-        code: int | None = None,
-        index: int | None = None,
-        cause: str = "",
-        remedy: str = "",
-    ) -> None:
-        super().__init__(seen, cause=cause, remedy=remedy)
-        self.mission = mission
-        self.code = code
-        self.index = index
+    mission: str = ""
+    code: int | None = None
+    index: int | None = None
 
 
 class AuthorityError(
@@ -375,16 +305,7 @@ class AuthorityLost(
         reason: Who or what took it; compares equal to its string, such as ``"mode_switch"``.
     """
 
-    def __init__(
-        self,
-        seen: str,
-        *,
-        reason: LossReason = LossReason.UNKNOWN,
-        cause: str = "",
-        remedy: str = "",
-    ) -> None:
-        super().__init__(seen, cause=cause, remedy=remedy)
-        self.reason = reason
+    reason: LossReason = LossReason.UNKNOWN
 
 
 class GuardianFailed(
@@ -428,20 +349,9 @@ class GuardRefused(
         limit: The limit that was crossed.
     """
 
-    def __init__(
-        self,
-        seen: str,
-        *,
-        guard: str = "",
-        measured: object = None,
-        limit: object = None,
-        cause: str = "",
-        remedy: str = "",
-    ) -> None:
-        super().__init__(seen, cause=cause, remedy=remedy)
-        self.guard = guard
-        self.measured = measured
-        self.limit = limit
+    guard: str = ""
+    measured: object = None
+    limit: object = None
 
 
 class TelemetryError(

@@ -4,18 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import ClassVar, Self, TypeVar
+from copy import copy
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar, dataclass_transform
 
-__all__ = ["M100Error", "OutOfResources", "of_the_system"]
+__all__ = ["M100Error", "OutOfResources"]
 
 E = TypeVar("E", bound="M100Error")
 
 
-class M100Error(Exception):
+if TYPE_CHECKING:
+    from dataclasses import field
+
+    @dataclass_transform(kw_only_default=True, eq_default=False, field_specifiers=(field,))
+    class _Keywords(Exception):
+        """The constructor takes what its class annotates, by keyword."""
+
+else:
+    _Keywords = Exception
+
+
+class M100Error(_Keywords):
     """Base of every error of this package.
 
     Each class of this package has a code of its own, which stays when a text changes; a class that
-    is derived from one elsewhere has that of its base.
+    is derived from one elsewhere has that of its base. It is made of what was ``seen`` and, by
+    keyword, of the other attributes that its class annotates, each with a default.
 
     Attributes:
         error_code: ``M100-`` and words, such as ``M100-LINK-LOST``.
@@ -29,22 +42,34 @@ class M100Error(Exception):
     error_code: ClassVar[str] = "M100-ERROR"
     usual_cause: ClassVar[str] = "what no other class of errors describes"
     usual_remedy: ClassVar[str] = "read what was seen"
+    own: ClassVar[dict[str, Any]] = {}
+    """What its class annotates beyond those of all errors, with the defaults."""
+
+    if TYPE_CHECKING:
+        seen: str = field(kw_only=False)
+        cause: str = ""
+        remedy: str = ""
 
     def __init_subclass__(cls, *, code: str = "", cause: str = "", remedy: str = "") -> None:
         super().__init_subclass__()
         cls.error_code = code or cls.error_code
         cls.usual_cause = cause or cls.usual_cause
         cls.usual_remedy = remedy or cls.usual_remedy
+        annotated = vars(cls).get("__annotations__", ())  # as they stand: nothing evaluates them
+        cls.own = cls.own | {name: vars(cls)[name] for name in annotated if name in vars(cls)}
 
     @property
     def manual(self) -> str:
         """Page and anchor of the manual that describe this class of errors."""
         return f"reference/errors#{self.error_code.lower()}"
 
-    def __init__(self, seen: str, *, cause: str = "", remedy: str = "") -> None:
+    def __init__(self, seen: str, *, cause: str = "", remedy: str = "", **told: object) -> None:
+        if unknown := told.keys() - self.own.keys():
+            raise TypeError(f"{type(self).__name__} has no {', '.join(sorted(unknown))}")
         self.seen = seen
         self.cause = cause
         self.remedy = remedy
+        vars(self).update({name: copy(default) for name, default in self.own.items()} | told)
         super().__init__(seen, cause, remedy)
 
     def __str__(self) -> str:

@@ -70,16 +70,7 @@ class PortBusy(
         owners: ``(pid, process name)`` of the holders, where the system tells.
     """
 
-    def __init__(
-        self,
-        seen: str,
-        *,
-        owners: tuple[tuple[int, str], ...] = (),
-        cause: str = "",
-        remedy: str = "",
-    ) -> None:
-        super().__init__(seen, cause=cause, remedy=remedy)
-        self.owners = owners
+    owners: tuple[tuple[int, str], ...] = ()
 
 
 class PortFailed(
@@ -140,18 +131,8 @@ class AnotherAircraft(
         found: The same of the one that answers.
     """
 
-    def __init__(
-        self,
-        seen: str,
-        *,
-        expected: str = "",
-        found: str = "",
-        cause: str = "",
-        remedy: str = "",
-    ) -> None:
-        super().__init__(seen, cause=cause, remedy=remedy)
-        self.expected = expected
-        self.found = found
+    expected: str = ""
+    found: str = ""
 
 
 class NoAircraft(
@@ -168,18 +149,8 @@ class NoAircraft(
         frames_received: Frames with good checksums among them.
     """
 
-    def __init__(
-        self,
-        seen: str,
-        *,
-        bytes_received: int = 0,
-        frames_received: int = 0,
-        cause: str = "",
-        remedy: str = "",
-    ) -> None:
-        super().__init__(seen, cause=cause, remedy=remedy)
-        self.bytes_received = bytes_received
-        self.frames_received = frames_received
+    bytes_received: int = 0
+    frames_received: int = 0
 
 
 class SilentLine(

@@ -70,20 +70,9 @@ class BadValue(
         limit: What it may be, in words.
     """
 
-    def __init__(
-        self,
-        seen: str,
-        *,
-        field: str = "",
-        value: object = None,
-        limit: str = "",
-        cause: str = "",
-        remedy: str = "",
-    ) -> None:
-        super().__init__(seen, cause=cause, remedy=remedy)
-        self.field = field
-        self.value = value
-        self.limit = limit
+    field: str = ""
+    value: object = None
+    limit: str = ""
 
 
 class BadSetpoint(
@@ -111,24 +100,11 @@ class BadPlan(
         others: What else is wrong with the same plan.
     """
 
-    def __init__(
-        self,
-        seen: str,
-        *,
-        point: int | None = None,
-        field: str = "",
-        value: object = None,
-        limit: object = None,
-        others: tuple[BadPlan, ...] = (),
-        cause: str = "",
-        remedy: str = "",
-    ) -> None:
-        super().__init__(seen, cause=cause, remedy=remedy)
-        self.point = point
-        self.field = field
-        self.value = value
-        self.limit = limit
-        self.others = others
+    point: int | None = None
+    field: str = ""
+    value: object = None
+    limit: object = None
+    others: tuple[BadPlan, ...] = ()
 
     @property
     def problems(self) -> tuple[BadPlan, ...]:

@@ -49,9 +49,7 @@ class LeaseHeld(
         holder: Its name.
     """
 
-    def __init__(self, seen: str, *, holder: str = "", cause: str = "", remedy: str = "") -> None:
-        super().__init__(seen, cause=cause, remedy=remedy)
-        self.holder = holder
+    holder: str = ""
 
 
 def not_in_force(holder: str | None) -> LeaseRefused:

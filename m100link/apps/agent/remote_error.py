@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from functools import cache
 from typing import Any
 
 from m100link import errors
@@ -57,25 +55,12 @@ class Fault:
     def error(self) -> M100Error:
         """The error again: an object of its class, or of the base when the class is unknown."""
         kind = _ERRORS.get(self.kind, M100Error)
-        error = kind.__new__(kind)
-        M100Error.__init__(error, self.seen, cause=self.cause, remedy=self.remedy)
-        own = _own(kind.__name__)
-        vars(error).update(own)
+        error = kind(self.seen, cause=self.cause, remedy=self.remedy)
         # What every error has stays as it is, whatever details somebody tells.
-        told = self.details.items()
-        vars(error).update({one: of for one, of in told if one in own or not hasattr(error, one)})
+        for name, value in self.details.items():
+            if name in kind.own or not hasattr(error, name):
+                setattr(error, name, value)
         return error
-
-
-@cache
-def _own(kind: str) -> dict[str, Any]:
-    """The attributes that errors of a class have beside those of all, when nothing is told."""
-    given = inspect.signature(_ERRORS.get(kind, M100Error)).parameters.values()
-    return {
-        one.name: one.default
-        for one in given
-        if one.kind is one.KEYWORD_ONLY and one.name not in _TOLD
-    }
 
 
 def fault_of(error: M100Error | None) -> Fault | None:

@@ -52,22 +52,10 @@ class BadShow(
         limit: What it may be.
     """
 
-    def __init__(
-        self,
-        seen: str,
-        *,
-        aircraft: tuple[str, ...] = (),
-        at: float | None = None,
-        measured: float | None = None,
-        limit: float | None = None,
-        cause: str = "",
-        remedy: str = "",
-    ) -> None:
-        super().__init__(seen, cause=cause, remedy=remedy)
-        self.aircraft = aircraft
-        self.at = at
-        self.measured = measured
-        self.limit = limit
+    aircraft: tuple[str, ...] = ()
+    at: float | None = None
+    measured: float | None = None
+    limit: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
