@@ -61,67 +61,10 @@ if TYPE_CHECKING:
     )
     from m100link.apps import doctor as doctor
     from m100link.apps import fleet as fleet
-    from m100link.errors import (
-        AckTimeout,
-        ActivationRefused,
-        AnotherAircraft,
-        AuthorityError,
-        AuthorityLost,
-        AuthorityRefused,
-        BadAck,
-        BadKey,
-        BadPlan,
-        BadSetpoint,
-        BadURL,
-        BadValue,
-        CommandNotSupported,
-        CommandRefused,
-        ComputerSuspended,
-        FleetError,
-        GuardianFailed,
-        GuardianTookOver,
-        GuardRefused,
-        KeyRejected,
-        LayoutMismatch,
-        LevelTooLow,
-        LineBlocked,
-        LinkClosed,
-        LinkError,
-        LinkLost,
-        LossReason,
-        M100Error,
-        MissionAborted,
-        MissionRefused,
-        MissionRunning,
-        NavigationLost,
-        NoAircraft,
-        NoAnswer,
-        NoAuthority,
-        NotActivated,
-        NotAllowed,
-        NotObserved,
-        NoValidFrame,
-        OnlyRecorded,
-        OutcomeUnknown,
-        OutOfResources,
-        PayloadTooLarge,
-        PortBusy,
-        PortFailed,
-        PortNotFound,
-        PortPermissionDenied,
-        ReplayEnded,
-        SetpointsIgnored,
-        SilentLine,
-        StaleLease,
-        TaskError,
-        TaskFailed,
-        TaskRefused,
-        TelemetryError,
-        TelemetryOverflow,
-        TelemetryStalled,
-        Unreachable,
-        UsageError,
-    )
+    from m100link.errors.aircraft import *  # noqa: F403 (all of its __all__, like those below)
+    from m100link.errors.base import *  # noqa: F403
+    from m100link.errors.line import *  # noqa: F403
+    from m100link.errors.usage import *  # noqa: F403
     from m100link.flight.authority import Authority, AuthorityState
     from m100link.flight.control import Control, Hold
     from m100link.flight.guards import Envelope, Guards
@@ -185,23 +128,7 @@ if TYPE_CHECKING:
         TaskStartCode,
         Version,
     )
-    from m100link.protocol.records import (
-        Acceleration,
-        AngularVelocity,
-        Attitude,
-        Battery,
-        ControlDevice,
-        Device,
-        FlightPhase,
-        FlightStatus,
-        Gimbal,
-        Magnetometer,
-        Position,
-        RcMode,
-        RemoteControl,
-        Time,
-        Velocity,
-    )
+    from m100link.protocol.records import *  # noqa: F403 (all of its __all__)
     from m100link.session import SessionMode
     from m100link.telemetry import notifications as notifications
     from m100link.telemetry.columns import Columns, Table

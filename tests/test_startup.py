@@ -128,14 +128,16 @@ def test_every_public_name_is_what_type_checkers_take_it_for() -> None:
     for node in ast.walk(block):
         if isinstance(node, ast.ImportFrom) and node.module not in {"types", "importlib.machinery"}:
             assert node.module is not None
+            home = importlib.import_module(node.module)
             for alias in node.names:
-                home = importlib.import_module(node.module)
-                assert getattr(m100link, alias.name) is getattr(home, alias.name)
+                names = home.__all__ if alias.name == "*" else [alias.name]
+                for name in names:
+                    assert getattr(m100link, name) is getattr(home, name)
                 if alias.name in all_rooms:
                     assert alias.asname == alias.name, "checkers take it for private"
                     rooms.add(alias.name)
                 else:
-                    seen.add(alias.name)
+                    seen.update(names)
     assert seen == set(m100link.__all__) - rooms
     assert rooms == all_rooms
 

@@ -13,7 +13,6 @@ __all__ = [
     "OnlyRecorded",
     "PayloadTooLarge",
     "UsageError",
-    "of_another_loop",
 ]
 
 
