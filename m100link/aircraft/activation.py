@@ -14,7 +14,7 @@ from m100link.protocol.codes import ActivationCode
 from m100link.protocol.commands.activation import Activate, Credentials, Version
 from m100link.wire.cipher import Cipher
 
-__all__ = ["ActivationProgress", "activate"]
+__all__ = ["ActivationProgress"]
 
 _logger = logging.getLogger(__name__)
 

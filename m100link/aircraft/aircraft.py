@@ -39,7 +39,8 @@ from m100link.telemetry.subscription import (
 from m100link.wire.cipher import Cipher
 
 if TYPE_CHECKING:
-    from m100link.flight.control import Control, PauseAction
+    from m100link.flight.block import PauseAction
+    from m100link.flight.control import Control
     from m100link.flight.guards import Guards
     from m100link.flight.stop_path import StopAction
     from m100link.flight.virtual_rc import VirtualRc

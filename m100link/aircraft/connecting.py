@@ -6,7 +6,6 @@ import asyncio
 from collections.abc import Callable, Coroutine, Generator, Iterable
 from functools import partial
 from os import PathLike
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 from m100link.aircraft.aircraft import Aircraft
@@ -83,12 +82,7 @@ class Connecting:
         self._aircraft = await self._connect()
         return self._aircraft
 
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         if self._aircraft is not None:
             await self._aircraft.aclose()
 

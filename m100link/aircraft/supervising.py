@@ -12,7 +12,6 @@ import asyncio
 import logging
 from dataclasses import dataclass
 from enum import Enum
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, Self
 
 from m100link.aircraft.aircraft import Aircraft
@@ -42,14 +41,11 @@ if TYPE_CHECKING:
     from m100link.telemetry.sample import Sample
 
 __all__ = [
-    "ENDED",
-    "TRANSITIONS",
     "BackOff",
     "Gap",
     "Supervised",
     "SupervisedTelemetry",
     "SupervisionEvent",
-    "SupervisionInput",
     "SupervisionState",
     "supervise",
 ]
@@ -270,12 +266,7 @@ class Supervised:
         self._task = asyncio.create_task(self._keep(), name="m100link supervision")
         return self
 
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.aclose()
 
     async def aclose(self) -> None:
@@ -522,12 +513,7 @@ class SupervisedTelemetry:
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from m100link.protocol.firmware import FirmwareProfile
     from m100link.protocol.packet import TelemetryPacket
 
-__all__ = ["TRANSITIONS", "Authority", "AuthorityInput", "AuthorityState"]
+__all__ = ["Authority", "AuthorityState"]
 
 _logger = logging.getLogger(__name__)
 
@@ -147,10 +147,6 @@ _WATCHED = ((RemoteControl, "mode"), (ControlDevice, "control"))
 """The fields that tell who controls, all that the observations below read of a package."""
 
 _SETTLING_S = 0.3  # an item of 10 Hz or more, made after the grant, has arrived by then
-
-
-def _places(span: slice) -> range:
-    return range(span.start, span.stop)
 
 
 class Authority:
@@ -287,7 +283,9 @@ class Authority:
     def _taker(self, flags: int, firmware: FirmwareProfile) -> Callable[[bytes], object]:
         spans = [field_span(record, name, flags, firmware) for record, name in _WATCHED]
         # Byte by byte: small numbers exist already, slices would be made.
-        places: list[int | slice] = [at for span in spans if span for at in _places(span)]
+        places: list[int | slice] = [
+            at for span in spans if span for at in range(span.start, span.stop)
+        ]
         take: Callable[[bytes], object] = itemgetter(*(places or [slice(0, 0)]))
         self._forget()  # with more words than are remembered, the same would be kept of each
         return remember(self._takers, flags, take)

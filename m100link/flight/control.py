@@ -6,7 +6,6 @@ import logging
 from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager, nullcontext
 from functools import partial, update_wrapper
-from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 from m100link.errors import TaskRefused, UsageError
@@ -29,7 +28,7 @@ from m100link.protocol.commands.control import Move, Task
 from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.state import AircraftState
 
-__all__ = ["Control", "Hold", "PauseAction"]
+__all__ = ["Control", "Hold"]
 
 _logger = logging.getLogger(__name__)
 
@@ -131,12 +130,7 @@ class Control:
         await self._block.enter()
         return self
 
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> bool:
+    async def __aexit__(self, kind: object, exc: BaseException | None, traceback: object) -> bool:
         return await self._block.leave(exc)
 
     async def obtain(self) -> Self:

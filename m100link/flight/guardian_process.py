@@ -20,24 +20,6 @@ import time
 from struct import Struct
 from zlib import crc32
 
-__all__ = [
-    "FREE",
-    "HALF_SIZE",
-    "HALVES_AT",
-    "HOLD",
-    "MID_FRAME",
-    "OVER",
-    "PAGE_SIZE",
-    "READY",
-    "STALLED_MS",
-    "TAKEN",
-    "TOKEN",
-    "UNSENT",
-    "WAKE",
-    "milliseconds",
-    "sealed",
-]
-
 HOLD, TOKEN, UNSENT = range(3)
 """Places of the words of 32 bits: who may write (the guardian says), when the program lived last
 (:func:`milliseconds`), and how many bytes of its newest writes may be missing on the line."""

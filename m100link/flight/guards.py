@@ -28,13 +28,7 @@ from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Setpoint, Ver
 if TYPE_CHECKING:
     from m100link.telemetry.state import AircraftState
 
-__all__ = [
-    "AGE_LIMITS_S",
-    "Envelope",
-    "GuardKeeper",
-    "Guards",
-    "known",
-]
+__all__ = ["Envelope", "Guards"]
 
 
 # -- what is known of the aircraft: a value that is old, or impossible, is known to nobody ---------

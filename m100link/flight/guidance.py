@@ -17,15 +17,7 @@ from m100link.protocol.setpoint import Setpoint
 if TYPE_CHECKING:
     from m100link.telemetry.state import AircraftState
 
-__all__ = [
-    "Arrival",
-    "Guidance",
-    "GuidanceProgress",
-    "Progress",
-    "heading_of",
-    "position_of",
-    "require_in_the_air",
-]
+__all__ = ["Arrival", "GuidanceProgress"]
 
 FRESH_S = 0.5  # seconds after which what was measured is too old to steer by
 

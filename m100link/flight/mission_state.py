@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from m100link.protocol.commands.missions import MissionStatus, WaypointEvent
 
-__all__ = ["MissionKind", "MissionState", "MissionWatch"]
+__all__ = ["MissionKind", "MissionState"]
 
 BELIEVED_S = 3.0
 """Seconds for which a push that names a mission is believed; they come at about 10 Hz (facts K23,

@@ -12,12 +12,11 @@ import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from types import TracebackType
 from typing import Self
 
 from m100link.errors import UsageError
 
-__all__ = ["INSTANT", "KEPT", "MAX_RATE_HZ", "Alarm", "Pace", "Tick", "Ticker"]
+__all__ = ["Tick", "Ticker"]
 
 MAX_RATE_HZ = 50.0
 """The highest rate at which the autopilot takes movement commands (errata, section on rates)."""
@@ -253,12 +252,7 @@ class Alarm:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def __del__(self) -> None:

@@ -6,7 +6,7 @@ import asyncio
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from m100link.errors import AuthorityLost, M100Error, TaskRefused
 from m100link.flight.authority import AuthorityState
@@ -19,10 +19,6 @@ from m100link.flight.setpoints import NEUTRAL_TIME, SetpointLoop
 from m100link.flight.tasks import Commander, is_on_ground, run_task, switch_motors
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightPhase, FlightStatus
-
-if TYPE_CHECKING:
-    from m100link.flight.tasks import Commander
-
 
 _logger = logging.getLogger(__name__)
 

@@ -33,20 +33,7 @@ if TYPE_CHECKING:
     from m100link.link.requests import Requests
     from m100link.telemetry.state import AircraftState
 
-__all__ = [
-    "CENTRED",
-    "GESTURE",
-    "SETTINGS_INTERVAL_S",
-    "Commander",
-    "Motors",
-    "SettingsPace",
-    "Sticks",
-    "TaskListener",
-    "TaskProgress",
-    "is_on_ground",
-    "run_task",
-    "switch_motors",
-]
+__all__ = ["TaskProgress"]
 
 _logger = logging.getLogger(__name__)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import logging
 from functools import partial
-from types import TracebackType
 from typing import Self
 
 from m100link.errors import (
@@ -170,12 +169,7 @@ class VirtualRc:
             raise asyncio.CancelledError
         return self
 
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> bool:
+    async def __aexit__(self, kind: object, exc: BaseException | None, traceback: object) -> bool:
         self._end(StopCause.LEFT)
         return await self._leave(exc)
 

@@ -6,7 +6,6 @@ import asyncio
 import math
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from m100link.errors import (
     ComputerSuspended,
@@ -21,10 +20,6 @@ from m100link.geodesy import normalize_degrees
 from m100link.protocol.records import Attitude, FlightPhase, FlightStatus, Position, Velocity
 from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Setpoint, Vertical, Yaw
 from m100link.telemetry.state import AircraftState
-
-if TYPE_CHECKING:
-    from m100link.telemetry.state import AircraftState
-
 
 # -- detect that the computer slept: the event loop's clock stopped, the aircraft did not ----------
 

@@ -15,14 +15,7 @@ from m100link.protocol.items import ITEMS, Item, item_of
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Subscription
 
-__all__ = [
-    "ITEM_NAMES",
-    "Columns",
-    "Table",
-    "column_named",
-    "columns_of",
-    "snake",
-]
+__all__ = ["Columns", "Table"]
 
 
 # -- names of telemetry items and columns: one of each is written, several are understood ----------

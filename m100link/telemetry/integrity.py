@@ -21,18 +21,7 @@ if TYPE_CHECKING:
 
     from m100link.telemetry.sample import Sample
 
-__all__ = [
-    "BATTERY_CRITICAL",
-    "BATTERY_LOW",
-    "GATE_M",
-    "GOOD_GPS",
-    "MAX_TELEMETRY_AGE",
-    "Integrity",
-    "IntegrityMonitor",
-    "IntegrityState",
-    "has_fix",
-    "is_low",
-]
+__all__ = ["Integrity", "IntegrityState"]
 
 
 # -- from which values on something has to be told: read by the console, and by who looks at a  ----

@@ -15,7 +15,7 @@ from m100link.protocol.records import Time
 from m100link.telemetry.integrity import Integrity, IntegrityMonitor
 from m100link.telemetry.sample import Sample
 
-__all__ = ["AircraftState", "ItemStatistics", "is_finite"]
+__all__ = ["AircraftState", "ItemStatistics"]
 
 R = TypeVar("R", bound=tuple[Any, ...])
 

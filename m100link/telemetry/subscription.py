@@ -15,7 +15,6 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from struct import Struct
-from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
 from m100link.errors import (
@@ -35,13 +34,7 @@ from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 
-__all__ = [
-    "Latest",
-    "Lossless",
-    "Newest",
-    "Policy",
-    "Subscription",
-]
+__all__ = ["Latest", "Lossless", "Newest", "Policy", "Subscription"]
 
 _logger = logging.getLogger(__name__)
 
@@ -244,12 +237,7 @@ class Subscription(Generic[T]):
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self.close()
 
     def __aiter__(self) -> Self:

@@ -33,7 +33,6 @@ from m100link.protocol.records import Battery, FlightPhase, FlightStatus, Positi
 if TYPE_CHECKING:
     from m100link.flight.guards import Envelope, GuardKeeper
     from m100link.flight.tasks import Commander
-    from m100link.missions.plan import WaypointPlan
     from m100link.telemetry.state import AircraftState
 
 

@@ -21,30 +21,18 @@ from m100link.protocol.commands.hotpoint import (
 from m100link.protocol.commands.waypoint import WaypointPauseResume, WaypointStartStop
 
 __all__ = [
-    "IN_THE_AIR",
-    "ORDERS",
-    "OWES_A_STOP",
-    "PAUSED_CODES",
-    "RESUMED_CODES",
-    "STOPPED_CODES",
-    "TRANSITIONS",
     "Aborted",
     "ActionsDone",
-    "Events",
     "Finished",
     "MissionEvent",
     "MissionProgress",
-    "Orders",
     "Paused",
     "Reached",
     "Resumed",
-    "RunInput",
-    "RunState",
     "Started",
     "Stopped",
     "Uploaded",
     "Uploading",
-    "mission_refused",
 ]
 
 

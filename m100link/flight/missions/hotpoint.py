@@ -40,17 +40,7 @@ from m100link.protocol.records import Position
 if TYPE_CHECKING:
     from m100link.telemetry.state import AircraftState
 
-__all__ = [
-    "CircleHeading",
-    "CircleStart",
-    "FollowFlight",
-    "FollowTrack",
-    "HotpointFlight",
-    "HotpointTrack",
-    "Target",
-    "TargetSource",
-    "largest_rate",
-]
+__all__ = ["CircleHeading", "CircleStart", "FollowFlight", "HotpointFlight", "Target"]
 
 _logger = logging.getLogger(__name__)
 

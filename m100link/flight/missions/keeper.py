@@ -6,7 +6,6 @@ import asyncio
 import logging
 import math
 from abc import ABC, abstractmethod
-from types import TracebackType
 from typing import TYPE_CHECKING, ClassVar, Self
 
 from m100link.errors import (
@@ -377,12 +376,7 @@ class MissionFlight(ABC):
                 raise
         return self
 
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, kind: object, exc: BaseException | None, traceback: object) -> None:
         await self._run.leave(exc)
 
     def __aiter__(self) -> Self:

@@ -34,11 +34,7 @@ from m100link.protocol.commands.waypoint import (
 if TYPE_CHECKING:
     from m100link.link.requests import Requests
 
-__all__ = [
-    "UploadListener",
-    "WaypointFlight",
-    "download_waypoint_plan",
-]
+__all__ = ["WaypointFlight"]
 
 _logger = logging.getLogger(__name__)
 
