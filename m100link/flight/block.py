@@ -207,9 +207,9 @@ class ControlBlock:
         self._commander.link.require_loop()
         if self._life.state is not BlockState.NEW:
             raise UsageError("this control block was entered before; ask for a new one")
-        self._commander.requests.fix_firmware()
-        self._claim.take(self._close)
+        self._claim.take(self._close)  # first: what flies already keeps its firmware
         try:
+            self._commander.requests.fix_firmware()
             reserve("control", self._close)
         except M100Error:
             self._claim.give_back()

@@ -140,13 +140,9 @@ class VirtualRc:
             raise UsageError("this virtual RC was entered before; ask for a new one")
         settings = VirtualRcSettings(True, self._falls_back)
         await self._requests.admit(settings)  # firmware, activation: before anything is claimed
-        self._requests.fix_firmware()
+        self._claim.take(self._close)  # first: what flies already keeps its firmware
         try:
-            self._claim.take(self._close)
-        except M100Error:
-            self._requests.free_firmware()
-            raise
-        try:
+            self._requests.fix_firmware()
             reserve("virtual RC", self._close)
         except M100Error:
             self._claim.give_back()

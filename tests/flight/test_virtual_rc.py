@@ -29,6 +29,8 @@ from m100link import (
     UsageError,
 )
 from m100link.flight.virtual_rc import VirtualRc
+from m100link.protocol.codes import VersionCode
+from m100link.protocol.commands.activation import Version
 from m100link.protocol.commands.virtual_rc import CENTRE, VirtualRcData, VirtualRcSettings
 from m100link.sim import AssistantSettings
 from tests.flight.test_signals import acted, come
@@ -39,6 +41,7 @@ pytestmark = pytest.mark.anyio
 __all__ = ["acted"]  # a fixture
 
 NEUTRAL = (CENTRE,) * 4
+OTHER = Version(VersionCode.ACTIVATED, 0xD3D21804, "SDK-v1.0 BETA M100-02.03.10.00")
 SHOWN = AssistantSettings(rates_hz={"control_device": 10})
 
 
@@ -349,6 +352,9 @@ async def test_not_beside_a_control_block_and_no_control_block_beside_it(flown: 
     async with flown.aircraft.control():
         with pytest.raises(UsageError, match="another control block"):
             await flown.aircraft.virtual_rc().__aenter__()
+        # It did not free the firmware by which the block flies: another one is not taken now.
+        flown.aircraft._requests._choose_firmware(OTHER)
+        assert flown.aircraft.firmware.name == "3.1"
     async with flown.aircraft.virtual_rc():
         with pytest.raises(UsageError, match="another control block"):
             await flown.aircraft.control().__aenter__()
