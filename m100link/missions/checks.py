@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from itertools import pairwise
 from typing import NamedTuple
 
 from m100link.errors import BadPlan, UsageError
 from m100link.geodesy import bearing_deg, distance_m, normalize_degrees
 from m100link.missions.waypoint import (
+    CHOICES,
     AtEnd,
     GimbalPitch,
     Heading,
@@ -76,12 +76,6 @@ _PARAMETERS: dict[type, tuple[str, _Range] | None] = {
     TurnTo: ("heading_deg", _HEADING),
     GimbalPitch: ("pitch_deg", _PITCH),
 }
-_CHOICES: dict[str, type[IntEnum]] = {
-    "heading": Heading,
-    "trace": Trace,
-    "at_end": AtEnd,
-    "on_rc_loss": OnRCLoss,
-}
 
 
 def problems(plan: PlanValues) -> Iterator[BadPlan]:
@@ -139,7 +133,7 @@ def _problems_of_count(waypoints: Sequence[Waypoint]) -> Iterator[BadPlan]:
 
 
 def _problems_of_choices(plan: PlanValues) -> Iterator[BadPlan]:
-    for field, kind in _CHOICES.items():
+    for field, kind in CHOICES.items():
         value = getattr(plan, field)
         if not isinstance(value, kind):
             names = ", ".join(f"{kind.__name__}.{one.name}" for one in kind)
@@ -256,12 +250,7 @@ def _problems_of_action(index: int, field: str, action: object) -> Iterator[BadP
 def leg_lengths(waypoints: Sequence[Waypoint]) -> list[float]:
     """Metres from each point to the next, climbs included: along the ellipsoid and up."""
     return [
-        math.hypot(
-            distance_m(
-                here.latitude_deg, here.longitude_deg, there.latitude_deg, there.longitude_deg
-            ),
-            there.height - here.height,
-        )
+        math.hypot(distance_m(*_place(here), *_place(there)), there.height - here.height)
         for here, there in pairwise(waypoints)
     ]
 
@@ -416,26 +405,17 @@ def _headings(plan: PlanValues) -> list[float]:
         return [float(point.heading_deg) for point in plan.waypoints]
     if plan.heading is not Heading.ALONG_PATH:
         return [0.0] * len(plan.waypoints)
-    courses = _courses(plan.waypoints)
+    places = map(_place, plan.waypoints)
+    courses = [bearing_deg(*here, *there) for here, there in pairwise(places)]
     return [courses[0], *courses]
-
-
-def _courses(points: Sequence[Waypoint]) -> list[float]:
-    return [
-        bearing_deg(here.latitude_deg, here.longitude_deg, there.latitude_deg, there.longitude_deg)
-        for here, there in pairwise(points)
-    ]
 
 
 def _turns(plan: PlanValues, headings: Sequence[float]) -> float:
     """Seconds of turning to the next leg; between headings of waypoints it turns as it flies."""
     if plan.heading is not Heading.ALONG_PATH:
         return 0.0
-    return sum(_turn(here, there) for here, there in pairwise(headings))
-
-
-def _turn(here: float, there: float) -> float:
-    return abs(normalize_degrees(there - here)) / TURN_DEG_S
+    turns = (abs(normalize_degrees(there - here)) for here, there in pairwise(headings))
+    return sum(turns) / TURN_DEG_S
 
 
 def _stop(plan: PlanValues) -> float:

@@ -18,16 +18,13 @@ from typing import Any
 from m100link.errors import BadPlan
 from m100link.errors.texts import read_json
 from m100link.missions.waypoint import (
-    AtEnd,
+    CHOICES,
     GimbalPitch,
-    Heading,
-    OnRCLoss,
     PlanValues,
     StartVideo,
     Stay,
     StopVideo,
     TakePhoto,
-    Trace,
     TurnTo,
     Waypoint,
     WaypointAction,
@@ -36,13 +33,7 @@ from m100link.missions.waypoint import (
 FORMAT = "m100link waypoint plan"
 VERSION = 1
 
-_CHOICES: dict[str, type[IntEnum]] = {
-    "heading": Heading,
-    "trace": Trace,
-    "at_end": AtEnd,
-    "on_rc_loss": OnRCLoss,
-}
-_FIELDS = ("speed", "max_speed", *_CHOICES, "gimbal_by_waypoint", "repeat")
+_FIELDS = ("speed", "max_speed", *CHOICES, "gimbal_by_waypoint", "repeat")
 _POINT_FIELDS = tuple(field.name for field in fields(Waypoint) if field.name != "_")
 _NEEDED = ("latitude_deg", "longitude_deg", "height")
 
@@ -177,7 +168,7 @@ def from_json(document: Mapping[str, Any]) -> dict[str, Any]:
         )
     _refuse_unknown(document, ("format", "version", *_FIELDS, "waypoints"))
     arguments = {name: document[name] for name in _FIELDS if name in document}
-    for name, kind in _CHOICES.items():
+    for name, kind in CHOICES.items():
         if name in arguments:
             arguments[name] = _choice(name, kind, arguments[name])
     points = document.get("waypoints")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
-from dataclasses import KW_ONLY, dataclass
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 from m100link.errors import BadPlan
@@ -21,6 +21,7 @@ from m100link.missions.waypoint import (
     GimbalPitch,
     Heading,
     OnRCLoss,
+    PlanValues,
     StartVideo,
     Stay,
     StopVideo,
@@ -57,7 +58,7 @@ __all__ = [
 
 
 @dataclass(frozen=True, slots=True)
-class WaypointPlan:
+class WaypointPlan(PlanValues):
     """A mission along waypoints, checked as a whole; firmware 3.1 flies it by itself.
 
     >>> from m100link import AtEnd, GimbalPitch, TakePhoto, Waypoint, WaypointPlan
@@ -97,17 +98,6 @@ class WaypointPlan:
     Raises:
         BadPlan: The aircraft would refuse it; the first problem, with ``others``.
     """
-
-    waypoints: Sequence[Waypoint]
-    _: KW_ONLY
-    speed: float = 5.0
-    max_speed: float = 10.0
-    heading: Heading = Heading.ALONG_PATH
-    trace: Trace = Trace.STOP_AT_POINTS
-    at_end: AtEnd = AtEnd.HOVER
-    on_rc_loss: OnRCLoss = OnRCLoss.FAILSAFE
-    gimbal_by_waypoint: bool = False
-    repeat: int = 1
 
     def __post_init__(self) -> None:
         if not isinstance(self.waypoints, Iterable):

@@ -13,7 +13,7 @@ from dataclasses import KW_ONLY, dataclass
 from enum import IntEnum
 from itertools import pairwise
 from struct import Struct
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from m100link.errors import UsageError
 from m100link.geodesy import LocalFrame
@@ -67,6 +67,15 @@ class OnRCLoss(IntEnum):
     """It is broken off, and the aircraft returns home."""
     CONTINUE = 1
     """It goes on to its end, without a pilot who could take over."""
+
+
+CHOICES: dict[str, type[IntEnum]] = {
+    "heading": Heading,
+    "trace": Trace,
+    "at_end": AtEnd,
+    "on_rc_loss": OnRCLoss,
+}
+"""The choices for the whole, by the names of their fields."""
 
 
 def number(value: object) -> float | None:
@@ -311,50 +320,17 @@ def _divided(
     return made
 
 
-class PlanValues(Protocol):
+@dataclass(frozen=True, slots=True)
+class PlanValues:
     """What a plan says, for those who only read it; see :class:`m100link.WaypointPlan`."""
 
-    @property
-    def waypoints(self) -> Sequence[Waypoint]:
-        """The points, in their order."""
-        ...
-
-    @property
-    def speed(self) -> float:
-        """Along the way, m/s."""
-        ...
-
-    @property
-    def max_speed(self) -> float:
-        """With the pilot's stick, m/s."""
-        ...
-
-    @property
-    def heading(self) -> Heading:
-        """Where the nose points."""
-        ...
-
-    @property
-    def trace(self) -> Trace:
-        """How points are passed."""
-        ...
-
-    @property
-    def at_end(self) -> AtEnd:
-        """What happens after the last."""
-        ...
-
-    @property
-    def on_rc_loss(self) -> OnRCLoss:
-        """What happens without the RC."""
-        ...
-
-    @property
-    def gimbal_by_waypoint(self) -> bool:
-        """Whether the points turn the camera."""
-        ...
-
-    @property
-    def repeat(self) -> int:
-        """How many times it is flown."""
-        ...
+    waypoints: Sequence[Waypoint]
+    _: KW_ONLY
+    speed: float = 5.0
+    max_speed: float = 10.0
+    heading: Heading = Heading.ALONG_PATH
+    trace: Trace = Trace.STOP_AT_POINTS
+    at_end: AtEnd = AtEnd.HOVER
+    on_rc_loss: OnRCLoss = OnRCLoss.FAILSAFE
+    gimbal_by_waypoint: bool = False
+    repeat: int = 1
