@@ -72,6 +72,11 @@ class M100Error(_Keywords):
         vars(self).update({name: copy(default) for name, default in self.own.items()} | told)
         super().__init__(seen, cause, remedy)
 
+    @classmethod
+    def usual(cls, seen: str) -> Self:
+        """The error with the cause and the remedy that are usual for it."""
+        return cls(seen, cause=cls.usual_cause, remedy=cls.usual_remedy)
+
     def __str__(self) -> str:
         text = self.seen
         if self.cause:
@@ -118,11 +123,7 @@ def of_the_system(what: str) -> Iterator[None]:
     except (OSError, ImportError, MemoryError, RuntimeError) as error:
         if isinstance(error, RuntimeError) and "thread" not in str(error):
             raise  # Python has no class of its own for "can't start new thread"
-        raise OutOfResources(
-            f"{what} was not asked for: {error}",
-            cause=OutOfResources.usual_cause,
-            remedy=OutOfResources.usual_remedy,
-        ) from error
+        raise OutOfResources.usual(f"{what} was not asked for: {error}") from error
 
 
 def _rebuild(cls: type[E], args: tuple[object, ...], attributes: dict[str, object]) -> E:

@@ -479,12 +479,8 @@ class Steering:
         self._blocked = since, now
         blocked_s = now - since
         if blocked_s >= BLOCKED_S:
-            failure = LineBlocked(
-                f"the line took no setpoint for {blocked_s:.1f} s while flying",
-                cause=LineBlocked.usual_cause,
-                remedy=LineBlocked.usual_remedy,
-            )
-            self.block.end(StopCause.LINE_BLOCKED, failure)
+            seen = f"the line took no setpoint for {blocked_s:.1f} s while flying"
+            self.block.end(StopCause.LINE_BLOCKED, LineBlocked.usual(seen))
 
     def _on_send_failed(self, error: Exception) -> None:
         """The task that repeats setpoints has ended, and not because of the line."""

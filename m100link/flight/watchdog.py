@@ -379,7 +379,7 @@ class TelemetryWatchdog:
         slept = self._suspended.slept_s()
         if slept:
             seen = f"this computer was suspended for {slept:.1f} s while flying"
-            self._end(StopCause.SUSPENDED, _usual(ComputerSuspended, seen))
+            self._end(StopCause.SUSPENDED, ComputerSuspended.usual(seen))
             return False
         return self._is_heard(now) and (now < self._looks_at or self._is_right(now))
 
@@ -433,13 +433,9 @@ class TelemetryWatchdog:
             return True
         integrity = self._state.integrity
         if not integrity.is_plausible:
-            self._end(StopCause.NAVIGATION_LOST, _usual(NavigationLost, integrity.seen))
+            self._end(StopCause.NAVIGATION_LOST, NavigationLost.usual(integrity.seen))
             return False
         ignored = self._following.look() if self._following is not None else ""
         if ignored:
-            self._end(StopCause.SETPOINTS_IGNORED, _usual(SetpointsIgnored, ignored))
+            self._end(StopCause.SETPOINTS_IGNORED, SetpointsIgnored.usual(ignored))
         return not ignored
-
-
-def _usual(kind: type[M100Error], seen: str) -> M100Error:
-    return kind(seen, cause=kind.usual_cause, remedy=kind.usual_remedy)

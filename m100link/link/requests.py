@@ -191,11 +191,7 @@ class Requests:
         """
         await self.admit(command)
         if not self.push(command):
-            raise LineBlocked(
-                f"{command.NAME} was not sent: the line takes no more bytes",
-                cause=LineBlocked.usual_cause,
-                remedy=LineBlocked.usual_remedy,
-            )
+            raise LineBlocked.usual(f"{command.NAME} was not sent: the line takes no more bytes")
 
     async def find_aircraft(self, timeout: float) -> Version:
         """Ask for the version until the deadline; if none comes, say how far the line reaches.

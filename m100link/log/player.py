@@ -417,11 +417,7 @@ def check_speed(speed: float) -> None:
 
 def only_recorded(what: str) -> OnlyRecorded:
     """The error for whatever is asked of the aircraft of a replay."""
-    return OnlyRecorded(
-        f"{what}: this aircraft is a recording; nothing was sent",
-        cause=OnlyRecorded.usual_cause,
-        remedy=OnlyRecorded.usual_remedy,
-    )
+    return OnlyRecorded.usual(f"{what}: this aircraft is a recording; nothing was sent")
 
 
 # -- the line of a replay: it gives what came, and takes nothing -----------------------------------

@@ -131,8 +131,4 @@ def _number(text: str) -> float:
 
 def refused() -> OnlyRecorded:
     """What whoever asks a replay for control gets."""
-    return OnlyRecorded(
-        "there is no control to be had: this is a replay, nothing flies",
-        cause=OnlyRecorded.usual_cause,
-        remedy=OnlyRecorded.usual_remedy,
-    )
+    return OnlyRecorded.usual("there is no control to be had: this is a replay, nothing flies")
