@@ -113,12 +113,8 @@ class Control:
         self._loops = ClosedLoops(commander.state, self._guards, self._guidance)
         self._motors = Motors(commander, self._guards, self._make_way, self._block.armed)
         self._keeper = keeper
-        self._missions = Missions(
-            Deck(commander, self._guards, self._block),
-            keeper,
-            make_way=self._make_way_for_mission,
-            take_off=self.take_off,
-        )
+        deck = Deck(commander, self._guards, self._block, self._make_way_for_mission)
+        self._missions = Missions(deck, keeper, self.take_off)
 
     # -- the block -------------------------------------------------------------------------------
 

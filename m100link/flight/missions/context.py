@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -11,7 +12,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 from m100link.errors import GuardRefused, M100Error, TelemetryStalled, UsageError
 from m100link.flight.guards import known
 from m100link.flight.lifecycle import StopCause
-from m100link.flight.mission_state import MissionWatch
 from m100link.flight.missions.events import (
     Aborted,
     ActionsDone,
@@ -40,30 +40,26 @@ class Over(NamedTuple):
     """The aircraft says that it does not fly the mission any more."""
 
 
-class Track(Protocol):
+News = list[MissionEvent | Over]
+
+
+class Track(ABC):
     """What is known of one kind of mission: reads its pushes, and what the aircraft is asked."""
 
-    @property
-    def poll(self) -> Request[Any] | None:
-        """What is asked when nothing is pushed; None: nothing can be."""
-        ...
+    poll: Request[Any] | None = None  # what is asked when nothing is pushed; None: nothing can be
+    ends_by_landing = False  # whether the aircraft goes home or lands behind :class:`Finished`
 
-    @property
-    def ends_by_landing(self) -> bool:
-        """Whether the aircraft goes home or lands behind :class:`Finished`."""
-        ...
-
-    def take(self, push: MissionStatus | WaypointEvent) -> Sequence[MissionEvent | Over]:
+    @abstractmethod
+    def take(self, push: MissionStatus | WaypointEvent) -> News:
         """A push came."""
-        ...
 
-    def polled(self, answer: Any) -> Sequence[MissionEvent | Over]:
+    def polled(self, answer: Any) -> News:
         """The answer to ``poll`` came."""
-        ...
+        return []
 
+    @abstractmethod
     def progress(self, elapsed: float, state: AircraftState) -> MissionProgress:
         """How far it is."""
-        ...
 
 
 class Block(Protocol):
@@ -94,11 +90,7 @@ class Deck:
     commander: Commander
     guards: GuardKeeper  # asked before it begins and while it flies
     block: Block  # the control block around it
-
-    @property
-    def watch(self) -> MissionWatch:
-        """Where pushes arrive."""
-        return self.commander.missions
+    make_way: Callable[[str], Awaitable[None]]  # lets nothing else steer
 
 
 # -- what the guards say to a mission before its first byte is sent --------------------------------
@@ -223,7 +215,15 @@ def check_way(
 
 _BEFORE_ACTIONS, _AFTER_ACTIONS = 4, 6  # status of the event "reached" (facts W19)
 
-News = list[MissionEvent | Over]
+
+def ended_by(told: object) -> News:
+    """What a push tells a mission without an end of its own: that it was broken off, or nothing."""
+    match told:
+        case wire.IdleStatus() | wire.IocStatus():
+            return [broken_off(told)]
+        case wire.WaypointStatus() | wire.HotpointStatus() | wire.FollowStatus():
+            return [Aborted(None, "another mission flies the aircraft")]
+    return []
 
 
 def broken_off(status: wire.IdleStatus | wire.IocStatus, index: int | None = None) -> Aborted:
@@ -233,7 +233,7 @@ def broken_off(status: wire.IdleStatus | wire.IocStatus, index: int | None = Non
     return Aborted(status.reason, MissionCode(status.reason).meaning, index)
 
 
-class WaypointTrack:
+class WaypointTrack(Track):
     """Reads the pushes of one waypoint mission."""
 
     poll = WaypointDownloadMission()  # what is asked when nothing is pushed
@@ -250,15 +250,11 @@ class WaypointTrack:
         self._acted = -1  # the newest whose actions were told to have ended
         self._runs_left = plan.repeat - 1
         self._is_finished = False
+        self.ends_by_landing = plan.at_end in (AtEnd.GO_HOME, AtEnd.LAND)
 
-    @property
-    def ends_by_landing(self) -> bool:
-        """Whether the plan ends with going home or landing."""
-        return self._plan.at_end in (AtEnd.GO_HOME, AtEnd.LAND)
-
-    def take(self, push: wire.MissionStatus | wire.WaypointEvent) -> News:
+    def take(self, push: MissionStatus | WaypointEvent) -> News:
         """A push came."""
-        told = push.status if isinstance(push, wire.MissionStatus) else push.event
+        told = push.status if isinstance(push, MissionStatus) else push.event
         return list(self._read(told))
 
     def _read(self, told: object) -> Iterator[MissionEvent | Over]:

@@ -6,7 +6,7 @@ import asyncio
 from collections import deque
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from m100link.errors import M100Error, MissionRefused
 from m100link.flight.mission_state import MissionKind
@@ -347,7 +347,7 @@ class Orders(NamedTuple):
 
     stop: Request[MissionCode]
     pause: Request[MissionCode]
-    resume: Request[MissionCode]
+    resumption: Request[MissionCode]
 
 
 ORDERS = {
@@ -370,8 +370,10 @@ STOPPED_CODES = frozenset(
 )
 """Answers to a stop that say that there is nothing to stop."""
 
-PAUSED_CODES = frozenset({_C.SUCCESS, _C.ALREADY_SO, _C.ALREADY_PAUSED})
-"""Answers to a pause after which it is paused."""
+Ordered = Literal["pause", "resumption"]
 
-RESUMED_CODES = frozenset({_C.SUCCESS, _C.ALREADY_SO, _C.NOT_PAUSED})
-"""Answers to a resumption after which it flies."""
+DONE_CODES: dict[Ordered, frozenset[MissionCode]] = {
+    "pause": frozenset({_C.SUCCESS, _C.ALREADY_SO, _C.ALREADY_PAUSED}),
+    "resumption": frozenset({_C.SUCCESS, _C.ALREADY_SO, _C.NOT_PAUSED}),
+}
+"""Answers to a pause after which it is paused, to a resumption after which it flies."""

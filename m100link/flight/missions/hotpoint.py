@@ -8,15 +8,22 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterable, AsyncIterator, Callable, Iterator
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from m100link.errors import M100Error, MissionRefused, NotObserved, UsageError
 from m100link.flight.guards import known
 from m100link.flight.mission_state import MissionKind
-from m100link.flight.missions.context import Deck, Over, broken_off, check_way, require_airborne
-from m100link.flight.missions.events import Aborted, MissionEvent, MissionProgress
+from m100link.flight.missions.context import (
+    Deck,
+    News,
+    Track,
+    check_way,
+    ended_by,
+    require_airborne,
+)
+from m100link.flight.missions.events import Aborted, MissionProgress
 from m100link.flight.missions.keeper import MissionFlight, MissionKeeper
 from m100link.flight.missions.run import MissionRun
 from m100link.geodesy import bearing_deg, distance_m, normalize_degrees
@@ -89,11 +96,10 @@ def largest_rate(radius: float) -> float:
     return min(_MOST_DEG_S, math.degrees(_MOST_M_S / radius))
 
 
-class HotpointTrack:
+class HotpointTrack(Track):
     """Reads the pushes of one hotpoint. It has no end of its own: whatever ends it broke it off."""
 
-    poll = HotpointDownload()  # what is asked when nothing is pushed
-    ends_by_landing = False
+    poll = HotpointDownload()
 
     def __init__(self, centre: tuple[float, float]) -> None:
         self._centre = centre  # latitude and longitude, °
@@ -102,21 +108,16 @@ class HotpointTrack:
         self.rate_deg_s: float | None = None  # present angular rate, °/s; likewise
         self.status: int | None = None  # 0 on the way to the circle, 1 circling, 2 paused
 
-    def take(self, push: wire.MissionStatus | wire.WaypointEvent) -> list[MissionEvent | Over]:
+    def take(self, push: wire.MissionStatus | wire.WaypointEvent) -> News:
         """A push came."""
         told = push.status if isinstance(push, wire.MissionStatus) else None
         if isinstance(told, wire.HotpointStatus):
             self.distance_m, self.rate_deg_s = told.radius_cm / 100, told.rate / 10
             self.status = told.status
-        elif self.status is None or told is None:
-            pass  # older than ours
-        elif isinstance(told, wire.IdleStatus | wire.IocStatus):
-            return [broken_off(told)]
-        elif isinstance(told, wire.WaypointStatus | wire.FollowStatus):
-            return [Aborted(None, "another mission flies the aircraft")]
-        return []
+            return []
+        return [] if self.status is None else ended_by(told)  # before that: older than ours
 
-    def polled(self, answer: HotpointDownloadAnswer) -> list[MissionEvent | Over]:
+    def polled(self, answer: HotpointDownloadAnswer) -> News:
         """What circle it flies."""
         if answer.code is MissionCode.NOT_RUNNING:
             return [Aborted(None, "it flies no circle any more, and gives no reason")]
@@ -154,14 +155,12 @@ class HotpointFlight(MissionFlight):
         keeper: MissionKeeper,
         request: HotpointStart,
         *,
-        make_way: Callable[[str], Awaitable[None]],
         allow_far: bool,
     ) -> None:
         self._centre = math.degrees(request.latitude), math.degrees(request.longitude)
         self._track = HotpointTrack(self._centre)
         super().__init__(deck, keeper, MissionRun(deck, MissionKind.HOTPOINT, self._track))
         self._request = request
-        self._make_way = make_way
         self._allow_far = allow_far
         self._radius, self._rate = request.radius, request.angular_rate
         self._is_clockwise = bool(request.clockwise)
@@ -178,7 +177,7 @@ class HotpointFlight(MissionFlight):
         check_way(
             self._deck.commander.state, "the hotpoint", self._centre, allow_far=self._allow_far
         )
-        await self._make_way("the hotpoint")
+        await self._deck.make_way("the hotpoint")
         answer: HotpointStartAnswer = await self._run.start(self._request, lambda got: got.code)
         self._largest_radius = answer.largest_radius
 
@@ -393,32 +392,20 @@ TargetSource = Target | AsyncIterable[Target]
 """The first target, to be renewed by :meth:`FollowFlight.set_target`; or all of them."""
 
 
-class FollowTrack:
+class FollowTrack(Track):
     """Reads the pushes of a follow mission, which tell only that it flies."""
-
-    poll = None  # nothing can be asked
-    ends_by_landing = False
 
     def __init__(self) -> None:
         self.target: Target | None = None
         self._is_seen = False
 
-    def take(self, push: wire.MissionStatus | wire.WaypointEvent) -> list[MissionEvent | Over]:
+    def take(self, push: wire.MissionStatus | wire.WaypointEvent) -> News:
         """A push came."""
         told = push.status if isinstance(push, wire.MissionStatus) else None
         if isinstance(told, wire.FollowStatus):
             self._is_seen = True
-        elif not self._is_seen or told is None:
-            pass  # older than ours
-        elif isinstance(told, wire.IdleStatus | wire.IocStatus):
-            return [broken_off(told)]
-        elif isinstance(told, wire.WaypointStatus | wire.HotpointStatus):
-            return [Aborted(None, "another mission flies the aircraft")]
-        return []
-
-    def polled(self, answer: Any) -> list[MissionEvent | Over]:
-        """Nothing is asked."""
-        return []
+            return []
+        return ended_by(told) if self._is_seen else []  # before that: older than ours
 
     def progress(self, elapsed: float, state: AircraftState) -> MissionProgress:
         """How far the target is."""
@@ -446,14 +433,12 @@ class FollowFlight(MissionFlight):
         keeper: MissionKeeper,
         source: TargetSource,
         *,
-        make_way: Callable[[str], Awaitable[None]],
         face_target: bool,
         allow_far: bool,
     ) -> None:
         self._track = FollowTrack()
         super().__init__(deck, keeper, MissionRun(deck, MissionKind.FOLLOW, self._track))
         self._source = source
-        self._make_way = make_way
         self._face_target = face_target
         self._allow_far = allow_far
         self._feeding: asyncio.Task[None] | None = None
@@ -483,7 +468,7 @@ class FollowFlight(MissionFlight):
         check_way(
             self._deck.commander.state, "the follow mission", place, allow_far=self._allow_far
         )
-        await self._make_way("the follow mission")
+        await self._deck.make_way("the follow mission")
         self._track.target = first
         request = FollowStart(*_on_wire(first), yaw_mode=int(self._face_target))
         await self._run.start(request, int)

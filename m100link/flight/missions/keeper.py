@@ -21,14 +21,13 @@ from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.context import Deck
 from m100link.flight.missions.events import (
     ORDERS,
-    PAUSED_CODES,
-    RESUMED_CODES,
     STOPPED_CODES,
     MissionEvent,
+    Ordered,
     RunState,
     mission_refused,
 )
-from m100link.flight.missions.run import MissionRun
+from m100link.flight.missions.run import MissionRun, order
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Command
 from m100link.protocol.records import FlightPhase, FlightStatus
@@ -173,7 +172,7 @@ class MissionKeeper:
             self._run = None
         return stopped
 
-    async def order_any(self, what: str) -> MissionKind:
+    async def order_any(self, what: Ordered) -> MissionKind:
         """Pause or resume what flies, which the pushes have to tell.
 
         Raises ``UsageError``: nothing flies, as far as anybody knows. Raises ``MissionRefused``:
@@ -181,7 +180,7 @@ class MissionKeeper:
         """
         run, kind = self._run, self._flying_kind
         if run is not None and run.is_in_the_air:
-            await (run.pause() if what == "pause" else run.resume())
+            await run.order(what)
             return run.kind
         if kind is None:
             raise UsageError(
@@ -189,14 +188,7 @@ class MissionKeeper:
                 cause="none does, or the box 'Ground Station Status' is not ticked in the PC "
                 "assistant",
             )
-        orders = ORDERS[kind]
-        is_pause = what == "pause"
-        request = orders.pause if is_pause else orders.resume
-        code = await self._commander.requests.execute(
-            request, timeout=0.5, tries=3, refusal=MissionRefused
-        )
-        if code not in (PAUSED_CODES if is_pause else RESUMED_CODES):
-            raise mission_refused(f"the {what} of the {kind.value}", code)
+        await order(self._commander, kind, what)
         return kind
 
     def detach_any(self) -> MissionKind:
@@ -404,11 +396,11 @@ class MissionFlight(ABC):
             AckTimeout: Nobody knows whether it hovers.
             UsageError: It is over.
         """
-        await self._run.pause()
+        await self._run.order("pause")
 
     async def resume(self) -> None:
         """Go on where it was paused. Raises as :meth:`pause`."""
-        await self._run.resume()
+        await self._run.order("resumption")
 
     async def stop(self) -> None:
         """Stop it for good: the aircraft hovers and forgets the mission.

@@ -28,13 +28,10 @@ class Missions:
         self,
         deck: Deck,  # what they stand on
         keeper: MissionKeeper,  # one at a time
-        *,
-        make_way: Callable[[str], Awaitable[None]],  # lets nothing else steer
         take_off: Callable[[], Awaitable[None]],  # the task of the control block
     ) -> None:
         self._deck = deck
         self._keeper = keeper
-        self._make_way = make_way
         self._take_off = take_off
 
     def waypoint_mission(
@@ -85,7 +82,6 @@ class Missions:
             self._deck,
             self._keeper,
             plan,
-            make_way=self._make_way,
             take_off=self._take_off if take_off else None,
             allow_far=allow_far,
             progress=progress,
@@ -146,9 +142,7 @@ class Missions:
             start_point=int(start),
             yaw_mode=int(heading),
         )
-        return HotpointFlight(
-            self._deck, self._keeper, request, make_way=self._make_way, allow_far=allow_far
-        )
+        return HotpointFlight(self._deck, self._keeper, request, allow_far=allow_far)
 
     def follow_target(
         self, source: TargetSource, *, face_target: bool = True, allow_far: bool = False
@@ -178,12 +172,7 @@ class Missions:
             TelemetryStalled, AckTimeout, MissionAborted: See :meth:`waypoint_mission`.
         """
         return FollowFlight(
-            self._deck,
-            self._keeper,
-            source,
-            make_way=self._make_way,
-            face_target=face_target,
-            allow_far=allow_far,
+            self._deck, self._keeper, source, face_target=face_target, allow_far=allow_far
         )
 
     async def stop_mission(self) -> MissionKind:

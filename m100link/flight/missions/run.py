@@ -24,17 +24,17 @@ from m100link.flight.lifecycle import StopCause
 from m100link.flight.mission_state import DENIED_S, MissionKind
 from m100link.flight.missions.context import Deck, Over, Track
 from m100link.flight.missions.events import (
+    DONE_CODES,
     IN_THE_AIR,
     ORDERS,
     OWES_A_STOP,
-    PAUSED_CODES,
-    RESUMED_CODES,
     STOPPED_CODES,
     TRANSITIONS,
     Aborted,
     Events,
     Finished,
     MissionEvent,
+    Ordered,
     Paused,
     Resumed,
     RunInput,
@@ -142,6 +142,17 @@ _POLL_S = 1.0
 _HANDOVER_S = 0.5  # in which the notification of a lost authority follows the push
 
 
+async def order(commander: Commander, kind: MissionKind, what: Ordered) -> None:
+    """Have the mission that flies hover, or go on.
+
+    Raises ``MissionRefused, AckTimeout``: see each class.
+    """
+    request: Request[MissionCode] = getattr(ORDERS[kind], what)
+    code = await commander.requests.execute(request, timeout=0.5, tries=3, refusal=MissionRefused)
+    if code not in DONE_CODES[what]:
+        raise mission_refused(f"the {what} of the {kind.value}", code)
+
+
 AUTHORITY_CODES = frozenset(
     {MissionCode.RC_NOT_IN_F, MissionCode.AUTHORITY_NEEDED, MissionCode.IOC_ON}
 )
@@ -212,7 +223,7 @@ class MissionRun:
 
     def listen(self) -> None:
         """Take the pushes from here on."""
-        self._deck.watch.listener = self._on_push
+        self._deck.commander.missions.listener = self._on_push
 
     async def start(self, request: Request[Any], code_of: Callable[[Any], int]) -> Any:
         """Send what lets it fly, and return the answer.
@@ -251,30 +262,16 @@ class MissionRun:
 
     # -- orders ----------------------------------------------------------------------------------
 
-    async def pause(self) -> None:
-        """Hover until :meth:`resume`.
+    async def order(self, what: Ordered) -> None:
+        """Hover, or go on.
 
         Raises ``MissionRefused, MissionAborted, AckTimeout, UsageError``: see the public methods.
         """
-        await self._order("pause", self._orders.pause, PAUSED_CODES)
-        if self.feed(RunInput.PAUSED):
-            self.events.add(Paused())
-
-    async def resume(self) -> None:
-        """Go on. Raises as :meth:`pause`."""
-        await self._order("resumption", self._orders.resume, RESUMED_CODES)
-        if self.feed(RunInput.RESUMED):
-            self.events.add(Resumed())
-
-    async def _order(
-        self, what: str, request: Request[MissionCode], done: frozenset[MissionCode]
-    ) -> None:
         self.require_in_the_air(f"its {what}")
-        requests = self._deck.commander.requests
         with self._deck.block.waiting(self.name):
-            code = await requests.execute(request, timeout=0.5, tries=3, refusal=MissionRefused)
-        if code not in done:
-            raise mission_refused(f"the {what} of the {self.name}", code)
+            await order(self._deck.commander, self.kind, what)
+        if self.feed(RunInput.PAUSED if what == "pause" else RunInput.RESUMED):
+            self.events.add(Paused() if what == "pause" else Resumed())
 
     def require_in_the_air(self, what: str) -> None:
         """Raise unless it flies.
@@ -433,7 +430,7 @@ class MissionRun:
         if self.state is RunState.READY and not isinstance(getattr(push, "event", None), Uploaded):
             return  # of a mission before
         self._apply(self._track.take(push))
-        if self._deck.watch.state.kind is self.kind:
+        if self._deck.commander.missions.state.kind is self.kind:
             self._pushed_at, self._is_pushed = self._clock(), True
 
     def _apply(self, news: Sequence[MissionEvent | Over]) -> None:
@@ -494,8 +491,9 @@ class MissionRun:
 
     def _let_go(self) -> None:
         """Watch it no more."""
-        if self._deck.watch.listener == self._on_push:
-            self._deck.watch.listener = None
+        watch = self._deck.commander.missions
+        if watch.listener == self._on_push:
+            watch.listener = None
         if self._watching is not None and self._watching is not asyncio.current_task():
             self._watching.cancel()
 

@@ -69,7 +69,6 @@ class WaypointFlight(MissionFlight):
         keeper: MissionKeeper,
         plan: WaypointPlan,
         *,
-        make_way: Callable[[str], Awaitable[None]],
         take_off: Callable[[], Awaitable[None]] | None,
         allow_far: bool,
         progress: UploadListener | None,
@@ -82,7 +81,6 @@ class WaypointFlight(MissionFlight):
             flies_without_rc=plan.on_rc_loss is OnRCLoss.CONTINUE,
         )
         super().__init__(deck, keeper, run)
-        self._make_way = make_way
         self._take_off = take_off
         self._allow_far = allow_far
         self._progress = progress
@@ -101,7 +99,7 @@ class WaypointFlight(MissionFlight):
         await self._upload()
         if is_on_ground and self._take_off is not None:
             await self._take_off()
-        await self._make_way(f"the {self._run.name}")
+        await self._deck.make_way(f"the {self._run.name}")
         await self._run.start(WaypointStartStop(stop=0), int)
 
     async def _upload(self) -> None:
