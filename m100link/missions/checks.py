@@ -12,21 +12,19 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from m100link.errors import BadPlan, UsageError
 from m100link.geodesy import bearing_deg, distance_m, normalize_degrees
 from m100link.missions.waypoint import (
+    ACTIONS,
     CHOICES,
     AtEnd,
     GimbalPitch,
     Heading,
     OnRCLoss,
     PlanValues,
-    StartVideo,
     Stay,
-    StopVideo,
-    TakePhoto,
     Trace,
     TurnTo,
     Waypoint,
@@ -68,14 +66,7 @@ _TIME_LIMIT = _Range(0, 999, "s", ", or None")
 _ACTION_REPEAT = _Range(0, MOST_REPEATS, "")
 _MAX_SPEED = _Range(2, FASTEST_M_S, "m/s")
 _REPEAT = _Range(1, 2, "")
-_PARAMETERS: dict[type, tuple[str, _Range] | None] = {
-    Stay: ("seconds", _Range(0, 32.767, "s")),
-    TakePhoto: None,
-    StartVideo: None,
-    StopVideo: None,
-    TurnTo: ("heading_deg", _HEADING),
-    GimbalPitch: ("pitch_deg", _PITCH),
-}
+_PARAMETERS = {Stay: _Range(0, 32.767, "s"), TurnTo: _HEADING, GimbalPitch: _PITCH}
 
 
 def problems(plan: PlanValues) -> Iterator[BadPlan]:
@@ -229,8 +220,9 @@ def _problems_of_actions(index: int, waypoint: Waypoint, trace: Trace) -> Iterat
 
 
 def _problems_of_action(index: int, field: str, action: object) -> Iterator[BadPlan]:
-    if type(action) not in _PARAMETERS:
-        made = action.__name__ if isinstance(action, type) and action in _PARAMETERS else ""
+    kind: Any = type(action)
+    if kind not in ACTIONS.values():
+        made = action.__name__ if isinstance(action, type) and action in ACTIONS.values() else ""
         yield BadPlan(
             f"waypoint {index}: {field} is {f'the class {made}' if made else _shown(action)}",
             point=index,
@@ -241,18 +233,18 @@ def _problems_of_action(index: int, field: str, action: object) -> Iterator[BadP
             else "one of Stay, TakePhoto, StartVideo, StopVideo, TurnTo, GimbalPitch",
         )
         return
-    parameter = _PARAMETERS[type(action)]
-    if parameter is not None:
-        name, limits = parameter
-        yield from _outside(getattr(action, name), limits, f"{field}.{name}", index)
+    for name in kind.__match_args__:
+        yield from _outside(getattr(action, name), _PARAMETERS[kind], f"{field}.{name}", index)
+
+
+def leg_length(here: Waypoint, there: Waypoint) -> float:
+    """Metres from a point to another, climbs included: along the ellipsoid and up."""
+    return math.hypot(distance_m(*_place(here), *_place(there)), there.height - here.height)
 
 
 def leg_lengths(waypoints: Sequence[Waypoint]) -> list[float]:
-    """Metres from each point to the next, climbs included: along the ellipsoid and up."""
-    return [
-        math.hypot(distance_m(*_place(here), *_place(there)), there.height - here.height)
-        for here, there in pairwise(waypoints)
-    ]
+    """Metres from each point to the next."""
+    return [leg_length(here, there) for here, there in pairwise(waypoints)]
 
 
 def _problems_of_way(plan: PlanValues) -> Iterator[BadPlan]:
@@ -385,10 +377,9 @@ def _run(plan: PlanValues) -> tuple[float, float]:
         return sum(lengths), seconds + _stop(plan)
     headings = _headings(plan)
     seconds += _stop(plan) * len(lengths)
-    seconds += sum(
-        min(acting, _limit(point))
-        for point, acting in zip(points, seconds_of_actions(plan), strict=True)
-    )
+    for point, acting in zip(points, seconds_of_actions(plan), strict=True):
+        limit = point.action_time_limit
+        seconds += acting if limit is None else min(acting, limit)
     return sum(lengths), seconds + _turns(plan, headings)
 
 
@@ -450,10 +441,6 @@ def seconds_of_actions(plan: PlanValues) -> list[float]:
     return found
 
 
-def _limit(point: Waypoint) -> float:
-    return math.inf if point.action_time_limit is None else point.action_time_limit
-
-
 def _place(point: Waypoint) -> tuple[float, float]:
     return point.latitude_deg, point.longitude_deg
 
@@ -464,9 +451,9 @@ def _back_to_first(plan: PlanValues, times: int) -> tuple[float, float]:
     if not times:
         return 0.0, 0.0
     first, last = plan.waypoints[0], plan.waypoints[-1]
-    climb = last.height - first.height
-    length = math.hypot(distance_m(*_place(last), *_place(first)), climb)
-    return times * length, times * (_seconds(length, climb, plan.speed) + _stop(plan))
+    length = leg_length(last, first)
+    seconds = _seconds(length, last.height - first.height, plan.speed)
+    return times * length, times * (seconds + _stop(plan))
 
 
 def _around(plan: PlanValues, home: tuple[float, float] | None) -> tuple[float, float]:

@@ -18,14 +18,9 @@ from typing import Any
 from m100link.errors import BadPlan
 from m100link.errors.texts import read_json
 from m100link.missions.waypoint import (
+    ACTIONS,
     CHOICES,
-    GimbalPitch,
     PlanValues,
-    StartVideo,
-    Stay,
-    StopVideo,
-    TakePhoto,
-    TurnTo,
     Waypoint,
     WaypointAction,
 )
@@ -38,16 +33,9 @@ _POINT_FIELDS = tuple(field.name for field in fields(Waypoint) if field.name != 
 _NEEDED = ("latitude_deg", "longitude_deg", "height")
 
 # Actions that are a word, and actions that are an object with one number.
-_WORDS: dict[str, Callable[[], WaypointAction]] = {
-    "take_photo": TakePhoto,
-    "start_video": StartVideo,
-    "stop_video": StopVideo,
-}
-_NUMBERED: dict[str, Callable[[Any], WaypointAction]] = {
-    "stay": Stay,
-    "turn_to": TurnTo,
-    "gimbal_pitch": GimbalPitch,
-}
+_Made = Callable[..., WaypointAction]
+_WORDS: dict[str, _Made] = {name: kind for name, kind in ACTIONS.items() if not kind.__match_args__}
+_NUMBERED: dict[str, _Made] = {name: kind for name, kind in ACTIONS.items() if kind.__match_args__}
 
 
 def to_json(plan: PlanValues) -> str:
@@ -85,12 +73,10 @@ def _point_values(point: Waypoint) -> dict[str, Any]:
 
 
 def _action_value(action: WaypointAction) -> Any:
-    match action:
-        case Stay(number) | TurnTo(number) | GimbalPitch(number):
-            name = next(name for name, kind in _NUMBERED.items() if kind is type(action))
-            return {name: number}
-        case _:
-            return next(name for name, kind in _WORDS.items() if kind is type(action))
+    name = next(name for name, kind in ACTIONS.items() if kind is type(action))
+    for parameter in ACTIONS[name].__match_args__:
+        return {name: getattr(action, parameter)}
+    return name
 
 
 def load_object(text: str | bytes) -> dict[str, Any]:

@@ -27,8 +27,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from m100link.errors import BadPlan
-from m100link.geodesy import distance_m, normalize_degrees
-from m100link.missions.checks import MOST_POINTS, NEAREST_M
+from m100link.geodesy import normalize_degrees
+from m100link.missions.checks import MOST_POINTS, NEAREST_M, leg_length
 from m100link.missions.document import FILE_TYPE, FORMAT, VERSION, from_json, values_of
 from m100link.missions.waypoint import (
     AtEnd,
@@ -350,10 +350,7 @@ class _Builder:
         """Waypoints on the way, a photograph at each; those nearest to its ends are taken there."""
         assert self.spacing is not None
         here, begin = self.points[-1], self.spacing - self.since_photo
-        across = distance_m(
-            here.latitude_deg, here.longitude_deg, there.latitude_deg, there.longitude_deg
-        )
-        length = math.hypot(across, there.height - here.height)
+        length = leg_length(here, there)
         # One that falls behind the end by a hair is taken there.
         count = max(0, math.floor((length + NEAREST_M / 2 - begin) / self.spacing) + 1)
         if count > MOST_POINTS:
@@ -408,10 +405,7 @@ class _Builder:
 
 
 def _is_there(one: Waypoint, other: Waypoint) -> bool:
-    across = distance_m(
-        one.latitude_deg, one.longitude_deg, other.latitude_deg, other.longitude_deg
-    )
-    return math.hypot(across, one.height - other.height) < NEAREST_M
+    return leg_length(one, other) < NEAREST_M
 
 
 def _between(here: Waypoint, there: Waypoint, part: float) -> Waypoint:
@@ -543,14 +537,6 @@ def _by_distance(builder: _Builder, item: Item) -> None:
         builder.do(TakePhoto())
 
 
-def _start_video(builder: _Builder, _: Item) -> None:
-    builder.do(StartVideo())
-
-
-def _stop_video(builder: _Builder, _: Item) -> None:
-    builder.do(StopVideo())
-
-
 def _mount(builder: _Builder, item: Item) -> None:
     pitch, roll, yaw, *_, mode = item.parameters
     _zero(item, roll=roll, yaw=yaw)
@@ -582,8 +568,8 @@ _READERS: dict[int, Callable[[_Builder, Item], None]] = {
     206: _by_distance,
     1000: _gimbal,
     2000: _image,
-    2500: _start_video,
-    2501: _stop_video,
+    2500: lambda builder, _: builder.do(StartVideo()),
+    2501: lambda builder, _: builder.do(StopVideo()),
 }
 
 

@@ -190,6 +190,18 @@ class GimbalPitch(WaypointAction):
         object.__setattr__(self, "pitch_deg", as_rounded(self.pitch_deg))
 
 
+ACTIONS: dict[str, type[Any]] = {
+    "stay": Stay,
+    "take_photo": TakePhoto,
+    "start_video": StartVideo,
+    "stop_video": StopVideo,
+    "turn_to": TurnTo,
+    "gimbal_pitch": GimbalPitch,
+}
+"""By their names in files, in the order of their numbers on the wire. Those that have a parameter
+have one, of which ``__match_args__`` is the name."""
+
+
 @dataclass(frozen=True, slots=True)
 class Waypoint:
     """A place that the aircraft flies to, and what it does there.

@@ -12,15 +12,13 @@ from typing import Any
 
 from m100link.errors import BadPlan
 from m100link.missions.waypoint import (
+    ACTIONS,
     AtEnd,
     GimbalPitch,
     Heading,
     OnRCLoss,
     PlanValues,
-    StartVideo,
     Stay,
-    StopVideo,
-    TakePhoto,
     Trace,
     TurnTo,
     Waypoint,
@@ -33,15 +31,7 @@ _SLOTS = 16  # places for actions in a point; 15 of them are used
 _NO_TIME_LIMIT = 0xFFFF  # what DJI's programs send for none
 _ROS_DEMO_YAW_MODE = 4  # DJI's ROS demo sends it; taken as 0
 
-_ACTIONS: tuple[type[WaypointAction], ...] = (
-    Stay,
-    TakePhoto,
-    StartVideo,
-    StopVideo,
-    TurnTo,
-    GimbalPitch,
-)
-"""By their numbers on the wire."""
+_ACTIONS = tuple(ACTIONS.values())  # by their numbers on the wire
 
 
 def _action_to_wire(action: WaypointAction) -> tuple[int, int]:
@@ -62,7 +52,7 @@ def _action_from_wire(number: int, parameter: int) -> Any:
     kind = _ACTIONS[number]
     if kind is Stay:
         return Stay(parameter / 1000)
-    return kind(parameter) if kind in (TurnTo, GimbalPitch) else kind()
+    return kind(parameter) if kind.__match_args__ else kind()
 
 
 def to_wire(plan: PlanValues) -> tuple[WaypointMission, tuple[WaypointPoint, ...]]:
