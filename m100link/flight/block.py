@@ -499,11 +499,9 @@ class Steering:
             return False
         if self.block.state is BlockState.STOPPING:
             return True  # the neutral
-        return self.block.admits() and self._guards_admit(setpoint)
-
-    def _guards_admit(self, setpoint: Setpoint) -> bool:
-        """Ask again: a setpoint may live longer than what it was checked against."""
-        try:
+        if not self.block.admits():
+            return False
+        try:  # again: a setpoint may live longer than what it was checked against
             self._guards.check(setpoint)
         except GuardRefused as error:
             self.block.hurry()

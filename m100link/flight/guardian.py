@@ -88,13 +88,10 @@ class _Orders:
         self._requests = commander.requests
         self._sequence = count(first_sequence)
 
-    def frame(self, request: Request[Any]) -> bytes:
-        sequence = next(self._sequence) & 0xFFFF
-        return self._requests.prepared(request, session=_SESSION, sequence=sequence)
-
     def steps(self, request: Request[Any], gap_ms: int) -> Iterator[Step]:
         """One order: a pause, then the same bytes a few times."""
-        frame = self.frame(request)
+        sequence = next(self._sequence) & 0xFFFF
+        frame = self._requests.prepared(request, session=_SESSION, sequence=sequence)
         yield Step(frame, gap_ms)
         yield Step(frame, _REPEAT_GAP_MS, _REPEATS - 1)
 

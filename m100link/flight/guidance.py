@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from m100link.errors import NotObserved, TelemetryStalled, UsageError
 from m100link.flight.guards import known
 from m100link.flight.pacing import Ticker
-from m100link.flight.tasks import describe_situation
-from m100link.protocol.records import Attitude, FlightPhase, FlightStatus, Position, Velocity
+from m100link.flight.tasks import describe_situation, is_on_ground
+from m100link.protocol.records import Attitude, Position, Velocity
 from m100link.protocol.setpoint import Setpoint
 
 if TYPE_CHECKING:
@@ -102,18 +102,12 @@ def heading_of(state: AircraftState) -> float:
     return attitude.yaw_deg
 
 
-def _is_on_ground(state: AircraftState) -> bool:
-    """Whether the newest status says so; while nobody knows, it does not."""
-    status = known(state, FlightStatus)
-    return status is not None and status.status == FlightPhase.STANDBY
-
-
 def require_in_the_air(state: AircraftState, name: str) -> None:
     """Whether setpoints mean anything.
 
     Raises ``UsageError``: the aircraft stands on the ground.
     """
-    if _is_on_ground(state):
+    if is_on_ground(state):
         raise UsageError(
             f"{name} was asked for on the ground ({describe_situation(state.situation())})",
             cause="on the ground the aircraft ignores setpoints",
@@ -241,7 +235,7 @@ class Guidance:
                     progress(found)
                 if settling.update(is_within(found)):
                     break
-                if self._is_interrupted or elapsed > timeout or _is_on_ground(self._state):
+                if self._is_interrupted or elapsed > timeout or is_on_ground(self._state):
                     raise self._not_arrived(name, timeout, found)
                 self._steer(setpoint)
         finally:
@@ -251,9 +245,8 @@ class Guidance:
 
     def _not_arrived(self, name: str, timeout: float, found: GuidanceProgress) -> NotObserved:
         situation = self._state.situation()
-        is_on_ground = _is_on_ground(self._state)
         end, cause = "was stopped", "stop() was called while it flew"
-        if is_on_ground:
+        if is_on_ground(self._state):
             end = "ended on the ground"
             cause = "the aircraft landed: by the pilot, a low battery, or a height near 0"
         elif not self._is_interrupted:

@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import ClassVar
 
 from m100link.errors import UsageError
 
@@ -50,6 +51,7 @@ class _Leg:
     ahead: tuple[float, float]  # direction, of length 1
     length: float  # m
     begins_at: float  # length of the path before it, m
+    curvature: ClassVar[float] = 0.0  # of the velocity, 1/m, positive to the right
 
     def locate(self, place: tuple[float, float]) -> tuple[float, float, tuple[float, float]]:
         """How far along it a place is, how far to its right, and the direction there."""
@@ -57,11 +59,6 @@ class _Leg:
         along = north * self.ahead[0] + east * self.ahead[1]
         right = east * self.ahead[0] - north * self.ahead[1]
         return along, right, self.ahead
-
-    @property
-    def curvature(self) -> float:
-        """Of the velocity, 1/m, positive to the right."""
-        return 0.0
 
 
 @dataclass(frozen=True, slots=True)

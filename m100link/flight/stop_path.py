@@ -223,11 +223,11 @@ class StopPath:
         if not self._is_armed or not self._has_authority or not self._life.plan.neutral:
             return
         deadline = self._clock() + 2 * _LEAVES_THE_GROUND_S
-        while is_on_ground(self._commander) and self._may_be_airborne():
+        while is_on_ground(self._commander.state) and self._may_be_airborne():
             if self._clock() >= deadline:
                 break
             await asyncio.sleep(_STATUS_POLL_S)
-        if not await self._stands() or not is_on_ground(self._commander):
+        if not await self._stands() or not is_on_ground(self._commander.state):
             return  # in the air nothing of the kind is ever sent
         try:
             await switch_motors(self._commander, on=False)

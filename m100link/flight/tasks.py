@@ -154,16 +154,7 @@ async def _begin(commander: Commander, task: Task) -> int:
     flown = await _flown_of(commander, task, numbers)
     if flown is not None:
         return flown
-    situation = commander.state.situation()
-    raise TaskRefused(
-        f"{task_name(task)} was refused: {code.meaning} (code 0x{code:04X}; "
-        f"{describe_situation(situation)})",
-        command=task_name(task),
-        code=int(code),
-        situation=situation,
-        cause=code.cause,
-        remedy=code.remedy,
-    )
+    raise _refused(task_name(task), commander, code, f"0x{code:04X}")
 
 
 async def _flown_of(commander: Commander, task: Task, numbers: tuple[int, ...]) -> int | None:
@@ -275,9 +266,8 @@ class _Watch:
 
         What is old shows nothing: an item that stopped on the ground still says "standby".
         """
-        status = known(self._state, FlightStatus)
         if self._task is not Task.TAKE_OFF:
-            return status is not None and status.status == FlightPhase.STANDBY
+            return is_on_ground(self._state) is True
         if not self._hovers():
             self._observed_since = None
             return False
@@ -384,9 +374,9 @@ class SettingsPace:
 # -- starting and stopping the motors on the ground, without taking off (firmware 3.1) -------------
 
 
-def is_on_ground(commander: Commander) -> bool | None:
-    """Whether the flight status says so; None when nobody knows."""
-    status = known(commander.state, FlightStatus)
+def is_on_ground(state: AircraftState) -> bool | None:
+    """Whether the newest flight status says so; None when nobody knows."""
+    status = known(state, FlightStatus)
     return None if status is None else status.status == FlightPhase.STANDBY
 
 
@@ -398,13 +388,16 @@ async def switch_motors(commander: Commander, *, on: bool) -> None:
     """
     code = await commander.requests.execute(Arm(on), timeout=0.2, tries=3, refusal=TaskRefused)
     if code not in (ArmCode.DONE, ArmCode.ALREADY):
-        raise _refused("arm" if on else "disarm", commander, code, code.meaning)
+        raise _refused("arm" if on else "disarm", commander, code, str(int(code)))
 
 
-def _refused(what: str, commander: Commander, code: ArmCode, seen: str) -> TaskRefused:
+def _refused(
+    what: str, commander: Commander, code: ArmCode | TaskStartCode, number: str, seen: str = ""
+) -> TaskRefused:
     situation = commander.state.situation()
     return TaskRefused(
-        f"{what} was refused: {seen} (code {int(code)}; {describe_situation(situation)})",
+        f"{what} was refused: {seen or code.meaning} (code {number}; "
+        f"{describe_situation(situation)})",
         command=what,
         code=int(code),
         situation=situation,
@@ -464,7 +457,7 @@ class Motors:
             AckTimeout: Nobody knows whether they stand.
         """
         self._make_way("disarm")
-        on_ground = is_on_ground(self._commander)
+        on_ground = is_on_ground(self._commander.state)
         if on_ground is None:
             raise TelemetryStalled(
                 "disarm was not sent: nobody knows whether the aircraft is on the ground",
@@ -472,8 +465,7 @@ class Motors:
                 remedy="set_telemetry_rates(flight_status=10), or in the PC assistant",
             )
         if not on_ground:
-            raise _refused(
-                "disarm", self._commander, ArmCode.IN_THE_AIR, "the aircraft is in the air"
-            )
+            code, seen = ArmCode.IN_THE_AIR, "the aircraft is in the air"
+            raise _refused("disarm", self._commander, code, str(int(code)), seen)
         await switch_motors(self._commander, on=False)
         self._on_armed(False)

@@ -390,7 +390,7 @@ class VirtualRc:
         self._require_flying()
         await self._guards.admit_take_off()
         self._require_flying()
-        if not is_on_ground(self._commander):
+        if not is_on_ground(self._commander.state):
             raise TaskRefused(
                 "the motors were not toggled: the aircraft is not known to be on the ground",
                 command="toggle_motors",
@@ -399,7 +399,7 @@ class VirtualRc:
             )
         end_at = self._clock() + _GESTURE_S
         try:
-            while self._clock() < end_at and is_on_ground(self._commander):
+            while self._clock() < end_at and is_on_ground(self._commander.state):
                 self._require_flying()
                 self._sticks = GESTURE
                 self._renewed_at = self._clock()

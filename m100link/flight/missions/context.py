@@ -20,7 +20,7 @@ from m100link.flight.missions.events import (
     MissionProgress,
     Reached,
 )
-from m100link.flight.tasks import describe_situation
+from m100link.flight.tasks import describe_situation, is_on_ground
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import AtEnd, WaypointPlan
 from m100link.protocol.codes import MissionCode
@@ -28,7 +28,7 @@ from m100link.protocol.command import Request
 from m100link.protocol.commands import missions as wire
 from m100link.protocol.commands.missions import MissionStatus, WaypointEvent
 from m100link.protocol.commands.waypoint import WaypointDownloadMission, WaypointMissionAnswer
-from m100link.protocol.records import Battery, FlightPhase, FlightStatus, Position
+from m100link.protocol.records import Battery, Position
 
 if TYPE_CHECKING:
     from m100link.flight.guards import Envelope, GuardKeeper
@@ -115,21 +115,20 @@ async def require_airborne(deck: Deck, what: str, *, may_take_off: bool = False)
     """
     await deck.guards.admit_mission(what)
     state = deck.commander.state
-    status = known(state, FlightStatus)
-    if status is None:
+    on_ground = is_on_ground(state)
+    if on_ground is None:
         raise TelemetryStalled(
             f"{what} was asked for, and the flight status does not arrive",
             cause="the item is not sent, or the line is broken",
             remedy="set the item to 1 Hz or more in the PC assistant",
         )
-    is_on_ground = status.status == FlightPhase.STANDBY
-    if is_on_ground and not may_take_off:
+    if on_ground and not may_take_off:
         raise UsageError(
             f"{what} was asked for on the ground ({describe_situation(state.situation())})",
             cause="the aircraft may take off by itself when a mission starts",
             remedy="await control.take_off() first; a waypoint mission takes take_off=True",
         )
-    return is_on_ground
+    return on_ground
 
 
 def check_envelope(envelope: Envelope, plan: WaypointPlan) -> None:

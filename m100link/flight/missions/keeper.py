@@ -79,11 +79,15 @@ class MissionKeeper:
             self._run = None
 
     @property
+    def _ours(self) -> MissionRun | None:
+        """The mission that flies, if it is one that this block answers for."""
+        return self._run if self._run is not None and self._run.is_in_the_air else None
+
+    @property
     def flying(self) -> str:
         """The name of the mission that flies the aircraft, ours or another's; empty: none does."""
-        run = self._run
-        if run is not None and run.is_in_the_air:
-            return run.name
+        if (ours := self._ours) is not None:
+            return ours.name
         kind = self._flying_kind
         return kind.value if kind is not None else ""
 
@@ -98,11 +102,6 @@ class MissionKeeper:
         kind = self._flying_kind
         return None if kind is None else self._watch.told_since(kind)
 
-    @property
-    def is_ours(self) -> bool:
-        """Whether the mission that flies is one that this block answers for."""
-        return self._run is not None and self._run.is_in_the_air
-
     def require_none(self, what: str, *, is_landing: bool = False) -> None:
         """Raise while a mission flies: the aircraft would ignore what is asked for (facts M8).
 
@@ -112,7 +111,7 @@ class MissionKeeper:
         name = self.flying
         if not name or (is_landing and self._is_told_to_stop):
             return
-        if self.is_ours:
+        if self._ours is not None:
             raise MissionRunning(
                 f"{what} was asked for while a {name} flies the aircraft; nothing was sent",
                 cause="the aircraft ignores everything else until the mission is over or stopped",
@@ -139,19 +138,18 @@ class MissionKeeper:
     @property
     def _is_told_to_stop(self) -> bool:
         """Whether what flies is what this block told to stop, in vain."""
-        run, since = self._run, self._flying_since
-        if run is not None and run.is_in_the_air:
-            return run.state is RunState.UNSTOPPED
+        if (ours := self._ours) is not None:
+            return ours.state is RunState.UNSTOPPED
+        since = self._flying_since
         return since is not None and since < self._stop_asked_at + _GOES_ON_S
 
     # -- orders to what flies, whoever started it ------------------------------------------------
 
     async def stop_any(self) -> MissionKind:
         """Stop what flies. See :meth:`m100link.Control.stop_mission`."""
-        if self._run is not None and self._run.is_in_the_air:
-            kind = self._run.kind
-            await self._run.stop()
-            return kind
+        if (ours := self._ours) is not None:
+            await ours.stop()
+            return ours.kind
         self._stop_asked_at = self._commander.link.loop.time()
         kinds = list(self._watch.flying or ORDERS)
         if self._run is not None and self._run.flies_all_the_same:
@@ -178,11 +176,10 @@ class MissionKeeper:
         Raises ``UsageError``: nothing flies, as far as anybody knows. Raises ``MissionRefused``:
         see each class.
         """
-        run, kind = self._run, self._flying_kind
-        if run is not None and run.is_in_the_air:
-            await run.order(what)
-            return run.kind
-        if kind is None:
+        if (ours := self._ours) is not None:
+            await ours.order(what)
+            return ours.kind
+        if (kind := self._flying_kind) is None:
             raise UsageError(
                 f"a {what} was asked for, and no mission flies as far as the aircraft tells",
                 cause="none does, or the box 'Ground Station Status' is not ticked in the PC "
@@ -196,11 +193,10 @@ class MissionKeeper:
 
         Raises ``UsageError``: nothing flies, as far as anybody knows.
         """
-        run, kind = self._run, self._flying_kind
-        if run is not None and run.is_in_the_air:
-            run.detach()
-            return run.kind
-        if kind is None:
+        if (ours := self._ours) is not None:
+            ours.detach()
+            return ours.kind
+        if (kind := self._flying_kind) is None:
             raise UsageError("there is no mission that could be detached")
         self._detached = kind
         _logger.warning("%s left in flight: authority is not given back", kind.value)
@@ -249,8 +245,8 @@ class MissionKeeper:
 
     def ended_elsewhere(self, failure: M100Error | None) -> None:
         """Somebody else has told our mission to stop: nobody waits for it here any more."""
-        if self._run is not None and self._run.is_in_the_air:
-            self._run.give_up(failure)
+        if (ours := self._ours) is not None:
+            ours.give_up(failure)
 
     async def settled(self) -> None:
         """Wait until pushes do not contradict each other any more, where they do."""
@@ -323,11 +319,10 @@ class MissionKeeper:
 
     def give_up(self, failure: M100Error | None, why: str) -> None:
         """What flies is left in flight."""
-        run = self._run
-        if run is not None and run.is_in_the_air and not self.left_in_flight:
-            self.left_in_flight = run.name
-            run.give_up(failure)
-            _logger.error("the %s flies on by itself: %s", run.name, why)
+        if (ours := self._ours) is not None and not self.left_in_flight:
+            self.left_in_flight = ours.name
+            ours.give_up(failure)
+            _logger.error("the %s flies on by itself: %s", ours.name, why)
 
 
 # -- what every mission is for the program that flies it: a block, events, orders ------------------
