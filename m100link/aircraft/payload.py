@@ -135,10 +135,7 @@ class AircraftGimbal:
         await self._reach(angles, sent_at, seconds + _MARGIN_S if timeout is None else timeout)
 
     async def _angles(self) -> dict[str, float]:
-        """The present angles, in degrees by axis; up to 1.5 s for the item to come.
-
-        Raises ``TelemetryStalled``: it does not.
-        """
+        """The present angles, ° by axis; ``TelemetryStalled`` when none comes for 1.5 s."""
         state = self._telemetry.state
 
         def is_there(_: object) -> bool:
@@ -160,10 +157,7 @@ class AircraftGimbal:
         return _by_axis(seen)
 
     async def _reach(self, angles: dict[str, float], sent_at: float, timeout: float) -> None:
-        """Wait until telemetry shows these angles.
-
-        Raises ``NotObserved``: it does not.
-        """
+        """Wait until telemetry shows these angles, or raise ``NotObserved``."""
         state = self._telemetry.state
         if angles.get("pitch", 0.0) < _STRAIGHT_DOWN_DEG:
             angles = {"pitch": angles["pitch"]}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from m100link.errors import CommandRefused, NotObserved, UsageError
 from m100link.protocol.commands.activation import RATES_HZ, SetTelemetryRates
@@ -57,7 +57,7 @@ def rates_by_item(rates_hz: Mapping[str, int]) -> dict[str, tuple[Item, int]]:
         if item is None:
             raise UsageError(
                 f"no telemetry item is called {name!r}",
-                remedy=f"items: {', '.join(dict.fromkeys(map(snake, _records())))}",
+                remedy=f"items: {', '.join(dict.fromkeys(snake(item.record) for item in ITEMS))}",
             )
         if item in (other for other, _ in found.values()):
             raise UsageError(f"two rates were given for one item: {name} is {item.name}")
@@ -70,17 +70,10 @@ def rates_by_item(rates_hz: Mapping[str, int]) -> dict[str, tuple[Item, int]]:
     return found
 
 
-def _records() -> list[type[Any]]:
-    return [item.record for item in ITEMS]
-
-
 async def _observe(
     state: AircraftState, wanted: Mapping[str, tuple[Item, int]]
 ) -> dict[str, float]:
-    """The rates at which these items arrive, Hz.
-
-    Raises ``NotObserved``: another one than was asked for.
-    """
+    """The rates at which these items arrive, Hz; ``NotObserved`` if they are others."""
     await asyncio.sleep(_SETTLING_S)
     clock = asyncio.get_running_loop().time
     before = {name: state.statistics(item.record).count for name, (item, _) in wanted.items()}

@@ -349,7 +349,8 @@ class Supervised:
         if error is not None:
             self.error = error
         event = SupervisionEvent(before, after, error, pause)
-        _logger.info("supervision: %s → %s%s", before.value, after.value, _why(error))
+        why = "" if error is None else f" ({error.seen})"
+        _logger.info("supervision: %s → %s%s", before.value, after.value, why)
         self._hub.publish(event, asyncio.get_running_loop().time())
         changed, self._changed = self._changed, None
         if changed is not None and not changed.done():
@@ -398,10 +399,7 @@ class Supervised:
         return pause
 
     def _identify(self, version: Version) -> None:
-        """Whether it is the aircraft of the first time, by its serial number or else its version.
-
-        Raises ``AnotherAircraft``: it is not.
-        """
+        """Raise ``AnotherAircraft`` unless serial number or else version is that of the first."""
         identity = version.serial or version.name
         if self._identity is None:
             self._identity = identity
@@ -480,10 +478,6 @@ async def _gap(aircraft: Aircraft) -> bool:
             return True
         await asyncio.sleep(_GAP_S)
     return False
-
-
-def _why(error: M100Error | None) -> str:
-    return "" if error is None else f" ({error.seen})"
 
 
 def _is_final(error: M100Error) -> bool:

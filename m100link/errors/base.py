@@ -111,11 +111,7 @@ class OutOfResources(
 
 @contextmanager
 def of_the_system(what: str) -> Iterator[None]:
-    """What the system does not give for ``what`` is raised as an error of this package.
-
-    Raises:
-        OutOfResources: There is no file, module, descriptor, thread or memory for it.
-    """
+    """Raise ``OutOfResources`` where the system has no file, module, thread or memory for it."""
     try:
         yield
     except M100Error:

@@ -32,14 +32,10 @@ def read_json(
 ) -> Any:
     """Return the value of a JSON text in UTF-8.
 
-    Args:
-        text: The text.
-        constant: Called with ``NaN``, ``Infinity`` and ``-Infinity``; by default they are numbers.
-        pairs: Makes each object of its names and values; by default a dict.
-
-    Raises:
-        ValueError: The text is not JSON or not UTF-8, is nested too deeply, has an integer of more
-            than 300 digits, or half of a surrogate pair.
+    ``constant``: called with ``NaN``, ``Infinity`` and ``-Infinity``; by default they are numbers.
+    ``pairs``: makes each object of its names and values; by default a dict. Raises ``ValueError``:
+    it is not JSON or not UTF-8, is nested too deeply, has an integer of more than 300 digits, or
+    half of a surrogate pair.
     """
     decoded = text if isinstance(text, str) else text.decode()
     if isinstance(text, str) and not text.isascii():
@@ -59,9 +55,8 @@ def read_json(
 def read_toml(text: str | bytes) -> dict[str, Any]:
     """Return the tables of a TOML text in UTF-8.
 
-    Raises:
-        ValueError: The text is not TOML or not UTF-8, is nested too deeply, or has an integer that
-            no float holds.
+    Raises ``ValueError``: it is not TOML or not UTF-8, is nested too deeply, or has an integer that
+    no float holds.
     """
     decoded = text if isinstance(text, str) else text.decode()
     try:

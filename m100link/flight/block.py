@@ -115,10 +115,7 @@ class ControlBlock:
     # -- in and out ------------------------------------------------------------------------------
 
     async def enter(self) -> None:
-        """Obtain authority; what ends the block cancels the task that entered it.
-
-        Raises: as :meth:`obtain`.
-        """
+        """As :meth:`obtain`; what ends the block cancels the task that entered it."""
         self._begin()
         program = self._join()
         try:
@@ -362,10 +359,7 @@ class ControlBlock:
         )
 
     def resume(self) -> None:
-        """The program goes on after the pilot gave the aircraft back.
-
-        Raises ``NoAuthority``: the pilot has not.
-        """
+        """The program goes on; ``NoAuthority`` unless the pilot gave the aircraft back."""
         self._commander.link.require_loop()
         if self._authority.state is not AuthorityState.HELD:
             raise NoAuthority(
@@ -432,10 +426,7 @@ class Steering:
         self.setpoints.set(setpoint, lifetime=lifetime, period=period_of(rate_hz))
 
     def require_autopilot_idle(self, what: str) -> None:
-        """Raise while the aircraft flies by itself and would ignore movement.
-
-        Raises ``NoAuthority``: during a task; MissionRunning during a mission.
-        """
+        """Raise ``NoAuthority`` during a task or a mission: the aircraft would ignore movement."""
         if self.running_task is not None:
             raise NoAuthority(
                 f"{what} was sent during {task_name(self.running_task)}; nothing was sent",

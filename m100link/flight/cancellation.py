@@ -144,10 +144,7 @@ class Errand:
             self._parked.set_result(None)
 
     async def ended(self) -> None:
-        """Wait for the end, then let on what cancelled the caller meanwhile.
-
-        Raises what the work raised.
-        """
+        """Wait for the end, raise what the work raised, and let on what cancelled the caller."""
         task = self._task or self.begin()
         cancelled: asyncio.CancelledError | None = None
         while not self._has_ended:

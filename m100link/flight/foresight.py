@@ -165,10 +165,7 @@ def foresee_turn(state: AircraftState, guards: GuardKeeper, yaw_deg: float) -> F
 
 
 def frame_at(latitude_deg: float, longitude_deg: float) -> LocalFrame:
-    """Metres north and east of a place.
-
-    Raises ``UsageError``: nothing can be flown to there.
-    """
+    """Metres north and east of a place; ``UsageError`` where nothing can be flown to."""
     try:
         return LocalFrame(latitude_deg, longitude_deg)
     except ValueError as error:

@@ -155,10 +155,7 @@ W = TypeVar("W")
 
 
 def patience_of(guardian: bool | float) -> float | None:
-    """Return the seconds that ``control(guardian=…)`` means; None: no guardian.
-
-    Raises ``UsageError``: not 0.5 to 60 s.
-    """
+    """Return the seconds that ``control(guardian=…)`` means, 0.5 to 60; None: no guardian."""
     if guardian is True or guardian is False:
         return PATIENCE_S if guardian else None
     if not _SHORTEST_S <= guardian <= _LONGEST_S:
@@ -215,10 +212,7 @@ class Guardian(Generic[W]):
     # -- start -----------------------------------------------------------------------------------
 
     async def start(self) -> None:
-        """Start the guardian and wait until it watches, with an empty plan.
-
-        Raises ``GuardianFailed``: the process does not start.
-        """
+        """Start it, or raise ``GuardianFailed``; wait until it watches, with an empty plan."""
         descriptor = self._link.descriptor
         if not self._is_asked_for or descriptor is None:
             return

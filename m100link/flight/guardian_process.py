@@ -56,15 +56,11 @@ def milliseconds() -> int:
 
 
 def sealed(generation: int, patience_ms: int, steps: list[tuple[int, int, int, bytes]]) -> bytes:
-    """A half of the page.
+    """A half of the page, or ValueError: it does not fit.
 
-    Args:
-        generation: One more than that of the other half.
-        patience_ms: Age of the token at which the guardian takes over for good.
-        steps: 0 (when it stalls) or 1 (at the end), pause before each in ms, how often, frame.
-
-    Raises:
-        ValueError: It does not fit.
+    ``generation``: one more than that of the other half. ``patience_ms``: age of the token at which
+    the guardian takes over for good. ``steps``: 0 (when it stalls) or 1 (at the end), pause before
+    each in ms, how often, frame.
     """
     packed = b"".join(
         _STEP.pack(end, count, len(data), gap) + data for end, gap, count, data in steps
@@ -97,14 +93,10 @@ class LineGone(Exception):
 
 
 class Watch:
-    """Watches one program, and ends its flight when the program cannot.
-
-    Args:
-        line, socket, page: Descriptors; the line does not block.
-        parent: The program's process.
-    """
+    """Watches one program, ``parent``, and ends its flight when the program cannot."""
 
     def __init__(self, line: int, socket: int, page: int, parent: int) -> None:
+        # Descriptors, of which that of the line does not block, and a process.
         self._line, self._socket, self._page, self._parent = line, socket, page, parent
         self._is_dead = self._is_over = False
         self._generation = -1

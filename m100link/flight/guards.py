@@ -224,10 +224,7 @@ class GuardKeeper:
             self._check_gps(what, known(self._state, Position))
 
     def check_mission(self, what: str) -> None:
-        """Whether a mission that flies may fly on: battery, and the envelope with 5 m to spare.
-
-        Raises ``GuardRefused``: with the guard's name, the measured value and the limit.
-        """
+        """Raise ``GuardRefused`` where the battery, or 5 m beyond the envelope, ends a mission."""
         self._check_battery(what)
         envelope = self.guards.envelope
         if envelope is None:

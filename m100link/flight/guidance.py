@@ -66,10 +66,7 @@ Progress = Callable[[GuidanceProgress], None]
 
 
 def position_of(state: AircraftState) -> Position:
-    """Where the aircraft is now.
-
-    Raises ``TelemetryStalled``: the position does not arrive, or is impossible.
-    """
+    """Where the aircraft is now; ``TelemetryStalled`` where that is not told, or impossible."""
     position = known(state, Position, within=FRESH_S)
     if position is None:
         age = state.age(Position)
@@ -89,10 +86,7 @@ def position_of(state: AircraftState) -> Position:
 
 
 def heading_of(state: AircraftState) -> float:
-    """Where its nose points now, °.
-
-    Raises ``TelemetryStalled``: the attitude does not arrive, or is impossible.
-    """
+    """Where its nose points now, °; ``TelemetryStalled`` where that is not told, or impossible."""
     attitude = known(state, Attitude, within=FRESH_S)
     if attitude is None:
         raise TelemetryStalled(
@@ -103,10 +97,7 @@ def heading_of(state: AircraftState) -> float:
 
 
 def require_in_the_air(state: AircraftState, name: str) -> None:
-    """Whether setpoints mean anything.
-
-    Raises ``UsageError``: the aircraft stands on the ground.
-    """
+    """Raise ``UsageError`` on the ground, where setpoints mean nothing."""
     if is_on_ground(state):
         raise UsageError(
             f"{name} was asked for on the ground ({describe_situation(state.situation())})",
@@ -156,10 +147,7 @@ class Guidance:
         self._is_interrupted = False
 
     def require_idle(self, what: str) -> None:
-        """Whether something else may steer; a loop whose task is being cancelled does not mind.
-
-        Raises ``UsageError``: a loop is flying.
-        """
+        """Raise ``UsageError`` while a loop is flying, unless its task is being cancelled."""
         if self.flying and not (self._task is not None and self._task.cancelling()):
             raise UsageError(
                 f"{what} was sent while a closed loop is flying: {self.flying}; nothing was sent",
@@ -172,10 +160,7 @@ class Guidance:
         self._is_interrupted = True
 
     def admit(self, name: str) -> None:
-        """Whether a loop may begin.
-
-        Raises ``UsageError``: another one is flying, or the aircraft stands on the ground.
-        """
+        """Raise ``UsageError`` while another loop flies, or the aircraft stands on the ground."""
         if self.flying:
             raise UsageError(
                 f"{name} was asked for while another closed loop is flying: {self.flying}",

@@ -597,10 +597,7 @@ def _target_height(here: Position, up: float | None, height: float | None) -> fl
 
 
 def check_height(height: float) -> float:
-    """A height above take-off that can be flown to, m.
-
-    Raises ``UsageError``: it is none.
-    """
+    """A height above take-off, m, or ``UsageError``: it cannot be flown to."""
     if not math.isfinite(height) or height < 0:
         raise UsageError(
             f"a height of {height:g} m cannot be flown to",
@@ -610,10 +607,7 @@ def check_height(height: float) -> float:
 
 
 def check_speed(speed: float) -> float:
-    """A speed that can be flown, m/s.
-
-    Raises ``UsageError``: it is none.
-    """
+    """A speed, m/s, or ``UsageError``: it cannot be flown."""
     if not 0 < speed <= MAX_COMMAND_M_S:
         raise UsageError(f"{speed:g} m/s cannot be flown", remedy=f"0 to {MAX_COMMAND_M_S:g} m/s")
     return speed

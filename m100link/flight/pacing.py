@@ -146,10 +146,7 @@ class Pace:
 
 @cache  # asked for each setpoint
 def period_of(rate_hz: float) -> float:
-    """Seconds between ticks.
-
-    Raises ``UsageError``: not within 0 to 50 Hz.
-    """
+    """Seconds between ticks; ``UsageError`` unless above 0 and at most 50 Hz."""
     if not 0 < rate_hz <= MAX_RATE_HZ:
         raise UsageError(
             f"a control loop cannot run at {rate_hz} Hz",

@@ -29,10 +29,7 @@ _SLACK = 0.1 * _PERIOD
 
 
 def check_lifetime(lifetime: float, *, is_long_allowed: bool) -> None:
-    """Whether a setpoint may live so long.
-
-    Raises ``UsageError``: it does not end, or it is long and nobody said so.
-    """
+    """Raise ``UsageError`` for one that does not end, or is long and nobody said so."""
     if not 0 < lifetime < math.inf:
         raise UsageError(f"a lifetime of {lifetime} s is not a time that ends")
     if lifetime > LONG_LIFETIME and not is_long_allowed:

@@ -123,10 +123,7 @@ async def run_task(
     timeout: float | None = None,
     progress: TaskListener | None = None,
 ) -> None:
-    """Begin a task and wait until it is done.
-
-    Raises ``TaskRefused, TaskFailed, NotObserved, AckTimeout``: see :meth:`Control.take_off`.
-    """
+    """Begin a task and wait until it is done; it raises as :meth:`Control.take_off`."""
     sequence = await _begin(commander, task)
     await _Watch(commander, task, sequence, progress).run(timeout or TIMEOUTS_S[task])
 
@@ -354,10 +351,7 @@ class SettingsPace:
         await asyncio.sleep(max(0.0, self.free_at - self._clock()))
 
     def send(self, commander: Commander, command: VirtualRcSettings) -> bool:
-        """Send it. False when the line does not drain.
-
-        Raises ``UsageError``: too soon; nothing was sent.
-        """
+        """Send it, or ``UsageError``: it is too soon. False when the line does not drain."""
         now = self._clock()
         if now < self.free_at - _ROUNDING_S:
             raise UsageError(

@@ -201,10 +201,7 @@ class VirtualRc:
         await self._see_it_on()
 
     async def _require_f(self) -> None:
-        """The pilot's way out is to leave F: it must be there.
-
-        Raises ``AuthorityRefused``: the mode switch is elsewhere, or nobody knows where.
-        """
+        """``AuthorityRefused`` unless the switch is seen in F: the pilot ends it by leaving F."""
         deadline = self._clock() + FIRST_VALUES_S
         while (rc := known(self._commander.state, RemoteControl)) is None:
             if self._clock() >= deadline:
@@ -220,10 +217,7 @@ class VirtualRc:
             )
 
     async def _see_it_on(self) -> None:
-        """Where the control item is sent, it shows that the virtual remote control is on.
-
-        Raises ``NotObserved``: it does not.
-        """
+        """Raise ``NotObserved`` unless the control item shows it on, where that is sent."""
         deadline = self._clock() + _SHOWN_S
         while self._life.is_open and not self._was_shown:
             await asyncio.sleep(_PERIOD_S)
@@ -454,10 +448,7 @@ class VirtualRc:
             self._sent_at = now
 
     def _require_wanted(self, now: float) -> None:
-        """What ends it besides the program, looked at before each frame.
-
-        Raises ``M100Error``: it ends here.
-        """
+        """Raise what ends it besides the program; looked at before each frame."""
         if now - self._sent_at > _AIRCRAFT_WAITS_S:
             raise NotObserved(
                 f"no channels could be sent for {now - self._sent_at:.1f} s: virtual RC has ended",

@@ -348,10 +348,7 @@ def estimate(
     home: tuple[float, float] | None = None,
     hover_minutes: float = HOVER_MINUTES,
 ) -> PlanEstimate:
-    """See :meth:`m100link.WaypointPlan.estimate`.
-
-    Raises ``UsageError``: the battery lasts no time.
-    """
+    """See :meth:`m100link.WaypointPlan.estimate`."""
     if not 0.0 < hover_minutes < math.inf:
         raise UsageError(
             f"a battery that hovers for {hover_minutes:g} min", remedy="more than 0 minutes"

@@ -279,10 +279,7 @@ def read(path: str | Path) -> bytes:
 
 
 def write(path: str | Path, text: str) -> None:
-    """Put a text into a file.
-
-    Raises ``BadPlan``: it cannot be written.
-    """
+    """Put a text into a file, or raise ``BadPlan``."""
     try:
         Path(path).write_text(text, encoding="utf-8")
     except (OSError, ValueError) as error:
@@ -305,8 +302,5 @@ def is_named_plan(path: str | Path) -> bool:
 
 
 def is_qgroundcontrol(text: str | bytes) -> bool:
-    """Whether a text is one of QGroundControl's files.
-
-    Raises ``BadPlan``: it is not JSON.
-    """
+    """Whether a text is one of QGroundControl's files; ``BadPlan`` if it is not JSON."""
     return load_object(text).get("fileType") == FILE_TYPE

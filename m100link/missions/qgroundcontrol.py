@@ -159,10 +159,7 @@ def items_of(
 
 
 def refuse_fences(document: dict[str, Any], leave_out: Collection[int | str]) -> None:
-    """A fence that is not kept would be believed in.
-
-    Raises ``BadPlan``: there is one, and nobody said to leave it out.
-    """
+    """Raise ``BadPlan`` for a fence: one that is not kept would be believed in."""
     for name, parts in (("geoFence", ("circles", "polygons")), ("rallyPoints", ("points",))):
         fence = document.get(name)
         found = isinstance(fence, dict) and any(fence.get(part) for part in parts)
@@ -618,10 +615,7 @@ def document_of(plan: PlanValues) -> dict[str, Any]:
 
 
 def extra_of(document: dict[str, Any]) -> dict[str, Any] | None:
-    """Arguments of the plan that stands beside the items; None if there is none.
-
-    Raises ``BadPlan``: it is no plan.
-    """
+    """Arguments of the plan beside the items, or ``BadPlan``; None if there is none."""
     extra = document.get(EXTRA)
     return from_json(extra) if isinstance(extra, dict) else None
 

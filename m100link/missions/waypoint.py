@@ -89,10 +89,7 @@ def number(value: object) -> float | None:
 
 
 def single(value: float) -> float:
-    """The nearest number of single precision.
-
-    Raises ``OverflowError``: there is none.
-    """
+    """The nearest number of single precision, or ``OverflowError``."""
     nearest: float = _SINGLE.unpack(_SINGLE.pack(value))[0]
     return nearest
 

@@ -40,10 +40,7 @@ class Sample(TelemetryPacket):
         self.received_at = received_at
 
     def __getitem__(self, record: type[R]) -> R:
-        """The record of that class.
-
-        Raises ``KeyError``: the package does not carry it.
-        """
+        """The record of that class; ``KeyError`` where the package does not carry it."""
         found = self.get(record)
         if found is None:
             raise KeyError(record.__name__)

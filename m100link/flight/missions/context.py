@@ -21,7 +21,7 @@ from m100link.flight.missions.events import (
     Reached,
 )
 from m100link.flight.tasks import describe_situation, is_on_ground
-from m100link.geodesy import LocalFrame
+from m100link.geodesy import distance_m
 from m100link.missions.plan import AtEnd, WaypointPlan
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Request
@@ -132,10 +132,7 @@ async def require_airborne(deck: Deck, what: str, *, may_take_off: bool = False)
 
 
 def check_envelope(envelope: Envelope, plan: WaypointPlan) -> None:
-    """Whether heights and speed of a plan lie inside, wherever the aircraft is.
-
-    Raises ``GuardRefused``: one does not.
-    """
+    """Raise ``GuardRefused`` where a height or the speed of a plan lies outside, from anywhere."""
     for index, point in enumerate(plan.waypoints):
         envelope.check(f"waypoint {index} of {_WHAT}", height=point.height)
     envelope.check(_WHAT, speed=abs(plan.speed))
@@ -183,6 +180,18 @@ def check_battery(guards: GuardKeeper, state: AircraftState, plan: WaypointPlan)
         )
 
 
+def metres_to(state: AircraftState, place: tuple[float, float]) -> float | None:
+    """Horizontally, from the aircraft to a latitude and longitude, °; None: nobody knows."""
+    here = known(state, Position)
+    return None if here is None else distance_m(here.latitude_deg, here.longitude_deg, *place)
+
+
+def height_of(state: AircraftState) -> float | None:
+    """Above the take-off point, m; None: nobody knows."""
+    here = known(state, Position)
+    return None if here is None else here.height_m
+
+
 def check_way(
     state: AircraftState, what: str, place: tuple[float, float], *, allow_far: bool
 ) -> float:
@@ -190,11 +199,7 @@ def check_way(
 
     Raises ``GuardRefused``: farther than 500 m, and nobody allowed it.
     """
-    position = known(state, Position)
-    if position is None:
-        return 0.0
-    here = LocalFrame(position.latitude_deg, position.longitude_deg)
-    distance = math.hypot(*here.to_local(*place))
+    distance = metres_to(state, place) or 0.0
     if distance > FAR_M and not allow_far:
         raise GuardRefused(
             f"{what} was refused: it begins {distance:.0f} m from here, the limit is {FAR_M:g} m",
@@ -346,16 +351,8 @@ class WaypointTrack(Track):
 
     def progress(self, elapsed: float, state: AircraftState) -> MissionProgress:
         """Where it is on its way."""
-        position = known(state, Position)
         distance = None
-        if position is not None and self.index is not None:
+        if self.index is not None:
             target = self._plan.waypoints[self.index]
-            here = LocalFrame(position.latitude_deg, position.longitude_deg)
-            distance = math.hypot(*here.to_local(target.latitude_deg, target.longitude_deg))
-        return MissionProgress(
-            elapsed,
-            index=self.index,
-            status=self._status,
-            distance_m=distance,
-            height_m=None if position is None else position.height_m,
-        )
+            distance = metres_to(state, (target.latitude_deg, target.longitude_deg))
+        return MissionProgress(elapsed, self.index, self._status, distance, height_of(state))

@@ -21,6 +21,8 @@ from m100link.flight.missions.context import (
     Track,
     check_way,
     ended_by,
+    height_of,
+    metres_to,
     require_airborne,
 )
 from m100link.flight.missions.events import Aborted, MissionProgress
@@ -125,17 +127,11 @@ class HotpointTrack(Track):
 
     def progress(self, elapsed: float, state: AircraftState) -> MissionProgress:
         """Where it is."""
-        position = known(state, Position)
         distance = self.distance_m
-        if distance is None and position is not None:
-            distance = distance_m(position.latitude_deg, position.longitude_deg, *self._centre)
-        return MissionProgress(
-            elapsed,
-            status=self.status,
-            distance_m=distance,
-            height_m=None if position is None else position.height_m,
-            rate_deg_s=self.rate_deg_s,
-        )
+        if distance is None:
+            distance = metres_to(state, self._centre)
+        height, rate = height_of(state), self.rate_deg_s
+        return MissionProgress(elapsed, None, self.status, distance, height, rate)
 
 
 class HotpointFlight(MissionFlight):
@@ -409,13 +405,8 @@ class FollowTrack(Track):
 
     def progress(self, elapsed: float, state: AircraftState) -> MissionProgress:
         """How far the target is."""
-        position = known(state, Position)
-        distance = None
-        if position is not None and self.target is not None:
-            here = position.latitude_deg, position.longitude_deg
-            distance = distance_m(*here, self.target.latitude_deg, self.target.longitude_deg)
-        height = None if position is None else position.height_m
-        return MissionProgress(elapsed, distance_m=distance, height_m=height)
+        distance = None if self.target is None else metres_to(state, self.target[:2])
+        return MissionProgress(elapsed, distance_m=distance, height_m=height_of(state))
 
 
 class FollowFlight(MissionFlight):

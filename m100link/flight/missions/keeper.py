@@ -61,10 +61,7 @@ class MissionKeeper:
     # -- one at a time ---------------------------------------------------------------------------
 
     def claim(self, run: MissionRun) -> None:
-        """A mission is about to be uploaded or started.
-
-        Raises ``MissionRunning``: another one flies.
-        """
+        """A mission is to be uploaded or started; ``MissionRunning`` while another one flies."""
         self.require_none(f"a {run.name}")
         if self._run is not None and self._run.state is RunState.READY:
             raise UsageError(
@@ -189,10 +186,7 @@ class MissionKeeper:
         return kind
 
     def detach_any(self) -> MissionKind:
-        """Leave what flies in flight when the block ends.
-
-        Raises ``UsageError``: nothing flies, as far as anybody knows.
-        """
+        """Leave what flies in flight when the block ends; ``UsageError``: nothing does."""
         if (ours := self._ours) is not None:
             ours.detach()
             return ours.kind

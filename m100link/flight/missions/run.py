@@ -292,10 +292,7 @@ class MissionRun:
         )
 
     def detach(self) -> None:
-        """Look away and let it fly on.
-
-        Raises ``UsageError``: it does not fly.
-        """
+        """Look away and let it fly on; ``UsageError`` where it does not fly."""
         self.require_in_the_air("to be detached")
         if not self.feed(RunInput.DETACH):
             raise UsageError(f"the {self.name} cannot be detached: {self.state.value}")
@@ -537,10 +534,7 @@ class MissionRun:
                 await self.ask()
 
     def _look(self) -> None:
-        """What telemetry says: the ground at the end, and what the guards have against it.
-
-        Raises ``GuardRefused``: a guard says no.
-        """
+        """See the ground at the end; ``GuardRefused`` where a guard has something against it."""
         if self.state is RunState.RETURNING and not self.owes_a_stop:
             if self._ground.is_told():
                 self._end(RunInput.FINISHED)
