@@ -524,15 +524,12 @@ class Aircraft:
         self._from_mobile.publish(notification.data, now)
 
     def _on_lost(self, error: LinkError) -> None:
-        self._telemetry.fail(error)
+        self._telemetry.hub.fail(error)
         self._from_mobile.fail(error)
         self.authority.feed(AuthorityInput.LINK_LOST)
-        self._events.publish(ConnectionEvent(is_connected=False, error=error), self._now)
+        self._events.publish(ConnectionEvent(is_connected=False, error=error), self.link.clock())
         self._events.fail(error)
 
     def _on_authority(self, before: AuthorityState, after: AuthorityState) -> None:
-        self._events.publish(AuthorityEvent(before, after, self.authority.reason), self._now)
-
-    @property
-    def _now(self) -> float:
-        return self.link.clock()
+        event = AuthorityEvent(before, after, self.authority.reason)
+        self._events.publish(event, self.link.clock())

@@ -49,12 +49,7 @@ class GimbalRates:
     """Angular rates that are being repeated; :meth:`set` replaces them."""
 
     def __init__(self, *, yaw: float, pitch: float, roll: float) -> None:
-        self._command = rates_command(yaw=yaw, pitch=pitch, roll=roll)
-
-    @property
-    def command(self) -> GimbalSpeed:
-        """What goes out next."""
-        return self._command
+        self.command = rates_command(yaw=yaw, pitch=pitch, roll=roll)  # what goes out next
 
     def set(self, *, yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> None:
         """Turn at these rates from the next repetition on, within 0.1 s.
@@ -62,7 +57,7 @@ class GimbalRates:
         Raises:
             UsageError: Beyond 180 degrees per second, or not a number.
         """
-        self._command = rates_command(yaw=yaw, pitch=pitch, roll=roll)
+        self.command = rates_command(yaw=yaw, pitch=pitch, roll=roll)
 
 
 class AircraftGimbal:

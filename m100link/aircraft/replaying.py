@@ -118,8 +118,8 @@ async def open_replay(
             tell=lambda told: _tell(aircraft.authority, told),
             forget=lambda: _forget(aircraft.authority),
             end=link.end,
-            has_consumers=lambda: telemetry.has_consumers,
-            room=lambda: telemetry.room,
+            has_consumers=lambda: telemetry.hub.has_consumers,
+            room=lambda: telemetry.hub.room,
             tap=None if tap is None else Listener(tap).hear,
         )
     )

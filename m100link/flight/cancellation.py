@@ -99,7 +99,7 @@ class Errand:
     """
 
     def __init__(
-        self, work: Callable[[], Coroutine[Any, Any, None]], on_end: Callable[[], None]
+        self, work: Callable[[], Coroutine[Any, Any, None]], on_end: Callable[[], object]
     ) -> None:
         self._work = work  # may be begun again after it was cancelled
         self._on_end = on_end  # called once, when it has ended in whatever way

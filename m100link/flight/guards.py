@@ -129,28 +129,25 @@ class Envelope:
             GuardRefused: Outside, with the target and what widens the envelope.
         """
         inside = "a target inside"
-        for value, limit, unit, seen, better, name in (
-            (height, self.max_height_m, "m", "a height of {:.1f} m", inside, "max_height_m"),
-            (far, self.max_radius_m, "m", "{:.0f} m from the start", inside, "max_radius_m"),
-            (
-                speed,
-                self.max_speed_m_s,
-                "m/s",
-                "a speed of {:.1f} m/s",
-                "fly slower",
-                "max_speed_m_s",
-            ),
+        for value, name, seen, better in (
+            (height, "max_height_m", "a height of {:.1f} m", inside),
+            (far, "max_radius_m", "{:.0f} m from the start", inside),
+            (speed, "max_speed_m_s", "a speed of {:.1f} m/s", "fly slower"),
         ):
-            if value is not None and value > limit + 1e-9:
-                widen = f"control(guards=Guards(envelope=Envelope({name}=…)))"
-                raise GuardRefused(
-                    f"{what} to {seen.format(value)} was refused: the envelope ends at "
-                    f"{limit:g} {unit}",
-                    guard="envelope",
-                    measured=value,
-                    limit=limit,
-                    remedy=f"{better}, or {widen}",
-                )
+            if value is not None and value > getattr(self, name) + 1e-9:
+                raise self._refusal(f"{what} to {seen.format(value)}", name, value, better)
+
+    def _refusal(self, what: str, name: str, measured: float | None, better: str) -> GuardRefused:
+        """Of what would leave it, by the limit of that name."""
+        limit = getattr(self, name)
+        ends = f"allows {limit:g} m/s" if name == "max_speed_m_s" else f"ends at {limit:g} m"
+        return GuardRefused(
+            f"{what} was refused: the envelope {ends}",
+            guard="envelope",
+            measured=measured,
+            limit=limit,
+            remedy=f"{better}, or control(guards=Guards(envelope=Envelope({name}=…)))",
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -420,28 +417,16 @@ class GuardKeeper:
         else:
             return
         if wanted is not None and wanted > limit:
-            raise GuardRefused(
-                f"a setpoint to or above {wanted:.1f} m was refused: the envelope ends at "
-                f"{limit:g} m",
-                guard="envelope",
-                measured=measured,
-                limit=limit,
-                remedy="descend, or control(guards=Guards(envelope=Envelope(max_height_m=…)))",
-            )
+            seen = f"a setpoint to or above {wanted:.1f} m"
+            raise envelope._refusal(seen, "max_height_m", measured, "descend")
 
     def _check_speed(self, setpoint: Setpoint, envelope: Envelope) -> None:
         if setpoint.mode.horizontal is not Horizontal.VELOCITY:
             return
         speed = math.hypot(setpoint.x, setpoint.y)
         if speed > envelope.max_speed_m_s + 1e-9:
-            raise GuardRefused(
-                f"a velocity of {speed:.1f} m/s was refused: the envelope allows "
-                f"{envelope.max_speed_m_s:g} m/s",
-                guard="envelope",
-                measured=speed,
-                limit=envelope.max_speed_m_s,
-                remedy="fly slower, or control(guards=Guards(envelope=Envelope(max_speed_m_s=…)))",
-            )
+            seen = f"a velocity of {speed:.1f} m/s"
+            raise envelope._refusal(seen, "max_speed_m_s", speed, "fly slower")
 
     def _from_start(self, position: Position | None) -> tuple[float, float] | None:
         """Metres north and east of where control began, None while nobody knows."""
@@ -473,14 +458,8 @@ class GuardKeeper:
             return  # without reception nobody can tell, and tilt is how one flies then
         there, here = self._reach(setpoint, *place), math.hypot(*place)
         if there > limit and there >= here:
-            raise GuardRefused(
-                f"a setpoint {there:.0f} m from the start was refused: the envelope ends at "
-                f"{limit:g} m",
-                guard="envelope",
-                measured=there,
-                limit=limit,
-                remedy="fly back, or control(guards=Guards(envelope=Envelope(max_radius_m=…)))",
-            )
+            seen = f"a setpoint {there:.0f} m from the start"
+            raise envelope._refusal(seen, "max_radius_m", there, "fly back")
 
     def _reach(self, setpoint: Setpoint, north: float, east: float) -> float:
         """How far from the start a setpoint leads from there; a way back counts as 0 m."""

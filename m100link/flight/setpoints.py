@@ -129,11 +129,6 @@ class SetpointLoop:
         if now >= self._due_at() - _SLACK and (is_checked or self._admits(self._setpoint)):
             self._transmit(self._setpoint, now)
 
-    @property
-    def _is_news(self) -> bool:
-        """Whether the aircraft was told something else, or nothing."""
-        return self._setpoint != self._frame
-
     def _due_at(self) -> float:
         """When the present setpoint goes out next."""
         return self._slot + (_PERIOD if self._setpoint != self._frame else self._period)
@@ -243,7 +238,7 @@ class SetpointLoop:
                     await self._news.wait()
                     continue
                 due_at = self._due_at()
-                if self._is_renewed and not self._is_news:
+                if self._is_renewed and self._setpoint == self._frame:
                     due_at += _SLACK
                 if due_at - now > INSTANT:
                     # News must not wait for the end of a long period: look once in a short one.

@@ -340,8 +340,8 @@ class TelemetryStream:
     """Takes packages as they arrive."""
 
     __slots__ = (
-        *("_clock", "_firmware", "_hub", "_observe", "_ticks"),
-        *("mismatches", "state", "utc_offset_s"),
+        *("_clock", "_firmware", "_observe", "_ticks"),
+        *("hub", "mismatches", "state", "utc_offset_s"),
     )
 
     def __init__(self, observe: Callable[[Sample], None], clock: Callable[[], float]) -> None:
@@ -351,7 +351,7 @@ class TelemetryStream:
         self.mismatches = 0  # packages refused because they do not fit the firmware profile
         # Once: a wall clock that is set during a flight must not bend its columns.
         self.utc_offset_s = time.time() - clock()  # see :attr:`m100link.Aircraft.utc_offset_s`
-        self._hub: Hub[Sample] = Hub()
+        self.hub: Hub[Sample] = Hub()  # the consumers
         # What packages have been read as, or the clock was asked for, last.
         self._firmware = FIRMWARE_1_0
         self._clock = DeviceClock(FIRMWARE_1_0.tick_hz)  # by which packages arrive, s
@@ -390,21 +390,7 @@ class TelemetryStream:
             at, unpack = place
             clock.update(unpack(value, at)[0], now)
         self._observe(sample)
-        self._hub.publish(sample, now, flags or _PACKAGE)
-
-    @property
-    def has_consumers(self) -> bool:
-        """Whether somebody takes packages."""
-        return self._hub.has_consumers
-
-    @property
-    def room(self) -> float:
-        """How many packages no consumer would lose an older one by; infinite without any."""
-        return self._hub.room
-
-    def fail(self, error: LinkError) -> None:
-        """End every subscription with the error."""
-        self._hub.fail(error)
+        self.hub.publish(sample, now, flags or _PACKAGE)
 
     def subscribe(
         self, records: Sequence[type[Any]], policy: Policy, rate_hz: float | None
@@ -415,7 +401,7 @@ class TelemetryStream:
             wanted |= 1 << item_of(record).bit
         if rate_hz is not None and not rate_hz > 0:
             raise UsageError(f"a rate of {rate_hz} Hz is not a rate")
-        return self._hub.subscribe(
+        return self.hub.subscribe(
             policy,
             min_interval=1.0 / rate_hz if rate_hz else 0.0,
             wanted=wanted or ANY,

@@ -517,7 +517,7 @@ async def test_wait_for_leaves_no_subscription_behind() -> None:
     async with rig(activated=False) as flown:
         with pytest.raises(TelemetryStalled):
             await flown.aircraft.wait_for(lambda state: False, timeout=0.1)
-        assert all(queue.is_closed for queue in flown.aircraft._telemetry._hub._queues)
+        assert all(queue.is_closed for queue in flown.aircraft._telemetry.hub._queues)
 
 
 async def test_a_timeout_of_the_callers_own_stays_the_callers() -> None:

@@ -315,7 +315,8 @@ class MissionRun:
         """
         if self.feed(RunInput.STOP):
             self._is_seen_over = False
-            self._stopping = Errand(self._send_stop, self._given_up)
+            # When it has ended otherwise than by an answer, it was not heard.
+            self._stopping = Errand(self._send_stop, lambda: self.feed(RunInput.NOT_STOPPED))
             self._stopping.begin()
         if self.state is RunState.STOPPING and self._stopping is not None:
             await self._stopping.ended()
@@ -345,10 +346,6 @@ class MissionRun:
             self.feed(RunInput.NOT_STOPPED)
             raise mission_refused(f"the stop of the {self.name}", code)
         self._end(RunInput.STOPPED, is_answered=True)
-
-    def _given_up(self) -> None:
-        """The stop is not under way any more; unless it ended otherwise, it was not heard."""
-        self.feed(RunInput.NOT_STOPPED)
 
     async def end_by_program(self, failure: M100Error | None) -> None:
         """What feeds it has ended, well or not: stop it, and tell the program why.
@@ -444,13 +441,9 @@ class MissionRun:
                 self._break_off(item)
             elif self.is_in_the_air:
                 self.events.add(item)
-                if isinstance(item, Finished):
-                    self._flown()
-
-    def _flown(self) -> None:
-        """Every waypoint was flown, it says."""
-        if self.feed(RunInput.RETURNS if self._track.ends_by_landing else RunInput.FLOWN):
-            self.ending.tell()
+                flown = RunInput.RETURNS if self._track.ends_by_landing else RunInput.FLOWN
+                if isinstance(item, Finished) and self.feed(flown):
+                    self.ending.tell()
 
     def _break_off(self, event: Aborted) -> None:
         if RunInput.BROKEN_OFF not in TRANSITIONS[self.state]:
