@@ -246,8 +246,9 @@ def legs_between(places: list[Place], dampings: list[float] | None) -> list[Leg]
     when the two are together not longer than the leg: a turn of more than 90 degrees has a
     smaller radius than its damping.
 
-    ``dampings``: radius of the curve at each, for coordinated turns; at the first and the last it
-    does not count, and 0 is a corner without a curve. None stops at every waypoint.
+    ``places``: the waypoints, two or more. ``dampings``: radius of the curve at each, for
+    coordinated turns; at the first and the last it does not count, and 0 is a corner without a
+    curve. None stops at every waypoint.
     """
     legs: list[Leg] = []
     pieces: list[_Line | _Arc] = []
