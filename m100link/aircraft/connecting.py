@@ -124,21 +124,11 @@ def connect(
         SilentLine, NoValidFrame, NoAnswer: It can, but no aircraft answers; each names the cause.
     """
     name = line if isinstance(line, str) else line.name
-    opening = partial(
-        _open,
-        line,
-        firmware=firmware,
-        baud_rate=baud_rate,
-        timeout=timeout,
-        tap=tap,
-        record=record,
-    )
-    return Connecting(opening, name)
+    return Connecting(partial(_open, line, firmware, baud_rate, timeout, tap, record), name)
 
 
 async def _open(
     line: str | Link,
-    *,
     firmware: str | FirmwareProfile | None,
     baud_rate: int | None,
     timeout: float,

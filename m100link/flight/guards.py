@@ -66,6 +66,13 @@ def _is_possible(value: tuple[Any, ...]) -> bool:
     return value.is_possible if isinstance(value, Position | Battery) else True
 
 
+def over_ground(forward: float, right: float, attitude: Attitude) -> tuple[float, float]:
+    """North and east of what lies ahead of the nose and to its right."""
+    yaw = math.radians(attitude.yaw_deg)
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return forward * cos - right * sin, forward * sin + right * cos
+
+
 # -- guards ----------------------------------------------------------------------------------------
 
 GPS_HEALTH_NEEDED = 3  # from this health on the autopilot holds a position (document 2.2.3.1)
@@ -483,6 +490,4 @@ class GuardKeeper:
         attitude = known(self._state, Attitude)
         if attitude is None:
             return None
-        yaw = math.radians(attitude.yaw_deg)
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        return forward * cos - right * sin, forward * sin + right * cos
+        return over_ground(forward, right, attitude)

@@ -23,7 +23,7 @@ from m100link.flight.guidance import (
     heading_of,
     position_of,
 )
-from m100link.flight.path import Path
+from m100link.flight.path import LAG_S, Path
 from m100link.geodesy import LocalFrame, normalize_degrees
 from m100link.protocol.records import Attitude, Position, Velocity
 from m100link.protocol.setpoint import Setpoint
@@ -40,8 +40,6 @@ _MAX_TILT_DEG = 20.0
 """Tilt that the circle may take; what velocity control has beyond it is for wind and drag."""
 _MAX_TURN_RAD_S = 0.7
 """Faster turns than the velocity of the aircraft can follow: its lag would be half a radian."""
-_LAG_S = 0.65
-"""By how much the velocity follows what is asked for; of the model of the virtual aircraft."""
 _ACCELERATION = 0.8  # m/s² along the circle
 _BRAKING = 0.5  # m/s along the circle for each metre that remains
 _CREEP_M_S = 0.2  # until the end
@@ -157,11 +155,11 @@ class Orbit:
             running = velocity[0] * ahead[0] + velocity[1] * ahead[1]
             leaving = velocity[0] * out[0] + velocity[1] * out[1]
         inward = (
-            _LAG_S * running * running / distance
+            LAG_S * running * running / distance
             + _RADIAL_GAIN * (distance - self._radius)
             + _RADIAL_DAMPING * leaving
         )
-        along = self._along + _LAG_S * (gain - running * leaving / distance)
+        along = self._along + LAG_S * (gain - running * leaving / distance)
         # Where both are too much, keeping to the circle comes before being fast.
         limit = self._max_speed
         inward = max(-0.8 * limit, min(0.8 * limit, inward))

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 from m100link.errors import UsageError
 
-_LAG_S = 0.65
+LAG_S = 0.65
 """By how much the velocity follows what is asked for; of the model of the virtual aircraft."""
 _ACCELERATION = 1.0  # m/s² along the path
 _BRAKING = 0.4  # m/s along the path for each metre that remains
@@ -215,14 +215,14 @@ class Path:
             drifting = velocity[0] * to_right[0] + velocity[1] * to_right[1]
         sideways = -_CROSS_GAIN * right - _CROSS_DAMPING * drifting
         # What lags behind is asked for early: on a bend, the turn of the velocity.
-        sideways += _LAG_S * running * abs(running) * self._curvature(at + running * _LAG_S)
+        sideways += LAG_S * running * abs(running) * self._curvature(at + running * LAG_S)
         sideways = max(-0.8 * self._max_speed, min(0.8 * self._max_speed, sideways))
         fastest = math.sqrt(self._max_speed**2 - sideways**2) * (1 - 1e-6)
         speed = max(-fastest, min(fastest, speed))
         return PathSteering(
             north=ahead[0] * speed + to_right[0] * sideways,
             east=ahead[1] * speed + to_right[1] * sideways,
-            height=self._height(at + running * _LAG_S),
+            height=self._height(at + running * LAG_S),
             ahead_deg=math.degrees(math.atan2(ahead[1], ahead[0])),
             off_m=abs(right),
             to_go_m=to_go,

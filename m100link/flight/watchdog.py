@@ -14,7 +14,7 @@ from m100link.errors import (
     SetpointsIgnored,
     TelemetryStalled,
 )
-from m100link.flight.guards import Guards, known
+from m100link.flight.guards import Guards, known, over_ground
 from m100link.flight.lifecycle import StopCause
 from m100link.geodesy import normalize_degrees
 from m100link.protocol.records import Attitude, FlightPhase, FlightStatus, Position, Velocity
@@ -199,8 +199,7 @@ class FollowCheck:
             attitude = self._attitude()
             if attitude is None:
                 return 0.0, 0.0, 0.0
-            yaw = math.radians(attitude.yaw_deg)
-            x, y = x * math.cos(yaw) - y * math.sin(yaw), x * math.sin(yaw) + y * math.cos(yaw)
+            x, y = over_ground(x, y, attitude)
         fast = math.hypot(x, y)
         if setpoint.mode.horizontal is Horizontal.VELOCITY:
             return x, y, fast
@@ -213,15 +212,7 @@ class FollowCheck:
         attitude = self._attitude()
         if attitude is None:
             return False
-        yaw, pitch, roll = (
-            math.radians(attitude.yaw_deg),
-            -attitude.pitch_deg,
-            attitude.roll_deg,
-        )
-        lean = (
-            pitch * math.cos(yaw) - roll * math.sin(yaw),
-            pitch * math.sin(yaw) + roll * math.cos(yaw),
-        )
+        lean = over_ground(-attitude.pitch_deg, attitude.roll_deg, attitude)
         before, self._lean = self._lean or lean, lean if self._lean is None else self._lean
         more = (lean[0] - before[0]) * north + (lean[1] - before[1]) * east
         if more >= _TILTED_DEG:
