@@ -248,10 +248,7 @@ def angles_command(
     seconds: float = 1.0,
     relative: bool = False,
 ) -> GimbalAngle:
-    """The command of :meth:`AircraftGimbal.set_angles`, checked: that takes no aircraft.
-
-    Raises ``UsageError``: no angle, one beyond its limit, or a time that does not fit.
-    """
+    """The command of :meth:`AircraftGimbal.set_angles`; ``UsageError`` as there."""
     angles = _named(yaw=yaw, pitch=pitch, roll=roll)
     if not angles:
         raise UsageError("no angle was given", remedy="set_angles(pitch=-45)")
@@ -267,10 +264,7 @@ def angles_command(
 def rates_command(
     *, yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0, seconds: float | None = None
 ) -> GimbalSpeed:
-    """The command that :meth:`AircraftGimbal.set_angular_rates` repeats, checked.
-
-    Raises ``UsageError``: a rate beyond its limit, or a time that is not one.
-    """
+    """What :meth:`AircraftGimbal.set_angular_rates` repeats; ``UsageError`` as there."""
     if seconds is not None:
         in_range("seconds", seconds, 0.0, 3600.0, "s")
     for axis, rate in (("yaw", yaw), ("pitch", pitch), ("roll", roll)):

@@ -37,10 +37,7 @@ class ReplayURL(NamedTuple):
 
 
 def parse_replay(url: str) -> ReplayURL:
-    """Read a ``replay://`` URL: a path, relative or absolute, and options behind a ``?``.
-
-    Raises ``BadURL``: it names no file, or an option that does not exist or cannot be so.
-    """
+    """Read a ``replay://`` URL: a path, and options behind a ``?``; ``BadURL`` if it is none."""
     target = url.strip().removeprefix(SCHEME)
     name, mark, options = target.rpartition("?")
     if not mark or ("=" not in options and options):
@@ -87,10 +84,7 @@ async def open_replay(
     tap: Tap | None = None,  # hears the bytes of both directions
     holds: bool = False,  # stand still at the end, instead of ending with :class:`ReplayEnded`
 ) -> Aircraft:
-    """The aircraft of a recording, which is played from the next turn of the event loop on.
-
-    Raises ``BadURL, UsageError``: it cannot be, or the file cannot be played.
-    """
+    """The aircraft of a recording, played from the next turn of the event loop on."""
     wanted = parse_replay(url) if isinstance(url, str) else url
     flight = read(wanted.path)
     begin = await begin_of(flight, is_moved=holds or wanted.from_s > 0.0)

@@ -186,10 +186,7 @@ class ControlBlock:
         self.end(StopCause.SENDING_FAILED, failure)
 
     async def release(self) -> None:
-        """End what was obtained by hand, and wait for the end of the stop path.
-
-        Raises ``M100Error``: what ended it before, unless a call has told it.
-        """
+        """End what was obtained by hand, wait, and raise what ended it, unless that was told."""
         self._commander.link.require_loop()
         if self._life.state is BlockState.NEW:
             return

@@ -219,10 +219,7 @@ class GuardKeeper:
         await self._admit("take-off")
 
     async def admit_mission(self, what: str) -> None:
-        """The same for a mission, which besides needs GPS.
-
-        Raises ``GuardRefused``: battery below its floor, GPS too weak; battery or position unknown.
-        """
+        """As :meth:`admit_take_off`, for a mission, which besides needs GPS."""
         await self._admit(what)
         if self.guards.gps:
             self._check_gps(what, known(self._state, Position))
@@ -274,10 +271,7 @@ class GuardKeeper:
             raise self._unknown(what, Position, guard=guard, limit=None)
 
     def check(self, setpoint: Setpoint) -> None:
-        """Whether a setpoint may be sent now.
-
-        Raises ``GuardRefused``: with the guard's name, the measured value and the limit.
-        """
+        """Raise ``GuardRefused`` unless a setpoint may be sent now."""
         self._check_battery("a setpoint")
         position = known(self._state, Position)
         needs_gps = setpoint.mode.horizontal is not Horizontal.TILT

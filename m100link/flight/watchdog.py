@@ -141,10 +141,7 @@ class FollowCheck:
         self._unseen_s = 0.0
 
     def look(self) -> str:
-        """Return which demand is not followed, with figures; empty while there is no contradiction.
-
-        Call it a few times a second.
-        """
+        """A demand that is not followed, with figures, or nothing; to be asked at 5 to 10 Hz."""
         now = self._clock()
         passed, self._looked_at = now - self._looked_at, now
         setpoint = self._setpoint()

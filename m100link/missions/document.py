@@ -80,10 +80,7 @@ def _action_value(action: WaypointAction) -> Any:
 
 
 def load_object(text: str | bytes) -> dict[str, Any]:
-    """The object that a JSON text is.
-
-    Raises ``BadPlan``: it is not UTF-8, not JSON, no object, or a name stands twice in one.
-    """
+    """The object that a JSON text is; ``BadPlan``: it is none, or a name stands twice in one."""
     try:
         decoded = text.decode("utf-8-sig") if isinstance(text, bytes) else text.lstrip("\ufeff")
         value = read_json(decoded, pairs=_object)
@@ -130,10 +127,7 @@ def _short(value: object) -> str:
 
 
 def from_json(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments of :class:`m100link.WaypointPlan`, from an object; see its ``from_json``.
-
-    Raises ``BadPlan``: something is missing, unknown or of another kind.
-    """
+    """Arguments of a plan, from an object; see :meth:`m100link.WaypointPlan.from_json`."""
     if document.get("format") != FORMAT:
         raise BadPlan(
             f"the format is {_short(document.get('format'))}, not {FORMAT!r}",
@@ -259,10 +253,7 @@ _LARGEST = 16 * 1024 * 1024  # bytes; a survey of thousands of photographs has n
 
 
 def read(path: str | Path) -> bytes:
-    """What a file holds.
-
-    Raises ``BadPlan``: it cannot be read, is a device, or is far too large for a plan.
-    """
+    """What a file holds; ``BadPlan`` if it cannot be read, is a device, or is far too large."""
     found = b""
     try:
         is_device = stat.S_ISCHR(Path(path).stat().st_mode)

@@ -244,10 +244,7 @@ def from_document(
     home_altitude: float | None = None,
     leave_out: Collection[int | str] = (),
 ) -> dict[str, Any]:
-    """Arguments of :class:`m100link.WaypointPlan`; see its ``from_qgroundcontrol``.
-
-    Raises ``BadPlan``: the file is none of these, or has what the M100 cannot fly.
-    """
+    """Arguments of a plan; see :meth:`m100link.WaypointPlan.from_qgroundcontrol`."""
     mission, items = items_of(document, leave_out)
     builder = _Builder(mission, home_altitude)
     for item in items:

@@ -97,10 +97,7 @@ def _point(index: int, waypoint: Waypoint) -> WaypointPoint:
 
 
 def from_wire(mission: WaypointMission, points: Iterable[WaypointPoint]) -> dict[str, Any]:
-    """Arguments of :class:`m100link.WaypointPlan`; see its ``from_wire``.
-
-    Raises ``BadPlan``: a point is missing or unknown, or does what no aircraft does.
-    """
+    """Arguments of a plan; see :meth:`m100link.WaypointPlan.from_wire`."""
     by_index = {point.index: point for point in points}
     missing = [index for index in range(mission.count) if index not in by_index]
     extra = sorted(by_index.keys() - range(mission.count))

@@ -141,10 +141,7 @@ def check_envelope(envelope: Envelope, plan: WaypointPlan) -> None:
 def check_plan(
     guards: GuardKeeper, state: AircraftState, plan: WaypointPlan, *, allow_far: bool
 ) -> None:
-    """Whether a plan may be flown from here, within the envelope.
-
-    Raises ``GuardRefused``: with the guard, the waypoint, the measured value and the limit.
-    """
+    """Raise ``GuardRefused`` unless a plan may be flown from here, within the envelope."""
     envelope = guards.guards.envelope
     if envelope is not None:
         check_envelope(envelope, plan)
@@ -195,10 +192,7 @@ def height_of(state: AircraftState) -> float | None:
 def check_way(
     state: AircraftState, what: str, place: tuple[float, float], *, allow_far: bool
 ) -> float:
-    """How far it is to where a mission begins, m; 0 while the position is unknown.
-
-    Raises ``GuardRefused``: farther than 500 m, and nobody allowed it.
-    """
+    """Metres to where a mission begins, 0: unknown. ``GuardRefused``: over 500, not allowed."""
     distance = metres_to(state, place) or 0.0
     if distance > FAR_M and not allow_far:
         raise GuardRefused(

@@ -292,10 +292,7 @@ class MissionKeeper:
         return is_told or status is None or status.status not in _LANDING
 
     async def stop(self) -> M100Error | None:
-        """Stop what this block answers for, if it is owed a stop.
-
-        Returns why it may be flying on, None when it does not.
-        """
+        """Stop what this block owes a stop; returns why it may be flying on, None: it does not."""
         run = self._run
         if run is None:
             return None

@@ -143,10 +143,7 @@ _HANDOVER_S = 0.5  # in which the notification of a lost authority follows the p
 
 
 async def order(commander: Commander, kind: MissionKind, what: Ordered) -> None:
-    """Have the mission that flies hover, or go on.
-
-    Raises ``MissionRefused, AckTimeout``: see each class.
-    """
+    """Have the mission that flies hover, or go on."""
     request: Request[MissionCode] = getattr(ORDERS[kind], what)
     code = await commander.requests.execute(request, timeout=0.5, tries=3, refusal=MissionRefused)
     if code not in DONE_CODES[what]:
@@ -263,10 +260,7 @@ class MissionRun:
     # -- orders ----------------------------------------------------------------------------------
 
     async def order(self, what: Ordered) -> None:
-        """Hover, or go on.
-
-        Raises ``MissionRefused, MissionAborted, AckTimeout, UsageError``: see the public methods.
-        """
+        """Hover, or go on; it raises as :meth:`MissionFlight.pause`."""
         self.require_in_the_air(f"its {what}")
         with self._deck.block.waiting(self.name):
             await order(self._deck.commander, self.kind, what)
