@@ -6,10 +6,10 @@ import asyncio
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from m100link.errors import LinkClosed, OnlyRecorded, ReplayEnded, UsageError
-from m100link.link import Direction
+from m100link.link import Direction, Tap
 from m100link.link.link import Link
 from m100link.log.channels import EVENT
 from m100link.log.damage import Damage
@@ -18,10 +18,6 @@ from m100link.protocol.commands.activation import GetVersion, Version
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.session.events import SessionMode
 from m100link.wire import Frame, FrameDecoder
-
-if TYPE_CHECKING:
-    from m100link.link import Tap
-
 
 SLOWEST, FASTEST = 0.1, 100.0
 """Times as fast as it was flown; besides them, infinity: as fast as it is taken."""

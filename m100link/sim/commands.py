@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from m100link.errors import BadSetpoint
 from m100link.protocol.codes import (
@@ -73,18 +73,15 @@ from m100link.protocol.commands.waypoint import (
     WaypointSetIdleSpeed,
     WaypointStartStop,
 )
+from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import Device
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim.vehicle.missions.computer import Flown, MissionComputer
 from m100link.sim.vehicle.missions.hotpoint import FollowFlight, HotpointFlight
 from m100link.sim.vehicle.missions.plan import Order
 from m100link.sim.vehicle.missions.waypoints import WaypointFlight
+from m100link.sim.vehicle.vehicle import Vehicle
 from m100link.wire.frame import Frame
-
-if TYPE_CHECKING:
-    from m100link.protocol.firmware import FirmwareProfile
-    from m100link.sim.vehicle.vehicle import Vehicle
-
 
 _MISSIONS = bytes((COMMAND_SET,))
 

@@ -12,8 +12,9 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from operator import itemgetter
+from random import Random
 from struct import Struct
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from m100link.link.serial_transport import read_inverted
 from m100link.protocol.commands.monitor import PushTelemetry
@@ -24,10 +25,6 @@ from m100link.sim.vehicle.dynamics import STEPS_PER_SECOND
 from m100link.sim.vehicle.sensors import Sensors
 from m100link.wire.crc import frame_crc32, header_crc16_of_word, sequence_crc16
 from m100link.wire.frame import HEADER_SIZE, MAX_FRAME_SIZE, SOF
-
-if TYPE_CHECKING:
-    from random import Random
-
 
 # -- the telemetry push: which items are due, what they say, and a quick road to the bytes ---------
 # Each item has its own rate; packets go out at the highest rate among them and carry only what is

@@ -24,17 +24,13 @@ from bisect import insort
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import Any, get_type_hints
 
 from m100link.errors import M100Error, UsageError
 from m100link.errors.texts import read_json, read_toml
 from m100link.sim.line import LineFaults
 from m100link.sim.ports.driver import stop_listening
 from m100link.sim.virtual import VirtualAircraft
-
-if TYPE_CHECKING:
-    from m100link.sim.virtual import VirtualAircraft
-
 
 _ON = {"on": True, "yes": True, "true": True, "1": True}
 _OFF = {"off": False, "no": False, "false": False, "0": False}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from random import Random
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.commands.activation import Activate, Credentials
@@ -21,9 +21,7 @@ from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY, ActivationSer
 from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
 from m100link.sim.vehicle.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from m100link.wire import Key
+from m100link.wire import Key
 
 
 class VirtualAircraft:

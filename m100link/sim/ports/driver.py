@@ -12,23 +12,18 @@ import contextlib
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, Protocol, get_type_hints
+from typing import Any, Protocol, get_type_hints
 from urllib.parse import parse_qsl
 
 from m100link.errors import BadURL, UsageError
-from m100link.link import connect_in_memory
+from m100link.link import MemoryTransport, connect_in_memory
+from m100link.link.url import ConnectionString
 from m100link.sim.clock import LockstepEventLoop, VirtualClockEventLoop, loop_factory
 from m100link.sim.line import LineFaults, is_telemetry
 from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.vehicle.missions.route import MissionSettings
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
 from m100link.sim.virtual import VirtualAircraft
-
-if TYPE_CHECKING:
-    from m100link.link import MemoryTransport
-    from m100link.link.url import ConnectionString
-    from m100link.sim.virtual import VirtualAircraft
-
 
 _OVERSLEPT_S = 1.0
 

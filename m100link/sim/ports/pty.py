@@ -15,14 +15,9 @@ import struct
 import termios
 import tty
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from m100link.errors import PortBusy, PortFailed
-from m100link.sim.ports.driver import Backlog
-
-if TYPE_CHECKING:
-    from m100link.sim.ports.driver import Driver
-
+from m100link.sim.ports.driver import Backlog, Driver
 
 _STALE_S = 1.0
 _FULL = 4000  # the line discipline holds 4095 bytes

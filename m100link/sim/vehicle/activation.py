@@ -136,15 +136,6 @@ class MobileApp:
         lost_messages: Messages sent while no app was connected.
     """
 
-    __slots__ = (
-        "has_internet",
-        "is_connected",
-        "lost_messages",
-        "received",
-        "received_bytes",
-        "wants_control",
-    )
-
     def __init__(self, *, is_connected: bool = False, has_internet: bool = False) -> None:
         self.is_connected = is_connected
         self.has_internet = has_internet
@@ -195,18 +186,6 @@ class Activation:
     expects (facts-later-commands 4), then 6. An app that was allowed once is remembered, over
     power-off too, and needs neither phone nor Internet again.
     """
-
-    __slots__ = (
-        "_app",
-        "_asking",
-        "_delay",
-        "_profile",
-        "_serial_number",
-        "_server",
-        "active",
-        "known",
-        "last_refusal",
-    )
 
     def __init__(
         self,

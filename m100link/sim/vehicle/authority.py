@@ -36,19 +36,6 @@ class ControlArbiter:
     control.
     """
 
-    __slots__ = (
-        "_app",
-        "_profile",
-        "_settings",
-        "assistant",
-        "device",
-        "failsafe",
-        "is_pending",
-        "is_releasing",
-        "is_requested",
-        "remote",
-    )
-
     def __init__(
         self,
         profile: FirmwareProfile,

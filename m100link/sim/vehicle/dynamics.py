@@ -18,7 +18,7 @@ Its numbers are those of an :class:`~m100link.sim.vehicle.dynamics.Airframe`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from enum import IntEnum
 from math import atan, cos, exp, pi, sin, sqrt, tan
 
@@ -79,10 +79,8 @@ STEP_S = 1.0 / STEPS_PER_SECOND
 class ModelHorizontal(IntEnum):
     """What the two horizontal values of a :class:`Guidance` mean."""
 
-    TILT = 0
-    """Roll and pitch in radians."""
-    VELOCITY = 1
-    """m/s."""
+    TILT = 0  # roll and pitch in radians
+    VELOCITY = 1  # m/s
     POSITION = 2  # a place: metres north and east of the origin
     BRAKE = 3  # stop, then hold the place where it stopped
 
@@ -90,69 +88,33 @@ class ModelHorizontal(IntEnum):
 class ModelVertical(IntEnum):
     """What the vertical value of a :class:`Guidance` means."""
 
-    VELOCITY = 0
-    """m/s, up."""
-    HEIGHT = 1
-    """Metres above the ground at the origin."""
-    THRUST = 2
-    """Percent of full thrust."""
+    VELOCITY = 0  # m/s, up
+    HEIGHT = 1  # metres above the ground at the origin
+    THRUST = 2  # percent of full thrust
 
 
 class ModelYaw(IntEnum):
     """What the yaw value of a :class:`Guidance` means."""
 
-    ANGLE = 0
-    """Radians from north, clockwise."""
-    RATE = 1
-    """Radians per second, clockwise."""
+    ANGLE = 0  # radians from north, clockwise
+    RATE = 1  # radians per second, clockwise
 
 
+@dataclass(slots=True, eq=False)
 class Guidance:
     """What the aircraft is to do now. Values are of the kinds that the three modes name."""
 
-    __slots__ = (
-        "a",
-        "b",
-        "body",
-        "horizontal",
-        "smooth",
-        "steep",
-        "up",
-        "vertical",
-        "yaw",
-        "yaw_mode",
-    )
-
-    def __init__(
-        self,
-        horizontal: ModelHorizontal = ModelHorizontal.BRAKE,
-        a: float = 0.0,
-        b: float = 0.0,
-        *,
-        body: bool = False,
-        vertical: ModelVertical = ModelVertical.VELOCITY,
-        up: float = 0.0,
-        yaw_mode: ModelYaw = ModelYaw.RATE,
-        yaw: float = 0.0,
-        smooth: bool = False,
-        steep: bool = False,
-    ) -> None:
-        self.horizontal = horizontal  # kind of ``a`` and ``b``
-        self.a = a  # roll, or north / forward
-        self.b = b  # pitch, or east / right
-        self.body = body  # measure ``a`` and ``b`` along the nose (True) or along north (False)
-        self.vertical = vertical
-        self.up = up  # vertical velocity, height or thrust
-        self.yaw_mode = yaw_mode
-        self.yaw = yaw  # yaw angle or rate
-        self.smooth = smooth  # change speed gently (stable mode)
-        self.steep = steep  # tilt as far as the airframe can, and not only as in cruise
-
-    def __repr__(self) -> str:
-        return (
-            f"Guidance({self.horizontal.name}, {self.a:g}, {self.b:g}, body={self.body}, "
-            f"{self.vertical.name}={self.up:g}, yaw {self.yaw_mode.name}={self.yaw:g})"
-        )
+    horizontal: ModelHorizontal = ModelHorizontal.BRAKE  # kind of ``a`` and ``b``
+    a: float = 0.0  # roll, or north / forward
+    b: float = 0.0  # pitch, or east / right
+    _: KW_ONLY
+    body: bool = False  # measure ``a`` and ``b`` along the nose (True) or along north (False)
+    vertical: ModelVertical = ModelVertical.VELOCITY
+    up: float = 0.0  # vertical velocity, height or thrust
+    yaw_mode: ModelYaw = ModelYaw.RATE
+    yaw: float = 0.0  # yaw angle or rate
+    smooth: bool = False  # change speed gently (stable mode)
+    steep: bool = False  # tilt as far as the airframe can, and not only as in cruise
 
 
 class Dynamics:

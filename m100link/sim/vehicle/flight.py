@@ -8,9 +8,9 @@ decides each step which guidance the aircraft follows. Who may give orders is no
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from enum import Enum
 from math import radians
-from typing import TYPE_CHECKING
 
 from m100link.protocol import setpoint as wire
 from m100link.protocol.codes import ArmCode, TaskResultCode, TaskStartCode
@@ -18,19 +18,15 @@ from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Device, FlightPhase, RcMode
 from m100link.sim.vehicle.dynamics import (
     STEP_S,
+    Airframe,
     Dynamics,
     Guidance,
     ModelHorizontal,
     ModelVertical,
     ModelYaw,
 )
-from m100link.sim.vehicle.remote import PilotRemote
+from m100link.sim.vehicle.remote import PilotRemote, Sticks
 from m100link.sim.vehicle.settings import AircraftSettings
-
-if TYPE_CHECKING:
-    from m100link.sim.vehicle.dynamics import Airframe
-    from m100link.sim.vehicle.remote import Sticks
-
 
 # -- the flight mode commands: one at a time, the result kept (document 2.2.2.2) -------------------
 # ::
@@ -54,8 +50,6 @@ class TaskState(Enum):
 
 class TaskMachine:
     """The one task that is or was executed last."""
-
-    __slots__ = ("state", "task", "task_sequence")
 
     def __init__(self) -> None:
         self.state = TaskState.IDLE
@@ -119,29 +113,6 @@ class FlightController:
     often :meth:`interrupt` ended what it did; a mission that sees another number than at its start
     is over.
     """
-
-    __slots__ = (
-        "_forced",
-        "_guidance",
-        "_hover",
-        "_idle_since",
-        "_level",
-        "_maneuver_until",
-        "_mission_guidance",
-        "_setpoint_until",
-        "_settings",
-        "battery_percent",
-        "dynamics",
-        "gps_health",
-        "home",
-        "interruptions",
-        "maneuver",
-        "now",
-        "phase",
-        "setpoint",
-        "tasks",
-        "timeouts",
-    )
 
     def __init__(self, settings: AircraftSettings) -> None:
         self._settings = settings
@@ -493,15 +464,12 @@ class FlightController:
     def _held_down(self, guidance: Guidance) -> Guidance:
         if guidance.vertical == ModelVertical.VELOCITY and guidance.up <= 0.0:
             return guidance
-        return Guidance(
-            guidance.horizontal,
-            guidance.a,
-            guidance.b,
-            body=guidance.body,
+        return replace(
+            guidance,
             vertical=ModelVertical.HEIGHT,
             up=self._settings.height_limit,
-            yaw_mode=guidance.yaw_mode,
-            yaw=guidance.yaw,
+            smooth=False,
+            steep=False,
         )
 
     def _on_ground(self, *, is_idle: bool) -> None:

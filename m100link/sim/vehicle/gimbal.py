@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from m100link.geodesy import normalize_degrees
-from m100link.protocol.commands.gimbal import GIMBAL_LIMITS_DEG, GimbalAngleMode
-
-if TYPE_CHECKING:
-    from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
-
+from m100link.protocol.commands.gimbal import (
+    GIMBAL_LIMITS_DEG,
+    GimbalAngle,
+    GimbalAngleMode,
+    GimbalSpeed,
+)
 
 _LIMITS = tuple(GIMBAL_LIMITS_DEG.values())  # yaw, roll, pitch
 _TAKES_CONTROL = 0x80
@@ -37,8 +37,6 @@ class GimbalMount:
     ``roll``: degrees, held level against the ground. ``pitch``: degrees, -90 looks straight down.
     ``heading``: where the nose points, radians, as :meth:`carry` was told last.
     """
-
-    __slots__ = ("_rate_until", "_rates", "_targets", "follows", "heading", "pitch", "roll", "yaw")
 
     def __init__(self, heading: float = 0.0, *, follows: bool = False) -> None:
         self.yaw = self.roll = self.pitch = 0.0
@@ -131,8 +129,6 @@ class Camera:
     """Takes photographs and records; nothing that the onboard device hears tells of it."""
 
     PHOTO_S = 1.0
-
-    __slots__ = ("_busy_until", "_log", "is_recording", "photos")
 
     def __init__(self, log: Callable[[str], None]) -> None:
         self._log = log  # notes what it does

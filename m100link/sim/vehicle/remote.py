@@ -7,14 +7,10 @@ Channels as the telemetry item has them (document 2.2.3.1, item RC): sticks -100
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-from m100link.protocol.commands.virtual_rc import CENTRE, TRAVEL
+from m100link.protocol.commands.virtual_rc import CENTRE, TRAVEL, VirtualRcData, VirtualRcSettings
 from m100link.protocol.records import RcMode
-
-if TYPE_CHECKING:
-    from m100link.protocol.commands.virtual_rc import VirtualRcData, VirtualRcSettings
-
 
 GEAR_UP = -10_000
 GEAR_DOWN = -4_545
@@ -67,8 +63,6 @@ class VirtualRemote:
 
     TIMEOUT_S = 1.0
     SETTINGS_INTERVAL_S = 2.0
-
-    __slots__ = ("_falls_back", "_sticks", "_switched_at", "_until", "is_locked", "is_on")
 
     def __init__(self) -> None:
         self.is_on = self.is_locked = False
@@ -140,20 +134,6 @@ class PilotRemote:
         virtual: The virtual remote control (firmware 3.1).
         now: Time by which the virtual one is judged, seconds since power-on.
     """
-
-    __slots__ = (
-        "_corner_since",
-        "gear_down",
-        "is_switched_on",
-        "mode",
-        "moved_since_power_on",
-        "now",
-        "pitch",
-        "roll",
-        "throttle",
-        "virtual",
-        "yaw",
-    )
 
     def __init__(self, mode: RcMode = RcMode.P) -> None:
         self.mode = mode

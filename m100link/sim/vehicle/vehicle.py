@@ -16,9 +16,13 @@ from __future__ import annotations
 import logging
 import math
 from collections import deque
-from typing import TYPE_CHECKING, NamedTuple
+from random import Random
+from typing import NamedTuple
 
 from m100link.protocol.codes import ActivationCode, AuthorityCode
+from m100link.protocol.commands.activation import Activate
+from m100link.protocol.commands.virtual_rc import VirtualRcSettings
+from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import Device, RcMode
 from m100link.sim.vehicle.activation import Activation, ActivationServer, MobileApp
 from m100link.sim.vehicle.authority import ControlArbiter
@@ -30,13 +34,6 @@ from m100link.sim.vehicle.missions.computer import MissionComputer
 from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.sensors import Sensors
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
-
-if TYPE_CHECKING:
-    from random import Random
-
-    from m100link.protocol.commands.activation import Activate
-    from m100link.protocol.commands.virtual_rc import VirtualRcSettings
-    from m100link.protocol.firmware import FirmwareProfile
 
 _logger = logging.getLogger(__name__)
 

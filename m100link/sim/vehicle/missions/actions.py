@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode
+from m100link.protocol.commands.waypoint import WaypointPoint
 from m100link.protocol.records import Device
 from m100link.sim.vehicle.authority import ControlArbiter, Obstacle
 from m100link.sim.vehicle.dynamics import STEP_S, Dynamics
@@ -16,11 +16,7 @@ from m100link.sim.vehicle.gimbal import Camera, GimbalMount
 from m100link.sim.vehicle.missions.plan import ActionKind, WaypointPlan
 from m100link.sim.vehicle.missions.route import MissionSettings, Place, Site, distance
 from m100link.sim.vehicle.missions.steering import Nose, wrapped
-
-if TYPE_CHECKING:
-    from m100link.protocol.commands.waypoint import WaypointPoint
-    from m100link.sim.vehicle.settings import AircraftSettings
-
+from m100link.sim.vehicle.settings import AircraftSettings
 
 _LONGEST_CAMERA_ACTION_S = 6.0
 _GIMBAL_RATE_DEG = 45.0
@@ -36,8 +32,6 @@ def aim_gimbal(gimbal: GimbalMount, pitch_deg: float, seconds: float) -> None:
 
 class Payload:
     """What hangs below, as far as a mission uses it."""
-
-    __slots__ = ("_camera", "_flight", "_log", "gimbal")
 
     def __init__(
         self,
@@ -66,19 +60,6 @@ class Payload:
 
 class ActionRunner:
     """The actions of one waypoint; :meth:`step` once per step of the dynamics until it is done."""
-
-    __slots__ = (
-        "_is_done",
-        "_left",
-        "_limit",
-        "_motion",
-        "_nose",
-        "_payload",
-        "_point",
-        "_running",
-        "_settings",
-        "_waits_for_nose",
-    )
 
     def __init__(
         self,

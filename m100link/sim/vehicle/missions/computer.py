@@ -15,11 +15,14 @@ breaks (facts M9). It ends when the flight controller does something else, whoev
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Notification
+from m100link.protocol.commands.hotpoint import FollowStart, HotpointStart
 from m100link.protocol.commands.missions import IdleStatus, MissionStatus, Reached, WaypointEvent
+from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
+from m100link.sim.vehicle.authority import ControlArbiter
 from m100link.sim.vehicle.dynamics import Guidance, ModelVertical
 from m100link.sim.vehicle.flight import GOOD_GPS, FlightController, Maneuver
 from m100link.sim.vehicle.missions.actions import Conditions, Payload
@@ -40,13 +43,7 @@ from m100link.sim.vehicle.missions.plan import (
 )
 from m100link.sim.vehicle.missions.route import Place, Site, distance, is_on_earth
 from m100link.sim.vehicle.missions.waypoints import BEFORE_ACTIONS, WaypointFlight
-
-if TYPE_CHECKING:
-    from m100link.protocol.commands.hotpoint import FollowStart, HotpointStart
-    from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
-    from m100link.sim.vehicle.authority import ControlArbiter
-    from m100link.sim.vehicle.settings import AircraftSettings
-
+from m100link.sim.vehicle.settings import AircraftSettings
 
 Flown: TypeAlias = WaypointFlight | HotpointFlight | FollowFlight
 

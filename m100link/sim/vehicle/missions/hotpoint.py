@@ -7,21 +7,23 @@ from __future__ import annotations
 
 import math
 from enum import Enum
-from typing import TYPE_CHECKING
 
 from m100link.protocol.codes import MissionCode
+from m100link.protocol.commands.hotpoint import FollowStart, FollowTarget, HotpointStart
 from m100link.protocol.commands.missions import FollowStatus, HotpointStatus, WaypointEvent
-from m100link.sim.vehicle.dynamics import STEP_S, Guidance, ModelHorizontal, ModelVertical, ModelYaw
+from m100link.sim.vehicle.dynamics import (
+    STEP_S,
+    Airframe,
+    Dynamics,
+    Guidance,
+    ModelHorizontal,
+    ModelVertical,
+    ModelYaw,
+)
 from m100link.sim.vehicle.missions.plan import FinishAction
-from m100link.sim.vehicle.missions.route import Leg, Place, Site, is_on_earth
+from m100link.sim.vehicle.missions.route import Leg, MissionSettings, Place, Site, is_on_earth
 from m100link.sim.vehicle.missions.steering import Nose, Steering, slowed
-
-if TYPE_CHECKING:
-    from m100link.protocol.commands.hotpoint import FollowStart, FollowTarget, HotpointStart
-    from m100link.sim.vehicle.dynamics import Airframe, Dynamics
-    from m100link.sim.vehicle.missions.route import MissionSettings, Place
-    from m100link.sim.vehicle.remote import Sticks
-
+from m100link.sim.vehicle.remote import Sticks
 
 SMALLEST_RADIUS, LARGEST_RADIUS, LOWEST = 5.0, 500.0, 5.0
 _FASTEST_DEG, _TANGENTIAL = 30.0, 573.0  # °/s, and ° m/s: 10 m/s along the circle

@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import Enum, auto
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.missions import Uploaded
+from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
 from m100link.sim.vehicle.missions.route import (
     Leg,
     MissionSettings,
@@ -23,16 +23,10 @@ from m100link.sim.vehicle.missions.route import (
     legs_between,
 )
 
-if TYPE_CHECKING:
-    from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
-    from m100link.sim.vehicle.missions.route import MissionSettings, Place, Site
-
-
 STOP_S = 4.0
 """What braking, arriving and starting again cost at each stop, for the estimate, seconds."""
 
 _TURN_RIGHT, _TURN_LEFT = 0, 1
-_PHOTO_LIMIT_S = 6.0
 
 
 class ActionKind:
@@ -186,8 +180,6 @@ class WaypointUpload:
     ``mission``: as 0x03/0x10 had it, with the idle speed that was set since; None without one.
     ``points``: waypoints, by index. ``plan``: all of it, once the check of the whole has passed.
     """
-
-    __slots__ = ("_settings", "_site", "mission", "plan", "points")
 
     def __init__(self, settings: MissionSettings, site: Site) -> None:
         self._settings = settings

@@ -194,8 +194,6 @@ class Leg:
     ``first``: indexes of the waypoints at its ends.
     """
 
-    __slots__ = ("_pieces", "_starts", "curves", "first", "last", "length", "marks")
-
     def __init__(self, pieces: list[_Line | _Arc], marks: list[tuple[float, int]]) -> None:
         self._pieces = pieces
         self._starts: list[float] = []
@@ -316,8 +314,6 @@ def is_on_earth(latitude: float, longitude: float) -> bool:
 
 class Site:
     """The map around the place where the aircraft was switched on."""
-
-    __slots__ = ("_frame", "_zones", "farthest_start", "height_limit", "radius_limit")
 
     def __init__(
         self,

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from m100link.sim.vehicle.dynamics import (
     STEP_S,
+    Airframe,
     Dynamics,
     Guidance,
     ModelHorizontal,
@@ -14,10 +14,6 @@ from m100link.sim.vehicle.dynamics import (
     ModelYaw,
 )
 from m100link.sim.vehicle.missions.route import OnLeg, Place
-
-if TYPE_CHECKING:
-    from m100link.sim.vehicle.dynamics import Airframe
-
 
 BRAKING = 1.8  # deceleration that missions plan with, m/s²
 _NEARING = 0.8  # m/s per metre on the last metres before a stop
@@ -56,8 +52,6 @@ class Nose:
     ``heading``: what is asked for now.
     """
 
-    __slots__ = ("_rate", "_target", "heading")
-
     def __init__(self, heading: float, rate_deg: float) -> None:
         self.heading = self._target = heading
         self._rate = math.radians(rate_deg)
@@ -91,8 +85,6 @@ class Nose:
 
 class Steering:
     """Turns places, lines and speeds into what the dynamics follow."""
-
-    __slots__ = ("_airframe", "_motion")
 
     def __init__(self, motion: Dynamics, airframe: Airframe) -> None:
         self._motion = motion

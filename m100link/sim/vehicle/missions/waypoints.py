@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import math
 from enum import Enum
-from typing import TYPE_CHECKING
 
 from m100link.protocol.commands.missions import Finished, Reached, WaypointEvent, WaypointStatus
-from m100link.sim.vehicle.dynamics import STEP_S, Guidance, ModelYaw
+from m100link.sim.vehicle.dynamics import STEP_S, Airframe, Dynamics, Guidance, ModelYaw
 from m100link.sim.vehicle.missions.actions import ActionRunner, Payload, aim_gimbal
 from m100link.sim.vehicle.missions.plan import FinishAction, WaypointPlan, YawMode
-from m100link.sim.vehicle.missions.route import Leg, Place
+from m100link.sim.vehicle.missions.route import Leg, MissionSettings, Place
 from m100link.sim.vehicle.missions.steering import BRAKING, Nose, Steering, stopping_speed, wrapped
-
-if TYPE_CHECKING:
-    from m100link.sim.vehicle.dynamics import Airframe, Dynamics
-    from m100link.sim.vehicle.missions.route import MissionSettings
-    from m100link.sim.vehicle.remote import Sticks
-
+from m100link.sim.vehicle.remote import Sticks
 
 BEFORE_ACTIONS, AFTER_ACTIONS = 4, 6  # status in the event that a waypoint was reached
 
