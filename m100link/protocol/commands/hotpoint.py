@@ -10,7 +10,14 @@ from typing import Any, ClassVar
 
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Address
-from m100link.protocol.commands.missions import Answer, DownloadAnswer, MissionRequest, Unconfirmed
+from m100link.protocol.commands.missions import (
+    Answer,
+    AnyByte,
+    DownloadAnswer,
+    MissionRequest,
+    PauseResume,
+    Unconfirmed,
+)
 from m100link.protocol.fields import Laid, Layout, Number, Reserved, latitude, longitude
 
 _RADIUS = 5.0, 500.0
@@ -68,6 +75,7 @@ class HotpointStart(Laid, MissionRequest[HotpointStartAnswer]):
         Number("yaw_mode", words=("along_path", "to_centre", "outwards", "by_rc", "as_at_start")),
         Reserved(11),
     )
+    sets_in_motion: ClassVar[bool] = True  # at once
 
     latitude: float
     longitude: float
@@ -79,37 +87,21 @@ class HotpointStart(Laid, MissionRequest[HotpointStartAnswer]):
     yaw_mode: int = 1
     version: int = 0
 
-    @property
-    def sets_in_motion(self) -> bool:
-        """At once."""
-        return True
-
 
 @dataclass(frozen=True, slots=True)
-class HotpointStop(Laid, MissionRequest[MissionCode]):
+class HotpointStop(AnyByte, MissionRequest[MissionCode]):
     """0x03/0x21, end the circle and hover."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x21)
     NAME: ClassVar[str] = "hotpoint_stop"
-    LAYOUT: ClassVar[Layout] = Layout(Number("any"))
-
-    any: int = 0
 
 
 @dataclass(frozen=True, slots=True)
-class HotpointPauseResume(Laid, MissionRequest[MissionCode]):
+class HotpointPauseResume(PauseResume):
     """0x03/0x22, pause (0) or resume (1) the circle."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x22)
     NAME: ClassVar[str] = "hotpoint_pause_resume"
-    LAYOUT: ClassVar[Layout] = Layout(Number("resume", words=("pause", "resume")))
-
-    resume: int
-
-    @property
-    def sets_in_motion(self) -> bool:
-        """Resuming does."""
-        return self.resume != 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,14 +137,11 @@ class HotpointSetRadius(Laid, Unconfirmed):
 
 
 @dataclass(frozen=True, slots=True)
-class HotpointResetYaw(Laid, Unconfirmed):
+class HotpointResetYaw(AnyByte, Unconfirmed):
     """0x03/0x25, turn the nose back to where the yaw mode wants it."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x25)
     NAME: ClassVar[str] = "hotpoint_reset_yaw"
-    LAYOUT: ClassVar[Layout] = Layout(Number("any"))
-
-    any: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,14 +163,11 @@ class HotpointDownloadAnswer(DownloadAnswer[HotpointStart]):
 
 
 @dataclass(frozen=True, slots=True)
-class HotpointDownload(Laid, MissionRequest[HotpointDownloadAnswer]):
+class HotpointDownload(AnyByte, MissionRequest[HotpointDownloadAnswer]):
     """0x03/0x26, ask for the circle that the aircraft flies."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x26)
     NAME: ClassVar[str] = "hotpoint_download"
-    LAYOUT: ClassVar[Layout] = Layout(Number("any"))
-
-    any: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,14 +182,10 @@ class HotpointAutoRadius(Laid, MissionRequest[MissionCode]):
     ADDRESS: ClassVar[Address] = Address(0x03, 0x27)
     NAME: ClassVar[str] = "hotpoint_auto_radius"
     LAYOUT: ClassVar[Layout] = Layout(Number("enable", words=("off", "on")), Number("rate", "b"))
+    sets_in_motion: ClassVar[bool] = True  # it changes the circle
 
     enable: int
     rate: int = 0
-
-    @property
-    def sets_in_motion(self) -> bool:
-        """It changes the circle."""
-        return True
 
 
 # -- following a target: 0x03/0x30 to 0x33 of firmware 3.1 -----------------------------------------
@@ -238,6 +220,7 @@ class FollowStart(Laid, MissionRequest[MissionCode]):
         *_TARGET,
         Number("sensitivity", "B", 0, 1),
     )
+    sets_in_motion: ClassVar[bool] = True  # at once
 
     latitude: float
     longitude: float
@@ -247,37 +230,21 @@ class FollowStart(Laid, MissionRequest[MissionCode]):
     angle: int = 0
     sensitivity: int = 1
 
-    @property
-    def sets_in_motion(self) -> bool:
-        """At once."""
-        return True
-
 
 @dataclass(frozen=True, slots=True)
-class FollowStop(Laid, MissionRequest[MissionCode]):
+class FollowStop(AnyByte, MissionRequest[MissionCode]):
     """0x03/0x31, stop following and hover."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x31)
     NAME: ClassVar[str] = "follow_stop"
-    LAYOUT: ClassVar[Layout] = Layout(Number("any"))
-
-    any: int = 0
 
 
 @dataclass(frozen=True, slots=True)
-class FollowPauseResume(Laid, MissionRequest[MissionCode]):
+class FollowPauseResume(PauseResume):
     """0x03/0x32, pause (0) or resume (1) following."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x32)
     NAME: ClassVar[str] = "follow_pause_resume"
-    LAYOUT: ClassVar[Layout] = Layout(Number("resume", words=("pause", "resume")))
-
-    resume: int
-
-    @property
-    def sets_in_motion(self) -> bool:
-        """Resuming does."""
-        return self.resume != 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from m100link.protocol.command import (
     exactly,
     plain,
 )
-from m100link.protocol.fields import Layout, Number, Record, Reserved
+from m100link.protocol.fields import Laid, Layout, Number, Record, Reserved
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
 COMMAND_SET = 0x03
@@ -88,18 +88,17 @@ class OtherKind(_Told):
         return self.data
 
 
+@dataclass(frozen=True, slots=True)
 class _LastMission(_Told):
     """What is told while no mission runs."""
-
-    __slots__ = ()
 
     LAYOUT: ClassVar[Layout] = Layout(
         Number("last_mission"), Number("flags"), Number("reason"), Reserved(2)
     )
 
-    last_mission: int
-    flags: int
-    reason: int
+    last_mission: int = 0
+    flags: int = 0
+    reason: int = 0
 
     @property
     def is_broken_off(self) -> bool:
@@ -129,10 +128,6 @@ class IdleStatus(_LastMission):
     KIND: ClassVar[int] = 0
     WORD: ClassVar[str] = "none"
 
-    last_mission: int = 0
-    flags: int = 0
-    reason: int = 0
-
 
 @dataclass(frozen=True, slots=True)
 class IocStatus(_LastMission):
@@ -140,10 +135,6 @@ class IocStatus(_LastMission):
 
     KIND: ClassVar[int] = 4
     WORD: ClassVar[str] = "ioc"
-
-    last_mission: int = 0
-    flags: int = 0
-    reason: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,106 +289,102 @@ EVENTS = (Uploaded, Finished, Reached)  # what a waypoint mission may tell, by i
 _PUSH_SIZE = 6
 
 
-@dataclass(frozen=True, slots=True)
-class MissionStatus(Notification):
-    """0x02/0x03, which mission runs and how far it is; about ten times a second.
+class _KindPush(Notification, ABC):
+    """A push whose first byte is the kind of what it tells."""
 
-    The box "Ground Station Status" has to be ticked in the PC assistant.
+    __slots__ = ()
 
-    Attributes:
-        status: What is told, by the kind of mission.
-    """
-
-    ADDRESS: ClassVar[Address] = Address(0x02, 0x03)
-    NAME: ClassVar[str] = "mission_status"
     SINCE: ClassVar[Generation] = Generation.V3_1
+    KINDS: ClassVar[tuple[type[_Told], ...]]
 
-    status: Status
+    @property
+    @abstractmethod
+    def told(self) -> _Told:
+        """What it tells."""
 
     @property
     def kind(self) -> int:
-        """0 none, 1 waypoint, 2 hotpoint, 3 follow, 4 IOC."""
-        return self.status.kind
+        """Its number; the words are those of :attr:`KINDS`."""
+        return self.told.kind
 
     @property
     def name(self) -> str:
         """With the kind in a word."""
-        return f"{self.NAME}_{self.status.word}"
+        return f"{self.NAME}_{self.told.word}"
 
     def value(self, profile: FirmwareProfile) -> bytes:
         """6 bytes."""
-        return bytes((self.kind,)) + self.status.to_wire(self.name)
+        return bytes((self.kind,)) + self.told.to_wire(self.name)
 
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
         """6 bytes."""
         tail = exactly(value, _PUSH_SIZE, cls.NAME)[1:]
-        if value[0] >= len(STATUSES):
-            return cls(OtherKind(value[0], tail))
-        return cls(STATUSES[value[0]].from_wire(tail))
+        known = value[0] < len(cls.KINDS)
+        told = cls.KINDS[value[0]].from_wire(tail) if known else OtherKind(value[0], tail)
+        return cls(told)  # type: ignore[call-arg]  # the two are dataclasses of what they tell
 
     def fields(self) -> dict[str, Any]:
-        """The kind in a word, and what is told in metres, degrees and words."""
-        return {"kind": self.status.word} | self.status.shown()
+        """The kind in a word, and what is told in metres, degrees, seconds and words."""
+        return {"kind": self.told.word} | self.told.shown()
 
     def raw(self) -> dict[str, Any]:
         """The kind and its fields."""
-        return {"kind": self.kind} | self.status.raw()
+        return {"kind": self.kind} | self.told.raw()
 
     def problems(self) -> list[Problem]:
         """A kind that does not exist."""
-        return self.status.problems()
+        return self.told.problems()
 
 
 @dataclass(frozen=True, slots=True)
-class WaypointEvent(Notification):
+class MissionStatus(_KindPush):
+    """0x02/0x03, which mission runs and how far it is; about ten times a second.
+
+    The box "Ground Station Status" has to be ticked in the PC assistant.
+
+    Attributes:
+        status: What is told, by the kind of mission: 0 none, 1 waypoint, 2 hotpoint, 3 follow,
+            4 IOC.
+    """
+
+    ADDRESS: ClassVar[Address] = Address(0x02, 0x03)
+    NAME: ClassVar[str] = "mission_status"
+    KINDS: ClassVar[tuple[type[_Told], ...]] = STATUSES
+
+    status: Status
+
+    @property
+    def told(self) -> Status:
+        """The status."""
+        return self.status
+
+
+@dataclass(frozen=True, slots=True)
+class WaypointEvent(_KindPush):
     """0x02/0x04, a step of a waypoint mission, told once.
 
     Attributes:
-        event: What happened.
+        event: What happened: 0 uploaded, 1 finished, 2 reached.
     """
 
     ADDRESS: ClassVar[Address] = Address(0x02, 0x04)
     NAME: ClassVar[str] = "waypoint_event"
-    SINCE: ClassVar[Generation] = Generation.V3_1
+    KINDS: ClassVar[tuple[type[_Told], ...]] = EVENTS
 
     event: Event
 
     @property
-    def kind(self) -> int:
-        """0 uploaded, 1 finished, 2 reached."""
-        return self.event.kind
-
-    @property
-    def name(self) -> str:
-        """With the kind in a word."""
-        return f"{self.NAME}_{self.event.word}"
-
-    def value(self, profile: FirmwareProfile) -> bytes:
-        """6 bytes."""
-        return bytes((self.kind,)) + self.event.to_wire(self.name)
+    def told(self) -> Event:
+        """The event."""
+        return self.event
 
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
         """6 bytes; 5 for a waypoint reached, as DJI's last library lists that."""
         if len(value) == _PUSH_SIZE - 1 and value[0] == Reached.KIND:
             value += b"\0"
-        tail = exactly(value, _PUSH_SIZE, cls.NAME)[1:]
-        if value[0] >= len(EVENTS):
-            return cls(OtherKind(value[0], tail))
-        return cls(EVENTS[value[0]].from_wire(tail))
-
-    def fields(self) -> dict[str, Any]:
-        """The kind in a word, and what is told in seconds."""
-        return {"kind": self.event.word} | self.event.shown()
-
-    def raw(self) -> dict[str, Any]:
-        """The kind and its fields."""
-        return {"kind": self.kind} | self.event.raw()
-
-    def problems(self) -> list[Problem]:
-        """A kind that does not exist."""
-        return self.event.problems()
+        return super(WaypointEvent, cls).parse(value, profile)
 
 
 # -- acks of command set 0x03: they begin with a code of one byte, where all others have two -------
@@ -578,6 +565,29 @@ class Unconfirmed(_MissionCommand, _MissionAck[MissionCode], Movement):
     """
 
     __slots__ = ()
+
+
+@dataclass(frozen=True, slots=True)
+class AnyByte(Laid):
+    """A command whose one byte may be anything."""
+
+    LAYOUT: ClassVar[Layout] = Layout(Number("any"))
+
+    any: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class PauseResume(Laid, MissionRequest[MissionCode]):
+    """Pause (0) or resume (1) a mission."""
+
+    LAYOUT: ClassVar[Layout] = Layout(Number("resume", words=("pause", "resume")))
+
+    resume: int
+
+    @property
+    def sets_in_motion(self) -> bool:
+        """Resuming does."""
+        return self.resume != 0
 
 
 def _split(name: str, payload: bytes, size: int) -> tuple[MissionCode, bytes]:

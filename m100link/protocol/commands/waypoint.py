@@ -12,7 +12,13 @@ from typing import Any, ClassVar, Self
 
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Address, Problem
-from m100link.protocol.commands.missions import Answer, DownloadAnswer, MissionRequest
+from m100link.protocol.commands.missions import (
+    Answer,
+    AnyByte,
+    DownloadAnswer,
+    MissionRequest,
+    PauseResume,
+)
 from m100link.protocol.fields import (
     Laid,
     Layout,
@@ -233,19 +239,11 @@ class WaypointStartStop(Laid, MissionRequest[MissionCode]):
 
 
 @dataclass(frozen=True, slots=True)
-class WaypointPauseResume(Laid, MissionRequest[MissionCode]):
+class WaypointPauseResume(PauseResume):
     """0x03/0x13, pause (0) or resume (1) the mission."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x13)
     NAME: ClassVar[str] = "waypoint_pause_resume"
-    LAYOUT: ClassVar[Layout] = Layout(Number("resume", words=("pause", "resume")))
-
-    resume: int
-
-    @property
-    def sets_in_motion(self) -> bool:
-        """Resuming does."""
-        return self.resume != 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,14 +265,11 @@ class WaypointMissionAnswer(DownloadAnswer[WaypointMission]):
 
 
 @dataclass(frozen=True, slots=True)
-class WaypointDownloadMission(Laid, MissionRequest[WaypointMissionAnswer]):
+class WaypointDownloadMission(AnyByte, MissionRequest[WaypointMissionAnswer]):
     """0x03/0x14, ask for the mission that the aircraft has; its count is 0 when it has ended."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x14)
     NAME: ClassVar[str] = "waypoint_download_mission"
-    LAYOUT: ClassVar[Layout] = Layout(Number("any"))
-
-    any: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,21 +330,14 @@ class WaypointSetIdleSpeed(Laid, MissionRequest[IdleSpeedAnswer]):
     ADDRESS: ClassVar[Address] = Address(0x03, 0x16)
     NAME: ClassVar[str] = "waypoint_set_idle_speed"
     LAYOUT: ClassVar[Layout] = _IDLE_SPEED
+    sets_in_motion: ClassVar[bool] = True  # from a standstill
 
     idle_speed: float
 
-    @property
-    def sets_in_motion(self) -> bool:
-        """From a standstill it does."""
-        return True
-
 
 @dataclass(frozen=True, slots=True)
-class WaypointGetIdleSpeed(Laid, MissionRequest[IdleSpeedAnswer]):
+class WaypointGetIdleSpeed(AnyByte, MissionRequest[IdleSpeedAnswer]):
     """0x03/0x17, ask for the cruise."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x17)
     NAME: ClassVar[str] = "waypoint_get_idle_speed"
-    LAYOUT: ClassVar[Layout] = Layout(Number("any"))
-
-    any: int = 0
