@@ -281,8 +281,6 @@ _LAYOUTS: dict[type[Command], tuple[Layout, ...]] = {
     ),
     activation.SetTelemetryRates: (Layout(Numbers("rates", 16, Number("rate"))),),
     control.RequestAuthority: (Layout(Number("obtain")),),
-    control.StartTask: (Layout(Number("task_sequence"), Number("task")),),
-    control.QueryTask: (Layout(Number("task_sequence")),),
     control.Move: (_MOVE,),
     control.Arm: (Layout(Number("on")),),
     gimbal.GimbalSpeed: (Layout(*_ANGLES, Number("flags")),),
@@ -290,7 +288,6 @@ _LAYOUTS: dict[type[Command], tuple[Layout, ...]] = {
     gimbal.TakePhoto: (_ANY,),
     gimbal.StartVideo: (_ANY,),
     gimbal.StopVideo: (_ANY,),
-    monitor.AuthorityChanged: (Layout(Number("code")),),
     virtual_rc.VirtualRcSettings: (Layout(Number("flags")),),
     virtual_rc.VirtualRcData: (Layout(Numbers("channels", 16, Number("channel", "I"))),),
 }

@@ -10,6 +10,7 @@ and ``encode_ack`` do the same for the answer.
 from __future__ import annotations
 
 import dataclasses
+import re
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar, get_args, get_origin
 
@@ -19,6 +20,8 @@ from m100link.protocol.firmware import FirmwareProfile, Generation
 from m100link.session.events import SessionMode
 
 A = TypeVar("A")
+
+_INNER_CAPITAL = re.compile("(?<=.)(?=[A-Z])")
 
 
 class Address(NamedTuple):
@@ -63,7 +66,7 @@ class Command:
 
     Attributes:
         ADDRESS: Command set and id.
-        NAME: The word for it in logs, errors and the CLI.
+        NAME: The word for it in logs, errors and the CLI: ``start_task`` for ``StartTask``.
         LEVEL: Authorization level that the aircraft asks for (document 2.1).
         ENCRYPTED: Whether it is sent encrypted as soon as there is a key.
         SESSION_MODE: How it is sent; follows from the kind.
@@ -87,6 +90,8 @@ class Command:
         super().__init_subclass__()
         if hasattr(cls, "ADDRESS"):  # the four kinds have none
             cls._PREFIX = bytes(cls.ADDRESS)
+            if "NAME" not in vars(cls):
+                cls.NAME = _INNER_CAPITAL.sub("_", cls.__name__).lower()
 
     @property
     def needs_known_firmware(self) -> bool:
@@ -133,7 +138,7 @@ class Command:
         return {name: plain(getattr(self, name)) for name in field_names(self)}
 
     def raw(self) -> dict[str, Any]:
-        """The fields of a later command as on the wire; empty for those of the document."""
+        """The fields as on the wire; empty for a command of the document without a layout."""
         return {}
 
     def problems(self) -> list[Problem]:

@@ -424,8 +424,10 @@ def test_set_0_and_a_release_are_alike_in_every_firmware_and_the_rest_needs_a_kn
 
 
 def test_a_command_of_the_document_shows_its_fields_and_knows_no_others() -> None:
-    command = QueryTask(7)
-    assert command.value(profile("1.0")) == b"\x07"
-    assert command.fields() == {"task_sequence": 7}
+    command = RequestAuthority(obtain=True)
+    assert command.value(profile("1.0")) == b"\x01"
+    assert command.fields() == {"obtain": True}
     assert command.raw() == {}
+    assert QueryTask(7).value(profile("1.0")) == b"\x07"
+    assert QueryTask(7).fields() == QueryTask(7).raw() == {"task_sequence": 7}
     assert QueryTask.ack_problems(QueryTask.UNREADABLE) == []

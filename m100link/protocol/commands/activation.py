@@ -124,7 +124,6 @@ class GetVersion(Request[Version]):
     """0x00/0x00, get API version. The one byte of its value is arbitrary."""
 
     ADDRESS: ClassVar[Address] = Address(0x00, 0x00)
-    NAME: ClassVar[str] = "get_version"
     NEEDS_ACTIVATION: ClassVar[bool] = False
     ACK_IS_PLAIN: ClassVar[bool] = True
 
@@ -184,7 +183,6 @@ class Activate(Request[ActivationCode]):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x00, 0x01)
-    NAME: ClassVar[str] = "activate"
     NEEDS_ACTIVATION: ClassVar[bool] = False
     ACK_IS_PLAIN: ClassVar[bool] = True
     UNREADABLE: ClassVar[AckCode] = ActivationCode.INVALID_PARAMETERS
@@ -236,7 +234,6 @@ class SetTelemetryRates(Request[RatesCode]):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x00, 0x10)
-    NAME: ClassVar[str] = "set_telemetry_rates"
     NEEDS_ACTIVATION: ClassVar[bool] = False
     UNREADABLE: ClassVar[AckCode] = RatesCode.INVALID_PARAMETERS
     SINCE: ClassVar[Generation] = Generation.V3_1
@@ -331,7 +328,6 @@ class SendToMobile(Request[MobileDataCode]):
     """0x00/0xFE, transparent data to the mobile device, 1 to 100 bytes, about 8 kB/s."""
 
     ADDRESS: ClassVar[Address] = Address(0x00, 0xFE)
-    NAME: ClassVar[str] = "send_to_mobile"
 
     data: bytes
 

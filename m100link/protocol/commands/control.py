@@ -9,6 +9,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 from m100link.protocol.codes import AckCode, ArmCode, AuthorityCode, TaskResultCode, TaskStartCode
 from m100link.protocol.command import Address, Movement, Problem, Request, exactly
+from m100link.protocol.fields import Laid, Layout, Number
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
 
@@ -17,7 +18,6 @@ class RequestAuthority(Request[AuthorityCode]):
     """0x01/0x00, obtain (True) or release (False) control authority."""
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x00)
-    NAME: ClassVar[str] = "request_authority"
     LEVEL: ClassVar[int] = 2
     ENCRYPTED: ClassVar[bool] = True
 
@@ -56,7 +56,7 @@ class Task(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class StartTask(Request[TaskStartCode]):
+class StartTask(Laid, Request[TaskStartCode]):
     """0x01/0x01, begin take-off, landing or go-home.
 
     Attributes:
@@ -65,24 +65,14 @@ class StartTask(Request[TaskStartCode]):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x01)
-    NAME: ClassVar[str] = "start_task"
     LEVEL: ClassVar[int] = 2
     ENCRYPTED: ClassVar[bool] = True
     ACK_CODE_SIZES: ClassVar[tuple[int, ...]] = (1, 2)
     UNREADABLE: ClassVar[AckCode] = TaskStartCode.REJECTED
+    LAYOUT: ClassVar[Layout] = Layout(Number("task_sequence"), Number("task"))
 
     task_sequence: int
     task: int
-
-    def value(self, profile: FirmwareProfile) -> bytes:
-        """Two bytes."""
-        return bytes((self.task_sequence, self.task))
-
-    @classmethod
-    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
-        """Two bytes."""
-        task_sequence, task = exactly(value, 2, cls.NAME)
-        return cls(task_sequence, task)
 
     def fields(self) -> dict[str, Any]:
         """With the name of the task."""
@@ -94,26 +84,17 @@ class StartTask(Request[TaskStartCode]):
 
 
 @dataclass(frozen=True, slots=True)
-class QueryTask(Request[TaskResultCode]):
+class QueryTask(Laid, Request[TaskResultCode]):
     """0x01/0x02, ask for the result of the task with that number."""
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x02)
-    NAME: ClassVar[str] = "query_task"
     LEVEL: ClassVar[int] = 2
     ENCRYPTED: ClassVar[bool] = True
     ACK_CODE_SIZES: ClassVar[tuple[int, ...]] = (1, 2)
     UNREADABLE: ClassVar[AckCode] = TaskResultCode.NOT_CURRENT
+    LAYOUT: ClassVar[Layout] = Layout(Number("task_sequence"))
 
     task_sequence: int
-
-    def value(self, profile: FirmwareProfile) -> bytes:
-        """One byte."""
-        return bytes((self.task_sequence,))
-
-    @classmethod
-    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
-        """One byte."""
-        return cls(exactly(value, 1, cls.NAME)[0])
 
 
 _MOVE = Struct("<B4f")
@@ -141,7 +122,6 @@ class Move(_MoveFields, Movement):
     __slots__ = ()
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x03)
-    NAME: ClassVar[str] = "move"
     LEVEL: ClassVar[int] = 2
     ENCRYPTED: ClassVar[bool] = True
 
@@ -174,7 +154,6 @@ class Arm(Request[ArmCode]):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x05)
-    NAME: ClassVar[str] = "arm"
     LEVEL: ClassVar[int] = 2
     ENCRYPTED: ClassVar[bool] = True
     SINCE: ClassVar[Generation] = Generation.V3_1

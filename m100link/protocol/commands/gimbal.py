@@ -50,7 +50,6 @@ class GimbalSpeed(Push):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x1A)
-    NAME: ClassVar[str] = "gimbal_speed"
     LEVEL: ClassVar[int] = 1
     ENCRYPTED: ClassVar[bool] = True
     SINCE: ClassVar[Generation] = Generation.V2_3
@@ -115,7 +114,6 @@ class GimbalAngle(Push):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x1B)
-    NAME: ClassVar[str] = "gimbal_angle"
     LEVEL: ClassVar[int] = 1
     ENCRYPTED: ClassVar[bool] = True
     SINCE: ClassVar[Generation] = Generation.V2_3
@@ -233,7 +231,6 @@ class TakePhoto(_CameraCommand):
     """0x01/0x20, take one photograph."""
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x20)
-    NAME: ClassVar[str] = "take_photo"
 
     any: int = 0
 
@@ -243,7 +240,6 @@ class StartVideo(_CameraCommand):
     """0x01/0x21, start recording video."""
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x21)
-    NAME: ClassVar[str] = "start_video"
 
     any: int = 0
 
@@ -253,6 +249,5 @@ class StopVideo(_CameraCommand):
     """0x01/0x22, stop recording video."""
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x22)
-    NAME: ClassVar[str] = "stop_video"
 
     any: int = 0

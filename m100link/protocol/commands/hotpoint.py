@@ -62,7 +62,6 @@ class HotpointStart(Laid, MissionRequest[HotpointStartAnswer]):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x20)
-    NAME: ClassVar[str] = "hotpoint_start"
     LAYOUT: ClassVar[Layout] = Layout(
         Number("version", "B", 0, 0),
         latitude(),
@@ -93,7 +92,6 @@ class HotpointStop(AnyByte, MissionRequest[MissionCode]):
     """0x03/0x21, end the circle and hover."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x21)
-    NAME: ClassVar[str] = "hotpoint_stop"
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +99,6 @@ class HotpointPauseResume(PauseResume):
     """0x03/0x22, pause (0) or resume (1) the circle."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x22)
-    NAME: ClassVar[str] = "hotpoint_pause_resume"
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +111,6 @@ class HotpointSetRate(Laid, Unconfirmed):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x23)
-    NAME: ClassVar[str] = "hotpoint_set_rate"
     LAYOUT: ClassVar[Layout] = Layout(_CLOCKWISE, _RATE)
 
     clockwise: int
@@ -130,7 +126,6 @@ class HotpointSetRadius(Laid, Unconfirmed):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x24)
-    NAME: ClassVar[str] = "hotpoint_set_radius"
     LAYOUT: ClassVar[Layout] = Layout(Number("radius", "f", *_RADIUS, "m"))
 
     radius: float
@@ -141,7 +136,6 @@ class HotpointResetYaw(AnyByte, Unconfirmed):
     """0x03/0x25, turn the nose back to where the yaw mode wants it."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x25)
-    NAME: ClassVar[str] = "hotpoint_reset_yaw"
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +161,6 @@ class HotpointDownload(AnyByte, MissionRequest[HotpointDownloadAnswer]):
     """0x03/0x26, ask for the circle that the aircraft flies."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x26)
-    NAME: ClassVar[str] = "hotpoint_download"
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +173,6 @@ class HotpointAutoRadius(Laid, MissionRequest[MissionCode]):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x27)
-    NAME: ClassVar[str] = "hotpoint_auto_radius"
     LAYOUT: ClassVar[Layout] = Layout(Number("enable", words=("off", "on")), Number("rate", "b"))
     sets_in_motion: ClassVar[bool] = True  # it changes the circle
 
@@ -213,7 +205,6 @@ class FollowStart(Laid, MissionRequest[MissionCode]):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x30)
-    NAME: ClassVar[str] = "follow_start"
     LAYOUT: ClassVar[Layout] = Layout(
         Number("mode", "B", 0, 0),
         Number("yaw_mode", words=("by_rc", "to_target")),
@@ -236,7 +227,6 @@ class FollowStop(AnyByte, MissionRequest[MissionCode]):
     """0x03/0x31, stop following and hover."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x31)
-    NAME: ClassVar[str] = "follow_stop"
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +234,6 @@ class FollowPauseResume(PauseResume):
     """0x03/0x32, pause (0) or resume (1) following."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x32)
-    NAME: ClassVar[str] = "follow_pause_resume"
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,7 +247,6 @@ class FollowTarget(Laid, Unconfirmed):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x33)
-    NAME: ClassVar[str] = "follow_target"
     LAYOUT: ClassVar[Layout] = Layout(*_TARGET)
 
     latitude: float

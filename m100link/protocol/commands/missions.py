@@ -349,7 +349,6 @@ class MissionStatus(_KindPush):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x02, 0x03)
-    NAME: ClassVar[str] = "mission_status"
     KINDS: ClassVar[tuple[type[_Told], ...]] = STATUSES
 
     status: Status
@@ -369,7 +368,6 @@ class WaypointEvent(_KindPush):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x02, 0x04)
-    NAME: ClassVar[str] = "waypoint_event"
     KINDS: ClassVar[tuple[type[_Told], ...]] = EVENTS
 
     event: Event

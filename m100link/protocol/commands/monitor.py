@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Self
 
 from m100link.protocol.command import Address, Notification
 from m100link.protocol.commands.activation import MOBILE_DATA_LIMIT, check_mobile_data
+from m100link.protocol.fields import Laid, Layout, Number
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.packet import TelemetryPacket
 
@@ -37,27 +38,16 @@ class PushTelemetry(Notification):
 
 
 @dataclass(frozen=True, slots=True)
-class AuthorityChanged(Notification):
+class AuthorityChanged(Laid, Notification):
     """0x02/0x01, control authority passed away from the onboard device.
 
     Sent once, on session 0 or on a session that wants an ack (errata 30).
     """
 
     ADDRESS: ClassVar[Address] = Address(0x02, 0x01)
-    NAME: ClassVar[str] = "authority_changed"
+    LAYOUT: ClassVar[Layout] = Layout(Number("code"))
 
-    code: int = AUTHORITY_LOST
-
-    def value(self, profile: FirmwareProfile) -> bytes:
-        """One byte."""
-        return bytes((self.code,))
-
-    @classmethod
-    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
-        """One byte; the document fixes it to 4."""
-        if len(value) != 1:
-            raise ValueError(f"{cls.NAME} takes 1 byte, there are {len(value)}")
-        return cls(value[0])
+    code: int = AUTHORITY_LOST  # the document fixes it to 4
 
     @classmethod
     def when_unreadable(cls) -> Self:
@@ -70,7 +60,6 @@ class FromMobile(Notification):
     """0x02/0x02, transparent data from the mobile device, 1 to 100 bytes, about 1 kB/s."""
 
     ADDRESS: ClassVar[Address] = Address(0x02, 0x02)
-    NAME: ClassVar[str] = "from_mobile"
 
     data: bytes
 

@@ -37,7 +37,6 @@ class VirtualRcSettings(Movement):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x05, 0x00)
-    NAME: ClassVar[str] = "virtual_rc_settings"
     ENCRYPTED: ClassVar[bool] = True
     SINCE: ClassVar[Generation] = Generation.V3_1
 
@@ -88,7 +87,6 @@ class VirtualRcData(Movement):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x05, 0x01)
-    NAME: ClassVar[str] = "virtual_rc_data"
     ENCRYPTED: ClassVar[bool] = True
     SINCE: ClassVar[Generation] = Generation.V3_1
 
@@ -145,7 +143,6 @@ class Sync(Laid, Push):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x04, 0x00)
-    NAME: ClassVar[str] = "sync"
     ENCRYPTED: ClassVar[bool] = True
     SINCE: ClassVar[Generation] = Generation.V3_1
     LAYOUT: ClassVar[Layout] = Layout(Number("frequency", "I"))

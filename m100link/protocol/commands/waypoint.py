@@ -54,7 +54,6 @@ class WaypointMission(Laid, MissionRequest[MissionCode]):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x10)
-    NAME: ClassVar[str] = "waypoint_mission"
     LAYOUT: ClassVar[Layout] = Layout(
         Number("count", "B", 2, 99),
         Number("max_speed", "f", 2.0, _LARGEST_SPEED, "m/s"),
@@ -148,7 +147,6 @@ class WaypointPoint(Laid, MissionRequest[WaypointPointAnswer]):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x11)
-    NAME: ClassVar[str] = "waypoint_point"
     LAYOUT: ClassVar[Layout] = Layout(
         Number("index", "B", 0, 98),
         latitude(),
@@ -227,7 +225,6 @@ class WaypointStartStop(Laid, MissionRequest[MissionCode]):
     """0x03/0x12, start (0) or stop (1) the uploaded mission."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x12)
-    NAME: ClassVar[str] = "waypoint_start_stop"
     LAYOUT: ClassVar[Layout] = Layout(Number("stop", words=("start", "stop")))
 
     stop: int
@@ -243,7 +240,6 @@ class WaypointPauseResume(PauseResume):
     """0x03/0x13, pause (0) or resume (1) the mission."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x13)
-    NAME: ClassVar[str] = "waypoint_pause_resume"
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,7 +265,6 @@ class WaypointDownloadMission(AnyByte, MissionRequest[WaypointMissionAnswer]):
     """0x03/0x14, ask for the mission that the aircraft has; its count is 0 when it has ended."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x14)
-    NAME: ClassVar[str] = "waypoint_download_mission"
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,7 +290,6 @@ class WaypointDownloadPoint(Laid, MissionRequest[WaypointDownloadedPoint]):
     """0x03/0x15, ask for one waypoint of the mission that the aircraft has."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x15)
-    NAME: ClassVar[str] = "waypoint_download_point"
     LAYOUT: ClassVar[Layout] = Layout(Number("index", "B", 0, 98))
 
     index: int
@@ -328,7 +322,6 @@ class WaypointSetIdleSpeed(Laid, MissionRequest[IdleSpeedAnswer]):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x16)
-    NAME: ClassVar[str] = "waypoint_set_idle_speed"
     LAYOUT: ClassVar[Layout] = _IDLE_SPEED
     sets_in_motion: ClassVar[bool] = True  # from a standstill
 
@@ -340,4 +333,3 @@ class WaypointGetIdleSpeed(AnyByte, MissionRequest[IdleSpeedAnswer]):
     """0x03/0x17, ask for the cruise."""
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x17)
-    NAME: ClassVar[str] = "waypoint_get_idle_speed"
