@@ -18,10 +18,9 @@ from m100link.errors import AckTimeout, LinkClosed, LinkError, LinkLost
 from m100link.link.gate import Gate, descriptor_of, lose_at_fork, lose_line, require_loop
 from m100link.link.statistics import (
     LinkStatistics,
-    RoundTripCounter,
+    RoundTrips,
     Tap,
     TappedProtocol,
-    counted,
     excerpt,
 )
 from m100link.link.transport import open_transport
@@ -106,7 +105,7 @@ class Link(asyncio.Protocol):
         self._is_debug = False
         self._level_at = -math.inf
         self._bytes_sent = self._frames_sent = self._dropped_writes = 0
-        self._round_trips = RoundTripCounter()
+        self._round_trips = RoundTrips()
         self.last_received_at: float | None = None
 
     # -- what users of a link call ---------------------------------------------------------------
@@ -151,9 +150,24 @@ class Link(asyncio.Protocol):
 
     def statistics(self) -> LinkStatistics:
         """The counters as they are now."""
-        written = self._bytes_sent, self._frames_sent, self._dropped_writes
-        trips = self._round_trips.counted()
-        return counted(self._endpoint, *written, trips, self._missed_setpoints)
+        decoder, sessions = self._endpoint.decoder, self._endpoint.statistics
+        return LinkStatistics(
+            bytes_received=decoder.bytes,
+            bytes_sent=self._bytes_sent,
+            frames_received=decoder.frames,
+            frames_sent=self._frames_sent,
+            discards={str(cause): count for cause, count in decoder.discards.items() if count},
+            discarded_bytes=decoder.discarded_bytes,
+            dropped_writes=self._dropped_writes,
+            acks=sessions.acks,
+            duplicate_acks=sessions.duplicate_acks,
+            late_acks=sessions.late_acks,
+            foreign_acks=sessions.foreign_acks,
+            repeats=sessions.transmissions - sessions.requests,
+            expired=sessions.expired,
+            round_trips=self._round_trips,
+            missed_setpoints=self._missed_setpoints,
+        )
 
     def missed(self, setpoints: int) -> None:
         """Count setpoints that did not go out in their time."""
@@ -209,7 +223,7 @@ class Link(asyncio.Protocol):
             if not self._timers or self._timers[0].when() > now + timeout:
                 self._set_timer()
             payload = await future
-            self._round_trips.add(self._loop.time() - now)
+            self._round_trips = self._round_trips.plus(self._loop.time() - now)
             return payload
         except BaseException:
             self._set_timer()  # what is abandoned ends, too

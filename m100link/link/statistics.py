@@ -11,8 +11,6 @@ from enum import Enum
 from itertools import accumulate
 from typing import Any, cast
 
-from m100link.session.endpoint import Endpoint
-
 _logger = logging.getLogger(__name__)
 
 
@@ -43,6 +41,12 @@ class RoundTrips:
         """Their mean, s; None without any."""
         return self.total_s / self.count if self.count else None
 
+    def plus(self, seconds: float) -> RoundTrips:
+        """With one more, which took so many seconds."""
+        counts = list(self.counts)
+        counts[bisect_left(ROUND_TRIP_BOUNDS_S, seconds)] += 1
+        return RoundTrips(tuple(counts), self.total_s + seconds)
+
     def within_s(self, share: float) -> float | None:
         """The bound that this share of them, 0 to 1, kept; infinity beyond the last one.
 
@@ -52,25 +56,6 @@ class RoundTrips:
             return None
         place = bisect_left(tuple(accumulate(self.counts)), share * self.count)
         return (*ROUND_TRIP_BOUNDS_S, float("inf"))[min(place, len(ROUND_TRIP_BOUNDS_S))]
-
-
-class RoundTripCounter:
-    """Counts round trips as they end."""
-
-    __slots__ = ("_counts", "_total")
-
-    def __init__(self) -> None:
-        self._counts = [0] * (len(ROUND_TRIP_BOUNDS_S) + 1)
-        self._total = 0.0
-
-    def add(self, seconds: float) -> None:
-        """One more."""
-        self._counts[bisect_left(ROUND_TRIP_BOUNDS_S, seconds)] += 1
-        self._total += seconds
-
-    def counted(self) -> RoundTrips:
-        """All so far."""
-        return RoundTrips(tuple(self._counts), self._total)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,35 +95,6 @@ class LinkStatistics:
     expired: int
     round_trips: RoundTrips
     missed_setpoints: int = 0
-
-
-def counted(
-    endpoint: Endpoint,
-    bytes_sent: int,
-    frames_sent: int,
-    dropped: int,
-    round_trips: RoundTrips,
-    missed_setpoints: int = 0,
-) -> LinkStatistics:
-    """The counters of a link as they are now."""
-    decoder, sessions = endpoint.decoder, endpoint.statistics
-    return LinkStatistics(
-        bytes_received=decoder.bytes,
-        bytes_sent=bytes_sent,
-        frames_received=decoder.frames,
-        frames_sent=frames_sent,
-        discards={str(cause): count for cause, count in decoder.discards.items() if count},
-        discarded_bytes=decoder.discarded_bytes,
-        dropped_writes=dropped,
-        acks=sessions.acks,
-        duplicate_acks=sessions.duplicate_acks,
-        late_acks=sessions.late_acks,
-        foreign_acks=sessions.foreign_acks,
-        repeats=sessions.transmissions - sessions.requests,
-        expired=sessions.expired,
-        round_trips=round_trips,
-        missed_setpoints=missed_setpoints,
-    )
 
 
 # -- A tap on a line: whoever asks for it sees the bytes of both directions, with their times ------
@@ -184,48 +140,23 @@ class Listener:
             self._tap = None
 
 
-class _TappedTransport(asyncio.Transport):
-    """A transport whose writes are heard."""
+class _TappedTransport:
+    """A transport whose writes are heard; all the rest is its own."""
 
     def __init__(
-        self, transport: asyncio.Transport, listener: Listener, clock: Callable[[], float]
+        self, transport: asyncio.BaseTransport, listener: Listener, clock: Callable[[], float]
     ) -> None:
-        super().__init__()
-        self._transport = transport
+        self._transport = cast(asyncio.Transport, transport)
         self._listener = listener
         self._clock = clock
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._transport, name)
 
     def write(self, data: bytes | bytearray | memoryview[Any]) -> None:
         # Heard first: what raises here must not leave bytes on the line that no log knows.
         self._listener.hear(Direction.SENT, bytes(data), self._clock())
         self._transport.write(data)
-
-    def get_write_buffer_size(self) -> int:
-        return self._transport.get_write_buffer_size()
-
-    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
-        self._transport.set_write_buffer_limits(high, low)
-
-    def get_extra_info(self, name: str, default: Any = None) -> Any:
-        return self._transport.get_extra_info(name, default)
-
-    def pause_reading(self) -> None:
-        self._transport.pause_reading()
-
-    def resume_reading(self) -> None:
-        self._transport.resume_reading()
-
-    def is_reading(self) -> bool:
-        return self._transport.is_reading()
-
-    def is_closing(self) -> bool:
-        return self._transport.is_closing()
-
-    def close(self) -> None:
-        self._transport.close()
-
-    def abort(self) -> None:
-        self._transport.abort()
 
 
 class TappedProtocol(asyncio.Protocol):
@@ -241,9 +172,8 @@ class TappedProtocol(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """The transport is attached."""
-        line = cast(asyncio.Transport, transport)
-        tapped = _TappedTransport(line, self._listener, self._clock)
-        self._protocol.connection_made(tapped)
+        tapped = _TappedTransport(transport, self._listener, self._clock)
+        self._protocol.connection_made(cast(asyncio.Transport, tapped))
 
     def data_received(self, data: bytes) -> None:
         """Bytes from the line."""

@@ -8,59 +8,47 @@ of the sets 0x00 and 0x01, so every enum knows them.
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import NamedTuple, Self
-
-
-class _Text(NamedTuple):
-    meaning: str
-    cause: str
-    remedy: str
+from typing import Self
 
 
 class AckCode(IntEnum):
-    """Base of the ack-code enums; an ``int`` with ``meaning``, ``cause`` and ``remedy``."""
+    """Base of the ack-code enums; an ``int`` with ``meaning``, ``cause`` and ``remedy``.
 
-    _text: _Text
+    Attributes:
+        meaning: What the aircraft says with this code.
+        cause: The usual reason for it, or an empty string.
+        remedy: What to do about it, or an empty string.
+    """
+
+    meaning: str
+    cause: str
+    remedy: str
 
     def __new__(cls, value: int, meaning: str = "", cause: str = "", remedy: str = "") -> Self:
         """A member from its row in the class body."""
         member = int.__new__(cls, value)
         member._value_ = value
-        member._text = _Text(meaning, cause, remedy)
+        member.meaning, member.cause, member.remedy = meaning, cause, remedy
         return member
 
     @classmethod
     def _missing_(cls, value: object) -> Self | None:
         if not isinstance(value, int) or not 0 <= value <= 0xFFFF:
             return None
-        member = int.__new__(cls, value)
-        member._value_ = value
         if cls is not SystemCode and value in SystemCode._value2member_map_:
             system = SystemCode(value)
-            member._name_, member._text = system._name_, system._text
+            name, text = system.name, (system.meaning, system.cause, system.remedy)
         else:
-            member._name_ = f"UNKNOWN_0x{value:04X}"
-            member._text = _Text(
+            name = f"UNKNOWN_0x{value:04X}"
+            text = (
                 f"a code that no published source lists (0x{value:04X})",
                 "a firmware that is not among the known profiles",
                 "note the firmware version and the number; please report both",
             )
+        member = int.__new__(cls, value)
+        member._value_, member._name_ = value, name
+        member.meaning, member.cause, member.remedy = text
         return member
-
-    @property
-    def meaning(self) -> str:
-        """What the aircraft says with this code."""
-        return self._text.meaning
-
-    @property
-    def cause(self) -> str:
-        """The usual reason for it, or an empty string."""
-        return self._text.cause
-
-    @property
-    def remedy(self) -> str:
-        """What to do about it, or an empty string."""
-        return self._text.remedy
 
     @property
     def is_system(self) -> bool:

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from m100link.link.statistics import ROUND_TRIP_BOUNDS_S, RoundTripCounter, RoundTrips
+from m100link.link.statistics import ROUND_TRIP_BOUNDS_S, RoundTrips
 from m100link.sim import LineFaults, VirtualClockEventLoop
 from m100link.testing import ConnectableAircraft
 
@@ -17,10 +17,9 @@ def anyio_backend() -> object:
 
 
 def test_a_time_counts_in_the_class_whose_bound_it_keeps() -> None:
-    counter = RoundTripCounter()
+    trips = RoundTrips()
     for seconds in (0.0, 0.001, 0.0011, 2.0, 2.1, 60.0):
-        counter.add(seconds)
-    trips = counter.counted()
+        trips = trips.plus(seconds)
     assert trips.counts == (2, 1, 0, 0, 0, 0, 0, 0, 0, 0, 1, 2)
     assert trips.count == 6
     assert trips.mean_s == pytest.approx(64.1021 / 6)
@@ -29,10 +28,7 @@ def test_a_time_counts_in_the_class_whose_bound_it_keeps() -> None:
 def test_the_classes_end_at_1_2_and_5_of_each_decade_up_to_two_seconds() -> None:
     ends = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000)
     for place, milliseconds in enumerate(ends):
-        counter = RoundTripCounter()
-        counter.add(milliseconds / 1000)
-        counter.add(milliseconds / 1000 * 1.001)
-        counts = counter.counted().counts
+        counts = RoundTrips().plus(milliseconds / 1000).plus(milliseconds / 1000 * 1.001).counts
         assert counts[place : place + 2] == (1, 1), milliseconds
         assert sum(counts) == 2
 
@@ -40,7 +36,7 @@ def test_the_classes_end_at_1_2_and_5_of_each_decade_up_to_two_seconds() -> None
 def test_of_none_nothing_is_said() -> None:
     trips = RoundTrips()
     assert (trips.count, trips.mean_s, trips.within_s(0.5)) == (0, None, None)
-    assert trips == RoundTripCounter().counted()
+    assert RoundTrips().plus(0.1) != trips
 
 
 @pytest.mark.parametrize(
