@@ -15,12 +15,10 @@ from m100link.errors import BadSetpoint
 from m100link.protocol.codes import (
     AckCode,
     ActivationCode,
-    AuthorityCode,
     MissionCode,
     MobileDataCode,
     RatesCode,
     SystemCode,
-    TaskResultCode,
     TaskStartCode,
     VersionCode,
 )
@@ -56,7 +54,7 @@ from m100link.protocol.commands.hotpoint import (
     HotpointStartAnswer,
     HotpointStop,
 )
-from m100link.protocol.commands.missions import COMMAND_SET
+from m100link.protocol.commands.missions import COMMAND_SET, PauseResume
 from m100link.protocol.commands.registry import COMMANDS, address_of
 from m100link.protocol.commands.virtual_rc import Sync, VirtualRcData, VirtualRcSettings
 from m100link.protocol.commands.waypoint import (
@@ -76,7 +74,7 @@ from m100link.protocol.commands.waypoint import (
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import Device
 from m100link.protocol.setpoint import Setpoint
-from m100link.sim.vehicle.missions.computer import Flown, MissionComputer
+from m100link.sim.vehicle.missions.computer import Flown
 from m100link.sim.vehicle.missions.hotpoint import FollowFlight, HotpointFlight
 from m100link.sim.vehicle.missions.plan import Order
 from m100link.sim.vehicle.missions.waypoints import WaypointFlight
@@ -84,6 +82,11 @@ from m100link.sim.vehicle.vehicle import Vehicle
 from m100link.wire.frame import Frame
 
 _MISSIONS = bytes((COMMAND_SET,))
+
+UNCONFIRMED = frozenset((HotpointSetRate, HotpointSetRadius, HotpointResetYaw))
+"""Commands without an ack, except where ``MissionSettings.hotpoint_acks`` asks for one."""
+
+_OK = MissionCode.SUCCESS
 
 
 class Reply(NamedTuple):
@@ -162,24 +165,53 @@ class Commands:
         self._profile = autopilot.profile
         # A program repeats a setpoint fifty times a second: read it once.
         self._last_move: tuple[bytes, Move, Setpoint | None] | None = None
+        vehicle = autopilot.vehicle
+        missions = self._missions = vehicle.missions
         self._handlers: dict[type[Command], Callable[[Any], Any]] = {
             GetVersion: self._version,
             Activate: autopilot.activate,
             SetTelemetryRates: self._rates,
             SendToMobile: self._to_mobile,
-            RequestAuthority: self._authority,
+            RequestAuthority: lambda command: vehicle.request_authority(command.obtain),
             StartTask: self._start_task,
-            QueryTask: self._query_task,
+            QueryTask: lambda command: vehicle.flight.query_task(command.task_sequence),
             Arm: self._arm,
-            GimbalSpeed: self._turn_gimbal,
-            GimbalAngle: self._point_gimbal,
-            TakePhoto: self._take_photo,
-            StartVideo: self._start_video,
-            StopVideo: self._stop_video,
-            Sync: self._synchronise,
-            VirtualRcSettings: self._switch_virtual_rc,
+            GimbalSpeed: lambda command: vehicle.gimbal.turn(command, vehicle.time),
+            GimbalAngle: vehicle.gimbal.point,
+            TakePhoto: lambda _: vehicle.camera.take_photo(vehicle.time),
+            StartVideo: lambda _: vehicle.camera.start_video(),
+            StopVideo: lambda _: vehicle.camera.stop_video(),
+            Sync: lambda _: None,  # a Matrice 100 has no output for it
+            VirtualRcSettings: vehicle.switch_virtual_rc,
             VirtualRcData: self._feed_virtual_rc,
-            **MissionCommands(self._vehicle).handlers,
+            WaypointMission: missions.begin_upload,
+            WaypointPoint: lambda point: WaypointPointAnswer(missions.add(point), point.index),
+            WaypointStartStop: self._start_or_stop,
+            WaypointPauseResume: self._pauses(WaypointFlight),
+            WaypointDownloadMission: self._download_mission,
+            WaypointDownloadPoint: self._download_point,
+            WaypointSetIdleSpeed: lambda command: self._idle_speed(
+                missions.set_idle_speed(command.idle_speed)
+            ),
+            WaypointGetIdleSpeed: lambda _: self._idle_speed(
+                missions.refusal(WaypointFlight, Order.SPEED)
+            ),
+            HotpointStart: self._start_hotpoint,
+            HotpointStop: lambda _: missions.stop(HotpointFlight),
+            HotpointPauseResume: self._pauses(HotpointFlight),
+            HotpointSetRate: self._changes(
+                lambda circle, command: circle.set_rate(command.clockwise, command.angular_rate)
+            ),
+            HotpointSetRadius: self._changes(
+                lambda circle, command: circle.set_radius(command.radius)
+            ),
+            HotpointResetYaw: self._changes(lambda circle, _: circle.reset_yaw()),
+            HotpointDownload: self._download_hotpoint,
+            HotpointAutoRadius: lambda _: MissionCode.NOT_SUPPORTED,
+            FollowStart: missions.start_follow,
+            FollowStop: lambda _: missions.stop(FollowFlight),
+            FollowPauseResume: self._pauses(FollowFlight),
+            FollowTarget: self._update_target,
         }
         kinds: tuple[type[Command], ...] = (Move, *self._handlers)
         self._kinds: dict[tuple[int, int], type[Command]] = {
@@ -273,17 +305,11 @@ class Commands:
     def _has_authority(self) -> bool:
         return self._vehicle.authority.device is Device.ONBOARD
 
-    def _authority(self, command: RequestAuthority) -> AuthorityCode:
-        return self._vehicle.request_authority(command.obtain)
-
     def _start_task(self, command: StartTask) -> TaskStartCode:
         flight = self._vehicle.flight
         code = flight.start_task(command.task_sequence, command.task, self._has_authority())
         self._vehicle.log(f"task {command.task}: {code.meaning}")
         return code
-
-    def _query_task(self, command: QueryTask) -> TaskResultCode:
-        return self._vehicle.flight.query_task(command.task_sequence)
 
     def _execute_move(self, frame: Frame) -> None:
         """The road of movement: as all others, without an answer, and read once per setpoint."""
@@ -320,103 +346,22 @@ class Commands:
             return Arm.unreadable(self._profile)
         return self._vehicle.flight.arm(bool(command.on), self._has_authority())
 
-    def _turn_gimbal(self, command: GimbalSpeed) -> None:
-        self._vehicle.gimbal.turn(command, self._vehicle.time)
-
-    def _point_gimbal(self, command: GimbalAngle) -> None:
-        self._vehicle.gimbal.point(command)
-
-    def _take_photo(self, command: TakePhoto) -> None:
-        self._vehicle.camera.take_photo(self._vehicle.time)
-
-    def _start_video(self, command: StartVideo) -> None:
-        self._vehicle.camera.start_video()
-
-    def _stop_video(self, command: StopVideo) -> None:
-        self._vehicle.camera.stop_video()
-
-    def _synchronise(self, command: Sync) -> None:
-        """A Matrice 100 has no output for it."""
-
     # --- set 0x05 ---------------------------------------------------------------------------
-
-    def _switch_virtual_rc(self, command: VirtualRcSettings) -> None:
-        self._vehicle.switch_virtual_rc(command)
 
     def _feed_virtual_rc(self, command: VirtualRcData) -> None:
         self._vehicle.remote.virtual.feed(command, self._vehicle.time)
         self._vehicle.refresh()
 
+    # --- set 0x03 ---------------------------------------------------------------------------
 
-def _is_system_code(reply: Reply | None) -> bool:
-    """Whether an ack of set 0x03 is the two bytes 0xFF01 or 0xFF02: no waypoint is number 255."""
-    return reply is not None and len(reply.payload) == 2 and reply.payload[1] == 0xFF
-
-
-def _unknown(data: bytes) -> Reply | None:
-    """The answer to a command that this firmware does not have."""
-    if data[:1] == _MISSIONS and len(data) >= 2:
-        payload = refusal(data)
-        return None if payload is None else Reply(payload)
-    return Reply(encode_code(SystemCode.NOT_SUPPORTED))
-
-
-# -- missions: command set 0x03 --------------------------------------------------------------------
-
-
-UNCONFIRMED = frozenset((HotpointSetRate, HotpointSetRadius, HotpointResetYaw))
-"""Commands without an ack, except where ``MissionSettings.hotpoint_acks`` asks for one."""
-
-_OK = MissionCode.SUCCESS
-
-
-class MissionCommands:
-    """Carries mission commands out: :attr:`handlers` by the class of the command."""
-
-    def __init__(self, vehicle: Vehicle) -> None:
-        self._vehicle = vehicle
-        self.handlers: dict[type[Command], Callable[[Any], Any]] = {
-            WaypointMission: lambda command: self._missions.begin_upload(command),
-            WaypointPoint: self._add,
-            WaypointStartStop: self._start_or_stop,
-            WaypointPauseResume: self._pauses(WaypointFlight),
-            WaypointDownloadMission: self._download_mission,
-            WaypointDownloadPoint: self._download_point,
-            WaypointSetIdleSpeed: self._set_idle_speed,
-            WaypointGetIdleSpeed: self._idle_speed,
-            HotpointStart: self._start_hotpoint,
-            HotpointStop: lambda _: self._missions.stop(HotpointFlight),
-            HotpointPauseResume: self._pauses(HotpointFlight),
-            HotpointSetRate: self._set_rate,
-            HotpointSetRadius: self._set_radius,
-            HotpointResetYaw: self._reset_yaw,
-            HotpointDownload: self._download_hotpoint,
-            HotpointAutoRadius: lambda _: MissionCode.NOT_SUPPORTED,
-            FollowStart: lambda command: self._missions.start_follow(command),
-            FollowStop: lambda _: self._missions.stop(FollowFlight),
-            FollowPauseResume: self._pauses(FollowFlight),
-            FollowTarget: self._update_target,
-        }
-
-    @property
-    def _missions(self) -> MissionComputer:
-        return self._vehicle.missions
-
-    def _pauses(self, kind: type[Flown]) -> Callable[[Any], MissionCode]:
-        def pause_or_resume(
-            command: WaypointPauseResume | HotpointPauseResume | FollowPauseResume,
-        ) -> MissionCode:
+    def _pauses(self, kind: type[Flown]) -> Callable[[PauseResume], MissionCode]:
+        def pause_or_resume(command: PauseResume) -> MissionCode:
             if command.resume > 1:
                 return MissionCode.WRONG_VALUE
             act = self._missions.resume if command.resume else self._missions.pause
             return act(kind)
 
         return pause_or_resume
-
-    # --- waypoints --------------------------------------------------------------------------
-
-    def _add(self, point: WaypointPoint) -> WaypointPointAnswer:
-        return WaypointPointAnswer(self._missions.add(point), point.index)
 
     def _start_or_stop(self, command: WaypointStartStop) -> MissionCode:
         if command.stop > 1:
@@ -432,17 +377,9 @@ class MissionCommands:
         point = self._missions.upload.points.get(command.index)
         return MissionCode.NO_POINTS if point is None else WaypointDownloadedPoint(_OK, point)
 
-    def _set_idle_speed(self, command: WaypointSetIdleSpeed) -> IdleSpeedAnswer:
-        code = self._missions.set_idle_speed(command.idle_speed)
+    def _idle_speed(self, code: MissionCode) -> IdleSpeedAnswer:
         mission = self._missions.upload.mission
         return IdleSpeedAnswer(code, 0.0 if mission is None else mission.idle_speed)
-
-    def _idle_speed(self, command: WaypointGetIdleSpeed) -> IdleSpeedAnswer:
-        code = self._missions.refusal(WaypointFlight, Order.SPEED)
-        mission = self._missions.upload.mission
-        return IdleSpeedAnswer(code, 0.0 if mission is None else mission.idle_speed)
-
-    # --- hotpoint and follow ----------------------------------------------------------------
 
     def _start_hotpoint(self, command: HotpointStart) -> HotpointStartAnswer:
         code = self._missions.start_hotpoint(command)
@@ -453,26 +390,19 @@ class MissionCommands:
         running = self._missions.running
         return running if isinstance(running, HotpointFlight) else None
 
-    def _confirmed(self) -> MissionCode | None:
-        """The answer to a command that a real aircraft does not answer."""
-        if not self._vehicle.settings.missions.hotpoint_acks:
-            return None
-        return MissionCode.NOT_RUNNING if self._hotpoint is None else _OK
+    def _changes(
+        self, change: Callable[[HotpointFlight, Any], None]
+    ) -> Callable[[Any], MissionCode | None]:
+        def answer(command: Any) -> MissionCode | None:
+            """A real aircraft does not answer; see ``MissionSettings.hotpoint_acks``."""
+            circle = self._hotpoint
+            if circle is not None:
+                change(circle, command)
+            if not self._vehicle.settings.missions.hotpoint_acks:
+                return None
+            return MissionCode.NOT_RUNNING if circle is None else _OK
 
-    def _set_rate(self, command: HotpointSetRate) -> MissionCode | None:
-        if self._hotpoint is not None:
-            self._hotpoint.set_rate(command.clockwise, command.angular_rate)
-        return self._confirmed()
-
-    def _set_radius(self, command: HotpointSetRadius) -> MissionCode | None:
-        if self._hotpoint is not None:
-            self._hotpoint.set_radius(command.radius)
-        return self._confirmed()
-
-    def _reset_yaw(self, command: HotpointResetYaw) -> MissionCode | None:
-        if self._hotpoint is not None:
-            self._hotpoint.reset_yaw()
-        return self._confirmed()
+        return answer
 
     def _download_hotpoint(self, command: HotpointDownload) -> Any:
         hotpoint = self._hotpoint
@@ -484,6 +414,19 @@ class MissionCommands:
         running = self._missions.running
         if isinstance(running, FollowFlight):
             running.update(command)
+
+
+def _is_system_code(reply: Reply | None) -> bool:
+    """Whether an ack of set 0x03 is the two bytes 0xFF01 or 0xFF02: no waypoint is number 255."""
+    return reply is not None and len(reply.payload) == 2 and reply.payload[1] == 0xFF
+
+
+def _unknown(data: bytes) -> Reply | None:
+    """The answer to a command that this firmware does not have."""
+    if data[:1] == _MISSIONS and len(data) >= 2:
+        payload = refusal(data)
+        return None if payload is None else Reply(payload)
+    return Reply(encode_code(SystemCode.NOT_SUPPORTED))
 
 
 def refusal(data: bytes) -> bytes | None:

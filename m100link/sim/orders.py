@@ -47,9 +47,9 @@ class Action:
     run: Callable[[VirtualAircraft, list[str], dict[str, str]], Any]
 
 
-def _switch(words: list[str], default: bool = True) -> bool:
+def _switch(words: list[str]) -> bool:
     if not words:
-        return default
+        return True
     answers = _ON | _OFF
     if words[0].lower() not in answers:
         raise UsageError(f"{words[0]!r} is neither on nor off")
@@ -143,21 +143,12 @@ def _stick(aircraft: VirtualAircraft, _: list[str], named: dict[str, str]) -> No
     aircraft.move_stick(**_numbers(named))
 
 
-def _plain(method: str, *, value: bool | None = None) -> Callable[..., None]:
-    def run(aircraft: VirtualAircraft, _: list[str], __: dict[str, str]) -> None:
-        if value is None:
-            getattr(aircraft, method)()
-        else:
-            getattr(aircraft, method)(value)
-
-    return run
+def _plain(method: str) -> Callable[..., None]:
+    return lambda aircraft, _, __: getattr(aircraft, method)()
 
 
 def _switched(method: str) -> Callable[..., None]:
-    def run(aircraft: VirtualAircraft, words: list[str], _: dict[str, str]) -> None:
-        getattr(aircraft, method)(_switch(words))
-
-    return run
+    return lambda aircraft, words, _: getattr(aircraft, method)(_switch(words))
 
 
 ACTIONS: dict[str, Action] = {
@@ -354,10 +345,6 @@ class Scenario:
         for number, table in enumerate(steps, start=1):
             read += _read_step(table, f"{path}, step {number}")
         return cls(read)
-
-    def next_due(self) -> float | None:
-        """When the next step with a time is due, None when there is none."""
-        return self.steps[self._done].at if self._done < len(self.steps) else None
 
     def advance(self, aircraft: VirtualAircraft) -> list[Step]:
         """Do what is due by now; returns the steps that were done.

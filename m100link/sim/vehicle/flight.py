@@ -184,11 +184,6 @@ class FlightController:
             smooth=smooth,
         )
 
-    @property
-    def follows_setpoint(self) -> bool:
-        """Whether a setpoint is in force."""
-        return self.now <= self._setpoint_until and self.maneuver is Maneuver.NONE
-
     def start_task(self, task_sequence: int, number: int, has_authority: bool) -> TaskStartCode:
         """Begin take-off, landing or go-home for the onboard device, or reject it."""
         task = Task(number) if number in Task.__members__.values() else None

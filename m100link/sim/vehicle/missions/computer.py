@@ -92,7 +92,7 @@ class MissionComputer:
         self.upload.forget()
         self._events: list[WaypointEvent] = []
         self._next_status = 0.0
-        self._idle = IdleStatus()
+        self.last = IdleStatus()  # how the last mission ended
         self._hover = Guidance()
         # The flight controller takes off for the mission.
         self._is_taking_off = False
@@ -114,7 +114,7 @@ class MissionComputer:
 
     def begin_upload(self, mission: WaypointMission) -> MissionCode:
         """Take 0x03/0x10."""
-        code = self._conditions.control() or self._refusal(Order.UPLOAD)
+        code = self._conditions.control() or self.refusal(WaypointFlight, Order.UPLOAD)
         if not code:
             code = self.upload.begin(mission)
             self.is_active = True
@@ -122,7 +122,7 @@ class MissionComputer:
 
     def add(self, point: WaypointPoint) -> MissionCode:
         """Take 0x03/0x11."""
-        code = self._refusal(Order.ADD)
+        code = self.refusal(WaypointFlight, Order.ADD)
         if code:
             return code
         code, told = self.upload.add(point, self._home)
@@ -132,7 +132,7 @@ class MissionComputer:
 
     def start(self) -> MissionCode:
         """Fly the mission that was uploaded; on the ground, take off for it."""
-        code = self._refusal(Order.START)
+        code = self.refusal(WaypointFlight, Order.START)
         if code:
             return code
         plan = self.upload.plan
@@ -147,13 +147,10 @@ class MissionComputer:
 
     def set_idle_speed(self, speed: float) -> MissionCode:
         """Change the speed without the stick, on the way as well."""
-        code = self._refusal(Order.SPEED) or self.upload.set_idle_speed(speed)
+        code = self.refusal(WaypointFlight, Order.SPEED) or self.upload.set_idle_speed(speed)
         if not code and isinstance(self.running, WaypointFlight):
             self.running.idle_speed = speed
         return code
-
-    def _refusal(self, order: Order) -> MissionCode:
-        return WAYPOINT_REFUSALS.get((order, self.stage), _OK)
 
     # --- hotpoint and follow ----------------------------------------------------------------
 
@@ -161,7 +158,7 @@ class MissionComputer:
         """Circle a point."""
         here = self._conditions.here
         code = (
-            self._circle_refusal(HotpointFlight, Order.START)
+            self.refusal(HotpointFlight, Order.START)
             or self._conditions.in_the_air()
             or hotpoint_code(command, self._site, here, self._conditions.home)
         )
@@ -184,7 +181,7 @@ class MissionComputer:
         """Follow a target."""
         here, home = self._conditions.here, self._conditions.home
         code = (
-            self._circle_refusal(FollowFlight, Order.START)
+            self.refusal(FollowFlight, Order.START)
             or self._conditions.in_the_air()
             or follow_code(command, self._site, here, home)
         )
@@ -200,16 +197,13 @@ class MissionComputer:
             return Stage.OTHER
         return Stage.PAUSED if self.is_paused else Stage.FLYING
 
-    def _circle_refusal(self, kind: type[Flown], order: Order) -> MissionCode:
-        return CIRCLE_REFUSALS.get((order, self._circle_stage(kind)), _OK)
-
     # --- any mission ------------------------------------------------------------------------
 
     def refusal(self, kind: type[Flown], order: Order) -> MissionCode:
         """Whether a mission of that kind is at a stage which refuses an order."""
         if kind is WaypointFlight:
-            return self._refusal(order)
-        return self._circle_refusal(kind, order)
+            return WAYPOINT_REFUSALS.get((order, self.stage), _OK)
+        return CIRCLE_REFUSALS.get((order, self._circle_stage(kind)), _OK)
 
     def stop(self, kind: type[Flown]) -> MissionCode:
         """End a mission of that kind and hover."""
@@ -254,7 +248,7 @@ class MissionComputer:
 
     def summary(self) -> dict[str, Any] | None:
         """The mission under way as JSON can carry it; else how the last one ended, if one did."""
-        running, last = self.running, self._idle
+        running, last = self.running, self.last
         if running is not None:
             told: dict[str, Any] = {
                 "kind": self.name,
@@ -295,7 +289,7 @@ class MissionComputer:
         """The mission is over; with a reason, it was broken off."""
         assert self.running is not None
         broken_off = 0 if reason is None else _BROKEN_OFF
-        self._idle = IdleStatus(self.running.KIND, broken_off, int(reason or 0))
+        self.last = IdleStatus(self.running.KIND, broken_off, int(reason or 0))
         because = "ends" if reason is None else f"broken off: {reason.meaning}"
         self._log(f"{self.name} mission {because}")
         if isinstance(self.running, WaypointFlight):
@@ -425,12 +419,7 @@ class MissionComputer:
     def status(self) -> MissionStatus:
         """What the status push shows now."""
         running = self.running
-        return MissionStatus(self._idle if running is None else running.status(self.is_paused))
-
-    @property
-    def last(self) -> IdleStatus:
-        """How the last mission ended."""
-        return self._idle
+        return MissionStatus(self.last if running is None else running.status(self.is_paused))
 
     @property
     def _home(self) -> Place | None:

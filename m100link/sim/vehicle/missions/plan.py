@@ -26,8 +26,6 @@ from m100link.sim.vehicle.missions.route import (
 STOP_S = 4.0
 """What braking, arriving and starting again cost at each stop, for the estimate, seconds."""
 
-_TURN_RIGHT, _TURN_LEFT = 0, 1
-
 
 class ActionKind:
     """What the aircraft can be told to do at a waypoint."""
