@@ -175,139 +175,6 @@ class Moment(NamedTuple):
         return f"{self.command} {said}".rstrip() + f": {self.outcome or 'no answer'}"
 
 
-@dataclass
-class Told:
-    """What was told."""
-
-    began_at: float = 0.0  # clock of the first message, s
-    began_utc: float | None = None  # the same as POSIX time; None when there is no message
-    duration_s: float = 0.0  # from the first message to the last
-    commands: list[Moment] = field(default_factory=list)  # in the order in which they were sent
-    # When setpoints and the like were sent, by name of the command.
-    streams: list[Span] = field(default_factory=list)
-    # Who had control, as far as events tell it: ``program`` or ``pilot``.
-    control: list[Span] = field(default_factory=list)
-    alarms: list[Span] = field(default_factory=list)  # what went wrong with control and connection
-    discarded: Curve = field(default_factory=Curve)  # bytes per second that belonged to no frame
-    # Mean time until an answer, ms.
-    round_trip_ms: Curve = field(default_factory=lambda: Curve(gap_s=10.0))
-    repeats: int = 0  # commands that were sent again because no answer came
-    discarded_bytes: int = 0  # all bytes that belonged to no frame
-    ended: str | None = None  # why the connection ended; None when the log does not say it
-
-
-def read_told(flight: FlightLog) -> Told:
-    """What the messages of a log say."""
-    reader: _CommandReader | None = None
-    for message in flight.messages():
-        if reader is None:
-            reader = _CommandReader(message)
-        try:
-            reader.hear(message)
-        except (ValueError, LookupError, TypeError, AttributeError):
-            continue  # not written by us
-    return Told() if reader is None else reader.end()
-
-
-class _CommandReader:
-    def __init__(self, first: Message) -> None:
-        self.told = Told(began_at=first.at, began_utc=first.utc)
-        # Number in `commands` and time of what waits for its answer, by session and sequence.
-        self._open: dict[tuple[int, int], tuple[int, float]] = {}
-        self._streams: dict[str, tuple[float, float, int]] = {}
-        self._holder: tuple[str, float] = ("pilot", 0.0)
-        self._counted: tuple[float, dict[str, Any]] | None = None
-
-    def hear(self, message: Message) -> None:
-        at = message.at - self.told.began_at
-        self.told.duration_s = max(self.told.duration_s, at)
-        if message.topic not in (COMMAND, EVENT, LINK):
-            return
-        content = message.content()
-        if message.topic == COMMAND:
-            if content["is_ack"] and content["direction"] == "rx":
-                self._answer(at, content)
-            elif not content["is_ack"] and content["direction"] == "tx":
-                self._command(at, content)
-        elif message.topic == EVENT:
-            self._event(at, content)
-        else:
-            self._count(at, content)
-
-    def _command(self, at: float, content: dict[str, Any]) -> None:
-        name = content["command"]
-        if name in _STREAMS:
-            begin, last, count = self._streams.get(name, (at, at, 0))
-            if at - last > _STREAM_GAP_S:
-                self._stream(name)
-                begin, count = at, 0
-            self._streams[name] = (begin, at, count + 1)
-        elif name not in _LOOKS:
-            exchange = content["session"], content["sequence"]
-            if exchange[0] and exchange in self._open:
-                return  # the same once more
-            self._open[exchange] = len(self.told.commands), at
-            arguments = {key: value for key, value in content.items() if key not in _HEAD | _ASIDE}
-            self.told.commands.append(Moment(at, name, arguments, None, None))
-
-    def _stream(self, name: str) -> None:
-        begin, last, count = self._streams[name]
-        self.told.streams.append(Span(name, begin, last, f"{count} × {name}"))
-
-    def _answer(self, at: float, content: dict[str, Any]) -> None:
-        found = self._open.pop((content["session"], content["sequence"]), None)
-        if found is None:
-            return
-        number, asked_at = found
-        said = content.get("ack", content.get("problem"))
-        outcome = said.get("name") if isinstance(said, dict) else said
-        asked = self.told.commands[number]
-        self.told.commands[number] = asked._replace(outcome=str(outcome), after_s=at - asked_at)
-
-    def _event(self, at: float, content: dict[str, Any]) -> None:
-        if content["event"] == "connection":
-            error = content.get("error") or ""
-            self.told.ended = None if content["is_connected"] else error
-            if not content["is_connected"] and error != _CLOSED:
-                self.told.alarms.append(Span("link_lost", at, at, error))
-        elif content["event"] == "authority":
-            before, after = content["before"], content["after"]
-            if before == "held" and after not in ("held", "releasing"):
-                reason = f"control was lost: {content.get('reason') or after}"
-                self.told.alarms.append(Span("authority_lost", at, at, reason))
-            holder = "program" if after in ("held", "releasing") else "pilot"
-            if holder != self._holder[0]:
-                self._hand_over(at)
-                self._holder = holder, at
-
-    def _hand_over(self, at: float) -> None:
-        name, since = self._holder
-        if at > since:
-            self.told.control.append(Span(name, since, at))
-
-    def _count(self, at: float, content: dict[str, Any]) -> None:
-        if self._counted is not None:
-            last, before = self._counted
-            told = self.told
-            seconds = max(at - last, 1e-3)
-            lost = content["discarded_bytes"] - before["discarded_bytes"]
-            told.discarded.add(at, max(0, lost) / seconds)
-            told.repeats = content["repeats"]
-            told.discarded_bytes = content["discarded_bytes"]
-            acks = content["acks"] - before["acks"]
-            taken_s = content["round_trips"]["total_s"] - before["round_trips"]["total_s"]
-            if acks > 0:
-                told.round_trip_ms.add(at, 1000.0 * taken_s / acks)
-        self._counted = at, content
-
-    def end(self) -> Told:
-        for name in self._streams:
-            self._stream(name)
-        self.told.streams.sort(key=lambda span: span.begin_s)
-        self._hand_over(self.told.duration_s)
-        return self.told
-
-
 # -- story -----------------------------------------------------------------------------------------
 
 _PHASES = {
@@ -373,7 +240,7 @@ class Curves:
     battery_percent: Curve = field(default_factory=lambda: Curve(gap_s=10.0))
     packages_per_s: Curve = field(default_factory=Curve)
     discarded_bytes_per_s: Curve = field(default_factory=Curve)
-    round_trip_ms: Curve = field(default_factory=Curve)
+    round_trip_ms: Curve = field(default_factory=lambda: Curve(gap_s=10.0))
 
 
 @dataclass
@@ -429,24 +296,133 @@ def read_story(flight: FlightLog, *, firmware: str | FirmwareProfile | None = No
         flight: The log.
         firmware: As for :meth:`FlightLog.samples`.
     """
-    told = read_told(flight)
-    story = Story(flight.path.name, told.began_utc, told.duration_s)
+    story = Story(flight.path.name)
+    commands = _CommandReader(story)
+    for message in flight.messages():
+        try:
+            commands.hear(message)
+        except (ValueError, LookupError, TypeError, AttributeError):
+            continue  # not written by us
+    commands.end()
     known = flight.firmware if firmware is None else firmware
-    reader = _Reader(story, told)
+    reader = _SampleReader(story)
     if known is not None:
         story.firmware = str(known)
         for sample in flight.samples(firmware=known):
-            reader.hear(sample.received_at - told.began_at, sample)
+            reader.hear(sample.received_at - commands.began_at, sample)
     reader.end()
     return story
 
 
-class _Reader:
+class _CommandReader:
+    """Hears each message once."""
+
+    def __init__(self, story: Story) -> None:
+        self.began_at = 0.0  # clock of the first message, s
+        self._story = story
+        # Number in `commands` and time of what waits for its answer, by session and sequence.
+        self._open: dict[tuple[int, int], tuple[int, float]] = {}
+        self._streams: dict[str, tuple[float, float, int]] = {}
+        self._holder: tuple[str, float] = ("pilot", 0.0)
+        self._counted: tuple[float, dict[str, Any]] | None = None
+
+    def hear(self, message: Message) -> None:
+        if self._story.began_utc is None:
+            self.began_at, self._story.began_utc = message.at, message.utc
+        at = message.at - self.began_at
+        self._story.duration_s = max(self._story.duration_s, at)
+        if message.topic not in (COMMAND, EVENT, LINK):
+            return
+        content = message.content()
+        if message.topic == COMMAND:
+            if content["is_ack"] and content["direction"] == "rx":
+                self._answer(at, content)
+            elif not content["is_ack"] and content["direction"] == "tx":
+                self._command(at, content)
+        elif message.topic == EVENT:
+            self._event(at, content)
+        else:
+            self._count(at, content)
+
+    def _command(self, at: float, content: dict[str, Any]) -> None:
+        name = content["command"]
+        if name in _STREAMS:
+            begin, last, count = self._streams.get(name, (at, at, 0))
+            if at - last > _STREAM_GAP_S:
+                self._stream(name)
+                begin, count = at, 0
+            self._streams[name] = (begin, at, count + 1)
+        elif name not in _LOOKS:
+            exchange = content["session"], content["sequence"]
+            if exchange[0] and exchange in self._open:
+                return  # the same once more
+            self._open[exchange] = len(self._story.commands), at
+            arguments = {key: value for key, value in content.items() if key not in _HEAD | _ASIDE}
+            self._story.commands.append(Moment(at, name, arguments, None, None))
+
+    def _stream(self, name: str) -> None:
+        begin, last, count = self._streams[name]
+        self._story.streams.append(Span(name, begin, last, f"{count} × {name}"))
+
+    def _answer(self, at: float, content: dict[str, Any]) -> None:
+        found = self._open.pop((content["session"], content["sequence"]), None)
+        if found is None:
+            return
+        number, asked_at = found
+        said = content.get("ack", content.get("problem"))
+        outcome = said.get("name") if isinstance(said, dict) else said
+        asked = self._story.commands[number]
+        self._story.commands[number] = asked._replace(outcome=str(outcome), after_s=at - asked_at)
+
+    def _event(self, at: float, content: dict[str, Any]) -> None:
+        if content["event"] == "connection":
+            error = content.get("error") or ""
+            self._story.ended = None if content["is_connected"] else error
+            if not content["is_connected"] and error != _CLOSED:
+                self._story.alarms.append(Span("link_lost", at, at, error))
+        elif content["event"] == "authority":
+            before, after = content["before"], content["after"]
+            if before == "held" and after not in ("held", "releasing"):
+                reason = f"control was lost: {content.get('reason') or after}"
+                self._story.alarms.append(Span("authority_lost", at, at, reason))
+            holder = "program" if after in ("held", "releasing") else "pilot"
+            if holder != self._holder[0]:
+                self._hand_over(at)
+                self._holder = holder, at
+
+    def _hand_over(self, at: float) -> None:
+        name, since = self._holder
+        if at > since:
+            self._story.control.append(Span(name, since, at))
+
+    def _count(self, at: float, content: dict[str, Any]) -> None:
+        if self._counted is not None:
+            last, before = self._counted
+            story = self._story
+            seconds = max(at - last, 1e-3)
+            lost = content["discarded_bytes"] - before["discarded_bytes"]
+            story.curves.discarded_bytes_per_s.add(at, max(0, lost) / seconds)
+            story.repeats = content["repeats"]
+            story.discarded_bytes = content["discarded_bytes"]
+            acks = content["acks"] - before["acks"]
+            taken_s = content["round_trips"]["total_s"] - before["round_trips"]["total_s"]
+            if acks > 0:
+                story.curves.round_trip_ms.add(at, 1000.0 * taken_s / acks)
+        self._counted = at, content
+
+    def end(self) -> None:
+        for name in self._streams:
+            self._stream(name)
+        self._story.streams.sort(key=lambda span: span.begin_s)
+        self._hand_over(self._story.duration_s)
+
+
+class _SampleReader:
     """Hears each package once."""
 
-    def __init__(self, story: Story, told: Told) -> None:
+    def __init__(self, story: Story) -> None:
         self._story = story
-        self._told = told
+        self._alarms: list[Span] = []
         self._frame: LocalFrame | None = None
         self._home, self._is_home_known = (0.0, 0.0), False
         self._place: tuple[float, float] | None = None
@@ -506,7 +482,7 @@ class _Reader:
         self._story.maxima.note("silence_s", at - last)
         if at - last > MAX_TELEMETRY_AGE:
             text = f"no telemetry for {at - last:.1f} s"
-            self._story.alarms.append(Span("link_old", last, at, text))
+            self._alarms.append(Span("link_old", last, at, text))
 
     def _hear_phase(self, at: float, status: FlightStatus) -> None:
         phase = "unknown" if status.phase is None else _PHASES[status.phase]
@@ -530,7 +506,7 @@ class _Reader:
             (self._left_ground_at or 0.0) <= command.at_s <= at
             if command.arguments.get("task") in _WAYS_DOWN
             else command.at_s <= at and command.command in _MISSIONS
-            for command in self._told.commands
+            for command in self._story.commands
         )
 
     def _start_at_home(self) -> None:
@@ -580,21 +556,17 @@ class _Reader:
             self._ringing[name] = at, text
         elif is_so is False and name in self._ringing:
             began, said = self._ringing.pop(name)
-            self._story.alarms.append(Span(name, began, at, said))
+            self._alarms.append(Span(name, began, at, said))
 
     def end(self) -> None:
-        story, told, most = self._story, self._told, self._story.maxima
+        story, most = self._story, self._story.maxima
         if self._last_at is not None:
             self._note_silence(self._last_at, story.duration_s)
         for name in list(self._ringing):
             self._ring(name, False, story.duration_s, "")
-        story.alarms = sorted([*story.alarms, *told.alarms], key=lambda one: one.begin_s)
+        story.alarms = sorted([*self._alarms, *story.alarms], key=lambda one: one.begin_s)
         story.phases = _spans(self._phases, story.duration_s)
-        story.control = _spans(self._control, story.duration_s) or told.control
-        story.commands, story.streams, story.repeats = told.commands, told.streams, told.repeats
-        story.discarded_bytes, story.ended = told.discarded_bytes, told.ended
-        story.curves.discarded_bytes_per_s = told.discarded
-        story.curves.round_trip_ms = told.round_trip_ms
+        story.control = _spans(self._control, story.duration_s) or story.control
         most.airborne_s = sum(
             span.end_s - span.begin_s
             for span in story.phases

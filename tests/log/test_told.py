@@ -9,10 +9,10 @@ from typing import Any
 from mcap.writer import Writer
 
 from m100link.log import read
-from m100link.log.story import Told, read_told
+from m100link.log.story import Story, read_story
 
 
-def told(tmp_path: Path, *messages: tuple[float, str, dict[str, Any]]) -> Told:
+def told(tmp_path: Path, *messages: tuple[float, str, dict[str, Any]]) -> Story:
     path = tmp_path / "flight.mcap"
     with path.open("wb") as stream:
         writer: Any = Writer(stream)
@@ -27,7 +27,7 @@ def told(tmp_path: Path, *messages: tuple[float, str, dict[str, Any]]) -> Told:
                 channel_id=channels[topic], log_time=time, publish_time=time, data=data
             )
         writer.finish()
-    return read_told(read(path))
+    return read_story(read(path))
 
 
 def sent(
@@ -107,7 +107,7 @@ def test_the_line_is_told_by_differences(tmp_path: Path) -> None:
     found = told(
         tmp_path, counted(0.0, 5, 1, 1.0), counted(1.0, 5, 1, 1.0), counted(3.0, 25, 3, 1.1)
     )
-    assert list(found.discarded.points()) == [(1.0, 0.0), (3.0, 10.0)]
-    [(at, round_trip)] = found.round_trip_ms.points()
+    assert list(found.curves.discarded_bytes_per_s.points()) == [(1.0, 0.0), (3.0, 10.0)]
+    [(at, round_trip)] = found.curves.round_trip_ms.points()
     assert (at, round(round_trip, 6)) == (3.0, 50.0)
     assert found.repeats == 3
