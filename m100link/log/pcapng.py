@@ -27,8 +27,8 @@ from m100link.protocol.describing import Describer
 from m100link.protocol.fields import Laid, Layout, Nibbles, Number, Numbers, Reserved
 from m100link.protocol.firmware import PROFILES, FirmwareProfile, profile
 from m100link.wire import Cipher, FrameDecoder, encode_frame
-from m100link.wire.crc import HEADER_RESIDUE, START_VALUE, frame_crc32, header_crc16
-from m100link.wire.frame import HEADER_SIZE, SOF
+from m100link.wire.crc import START_VALUE, frame_crc32
+from m100link.wire.frame import HEADER_SIZE, SOF, frame_length
 
 # -- every frame of a log, decoded: what went over the line, in its order --------------------------
 
@@ -181,8 +181,8 @@ def cut(data: bytes, *, is_end: bool = False) -> tuple[list[bytes], bytes]:
     pieces: list[bytes] = []
     at = begun = 0
     while at < len(data):
-        length = _length_at(data, at)
-        if length is None:
+        length = frame_length(data, at)
+        if not length:
             if not is_end and len(data) - at < HEADER_SIZE and data[at] == SOF:
                 break
             at += 1
@@ -194,24 +194,13 @@ def cut(data: bytes, *, is_end: bool = False) -> tuple[list[bytes], bytes]:
         end = min(at + length, len(data))
         if not _is_good(data[at:end]):
             # Bytes of it were lost: the next one begins within.
-            end = next((n for n in range(at + 1, end) if _length_at(data, n)), end)
+            end = next((n for n in range(at + 1, end) if frame_length(data, n)), end)
         pieces.append(data[at:end])
         at = begun = end
     rest = data[at:] if at < len(data) else b""
     if at > begun:
         pieces.append(data[begun:at])
     return pieces, rest
-
-
-def _length_at(data: bytes, at: int) -> int | None:
-    """Length of the frame that begins there; None when none does."""
-    header = data[at : at + HEADER_SIZE]
-    if len(header) < HEADER_SIZE or header[0] != SOF:
-        return None
-    if header_crc16(header) != HEADER_RESIDUE:
-        return None
-    length = (header[1] | header[2] << 8) & 0x3FF
-    return length if length >= HEADER_SIZE else None
 
 
 def _is_good(frame: bytes) -> bool:
@@ -291,7 +280,6 @@ _LAYOUTS: dict[type[Command], tuple[Layout, ...]] = {
     virtual_rc.VirtualRcSettings: (Layout(Number("flags")),),
     virtual_rc.VirtualRcData: (Layout(Numbers("channels", 16, Number("channel", "I"))),),
 }
-_DATA: frozenset[type[Command]] = frozenset({activation.SendToMobile, monitor.FromMobile})
 _KINDS: dict[type[Command], Mapping[int, Layout]] = {
     MissionStatus: {kind.KIND: kind.LAYOUT for kind in STATUSES},
     WaypointEvent: {kind.KIND: kind.LAYOUT for kind in EVENTS},
@@ -373,7 +361,7 @@ class _Tables:
             for kind, forms in made["kinds"].items():
                 if (command, kind) in _SHORTER:
                     forms |= {size - 1: parts for size, parts in forms.items()}
-        elif command in _DATA:
+        elif issubclass(command, activation.MobileData):
             made["forms"] = {-1: [self._data(f"{prefix}.mobile_data")]}
         elif issubclass(command, Laid):
             made["forms"] = self._forms(prefix, (command.LAYOUT,))

@@ -29,8 +29,7 @@ from m100link.log.channels import CHUNKS, FIX, LINK, RX, SCHEMAS, TX, Told, Witn
 from m100link.log.records import PART_SIZE, mcap_module, registered
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.wire import Cipher, encode_frame
-from m100link.wire.crc import header_crc16
-from m100link.wire.frame import CRC32_SIZE, HEADER_SIZE, MAX_SESSION, OVERHEAD, SOF
+from m100link.wire.frame import CRC32_SIZE, HEADER_SIZE, MAX_SESSION, OVERHEAD, frame_length
 
 if TYPE_CHECKING:
     from mcap.writer import Writer
@@ -82,7 +81,7 @@ class Redaction:
         pieces = []
         while at < len(data):
             start = at
-            size = _size_of_frame(data, at)
+            size = frame_length(data, at)
             at += size or 1
             pieces.append(self._without(data[start:at], now) if size else data[start:at])
         return b"".join(pieces)
@@ -159,17 +158,6 @@ class Redaction:
         together = self._secrets | secrets
         self._secrets = {one: together[one] for one in sorted(together, key=len, reverse=True)}
         return blank
-
-
-def _size_of_frame(data: bytes, at: int) -> int:
-    """Of the frame that begins there; 0 when none does."""
-    header = data[at : at + HEADER_SIZE]
-    if len(header) < HEADER_SIZE or header[0] != SOF:
-        return 0
-    if header_crc16(header[:-2]) != int.from_bytes(header[-2:], "little"):
-        return 0
-    size = header[1] | (header[2] & 3) << 8
-    return size if size >= HEADER_SIZE else 0
 
 
 # -- recorder --------------------------------------------------------------------------------------

@@ -33,22 +33,6 @@ from m100link.wire.crc import (
 if TYPE_CHECKING:
     from inspect import Signature
 
-__all__ = [
-    "HEADER_SIZE",
-    "MAX_DATA_SIZE",
-    "MAX_FRAME_SIZE",
-    "MAX_SESSION",
-    "OVERHEAD",
-    "SOF",
-    "Discard",
-    "Frame",
-    "FrameDecoder",
-    "encode_frame",
-    "maker",
-    "quick",
-    "right_headers",
-]
-
 
 # -- where the next frame may begin, among bytes that are none -------------------------------------
 # Anything may arrive: noise, another baud rate, a flood of start bytes. With one checksum for each
@@ -244,6 +228,15 @@ class Frame(NamedTuple):
 
 
 _make_frame = maker(Frame)
+
+
+def frame_length(data: bytes, at: int) -> int:
+    """Length of the frame whose header, with a right CRC16, begins at a place; 0: none does."""
+    header = data[at : at + HEADER_SIZE]
+    if len(header) < HEADER_SIZE or header[0] != SOF or header_crc16(header) != HEADER_RESIDUE:
+        return 0
+    length = (header[1] | header[2] << 8) & 0x3FF
+    return length if length >= HEADER_SIZE else 0
 
 
 class Discard(StrEnum):
