@@ -30,6 +30,7 @@ from m100link.wire.frame import encode_frame
 if TYPE_CHECKING:
     from m100link.link import Link
 
+
 __all__ = ["Requests"]
 
 _logger = logging.getLogger(__name__)
@@ -42,20 +43,6 @@ A = TypeVar("A")
 
 class Requests:
     """Sends commands over a link: encrypted where there is a key, in the layout of the firmware."""
-
-    __slots__ = (
-        "__dict__",
-        "_is_fixed",
-        "_is_forced",
-        "_is_known",
-        "_known_pushes",
-        "_link",
-        "_proven_cipher",
-        "firmware",
-        "knows_layout",
-        "level",
-        "version",
-    )
 
     def __init__(self, link: Link, firmware: FirmwareProfile | None = None) -> None:
         self._link = link

@@ -228,7 +228,7 @@ class Nibbles(NamedTuple):
 
 
 class Reserved(NamedTuple):
-    """Bytes that are sent as zero and ignored.
+    """Bytes that are sent as zero and ignored: DJI's programs leave uninitialised memory there.
 
     Attributes:
         many: How many.
@@ -251,22 +251,6 @@ class Reserved(NamedTuple):
         """What stands there."""
         return "sent as 0, ignored"
 
-    def write(self, record: object) -> tuple[Any, ...]:
-        """Nothing."""
-        return ()
-
-    def read(self, values: Iterator[Any]) -> Iterator[tuple[str, Any]]:
-        """Nothing."""
-        return iter(())
-
-    def problems(self, record: object) -> Iterator[Problem]:
-        """None: DJI's programs leave uninitialised memory there."""
-        return iter(())
-
-    def shown(self, record: object) -> Iterator[tuple[str, Any]]:
-        """Nothing."""
-        return iter(())
-
 
 Part: TypeAlias = Number | Numbers | Nibbles | Reserved
 
@@ -278,17 +262,18 @@ class Layout:
         size: Bytes in all.
     """
 
-    __slots__ = ("_parts", "_struct", "size")
+    __slots__ = ("_all", "_parts", "_struct", "size")
 
     def __init__(self, *parts: Part) -> None:
-        self._parts = parts
+        self._all = parts
+        self._parts = [part for part in parts if not isinstance(part, Reserved)]
         self._struct = Struct("<" + "".join(part.format for part in parts))
         self.size = self._struct.size
 
     def offsets(self) -> Iterator[tuple[int, Part]]:
         """Each part with the byte that it begins at."""
         offset = 0
-        for part in self._parts:
+        for part in self._all:
             yield offset, part
             offset += calcsize(f"<{part.format}")
 

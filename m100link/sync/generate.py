@@ -179,25 +179,23 @@ async def _connected(connecting: aio.Connecting) -> aio.Aircraft:
     return await connecting
 """
 
+TIMED = ("telemetry", "from_mobile", "events")
+"""What is iterated, here with a time-out."""
+
 BY_HAND = {
+    **{
+        name: f"""
+        subscription = self._portal.call(self._aircraft.{name}, ARGUMENTS)
+        return Subscription(self._portal, subscription, timeout)
+    """
+        for name in TIMED
+    },
     "control": """
         return Control(
             self._portal,
             self._portal.call(self._aircraft.control, ARGUMENTS),
             handle_signals=handle_signals,
         )
-    """,
-    "telemetry": """
-        subscription = self._portal.call(self._aircraft.telemetry, ARGUMENTS)
-        return Subscription(self._portal, subscription, timeout)
-    """,
-    "from_mobile": """
-        subscription = self._portal.call(self._aircraft.from_mobile, ARGUMENTS)
-        return Subscription(self._portal, subscription, timeout)
-    """,
-    "events": """
-        subscription = self._portal.call(self._aircraft.events, ARGUMENTS)
-        return Subscription(self._portal, subscription, timeout)
     """,
     "ticks": "return Ticks(self._portal, self._portal.call(self._control.ticks, ARGUMENTS))",
     "hold": "return Hold(self._portal, self._control.hold(ARGUMENTS))",
@@ -240,9 +238,6 @@ BY_HAND = {
     """,
 }
 """Bodies of methods that do more than hand on."""
-
-TIMED = ("telemetry", "from_mobile", "events")
-"""What is iterated, here with a time-out."""
 
 TYPES = {
     "AsyncIterator[Hold]": "Hold",

@@ -10,6 +10,7 @@ from m100link.errors import BadAck, BadValue, PayloadTooLarge, UsageError
 from m100link.protocol.codes import AckCode, ActivationCode, MobileDataCode, RatesCode, VersionCode
 from m100link.protocol.command import (
     Address,
+    Command,
     Problem,
     Request,
     encode_code,
@@ -323,11 +324,10 @@ def check_mobile_data(data: bytes) -> bytes:
     return bytes(data)
 
 
-@dataclass(frozen=True, slots=True)
-class SendToMobile(Request[MobileDataCode]):
-    """0x00/0xFE, transparent data to the mobile device, 1 to 100 bytes, about 8 kB/s."""
+class MobileData(Command):
+    """Transparent data to or from the mobile device, 1 to 100 bytes."""
 
-    ADDRESS: ClassVar[Address] = Address(0x00, 0xFE)
+    __slots__ = ()
 
     data: bytes
 
@@ -340,8 +340,17 @@ class SendToMobile(Request[MobileDataCode]):
         """1 to 100 bytes."""
         if not 1 <= len(value) <= MOBILE_DATA_LIMIT:
             raise ValueError(f"a message has 1 to {MOBILE_DATA_LIMIT} bytes, not {len(value)}")
-        return cls(value)
+        return cls(value)  # type: ignore[call-arg]  # the two are dataclasses
 
     def fields(self) -> dict[str, Any]:
         """The data under a name of their own: ``data`` is the whole payload of a frame."""
         return {"mobile_data": self.data.hex()}
+
+
+@dataclass(frozen=True, slots=True)
+class SendToMobile(MobileData, Request[MobileDataCode]):
+    """0x00/0xFE, transparent data to the mobile device, 1 to 100 bytes, about 8 kB/s."""
+
+    ADDRESS: ClassVar[Address] = Address(0x00, 0xFE)
+
+    data: bytes

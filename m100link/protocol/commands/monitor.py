@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from m100link.protocol.command import Address, Notification
-from m100link.protocol.commands.activation import MOBILE_DATA_LIMIT, check_mobile_data
+from m100link.protocol.commands.activation import MobileData
 from m100link.protocol.fields import Laid, Layout, Number
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.packet import TelemetryPacket
@@ -56,24 +56,9 @@ class AuthorityChanged(Laid, Notification):
 
 
 @dataclass(frozen=True, slots=True)
-class FromMobile(Notification):
+class FromMobile(MobileData, Notification):
     """0x02/0x02, transparent data from the mobile device, 1 to 100 bytes, about 1 kB/s."""
 
     ADDRESS: ClassVar[Address] = Address(0x02, 0x02)
 
     data: bytes
-
-    def value(self, profile: FirmwareProfile) -> bytes:
-        """The data, checked."""
-        return check_mobile_data(self.data)
-
-    @classmethod
-    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
-        """1 to 100 bytes."""
-        if not 1 <= len(value) <= MOBILE_DATA_LIMIT:
-            raise ValueError(f"a message has 1 to {MOBILE_DATA_LIMIT} bytes, not {len(value)}")
-        return cls(value)
-
-    def fields(self) -> dict[str, Any]:
-        """The data under a name of their own: ``data`` is the whole payload of a frame."""
-        return {"mobile_data": self.data.hex()}
