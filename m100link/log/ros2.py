@@ -27,6 +27,7 @@ from m100link.protocol.records import (
     Position,
     RemoteControl,
     Velocity,
+    quaternion,
 )
 from m100link.telemetry.integrity import has_fix
 from m100link.telemetry.sample import Sample
@@ -84,6 +85,11 @@ class Messages:
     def _header(self, frame: str) -> Mapping[str, Any]:
         return {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": frame}
 
+    def _stamped(self, name: str, frame: str, /, *changing: str, **message: Any) -> Template:
+        """A message with a header, whose time changes as well."""
+        message = {"header": self._header(frame), **message}
+        return Template(name, message, "header.stamp", *changing)
+
     def _turned(self, attitude: Attitude) -> tuple[float, float, float, float]:
         """The attitude for ROS; four messages of a package have the same one."""
         if attitude is not self._attitude:
@@ -94,15 +100,14 @@ class Messages:
 
     @cached_property
     def _fix(self) -> Template:
-        message = {
-            "header": self._header(self.body),
-            "status": {"status": 0, "service": _GPS},
-            **dict.fromkeys(("latitude", "longitude", "altitude"), 0.0),
-            "position_covariance": _UNKNOWN,
-            "position_covariance_type": 0,
-        }
-        changing = ("header.stamp", "status.status", "latitude", "longitude", "altitude")
-        return Template("sensor_msgs/NavSatFix", message, *changing)
+        place = ("latitude", "longitude", "altitude")
+        return self._stamped(
+            *("sensor_msgs/NavSatFix", self.body, "status.status", *place),
+            status={"status": 0, "service": _GPS},
+            **dict.fromkeys(place, 0.0),
+            position_covariance=_UNKNOWN,
+            position_covariance_type=0,
+        )
 
     def fix(self, stamp: Stamp, position: Position) -> bytes:
         """sensor_msgs/NavSatFix; the altitude is the aircraft's, by its barometer."""
@@ -111,10 +116,8 @@ class Messages:
 
     @cached_property
     def _twist(self) -> Template:
-        message = {"header": self._header(self.ground), "twist": _TWIST}
-        return Template(
-            "geometry_msgs/TwistStamped", message, "header.stamp", "twist.linear", "twist.angular"
-        )
+        changing = ("twist.linear", "twist.angular")
+        return self._stamped("geometry_msgs/TwistStamped", self.ground, *changing, twist=_TWIST)
 
     def velocity(self, stamp: Stamp, velocity: Velocity) -> bytes:
         """geometry_msgs/TwistStamped over ground; it does not turn there."""
@@ -122,8 +125,7 @@ class Messages:
 
     @cached_property
     def _vector(self) -> Template:
-        message = {"header": self._header(self.ground), "vector": _VECTOR}
-        return Template("geometry_msgs/Vector3Stamped", message, "header.stamp", "vector")
+        return self._stamped("geometry_msgs/Vector3Stamped", self.ground, "vector", vector=_VECTOR)
 
     def acceleration(self, stamp: Stamp, acceleration: Acceleration) -> bytes:
         """geometry_msgs/Vector3Stamped over ground, without gravity."""
@@ -131,14 +133,13 @@ class Messages:
 
     @cached_property
     def _odometry(self) -> Template:
-        message = {
-            "header": self._header(self.ground),
-            "child_frame_id": self.body,
-            "pose": {"pose": _POSE, "covariance": [0.0] * 36},
-            "twist": {"twist": _TWIST, "covariance": [0.0] * 36},
-        }
         changing = ("pose.pose.position", "pose.pose.orientation", "twist.twist")
-        return Template("nav_msgs/Odometry", message, "header.stamp", *changing)
+        return self._stamped(
+            *("nav_msgs/Odometry", self.ground, *changing),
+            child_frame_id=self.body,
+            pose={"pose": _POSE, "covariance": [0.0] * 36},
+            twist={"twist": _TWIST, "covariance": [0.0] * 36},
+        )
 
     def odometry(
         self,
@@ -155,14 +156,8 @@ class Messages:
 
     @cached_property
     def _pose(self) -> Template:
-        message = {"header": self._header(self.ground), "pose": _POSE}
-        return Template(
-            "geometry_msgs/PoseStamped",
-            message,
-            "header.stamp",
-            "pose.position",
-            "pose.orientation",
-        )
+        changing = ("pose.position", "pose.orientation")
+        return self._stamped("geometry_msgs/PoseStamped", self.ground, *changing, pose=_POSE)
 
     def pose(self, stamp: Stamp, place: Vector, attitude: Attitude) -> bytes:
         """geometry_msgs/PoseStamped over ground; the place as in :meth:`odometry`."""
@@ -197,8 +192,8 @@ class Messages:
                 for name, one in zip(names, known, strict=True)
             }
             empty = dict(zip(names, (_ROTATION, _VECTOR, _VECTOR), strict=True))
-            message = {"header": self._header(self.body), **empty, **covariances}
-            template = Template("sensor_msgs/Imu", message, "header.stamp", *names)
+            message = {**empty, **covariances}
+            template = self._stamped("sensor_msgs/Imu", self.body, *names, **message)
             self._imus[known] = template
         return template
 
@@ -221,8 +216,7 @@ class Messages:
 
     @cached_property
     def _magnetometer(self) -> Template:
-        message = {"header": self._header(self.body), "vector": _VECTOR}
-        return Template("geometry_msgs/Vector3Stamped", message, "header.stamp", "vector")
+        return self._stamped("geometry_msgs/Vector3Stamped", self.body, "vector", vector=_VECTOR)
 
     def magnetometer(self, stamp: Stamp, found: Magnetometer) -> bytes:
         """geometry_msgs/Vector3Stamped: raw numbers without a unit, forward, left, up."""
@@ -230,40 +224,30 @@ class Messages:
 
     @cached_property
     def _gimbal(self) -> Template:
-        message = {"header": self._header(self.ground), "quaternion": _ROTATION}
-        return Template("geometry_msgs/QuaternionStamped", message, "header.stamp", "quaternion")
+        name = "geometry_msgs/QuaternionStamped"
+        return self._stamped(name, self.ground, "quaternion", quaternion=_ROTATION)
 
     def gimbal(self, stamp: Stamp, gimbal: Gimbal) -> bytes:
         """geometry_msgs/QuaternionStamped: how the camera is turned over ground."""
-        roll, pitch, yaw = (
-            math.radians(one) / 2 for one in (gimbal.roll_deg, gimbal.pitch_deg, gimbal.yaw_deg)
-        )
-        cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-        cy, sy = math.cos(yaw), math.sin(yaw)
-        turned = Attitude(
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        )
+        angles = gimbal.roll_deg, gimbal.pitch_deg, gimbal.yaw_deg
+        turned = Attitude(*quaternion(*map(math.radians, angles)))
         return self._gimbal.fill(stamp, turned.enu_flu_xyzw)
 
     @cached_property
     def _battery(self) -> Template:
         unknown = ("voltage", "temperature", "current", "charge", "capacity", "design_capacity")
         kinds = ("power_supply_status", "power_supply_health", "power_supply_technology")
-        message = {
-            "header": self._header(self.body),
+        return self._stamped(
+            *("sensor_msgs/BatteryState", self.body, "percentage"),
             **dict.fromkeys(unknown, math.nan),
-            "percentage": 0.0,
+            percentage=0.0,
             **dict.fromkeys(kinds, 0),
-            "present": True,
-            "cell_voltage": [],
-            "cell_temperature": [],
-            "location": "",
-            "serial_number": "",
-        }
-        return Template("sensor_msgs/BatteryState", message, "header.stamp", "percentage")
+            present=True,
+            cell_voltage=[],
+            cell_temperature=[],
+            location="",
+            serial_number="",
+        )
 
     def battery(self, stamp: Stamp, battery: Battery) -> bytes:
         """sensor_msgs/BatteryState: the wire has the percentage alone; NaN beyond 100 %."""

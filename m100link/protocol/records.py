@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
+from math import cos, sin
 from typing import NamedTuple
 
 from m100link.wire.frame import quick
@@ -106,6 +107,23 @@ class Attitude(NamedTuple):
         q0, q1, q2, q3 = self
         h = math.sqrt(0.5)
         return ((q1 + q2) * h, (q1 - q2) * h, (q0 - q3) * h, (q0 + q3) * h)
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """Scalar first, ground (north, east, down) to body (forward, right, down), z-y-x angles, rad.
+
+    Level and facing north is (1, 0, 0, 0); facing east (0.7071, 0, 0, 0.7071).
+    """
+    half_roll, half_pitch, half_yaw = 0.5 * roll, 0.5 * pitch, 0.5 * yaw
+    cr, sr = cos(half_roll), sin(half_roll)
+    cp, sp = cos(half_pitch), sin(half_pitch)
+    cy, sy = cos(half_yaw), sin(half_yaw)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
 
 
 class _GroundVector:

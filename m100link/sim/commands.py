@@ -23,54 +23,9 @@ from m100link.protocol.codes import (
     VersionCode,
 )
 from m100link.protocol.command import Acknowledged, Address, Command, Request, encode_code
-from m100link.protocol.commands.activation import (
-    Activate,
-    GetVersion,
-    SendToMobile,
-    SetTelemetryRates,
-    Version,
-)
-from m100link.protocol.commands.control import Arm, Move, QueryTask, RequestAuthority, StartTask
-from m100link.protocol.commands.gimbal import (
-    GimbalAngle,
-    GimbalSpeed,
-    StartVideo,
-    StopVideo,
-    TakePhoto,
-)
-from m100link.protocol.commands.hotpoint import (
-    FollowPauseResume,
-    FollowStart,
-    FollowStop,
-    FollowTarget,
-    HotpointAutoRadius,
-    HotpointDownload,
-    HotpointDownloadAnswer,
-    HotpointPauseResume,
-    HotpointResetYaw,
-    HotpointSetRadius,
-    HotpointSetRate,
-    HotpointStart,
-    HotpointStartAnswer,
-    HotpointStop,
-)
+from m100link.protocol.commands import activation, control, gimbal, hotpoint, virtual_rc, waypoint
 from m100link.protocol.commands.missions import COMMAND_SET, PauseResume
 from m100link.protocol.commands.registry import COMMANDS, address_of
-from m100link.protocol.commands.virtual_rc import Sync, VirtualRcData, VirtualRcSettings
-from m100link.protocol.commands.waypoint import (
-    IdleSpeedAnswer,
-    WaypointDownloadedPoint,
-    WaypointDownloadMission,
-    WaypointDownloadPoint,
-    WaypointGetIdleSpeed,
-    WaypointMission,
-    WaypointMissionAnswer,
-    WaypointPauseResume,
-    WaypointPoint,
-    WaypointPointAnswer,
-    WaypointSetIdleSpeed,
-    WaypointStartStop,
-)
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import Device
 from m100link.protocol.setpoint import Setpoint
@@ -83,7 +38,9 @@ from m100link.wire.frame import Frame
 
 _MISSIONS = bytes((COMMAND_SET,))
 
-UNCONFIRMED = frozenset((HotpointSetRate, HotpointSetRadius, HotpointResetYaw))
+UNCONFIRMED = frozenset(
+    (hotpoint.HotpointSetRate, hotpoint.HotpointSetRadius, hotpoint.HotpointResetYaw)
+)
 """Commands without an ack, except where ``MissionSettings.hotpoint_acks`` asks for one."""
 
 _OK = MissionCode.SUCCESS
@@ -140,14 +97,14 @@ class CommandedAircraft(Protocol):
     vehicle: Vehicle
     profile: FirmwareProfile
     counters: Counters  # what went over the line
-    received_movements: deque[Move]  # what came, newest last
+    received_movements: deque[control.Move]  # what came, newest last
     received_commands: deque[LastCommand]
 
-    def version(self, code: VersionCode) -> Version:
+    def version(self, code: VersionCode) -> activation.Version:
         """The answer to a version query."""
         ...
 
-    def activate(self, request: Activate) -> ActivationCode:
+    def activate(self, request: activation.Activate) -> ActivationCode:
         """The answer to an activation."""
         ...
 
@@ -164,56 +121,58 @@ class Commands:
         self._vehicle = autopilot.vehicle
         self._profile = autopilot.profile
         # A program repeats a setpoint fifty times a second: read it once.
-        self._last_move: tuple[bytes, Move, Setpoint | None] | None = None
+        self._last_move: tuple[bytes, control.Move, Setpoint | None] | None = None
         vehicle = autopilot.vehicle
         missions = self._missions = vehicle.missions
         self._handlers: dict[type[Command], Callable[[Any], Any]] = {
-            GetVersion: self._version,
-            Activate: autopilot.activate,
-            SetTelemetryRates: self._rates,
-            SendToMobile: self._to_mobile,
-            RequestAuthority: lambda command: vehicle.request_authority(command.obtain),
-            StartTask: self._start_task,
-            QueryTask: lambda command: vehicle.flight.query_task(command.task_sequence),
-            Arm: self._arm,
-            GimbalSpeed: lambda command: vehicle.gimbal.turn(command, vehicle.time),
-            GimbalAngle: vehicle.gimbal.point,
-            TakePhoto: lambda _: vehicle.camera.take_photo(vehicle.time),
-            StartVideo: lambda _: vehicle.camera.start_video(),
-            StopVideo: lambda _: vehicle.camera.stop_video(),
-            Sync: lambda _: None,  # a Matrice 100 has no output for it
-            VirtualRcSettings: vehicle.switch_virtual_rc,
-            VirtualRcData: self._feed_virtual_rc,
-            WaypointMission: missions.begin_upload,
-            WaypointPoint: lambda point: WaypointPointAnswer(missions.add(point), point.index),
-            WaypointStartStop: self._start_or_stop,
-            WaypointPauseResume: self._pauses(WaypointFlight),
-            WaypointDownloadMission: self._download_mission,
-            WaypointDownloadPoint: self._download_point,
-            WaypointSetIdleSpeed: lambda command: self._idle_speed(
+            activation.GetVersion: self._version,
+            activation.Activate: autopilot.activate,
+            activation.SetTelemetryRates: self._rates,
+            activation.SendToMobile: self._to_mobile,
+            control.RequestAuthority: lambda command: vehicle.request_authority(command.obtain),
+            control.StartTask: self._start_task,
+            control.QueryTask: lambda command: vehicle.flight.query_task(command.task_sequence),
+            control.Arm: self._arm,
+            gimbal.GimbalSpeed: lambda command: vehicle.gimbal.turn(command, vehicle.time),
+            gimbal.GimbalAngle: vehicle.gimbal.point,
+            gimbal.TakePhoto: lambda _: vehicle.camera.take_photo(vehicle.time),
+            gimbal.StartVideo: lambda _: vehicle.camera.start_video(),
+            gimbal.StopVideo: lambda _: vehicle.camera.stop_video(),
+            virtual_rc.Sync: lambda _: None,  # a Matrice 100 has no output for it
+            virtual_rc.VirtualRcSettings: vehicle.switch_virtual_rc,
+            virtual_rc.VirtualRcData: self._feed_virtual_rc,
+            waypoint.WaypointMission: missions.begin_upload,
+            waypoint.WaypointPoint: lambda point: waypoint.WaypointPointAnswer(
+                missions.add(point), point.index
+            ),
+            waypoint.WaypointStartStop: self._start_or_stop,
+            waypoint.WaypointPauseResume: self._pauses(WaypointFlight),
+            waypoint.WaypointDownloadMission: self._download_mission,
+            waypoint.WaypointDownloadPoint: self._download_point,
+            waypoint.WaypointSetIdleSpeed: lambda command: self._idle_speed(
                 missions.set_idle_speed(command.idle_speed)
             ),
-            WaypointGetIdleSpeed: lambda _: self._idle_speed(
+            waypoint.WaypointGetIdleSpeed: lambda _: self._idle_speed(
                 missions.refusal(WaypointFlight, Order.SPEED)
             ),
-            HotpointStart: self._start_hotpoint,
-            HotpointStop: lambda _: missions.stop(HotpointFlight),
-            HotpointPauseResume: self._pauses(HotpointFlight),
-            HotpointSetRate: self._changes(
+            hotpoint.HotpointStart: self._start_hotpoint,
+            hotpoint.HotpointStop: lambda _: missions.stop(HotpointFlight),
+            hotpoint.HotpointPauseResume: self._pauses(HotpointFlight),
+            hotpoint.HotpointSetRate: self._changes(
                 lambda circle, command: circle.set_rate(command.clockwise, command.angular_rate)
             ),
-            HotpointSetRadius: self._changes(
+            hotpoint.HotpointSetRadius: self._changes(
                 lambda circle, command: circle.set_radius(command.radius)
             ),
-            HotpointResetYaw: self._changes(lambda circle, _: circle.reset_yaw()),
-            HotpointDownload: self._download_hotpoint,
-            HotpointAutoRadius: lambda _: MissionCode.NOT_SUPPORTED,
-            FollowStart: missions.start_follow,
-            FollowStop: lambda _: missions.stop(FollowFlight),
-            FollowPauseResume: self._pauses(FollowFlight),
-            FollowTarget: self._update_target,
+            hotpoint.HotpointResetYaw: self._changes(lambda circle, _: circle.reset_yaw()),
+            hotpoint.HotpointDownload: self._download_hotpoint,
+            hotpoint.HotpointAutoRadius: lambda _: MissionCode.NOT_SUPPORTED,
+            hotpoint.FollowStart: missions.start_follow,
+            hotpoint.FollowStop: lambda _: missions.stop(FollowFlight),
+            hotpoint.FollowPauseResume: self._pauses(FollowFlight),
+            hotpoint.FollowTarget: self._update_target,
         }
-        kinds: tuple[type[Command], ...] = (Move, *self._handlers)
+        kinds: tuple[type[Command], ...] = (control.Move, *self._handlers)
         self._kinds: dict[tuple[int, int], type[Command]] = {
             kind.ADDRESS: kind for kind in kinds if kind.is_known_to(self._profile)
         }
@@ -228,7 +187,7 @@ class Commands:
     def execute(self, frame: Frame) -> Reply | None:
         """Carry a command out; None where nothing is answered."""
         kind = self._kind_of(frame.data)
-        if kind is Move:
+        if kind is control.Move:
             self._execute_move(frame)
             return None
         reply: Reply | None = None
@@ -238,7 +197,7 @@ class Commands:
             return reply
         command, answer = self._execute(kind, frame)
         if answer is not None and issubclass(kind, Acknowledged) and self._answers(kind):
-            begins_anew = issubclass(kind, GetVersion)
+            begins_anew = issubclass(kind, activation.GetVersion)
             reply = Reply(kind.encode_ack(answer), kind.ACK_IS_PLAIN, begins_anew)
         self._note(frame, command, reply)
         return reply
@@ -261,7 +220,7 @@ class Commands:
     def _refusal(self, kind: type[Command], frame: Frame) -> AckCode | None:
         """The codes that come before the value is looked at."""
         active = self._vehicle.activation.active
-        if kind is Activate and frame.encrypted:
+        if kind is activation.Activate and frame.encrypted:
             return ActivationCode.ENCRYPTED
         if not kind.NEEDS_ACTIVATION:
             return None
@@ -285,18 +244,18 @@ class Commands:
 
     # --- set 0x00 ---------------------------------------------------------------------------
 
-    def _version(self, command: GetVersion) -> Version:
+    def _version(self, command: activation.GetVersion) -> activation.Version:
         is_active = self._vehicle.activation.active is not None
         code = VersionCode.ACTIVATED if is_active else VersionCode(SystemCode.NOT_ACTIVATED)
         return self._autopilot.version(code)
 
-    def _rates(self, command: SetTelemetryRates) -> RatesCode:
+    def _rates(self, command: activation.SetTelemetryRates) -> RatesCode:
         if not command.is_taken:
             return RatesCode.INVALID_PARAMETERS
         self._autopilot.set_rates(command.rates_hz)
         return RatesCode.SUCCESS
 
-    def _to_mobile(self, command: SendToMobile) -> MobileDataCode:
+    def _to_mobile(self, command: activation.SendToMobile) -> MobileDataCode:
         self._vehicle.app.receive(command.data)
         return MobileDataCode.SUCCESS
 
@@ -305,7 +264,7 @@ class Commands:
     def _has_authority(self) -> bool:
         return self._vehicle.authority.device is Device.ONBOARD
 
-    def _start_task(self, command: StartTask) -> TaskStartCode:
+    def _start_task(self, command: control.StartTask) -> TaskStartCode:
         flight = self._vehicle.flight
         code = flight.start_task(command.task_sequence, command.task, self._has_authority())
         self._vehicle.log(f"task {command.task}: {code.meaning}")
@@ -315,14 +274,14 @@ class Commands:
         """The road of movement: as all others, without an answer, and read once per setpoint."""
         autopilot = self._autopilot
         autopilot.counters.movements += 1
-        if self._refusal(Move, frame) is not None:
+        if self._refusal(control.Move, frame) is not None:
             autopilot.counters.ignored_movements += 1
             return
         value = frame.data[2:]
         last = self._last_move
         if last is None or last[0] != value:
             try:
-                move = Move.parse(value, self._profile)
+                move = control.Move.parse(value, self._profile)
             except ValueError:
                 autopilot.counters.ignored_movements += 1
                 return
@@ -330,7 +289,7 @@ class Commands:
         autopilot.received_movements.append(last[1])
         self._fly(last[2])
 
-    def _setpoint(self, move: Move) -> Setpoint | None:
+    def _setpoint(self, move: control.Move) -> Setpoint | None:
         try:
             return Setpoint.from_move(move, self._profile, clamp=True)
         except BadSetpoint:
@@ -341,14 +300,14 @@ class Commands:
         if setpoint is None or not self._has_authority() or not flight.move(setpoint):
             self._autopilot.counters.ignored_movements += 1
 
-    def _arm(self, command: Arm) -> AckCode:
+    def _arm(self, command: control.Arm) -> AckCode:
         if command.problems():
-            return Arm.unreadable(self._profile)
+            return control.Arm.unreadable(self._profile)
         return self._vehicle.flight.arm(bool(command.on), self._has_authority())
 
     # --- set 0x05 ---------------------------------------------------------------------------
 
-    def _feed_virtual_rc(self, command: VirtualRcData) -> None:
+    def _feed_virtual_rc(self, command: virtual_rc.VirtualRcData) -> None:
         self._vehicle.remote.virtual.feed(command, self._vehicle.time)
         self._vehicle.refresh()
 
@@ -363,27 +322,29 @@ class Commands:
 
         return pause_or_resume
 
-    def _start_or_stop(self, command: WaypointStartStop) -> MissionCode:
+    def _start_or_stop(self, command: waypoint.WaypointStartStop) -> MissionCode:
         if command.stop > 1:
             return MissionCode.WRONG_VALUE
         return self._missions.stop(WaypointFlight) if command.stop else self._missions.start()
 
-    def _download_mission(self, command: WaypointDownloadMission) -> Any:
+    def _download_mission(self, command: waypoint.WaypointDownloadMission) -> Any:
         code = self._missions.refusal(WaypointFlight, Order.DOWNLOAD)
         mission = self._missions.upload.mission
-        return code if mission is None else WaypointMissionAnswer(_OK, mission)
+        return code if mission is None else waypoint.WaypointMissionAnswer(_OK, mission)
 
-    def _download_point(self, command: WaypointDownloadPoint) -> Any:
+    def _download_point(self, command: waypoint.WaypointDownloadPoint) -> Any:
         point = self._missions.upload.points.get(command.index)
-        return MissionCode.NO_POINTS if point is None else WaypointDownloadedPoint(_OK, point)
+        return (
+            MissionCode.NO_POINTS if point is None else waypoint.WaypointDownloadedPoint(_OK, point)
+        )
 
-    def _idle_speed(self, code: MissionCode) -> IdleSpeedAnswer:
+    def _idle_speed(self, code: MissionCode) -> waypoint.IdleSpeedAnswer:
         mission = self._missions.upload.mission
-        return IdleSpeedAnswer(code, 0.0 if mission is None else mission.idle_speed)
+        return waypoint.IdleSpeedAnswer(code, 0.0 if mission is None else mission.idle_speed)
 
-    def _start_hotpoint(self, command: HotpointStart) -> HotpointStartAnswer:
+    def _start_hotpoint(self, command: hotpoint.HotpointStart) -> hotpoint.HotpointStartAnswer:
         code = self._missions.start_hotpoint(command)
-        return HotpointStartAnswer(code, self._missions.largest_radius(command))
+        return hotpoint.HotpointStartAnswer(code, self._missions.largest_radius(command))
 
     @property
     def _hotpoint(self) -> HotpointFlight | None:
@@ -404,13 +365,13 @@ class Commands:
 
         return answer
 
-    def _download_hotpoint(self, command: HotpointDownload) -> Any:
-        hotpoint = self._hotpoint
-        if hotpoint is None:
+    def _download_hotpoint(self, command: hotpoint.HotpointDownload) -> Any:
+        circle = self._hotpoint
+        if circle is None:
             return MissionCode.NOT_RUNNING
-        return HotpointDownloadAnswer(_OK, hotpoint.command)
+        return hotpoint.HotpointDownloadAnswer(_OK, circle.command)
 
-    def _update_target(self, command: FollowTarget) -> None:
+    def _update_target(self, command: hotpoint.FollowTarget) -> None:
         running = self._missions.running
         if isinstance(running, FollowFlight):
             running.update(command)
@@ -437,11 +398,11 @@ def refusal(data: bytes) -> bytes | None:
     """
     address = address_of(data)
     kind = COMMANDS.get(address) if address else None
-    if kind is FollowTarget:
+    if kind is hotpoint.FollowTarget:
         return None
-    if kind is WaypointPoint:
+    if kind is waypoint.WaypointPoint:
         index = data[2] if len(data) > 2 else 0
-        return kind.encode_ack(WaypointPointAnswer(MissionCode.NOT_SUPPORTED, index))
+        return kind.encode_ack(waypoint.WaypointPointAnswer(MissionCode.NOT_SUPPORTED, index))
     if kind is not None and issubclass(kind, Acknowledged):
         return kind.encode_ack(MissionCode.NOT_SUPPORTED)
     return bytes((MissionCode.NOT_SUPPORTED,))

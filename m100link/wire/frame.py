@@ -438,16 +438,7 @@ class FrameDecoder:
         return frames if size == length else self._search(data, frames, length)
 
     def _search(self, data: bytes, frames: list[Frame], position: int = 0) -> list[Frame]:
-        """Find the frames from that position on; keeps what may begin one more.
-
-        Args:
-            data: What to search.
-            frames: What was found before it, to which the others are added.
-            position: Where to begin.
-
-        Returns:
-            ``frames``.
-        """
+        """Add the frames from that position on to those before; keeps what may begin one more."""
         # The bytes before a header need no test: a word that is remembered begins with a start
         # byte.
         headers = self._headers
@@ -567,16 +558,10 @@ class FrameDecoder:
     def _hunt(self, data: bytes, position: int, right: Iterator[int], end: int) -> tuple[int, int]:
         """Find the next frame that is right, or the header of one that is not all here.
 
-        What is passed over is counted: each start byte by the fault of what it begins.
-
-        Args:
-            data: What to search.
-            position: Where to begin.
-            right: The places of headers with a right CRC16, those that were not looked at before.
-            end: The first place where there is no room for a header.
-
-        Returns:
-            Its place, ``end`` when there is none, and how many bytes of its frame are missing.
+        What is passed over is counted: each start byte by the fault of what it begins. ``right``:
+        the places of headers with a right CRC16 that were not looked at before. ``end``: the first
+        place without room for a header. Returns its place, ``end`` when there is none, and how many
+        bytes of its frame are missing.
         """
         begin, known, versions, missing, discards = position, 0, 0, 0, self._discards
         for place in right:

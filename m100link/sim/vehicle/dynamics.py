@@ -22,6 +22,8 @@ from dataclasses import KW_ONLY, dataclass
 from enum import IntEnum
 from math import atan, cos, exp, pi, sin, sqrt, tan
 
+from m100link.protocol.records import quaternion
+
 # -- the numbers of the flight model ---------------------------------------------------------------
 # They are chosen to look like a Matrice 100 (velocity lag of about a second, 17 m/s at most), they
 # are not measured on one.
@@ -429,30 +431,13 @@ class Dynamics:
     # --- views ------------------------------------------------------------------------------
 
     def quaternion(self) -> tuple[float, float, float, float]:
-        """The attitude as :func:`quaternion` has it."""
+        """The attitude, scalar first, ground (north, east, down) to body (forward, right, down)."""
         return quaternion(self.roll, self.pitch, self.yaw)
 
     @property
     def speed(self) -> float:
         """Horizontal speed over ground, m/s."""
         return sqrt(self.velocity_north**2 + self.velocity_east**2)
-
-
-def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """Scalar first, ground (north, east, down) to body (forward, right, down), z-y-x angles.
-
-    Level and facing north is (1, 0, 0, 0); facing east (0.7071, 0, 0, 0.7071).
-    """
-    half_roll, half_pitch, half_yaw = 0.5 * roll, 0.5 * pitch, 0.5 * yaw
-    cr, sr = cos(half_roll), sin(half_roll)
-    cp, sp = cos(half_pitch), sin(half_pitch)
-    cy, sy = cos(half_yaw), sin(half_yaw)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
 
 
 def _at_most(limit: float, north: float, east: float) -> tuple[float, float]:

@@ -12,9 +12,9 @@ from random import Random
 
 from m100link.geodesy import LocalFrame
 from m100link.protocol.firmware import FirmwareProfile
-from m100link.protocol.records import Device
+from m100link.protocol.records import Device, quaternion
 from m100link.sim.vehicle.authority import ControlArbiter
-from m100link.sim.vehicle.dynamics import STEPS_PER_SECOND, quaternion
+from m100link.sim.vehicle.dynamics import STEPS_PER_SECOND
 from m100link.sim.vehicle.flight import GOOD_GPS, FlightController
 from m100link.sim.vehicle.gimbal import GimbalMount
 from m100link.sim.vehicle.remote import PilotRemote
