@@ -126,7 +126,9 @@ async def open_transport(
 
 async def _open_serial(address: ConnectionString, protocol: asyncio.Protocol) -> asyncio.Transport:
     loop = asyncio.get_running_loop()
-    device = _expanded(address.target)
+    device = address.target
+    if device.startswith("~"):
+        device = str(read_path(device))
     # An inter-byte time-out, if only of 0, makes an empty read mean that the device is gone.
     open_port = functools.partial(
         serial.Serial,
@@ -173,13 +175,6 @@ async def _kept_or_closed(opening: asyncio.Future[serial.Serial]) -> serial.Seri
 def _close_opened(opening: asyncio.Future[serial.Serial]) -> None:
     if not opening.cancelled() and opening.exception() is None:
         opening.result().close()
-
-
-def _expanded(path: str) -> str:
-    if not path.startswith("~"):
-        return path
-
-    return str(read_path(path))
 
 
 def _keep(device: str, transport: SerialTransport) -> None:

@@ -178,17 +178,17 @@ def _path(column: str) -> str:
     return f'{TELEMETRY}."{column}"'
 
 
-def _plot(title: str, **lines: str) -> dict[str, Any]:
+def _plot(title: str, **columns: str) -> dict[str, Any]:
     return {
         "title": title,
         "paths": [
             {
-                "value": path,
-                "label": label.replace("_", " "),
+                "value": _path(column),
+                "label": label,
                 "enabled": True,
                 "timestampMethod": "receiveTime",
             }
-            for label, path in lines.items()
+            for label, column in columns.items()
         ],
         "showXAxisLabels": True,
         "showYAxisLabels": True,
@@ -202,12 +202,7 @@ def _plot(title: str, **lines: str) -> dict[str, Any]:
 
 
 def _split(direction: str, first: Any, second: Any, percent: int) -> dict[str, Any]:
-    return {
-        "direction": direction,
-        "first": first,
-        "second": second,
-        "splitPercentage": percent,
-    }
+    return {"direction": direction, "first": first, "second": second, "splitPercentage": percent}
 
 
 def layout() -> dict[str, Any]:
@@ -217,14 +212,9 @@ def layout() -> dict[str, Any]:
     """
     panels = {
         "map!m100": {"enabledTopics": [FIX], "followTopic": FIX, "zoomLevel": 18},
-        "Plot!height": _plot("Height, m", height=_path("position.height")),
-        "Plot!speed": _plot(
-            "Speed, m/s",
-            north=_path("velocity.x"),
-            east=_path("velocity.y"),
-            up=_path("velocity.z"),
-        ),
-        "Plot!battery": _plot("Battery, %", charge=_path("battery.percent")),
+        "Plot!height": _plot("Height, m", height="position.height"),
+        "Plot!speed": _plot("Speed, m/s", north="velocity.x", east="velocity.y", up="velocity.z"),
+        "Plot!battery": _plot("Battery, %", charge="battery.percent"),
         "Gauge!battery": {
             "path": _path("battery.percent"),
             "minValue": 0,
@@ -236,7 +226,7 @@ def layout() -> dict[str, Any]:
         },
         "Plot!attitude": _plot(
             "Attitude, quaternion",
-            **{name: _path(f"quaternion.{name}") for name in ("q0", "q1", "q2", "q3")},
+            **{name: f"quaternion.{name}" for name in ("q0", "q1", "q2", "q3")},
         ),
         "3D!attitude": {
             "followTf": "takeoff",

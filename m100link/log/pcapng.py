@@ -362,7 +362,7 @@ class _Tables:
                 if (command, kind) in _SHORTER:
                     forms |= {size - 1: parts for size, parts in forms.items()}
         elif issubclass(command, activation.MobileData):
-            made["forms"] = {-1: [self._data(f"{prefix}.mobile_data")]}
+            made["forms"] = {-1: [self._part(f"{prefix}.mobile_data", 0, "bytes", 0, 1, "bytes")]}
         elif issubclass(command, Laid):
             made["forms"] = self._forms(prefix, (command.LAYOUT,))
             if command is WaypointPoint:
@@ -399,10 +399,6 @@ class _Tables:
 
     def _forms(self, prefix: str, layouts: Iterable[Layout]) -> dict[int, Any]:
         return {layout.size: self._parts(prefix, layout) for layout in layouts}
-
-    def _data(self, abbreviation: str) -> dict[str, Any]:
-        self._kinds[abbreviation] = "bytes"
-        return {"abbreviation": abbreviation, "format": "bytes", "offset": 0, "many": 0, "size": 1}
 
     def _parts(self, prefix: str, layout: Layout) -> list[dict[str, Any]]:
         made = []

@@ -328,13 +328,17 @@ def picture(story: Story, *, width_px: int = 1400) -> bytes:
         handles=[patches.Patch(color=_colour(name), label=name) for name in names],
         fontsize=7, ncols=max(1, len(names)), loc="lower right", bbox_to_anchor=(1.0, 1.0),
     )  # fmt: skip
-    began = "nothing recorded"
-    if story.began_utc is not None:
-        began = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(story.began_utc))
+    began = _began(story, "nothing recorded")
     figure.suptitle(f"{story.name}   {began}", fontsize=11, parse_math=False)
     drawn_into = io.BytesIO()
     figure.savefig(drawn_into, format="png")
     return drawn_into.getvalue()
+
+
+def _began(story: Story, nothing: str) -> str:
+    if story.began_utc is None:
+        return nothing
+    return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(story.began_utc))
 
 
 def _colour(name: str) -> str:
@@ -445,15 +449,12 @@ def page(story: Story) -> str:
         "lines": [_points(line) for panel in drawn for line in panel.lines],
         "track": places,
     }
-    began = "Nothing was recorded."
-    if story.began_utc is not None:
-        began = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(story.began_utc))
     return _PAGE.format(
         policy=_POLICY,
         name=escape(story.name),
         css=(here / "page.css").read_text("utf-8"),
         js=(here / "page.js").read_text("utf-8"),
-        began=began,
+        began=_began(story, "Nothing was recorded."),
         facts="".join(
             f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>"
             for name, value in facts(story)
@@ -539,7 +540,7 @@ def _path(line: Line, duration: float, low: float, scale: float) -> str:
 
 def _rect(span: Span, duration: float, top: float, height: float, opacity: float) -> str:
     x, width = _WIDTH * span.begin_s / duration, _WIDTH * (span.end_s - span.begin_s) / duration
-    colour = PHASE_COLOURS.get(span.name, PHASE_COLOURS["unknown"])
+    colour = _colour(span.name)
     return (
         f'<rect x="{x:.1f}" y="{top:g}" width="{width:.1f}" height="{height:g}" fill="{colour}" '
         f'opacity="{opacity:g}"><title>{escape(span.text or span.name)}</title></rect>'

@@ -215,17 +215,15 @@ class Player:
     def _set_clock(self, then: float) -> None:
         self._here = then, self._loop.time()
 
-    def pause(self) -> None:
+    def pause(self, is_paused: bool = True) -> None:
         """Stand still; its clock does, too."""
         self._set_clock(self._then())
-        self._is_paused = True
+        self._is_paused = is_paused
         self._schedule()
 
     def resume(self) -> None:
         """Go on."""
-        self._set_clock(self._then())
-        self._is_paused = False
-        self._schedule()
+        self.pause(False)
 
     def set_speed(self, speed: float) -> None:
         """Go on at another speed.

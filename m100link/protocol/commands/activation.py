@@ -324,10 +324,9 @@ def check_mobile_data(data: bytes) -> bytes:
     return bytes(data)
 
 
+@dataclass(frozen=True, slots=True)
 class MobileData(Command):
     """Transparent data to or from the mobile device, 1 to 100 bytes."""
-
-    __slots__ = ()
 
     data: bytes
 
@@ -340,7 +339,7 @@ class MobileData(Command):
         """1 to 100 bytes."""
         if not 1 <= len(value) <= MOBILE_DATA_LIMIT:
             raise ValueError(f"a message has 1 to {MOBILE_DATA_LIMIT} bytes, not {len(value)}")
-        return cls(value)  # type: ignore[call-arg]  # the two are dataclasses
+        return cls(value)
 
     def fields(self) -> dict[str, Any]:
         """The data under a name of their own: ``data`` is the whole payload of a frame."""
@@ -352,5 +351,3 @@ class SendToMobile(MobileData, Request[MobileDataCode]):
     """0x00/0xFE, transparent data to the mobile device, 1 to 100 bytes, about 8 kB/s."""
 
     ADDRESS: ClassVar[Address] = Address(0x00, 0xFE)
-
-    data: bytes

@@ -193,16 +193,15 @@ class GimbalAngle(Push):
 # Nothing tells what became of these commands, in no firmware: a program can only say "sent".
 
 
+@dataclass(frozen=True, slots=True)
 class _CameraCommand(Push):
     """One byte that may be anything, as in the version query."""
-
-    __slots__ = ()
-
-    any: int
 
     LEVEL: ClassVar[int] = 1
     ENCRYPTED: ClassVar[bool] = True
     SINCE: ClassVar[Generation] = Generation.V2_3
+
+    any: int = 0
 
     def value(self, profile: FirmwareProfile) -> bytes:
         """One byte.
@@ -215,7 +214,7 @@ class _CameraCommand(Push):
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
         """Any value will do."""
-        return cls(value[0] if value else 0)  # type: ignore[call-arg]  # the three are dataclasses
+        return cls(value[0] if value else 0)
 
     def fields(self) -> dict[str, Any]:
         """Nothing: the byte has no meaning."""
@@ -232,8 +231,6 @@ class TakePhoto(_CameraCommand):
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x20)
 
-    any: int = 0
-
 
 @dataclass(frozen=True, slots=True)
 class StartVideo(_CameraCommand):
@@ -241,13 +238,9 @@ class StartVideo(_CameraCommand):
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x21)
 
-    any: int = 0
-
 
 @dataclass(frozen=True, slots=True)
 class StopVideo(_CameraCommand):
     """0x01/0x22, stop recording video."""
 
     ADDRESS: ClassVar[Address] = Address(0x01, 0x22)
-
-    any: int = 0

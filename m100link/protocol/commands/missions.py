@@ -46,11 +46,6 @@ class _Told(Record):
         """The first byte."""
         return self.KIND
 
-    @property
-    def word(self) -> str:
-        """The kind in a word."""
-        return self.WORD
-
 
 @dataclass(frozen=True, slots=True)
 class OtherKind(_Told):
@@ -310,7 +305,7 @@ class _KindPush(Notification, ABC):
     @property
     def name(self) -> str:
         """With the kind in a word."""
-        return f"{self.NAME}_{self.told.word}"
+        return f"{self.NAME}_{self.told.WORD}"
 
     def value(self, profile: FirmwareProfile) -> bytes:
         """6 bytes."""
@@ -326,7 +321,7 @@ class _KindPush(Notification, ABC):
 
     def fields(self) -> dict[str, Any]:
         """The kind in a word, and what is told in metres, degrees, seconds and words."""
-        return {"kind": self.told.word} | self.told.shown()
+        return {"kind": self.told.WORD} | self.told.shown()
 
     def raw(self) -> dict[str, Any]:
         """The kind and its fields."""

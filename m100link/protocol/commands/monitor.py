@@ -60,5 +60,3 @@ class FromMobile(MobileData, Notification):
     """0x02/0x02, transparent data from the mobile device, 1 to 100 bytes, about 1 kB/s."""
 
     ADDRESS: ClassVar[Address] = Address(0x02, 0x02)
-
-    data: bytes
