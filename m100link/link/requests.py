@@ -333,13 +333,8 @@ def _key_rejected(name: str) -> KeyRejected:
 
 def _ignored(kind: type[CommandRefused], command: Command, code: SystemCode) -> CommandRefused:
     """The error for what would be ignored in silence."""
-    return kind(
-        f"{command.NAME} was not sent, it would be ignored: {code.meaning}",
-        command=command.NAME,
-        code=int(code),
-        cause=code.cause,
-        remedy=code.remedy,
-    )
+    seen = f"{command.NAME} was not sent, it would be ignored: {code.meaning}"
+    return kind(seen, command=command.NAME, code=int(code), cause=code.cause, remedy=code.remedy)
 
 
 def _system_error(
@@ -353,10 +348,5 @@ def _system_error(
         SystemCode.NOT_ACTIVATED: NotActivated,
         SystemCode.LEVEL_TOO_LOW: LevelTooLow,
     }.get(SystemCode(int(code)), refusal)
-    return kind(
-        f"{name} was refused: {code.meaning} (code 0x{code:04X})",
-        command=name,
-        code=int(code),
-        cause=code.cause,
-        remedy=code.remedy,
-    )
+    seen = f"{name} was refused: {code.meaning} (code 0x{code:04X})"
+    return kind(seen, command=name, code=int(code), cause=code.cause, remedy=code.remedy)

@@ -11,7 +11,7 @@ from functools import cached_property
 from operator import attrgetter
 from typing import IO, Any, NamedTuple
 
-from m100link.log.cdr import Template, definition, encode
+from m100link.log.cdr import Template, definition, encode, full_name
 from m100link.log.channels import COMMAND, EVENT
 from m100link.log.reading import FlightLog
 from m100link.log.records import mcap_module
@@ -417,9 +417,7 @@ def write_bag(
     writer.start(profile="ros2", library="m100link log ros2")
     channels = {}
     for topic, name in TOPICS.items():
-        package, message = name.split("/")
-        kind = f"{package}/msg/{message}"
-        schema = writer.register_schema(kind, "ros2msg", definition(name).encode())
+        schema = writer.register_schema(full_name(name), "ros2msg", definition(name).encode())
         channels[topic] = writer.register_channel(
             topic, "cdr", schema, {"offered_qos_profiles": ""}
         )

@@ -512,18 +512,6 @@ def tidied(text: str) -> str:
     return text
 
 
-def statements(text: str) -> tuple[set[str], list[str]]:
-    """The imported names, and all the rest in its order; how either is written does not count."""
-    imported: set[str] = set()
-    rest: list[str] = []
-    for node in ast.parse(text).body:
-        if isinstance(node, ast.ImportFrom):
-            imported |= {f"{node.module} {name.name} {name.asname}" for name in node.names}
-        else:
-            rest.append(ast.dump(node))
-    return imported, rest
-
-
 if __name__ == "__main__":
     for name, made in SOURCES.items():
         (FOLDER / name).write_text(tidied(made()), encoding="utf-8")

@@ -150,11 +150,6 @@ class HotpointDownloadAnswer(DownloadAnswer[HotpointStart]):
     code: MissionCode
     hotpoint: HotpointStart
 
-    @property
-    def record(self) -> HotpointStart:
-        """The circle."""
-        return self.hotpoint
-
 
 @dataclass(frozen=True, slots=True)
 class HotpointDownload(AnyByte, MissionRequest[HotpointDownloadAnswer]):

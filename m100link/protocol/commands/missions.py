@@ -5,7 +5,7 @@ Layouts and readings are from DJI's libraries and documents of 2015 to 2019.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+import dataclasses
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, Self, TypeAlias, TypeVar, cast, get_args
 
@@ -21,6 +21,7 @@ from m100link.protocol.command import (
     Request,
     encode_code,
     exactly,
+    field_names,
     plain,
 )
 from m100link.protocol.fields import Laid, Layout, Number, Record, Reserved
@@ -284,7 +285,7 @@ EVENTS = (Uploaded, Finished, Reached)  # what a waypoint mission may tell, by i
 _PUSH_SIZE = 6
 
 
-class _KindPush(Notification, ABC):
+class _KindPush(Notification):
     """A push whose first byte is the kind of what it tells."""
 
     __slots__ = ()
@@ -293,9 +294,10 @@ class _KindPush(Notification, ABC):
     KINDS: ClassVar[tuple[type[_Told], ...]]
 
     @property
-    @abstractmethod
     def told(self) -> _Told:
-        """What it tells."""
+        """What it tells: its only field."""
+        told: _Told = getattr(self, field_names(self)[0])
+        return told
 
     @property
     def kind(self) -> int:
@@ -348,11 +350,6 @@ class MissionStatus(_KindPush):
 
     status: Status
 
-    @property
-    def told(self) -> Status:
-        """The status."""
-        return self.status
-
 
 @dataclass(frozen=True, slots=True)
 class WaypointEvent(_KindPush):
@@ -366,11 +363,6 @@ class WaypointEvent(_KindPush):
     KINDS: ClassVar[tuple[type[_Told], ...]] = EVENTS
 
     event: Event
-
-    @property
-    def told(self) -> Event:
-        """The event."""
-        return self.event
 
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
@@ -435,7 +427,7 @@ class Answer(Record):
         return self.LAYOUT.raw(self)
 
 
-class DownloadAnswer(Answer, ABC, Generic[R]):
+class DownloadAnswer(Answer, Generic[R]):
     """A code and what was uploaded, as the aircraft has it; zeros when it has none.
 
     ``class X(DownloadAnswer[Y])`` is a dataclass of a code and a Y.
@@ -461,9 +453,10 @@ class DownloadAnswer(Answer, ABC, Generic[R]):
         return cls(code, cls.RECORD.from_wire(tail))  # type: ignore[call-arg]  # a dataclass
 
     @property
-    @abstractmethod
     def record(self) -> R:
-        """What was uploaded."""
+        """What was uploaded: the field behind the code."""
+        found: R = getattr(self, dataclasses.fields(self)[1].name)  # type: ignore[arg-type]  # is one
+        return found
 
     def tail(self) -> bytes:
         """What the aircraft has is sent as it is."""

@@ -254,11 +254,6 @@ class WaypointMissionAnswer(DownloadAnswer[WaypointMission]):
     code: MissionCode
     mission: WaypointMission
 
-    @property
-    def record(self) -> WaypointMission:
-        """The mission."""
-        return self.mission
-
 
 @dataclass(frozen=True, slots=True)
 class WaypointDownloadMission(AnyByte, MissionRequest[WaypointMissionAnswer]):
@@ -278,11 +273,6 @@ class WaypointDownloadedPoint(DownloadAnswer[WaypointPoint]):
 
     code: MissionCode
     point: WaypointPoint
-
-    @property
-    def record(self) -> WaypointPoint:
-        """The waypoint."""
-        return self.point
 
 
 @dataclass(frozen=True, slots=True)
