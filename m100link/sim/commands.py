@@ -136,8 +136,8 @@ class Commands:
             gimbal.GimbalSpeed: lambda command: vehicle.gimbal.turn(command, vehicle.time),
             gimbal.GimbalAngle: vehicle.gimbal.point,
             gimbal.TakePhoto: lambda _: vehicle.camera.take_photo(vehicle.time),
-            gimbal.StartVideo: lambda _: vehicle.camera.start_video(),
-            gimbal.StopVideo: lambda _: vehicle.camera.stop_video(),
+            gimbal.StartVideo: lambda _: vehicle.camera.record(True),
+            gimbal.StopVideo: lambda _: vehicle.camera.record(False),
             virtual_rc.Sync: lambda _: None,  # a Matrice 100 has no output for it
             virtual_rc.VirtualRcSettings: vehicle.switch_virtual_rc,
             virtual_rc.VirtualRcData: self._feed_virtual_rc,

@@ -381,10 +381,6 @@ class Line:
         self.to_aircraft.faults = NO_FAULTS if back.is_clean else back
         self.to_host.is_cut, self.to_aircraft.is_cut = faults.mute, back.deaf
 
-    def pace(self, baud_rate: int | None) -> None:
-        """Let bytes take the time that they need at a baud rate; None, no time."""
-        self.to_host.baud_rate = self.to_aircraft.baud_rate = baud_rate
-
     def stall(self, *, to_host: bool = True, to_aircraft: bool = True) -> None:
         """Stop the line, or let it go on (both False)."""
         self.to_host.is_stalled = to_host

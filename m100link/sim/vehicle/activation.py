@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from m100link.protocol.codes import ActivationCode
@@ -166,13 +166,6 @@ class MobileApp:
 
 # -- activation ------------------------------------------------------------------------------------
 
-_SERVER_CODES = {
-    Refusal.UNKNOWN_APP: ActivationCode.SERVER_REFUSED,
-    Refusal.LIMIT_REACHED: ActivationCode.SERVER_REFUSED,
-    Refusal.REFUSING: ActivationCode.SERVER_REFUSED,
-    Refusal.LEVEL: ActivationCode.LEVEL_TOO_HIGH,
-}
-
 _MOST_ASKED = 16
 """Apps that the server is asked about at once; ids that nobody knows may come without end."""
 
@@ -231,10 +224,12 @@ class Activation:
         if isinstance(verdict, Refusal):
             self.last_refusal = verdict
             self._asking.pop(request.app_id, None)
-            return _SERVER_CODES[verdict]
+            is_level = verdict is Refusal.LEVEL
+            return ActivationCode.LEVEL_TOO_HIGH if is_level else ActivationCode.SERVER_REFUSED
         del self._asking[request.app_id]
         self._server.activate(request.app_id, self._serial_number, level)
-        self.known[request.app_id] = self._server_grant(verdict)
+        # What is remembered has the registered level: a later request may ask for it.
+        self.known[request.app_id] = replace(verdict, level=self._server.apps[request.app_id].level)
         self.active = verdict
         return ActivationCode.SUCCESS
 
@@ -258,10 +253,6 @@ class Activation:
         if isinstance(verdict, Refusal):
             raise ValueError(f"the server does not allow app {app_id}: {verdict.value}")
         self.known[app_id] = verdict
-
-    def _server_grant(self, verdict: Grant) -> Grant:
-        """What is remembered: the registered level, so that a later request may ask for it."""
-        return Grant(verdict.app_id, verdict.key, self._server.apps[verdict.app_id].level)
 
     def power_off(self) -> None:
         """Nobody is active any more; what the server allowed stays known."""

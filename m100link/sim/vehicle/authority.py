@@ -85,12 +85,6 @@ class ControlArbiter:
             self.device = Device.RC
         return before is Device.ONBOARD and self.device is not before
 
-    @property
-    def refusal(self) -> AuthorityCode:
-        """Answer to a request that cannot be granted or is none."""
-        has_reason = self._profile.authority_refusal_has_reason
-        return AuthorityCode.NOT_IN_F if has_reason else AuthorityCode.NOT_CHANGED
-
     def request(self, obtain: bool) -> AuthorityCode:
         """Answer a request of the onboard device (0x01/0x00)."""
         code = self._obtain() if obtain else self._release()
@@ -105,9 +99,10 @@ class ControlArbiter:
         self.is_releasing = False
         if obstacle is not None:
             self.is_pending = False
-            has_reason = self._profile.authority_refusal_has_reason
-            is_ioc = has_reason and obstacle is Obstacle.IOC_ON
-            return AuthorityCode.IOC_ON if is_ioc else self.refusal
+            if not self._profile.authority_refusal_has_reason:
+                return AuthorityCode.NOT_CHANGED
+            is_ioc = obstacle is Obstacle.IOC_ON
+            return AuthorityCode.IOC_ON if is_ioc else AuthorityCode.NOT_IN_F
         if two_requests and not self.is_requested and not self.is_pending:
             self.is_pending = True
             return AuthorityCode.NOT_CHANGED  # 3: in progress, ask again

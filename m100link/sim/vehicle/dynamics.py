@@ -119,61 +119,48 @@ class Guidance:
     steep: bool = False  # tilt as far as the airframe can, and not only as in cruise
 
 
+@dataclass(init=False, slots=True, eq=False, repr=False)
 class Dynamics:
-    """The state of motion and :meth:`step`, which moves it on by :data:`STEP_S`.
+    """The state of motion and :meth:`step`, which moves it on by :data:`STEP_S`."""
 
-    Attributes:
-        north, east, height: Place in metres from the origin; the ground is at height 0.
-        velocity_north, velocity_east, velocity_up: m/s.
-        acceleration_north, acceleration_east, acceleration_up: m/s², without gravity: the
-            derivative of the velocity.
-        roll, pitch, yaw: Radians; yaw in -pi to pi.
-        rate_x, rate_y, rate_z: Body rates (forward, right, down axes) in rad/s.
-        motors_on: With motors off nothing moves; in the air, it falls.
-        on_ground: True while the landing gear carries it.
-        thrust: Percent of full thrust now.
-        wind_north, wind_east: Velocity of the air in m/s; set at any time.
-        touchdown_speed: Vertical speed of the last contact with the ground, m/s, positive.
-    """
-
-    __slots__ = (
-        "_brake",
-        "_cruise_pull",
-        "_hold_east",
-        "_hold_north",
-        "_pitch_rate",
-        "_roll_rate",
-        "_steepest_pull",
-        "_tilt_damping",
-        "_tilt_decay",
-        "_tilt_pull",
-        "_tilt_stretch",
-        "_vertical_gain",
-        "_yaw_rate",
-        "_yaw_settle",
-        "acceleration_east",
-        "acceleration_north",
-        "acceleration_up",
-        "airframe",
-        "east",
-        "height",
-        "motors_on",
-        "north",
-        "on_ground",
-        "pitch",
-        "rate_x",
-        "rate_y",
-        "rate_z",
-        "roll",
-        "thrust",
-        "touchdown_speed",
-        "velocity_east",
-        "velocity_north",
-        "velocity_up",
-        "wind_east",
-        "wind_north",
-        "yaw",
-    )
+    airframe: Airframe
+    north: float  # metres from the origin
+    east: float
+    height: float  # the ground is at 0
+    velocity_north: float  # m/s
+    velocity_east: float
+    velocity_up: float
+    # m/s², without gravity: the derivative of the velocity.
+    acceleration_north: float
+    acceleration_east: float
+    acceleration_up: float
+    roll: float  # radians
+    pitch: float
+    yaw: float  # -pi to pi
+    # Body rates about the forward, right and down axes, rad/s.
+    rate_x: float
+    rate_y: float
+    rate_z: float
+    motors_on: bool  # with motors off nothing moves; in the air, it falls
+    on_ground: bool  # while the landing gear carries it
+    thrust: float  # percent of full thrust now
+    wind_north: float  # velocity of the air in m/s; set at any time
+    wind_east: float
+    touchdown_speed: float  # vertical speed of the last contact with the ground, m/s, positive
+    _roll_rate: float
+    _pitch_rate: float
+    _yaw_rate: float
+    _brake: bool
+    _hold_north: float
+    _hold_east: float
+    _tilt_decay: float
+    _tilt_stretch: float
+    _tilt_pull: float
+    _tilt_damping: float
+    _vertical_gain: float
+    _yaw_settle: float
+    _cruise_pull: float
+    _steepest_pull: float
 
     def __init__(self, airframe: Airframe | None = None, *, yaw_deg: float = 0.0) -> None:
         """Stand on the ground at the origin, motors off, the nose towards ``yaw_deg``."""
@@ -399,9 +386,7 @@ class Dynamics:
     def _touch_down(self) -> None:
         self.touchdown_speed = max(0.0, -self.velocity_up)
         self.height = 0.0
-        thrust = self.thrust
-        self._settle()
-        self.thrust = thrust
+        self._stand()
         self.on_ground = True
 
     def _stand(self) -> None:

@@ -146,15 +146,8 @@ class Camera:
         self._log(f"camera: photo {self.photos}")
         return True
 
-    def start_video(self) -> bool:
-        """Record. False while it does already."""
-        return self._record(True)
-
-    def stop_video(self) -> bool:
-        """Record no more. False while it does not."""
-        return self._record(False)
-
-    def _record(self, on: bool) -> bool:
+    def record(self, on: bool) -> bool:
+        """Record, or no more. False when that changes nothing."""
         state = "on" if on else "off"
         if self.is_recording is on:
             self._log(f"camera: video is {state} already")

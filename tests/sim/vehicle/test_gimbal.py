@@ -142,7 +142,7 @@ def test_g4_a_photo_takes_a_second_and_video_is_switched_once() -> None:
     camera = Camera(events.append)
     assert [camera.take_photo(at) for at in (0.0, 0.5, 0.99, 1.0)] == [True, False, False, True]
     assert camera.photos == 2
-    done = [camera.stop_video(), camera.start_video(), camera.start_video(), camera.stop_video()]
+    done = [camera.record(on) for on in (False, True, True, False)]
     assert done == [False, True, False, True]
     assert not camera.is_recording
     assert events == [

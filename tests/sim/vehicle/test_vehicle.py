@@ -47,7 +47,7 @@ def test_a_loss_of_authority_is_counted_and_ends_what_the_onboard_device_wanted(
     vehicle.refresh()
     assert vehicle.authority_losses == 1
     assert vehicle.authority.device is Device.RC
-    assert not vehicle.flight.follows_setpoint
+    assert vehicle.flight.setpoint is None
     fly(vehicle, 1.0)
     assert vehicle.authority_losses == 1
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode
@@ -30,32 +31,26 @@ def aim_gimbal(gimbal: GimbalMount, pitch_deg: float, seconds: float) -> None:
     gimbal.point(GimbalAngle(pitch_deg=pitch_deg, mode=_PITCH_ALONE, duration_s=seconds))
 
 
+@dataclass(slots=True)
 class Payload:
     """What hangs below, as far as a mission uses it."""
 
-    def __init__(
-        self,
-        gimbal: GimbalMount,
-        camera: Camera,
-        flight: FlightController,
-        log: Callable[[str], None],  # notes what happens at which waypoint, for people
-    ) -> None:
-        self.gimbal = gimbal
-        self._camera = camera
-        self._flight = flight
-        self._log = log
+    gimbal: GimbalMount
+    camera: Camera
+    flight: FlightController
+    log: Callable[[str], None]  # notes what happens at which waypoint, for people
 
     def take_photo(self, index: int) -> bool:
         """Take a photograph at a waypoint. False while the camera still takes another one."""
-        is_taken = self._camera.take_photo(self._flight.now)
+        is_taken = self.camera.take_photo(self.flight.now)
         if is_taken:
-            self._log(f"waypoint {index}: photo")
+            self.log(f"waypoint {index}: photo")
         return is_taken
 
     def record(self, on: bool, index: int) -> None:
         """Start or stop the video at a waypoint; what it does already changes nothing."""
-        if self._camera.start_video() if on else self._camera.stop_video():
-            self._log(f"waypoint {index}: video {'on' if on else 'off'}")
+        if self.camera.record(on):
+            self.log(f"waypoint {index}: video {'on' if on else 'off'}")
 
 
 class ActionRunner:
@@ -143,29 +138,23 @@ _BUSY: dict[Maneuver, MissionCode] = {
 }
 
 
+@dataclass(slots=True)
 class Conditions:
     """Judges the state of the aircraft, in the order of facts M3 to M7."""
 
-    def __init__(
-        self,
-        flight: FlightController,
-        settings: AircraftSettings,
-        authority: ControlArbiter,  # who may give orders
-        site: Site,  # where missions may go
-    ) -> None:
-        self._flight = flight
-        self._settings = settings
-        self._authority = authority
-        self._site = site
+    flight: FlightController
+    settings: AircraftSettings
+    authority: ControlArbiter  # who may give orders
+    site: Site  # where missions may go
 
     def control(self) -> MissionCode:
         """Whether the onboard device may fly missions, and if not, why.
 
         IOC keeps missions out where it leaves control to the onboard device, too.
         """
-        if self._authority.device is Device.ONBOARD:
-            return MissionCode.IOC_ON if self._authority.assistant.ioc_on else _OK
-        obstacle = self._authority.obstacle()
+        if self.authority.device is Device.ONBOARD:
+            return MissionCode.IOC_ON if self.authority.assistant.ioc_on else _OK
+        obstacle = self.authority.obstacle()
         if obstacle is Obstacle.NOT_IN_F:
             return MissionCode.RC_NOT_IN_F
         if obstacle is Obstacle.IOC_ON:
@@ -177,7 +166,7 @@ class Conditions:
         return self.control() or self._readiness()
 
     def _readiness(self) -> MissionCode:
-        flight, missions = self._flight, self._settings.missions
+        flight, missions = self.flight, self.settings.missions
         busy = _BUSY.get(flight.maneuver, _OK)
         if busy:
             return MissionCode.BUSY if missions.busy_is_one_code else busy
@@ -193,18 +182,18 @@ class Conditions:
                 MissionCode.BATTERY_LOW,
             ),
             (missions.beginner_mode, MissionCode.BEGINNER_MODE),
-            (self._site.is_forbidden(self.here, self.here), MissionCode.IN_NO_FLY_ZONE),
+            (self.site.is_forbidden(self.here, self.here), MissionCode.IN_NO_FLY_ZONE),
         )
         return next((code for is_wrong, code in checks if is_wrong), _OK)
 
     def in_the_air(self) -> MissionCode:
         """Whether a mission may start that does not take off."""
-        on_ground = self._flight.dynamics.on_ground
+        on_ground = self.flight.dynamics.on_ground
         return self.to_start() or (MissionCode.NOT_IN_THE_AIR if on_ground else _OK)
 
     def waypoints(self, plan: WaypointPlan) -> MissionCode:
         """Whether a waypoint mission may start."""
-        missions, site, flight = self._settings.missions, self._site, self._flight
+        missions, site, flight = self.settings.missions, self.site, self.flight
         code = self.to_start()
         if code:
             return code
@@ -232,17 +221,17 @@ class Conditions:
     @property
     def _seconds_left(self) -> float:
         """How long the battery carries it until it would land by itself."""
-        settings = self._settings
-        left = self._flight.battery_percent - settings.critical_battery_percent
+        settings = self.settings
+        left = self.flight.battery_percent - settings.critical_battery_percent
         return max(0.0, left) / 100.0 * 60.0 * settings.hover_minutes
 
     @property
     def here(self) -> Place:
         """Where the aircraft is."""
-        motion = self._flight.dynamics
+        motion = self.flight.dynamics
         return Place(motion.north, motion.east, motion.height)
 
     @property
     def home(self) -> Place:
         """The home point, or the place of power-on."""
-        return Place(*(self._flight.home or (0.0, 0.0)), 0.0)
+        return Place(*(self.flight.home or (0.0, 0.0)), 0.0)
