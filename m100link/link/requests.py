@@ -47,7 +47,8 @@ class Requests:
     def __init__(self, link: Link, firmware: FirmwareProfile | None = None) -> None:
         self._link = link
         self._is_forced = firmware is not None
-        self._is_known = self._is_forced
+        # Whether ``firmware`` is that of the aircraft, and not only the likeliest.
+        self.knows_firmware = self._is_forced
         self._is_fixed = False  # a control block flies: no answer changes what it sends
         self._proven_cipher: Cipher | None = None  # the key that the aircraft understood once
         self._known_pushes: set[type[Command]] = set()  # that the firmware was found to have
@@ -60,11 +61,6 @@ class Requests:
         self.knows_layout = self._is_forced
         # Newest answer to the version query, None before the first.
         self.version: Version | None = None
-
-    @property
-    def knows_firmware(self) -> bool:
-        """Whether ``firmware`` is that of the aircraft, and not only the likeliest."""
-        return self._is_known
 
     def fix_firmware(self) -> None:
         """Keep the firmware until :meth:`free_firmware`, whatever a version answer says.
@@ -199,7 +195,7 @@ class Requests:
         """Nobody can be asked: the answer of then, and the firmware of then unless it is forced."""
         self.version = version
         self.firmware = self.firmware if self._is_forced else firmware
-        self._is_known = self.knows_layout = True
+        self.knows_firmware = self.knows_layout = True
 
     async def query_version(
         self, *, timeout: float = _VERSION_TIMEOUT, tries: int = _VERSION_TRIES
@@ -218,7 +214,7 @@ class Requests:
 
     def _choose_firmware(self, version: Version) -> None:
         found = version.profile
-        if self._is_forced or (self._is_known and found is self.firmware):
+        if self._is_forced or (self.knows_firmware and found is self.firmware):
             return
         if self._is_fixed:
             _logger.error(
@@ -227,7 +223,7 @@ class Requests:
                 self.firmware,
             )
             return
-        self._is_known = found is not None
+        self.knows_firmware = found is not None
         self._known_pushes.clear()
         # An unknown firmware gets telemetry only; packets that do not fit are refused and counted.
         likeliest = reads_unknown(has_serial=version.serial is not None)
@@ -245,7 +241,7 @@ class Requests:
             )
 
     def _require_known(self, what: str) -> None:
-        if not self._is_known:
+        if not self.knows_firmware:
             name = self.version.name if self.version else "unknown"
             raise UsageError(
                 f"{what} is not asked of an unknown firmware ({name})",

@@ -34,7 +34,7 @@ from m100link.errors import (
 from m100link.errors.texts import read_path
 from m100link.link.gate import GUARDIAN_NAME
 from m100link.link.serial_transport import HIGH_WATER, PORT_GONE, SerialTransport
-from m100link.link.url import EXAMPLES, ConnectionString
+from m100link.link.url import LIKE_THESE, ConnectionString
 
 _logger = logging.getLogger(__name__)
 
@@ -107,7 +107,7 @@ def find_transport(address: ConnectionString) -> Opener:
         )
     raise BadURL(
         f"there is no transport called {address.scheme!r}",
-        remedy="write it like one of these:" + "".join(f"\n      {text}" for text in EXAMPLES),
+        remedy=LIKE_THESE,
     )
 
 

@@ -17,7 +17,8 @@ EXAMPLES = (
     "sim://?firmware=3.1&seed=7",
     "replay://flight.mcap?speed=2",
 )
-"""Strings that work, for error messages."""
+LIKE_THESE = "write it like one of these:" + "".join(f"\n      {text}" for text in EXAMPLES)
+"""The remedy that shows strings that work."""
 
 _SECRET = re.compile(r"\b((?:key|app[-_]id)=)[^&]*", re.IGNORECASE)
 
@@ -46,8 +47,7 @@ class ConnectionString:
 
 
 def _bad(url: str, why: str) -> BadURL:
-    examples = "".join(f"\n      {example}" for example in EXAMPLES)
-    return BadURL(f"{url!r} {why}", remedy=f"write it like one of these:{examples}")
+    return BadURL(f"{url!r} {why}", remedy=LIKE_THESE)
 
 
 def parse_url(url: str, *, baud_rate: int | None = None) -> ConnectionString:

@@ -119,9 +119,9 @@ class Losses:
         self.is_ended = self.is_changed = False
         self.cut_bytes = 0  # size of the unfinished record at the end
         self._places: list[tuple[int, int]] = []
-        self._topics: dict[int, str] = {}
+        self.topics: dict[int, str] = {}  # what each channel is called
         self._rows: dict[int, _Row] = {}
-        self._told: dict[int, int] = {}
+        self.told: dict[int, int] = {}  # messages of each channel, by the end of the file
         self._unnamed: Counter[int] = Counter()
         self._holes: list[_Hole] = []
         self._is_open = False  # whether no message came since the newest hole
@@ -139,14 +139,6 @@ class Losses:
         if not self._is_open:
             self._holes.append(_Hole(self._last_ns))
             self._is_open = True
-
-    def name(self, channel: int, topic: str) -> None:
-        """What a channel is called."""
-        self._topics[channel] = topic
-
-    def tell(self, counts: dict[int, int]) -> None:
-        """How many messages of each channel there are by the end of the file."""
-        self._told = counts
 
     def hear(self, channel: int, number: int, at_ns: int, is_known: bool) -> None:
         """A message was read.
@@ -180,10 +172,10 @@ class Losses:
     def damage(self) -> Damage:
         """What was found."""
         missing: Counter[str] = Counter()
-        for channel in sorted(self._rows.keys() | self._told.keys()):
+        for channel in sorted(self._rows.keys() | self.told.keys()):
             row = self._rows.get(channel) or _Row()
-            lost = max(row.gap, self._told.get(channel, 0) - row.count)
-            missing[self._topics.get(channel, "")] += lost + self._unnamed[channel]
+            lost = max(row.gap, self.told.get(channel, 0) - row.count)
+            missing[self.topics.get(channel, "")] += lost + self._unnamed[channel]
         missing = +missing
         if self._is_open and missing:
             self._holes[-1].counts = True

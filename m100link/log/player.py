@@ -145,6 +145,8 @@ class Player:
     Attributes:
         flight, begin: As given.
         is_at_end: Whether everything was played.
+        speed: Times as fast as it was flown; :meth:`set_speed` changes it.
+        is_paused: Whether it stands still on purpose.
     """
 
     def __init__(
@@ -164,11 +166,11 @@ class Player:
         self._from = min(from_s, begin.duration_s)
         self._to = min(to_s, begin.duration_s)
         self._holds = holds
-        self._speed = speed
+        self.speed = speed
         self._shift = self._loop.time() - (begin.at + self._from)
         # Where the recorded clock stood when the event loop's stood there: the last change of both.
         self._here = begin.at + self._from, self._loop.time()
-        self._is_paused = False
+        self.is_paused = False
         self._stage: Stage | None = None  # None before it is played, and after it
         self._moments: Iterator[Chunk | Message] = iter(())
         self._next: Chunk | Message | None = None
@@ -191,25 +193,15 @@ class Player:
         """Seconds of the recording that were played, or passed over."""
         return min(max(0.0, self._then() - self.begin.at), self._to)
 
-    @property
-    def speed(self) -> float:
-        """Times as fast as it was flown."""
-        return self._speed
-
-    @property
-    def is_paused(self) -> bool:
-        """Whether it stands still on purpose."""
-        return self._is_paused
-
     def time(self) -> float:
         """The clock of the recorded flight, moved to where the event loop's stood."""
         return self._then() + self._shift
 
     def _then(self) -> float:
         then, since = self._here
-        if self._is_paused or self.is_at_end or math.isinf(self._speed):
+        if self.is_paused or self.is_at_end or math.isinf(self.speed):
             return then
-        then += (self._loop.time() - since) * self._speed
+        then += (self._loop.time() - since) * self.speed
         return min(then, self.begin.at + self._to)
 
     def _set_clock(self, then: float) -> None:
@@ -218,7 +210,7 @@ class Player:
     def pause(self, is_paused: bool = True) -> None:
         """Stand still; its clock does, too."""
         self._set_clock(self._then())
-        self._is_paused = is_paused
+        self.is_paused = is_paused
         self._schedule()
 
     def resume(self) -> None:
@@ -233,7 +225,7 @@ class Player:
         """
         check_speed(speed)
         self._set_clock(self._then())
-        self._speed = speed
+        self.speed = speed
         self._schedule()
 
     # -- playing -----------------------------------------------------------------------------------
@@ -301,18 +293,18 @@ class Player:
             self._timer = None
         if self._stage is None or self.is_at_end:
             return
-        if self._is_paused:
+        if self.is_paused:
             # Where it was moved to is shown all the same.
             if self._frames or (self._next is not None and self._next.at <= self._here[0]):
                 self._timer = self._loop.call_soon(self._go)
         elif delay is not None:
             self._timer = self._loop.call_later(delay, self._go)
-        elif self._frames or math.isinf(self._speed):
+        elif self._frames or math.isinf(self.speed):
             self._timer = self._loop.call_soon(self._go)
         else:
             due = self._next.at if self._next is not None else self.begin.at + self._to
             then, since = self._here
-            self._timer = self._loop.call_at(since + (due - then) / self._speed, self._go)
+            self._timer = self._loop.call_at(since + (due - then) / self.speed, self._go)
 
     def _go(self) -> None:
         self._timer = None
@@ -324,7 +316,7 @@ class Player:
 
     def _play_some(self) -> float | None:
         """Play what is due; returns seconds to wait, or None."""
-        is_as_fast_as_taken = math.isinf(self._speed) and not self._is_paused
+        is_as_fast_as_taken = math.isinf(self.speed) and not self.is_paused
         if is_as_fast_as_taken and self._begins_by and not self._is_awaited():
             return _LONGEST_PAUSE_S / 10
         self._begins_by = 0.0
@@ -341,7 +333,7 @@ class Player:
                     self._waits = 0
                 stage.deliver(*self._frames.popleft())
             elif self._next is None:
-                if self._is_paused:
+                if self.is_paused:
                     return None
                 if is_as_fast_as_taken or self._then() >= self.begin.at + self._to - 1e-6:
                     self._end()

@@ -255,7 +255,7 @@ class _Reader:
                 losses.place(self._data_end, end)
             else:
                 self._is_summary_whole = True
-                losses.tell(self._counted)
+                losses.told = self._counted
         try:
             record = None if kind == _MESSAGE and self._has_parts else _parsed(kind, body)
         except (struct.error, UnicodeDecodeError, LookupError):
@@ -345,7 +345,7 @@ class _Reader:
 
     def _channel(self, channel: Channel) -> Channel:
         self._known.add(channel.id)
-        self._losses.name(channel.id, channel.topic)
+        self._losses.topics[channel.id] = channel.topic
         if not self._topics or channel.topic in self._topics:
             self._wanted.add(channel.id)
         return channel

@@ -131,7 +131,7 @@ class Commands:
             activation.SendToMobile: self._to_mobile,
             control.RequestAuthority: lambda command: vehicle.request_authority(command.obtain),
             control.StartTask: self._start_task,
-            control.QueryTask: lambda command: vehicle.flight.query_task(command.task_sequence),
+            control.QueryTask: lambda command: vehicle.flight.tasks.query(command.task_sequence),
             control.Arm: self._arm,
             gimbal.GimbalSpeed: lambda command: vehicle.gimbal.turn(command, vehicle.time),
             gimbal.GimbalAngle: vehicle.gimbal.point,

@@ -137,7 +137,7 @@ class FlightController:
         # Since when it stands with running motors and no order to take off.
         self._idle_since: float | None = None
         # The battery is nearly empty: it lands, and nobody can stop that.
-        self._forced = False
+        self.is_forced = False
 
     # --- orders -----------------------------------------------------------------------------
 
@@ -202,10 +202,6 @@ class FlightController:
                 self.go_home()
         return code
 
-    def query_task(self, task_sequence: int) -> TaskResultCode:
-        """Tell how a task goes or went."""
-        return self.tasks.query(task_sequence)
-
     def _can(self, task: Task | None) -> bool:
         if self.maneuver not in (Maneuver.NONE, Maneuver.MISSION):
             return False
@@ -246,7 +242,7 @@ class FlightController:
         self.setpoint = None
         self._setpoint_until = -math.inf
         self._begin(Maneuver.NONE)
-        self._forced = False
+        self.is_forced = False
         if self.dynamics.on_ground:
             self.phase = FlightPhase.STANDBY
 
@@ -287,18 +283,13 @@ class FlightController:
 
         A landing that is under way already becomes one.
         """
-        if self._forced or self.dynamics.on_ground or not self.dynamics.motors_on:
+        if self.is_forced or self.dynamics.on_ground or not self.dynamics.motors_on:
             return False
         if self.phase is not FlightPhase.LANDING:
             self.tasks.end(succeeded=False)
-        self._forced = True
+        self.is_forced = True
         self.land()
         return True
-
-    @property
-    def is_forced(self) -> bool:
-        """Whether it lands because the battery is nearly empty."""
-        return self._forced
 
     def fly_mission(self, guidance: Guidance) -> None:
         """Follow a mission, which says each step where to; setpoints wait meanwhile."""
@@ -314,7 +305,7 @@ class FlightController:
         self.tasks.end(succeeded=False)
         self._setpoint_until = -math.inf
         self.setpoint = None
-        if self._forced or self.maneuver in (Maneuver.NONE, Maneuver.FINISH):
+        if self.is_forced or self.maneuver in (Maneuver.NONE, Maneuver.FINISH):
             return
         if self.dynamics.on_ground:
             self.stop_motors()
