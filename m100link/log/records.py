@@ -197,15 +197,20 @@ class _Reader:
                 continue
             # A part whose own length is damaged may stand here, or behind this record.
             place = end if _fits(head) and not is_part else at
+            search = at + 1
             part = self._part_at(place)
             if part is not None:
                 self._losses.place(place, place + _HEAD.size)
                 yield place, _CHUNK, part
+                # The length inside may be the damaged one, and reach over the parts behind it.
+                search = place + 1
+                stated = place + _HEAD.size + _head(self._head_at(place))[1]
                 place += _HEAD.size + len(part)
-                if self._goes_on(place):
-                    at = place
+                ends = [end for end in (stated, place) if end >= search and self._goes_on(end)]
+                if ends:
+                    at = min(ends)
                     continue
-            next_at = self._next_part(at + 1 if part is None else place)
+            next_at = self._next_part(search)
             if next_at is None:
                 self._tail(at if end > self._size else place)
                 return

@@ -49,7 +49,7 @@ def changed(data: bytes, at: int, value: int | None = None) -> bytes:
     return data[:at] + bytes((byte,)) + data[at + 1 :]
 
 
-@pytest.mark.parametrize("place", [1, 2, 8, 9 + 16, 9 + 32, 9 + 36, 9 + 40, 60])
+@pytest.mark.parametrize("place", [1, 2, 8, 9 + 16, 9 + 32, 9 + 36, 9 + 37, 9 + 38, 9 + 40, 60])
 @pytest.mark.parametrize("is_cut", [False, True], ids=["whole", "cut off"])
 async def test_a_part_that_is_damaged_costs_itself_alone(
     whole: bytes, place: int, is_cut: bool
