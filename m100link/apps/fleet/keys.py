@@ -59,12 +59,41 @@ def session_in(token: str) -> str:
     return token.rpartition("/")[2]
 
 
+class _Key:
+    """One key of an aircraft, by the words behind its name."""
+
+    def __init__(self, words: str) -> None:
+        self.words = words
+
+    def __get__(self, keys: Keys, _owner: type[Keys] | None = None) -> str:
+        return keys.of(self.words)
+
+
 @dataclass(frozen=True, slots=True)
 class Keys:
     """The keys of one aircraft, or with ``*`` for its name those of all."""
 
     site: str = DEFAULT_SITE  # where it flies
     name: str = "*"
+
+    telemetry = _Key("tel")  # every package, as it came; sent while somebody listens
+    thinned = _Key("tel/5hz")  # what suffices for each item five times a second
+    state = _Key("state")  # where the agent stands: told once a second, and answered
+    event = _Key("event")  # what happens
+    told = _Key("told")  # what fronts of the agent hear; sent while somebody listens
+    place = _Key("place")  # where it will be in its show, for the others that fly it
+    setpoint = _Key("setpoint")  # setpoints are sent here
+    # Here is asked: orders; whatever is wanted of the lease; pieces of flight logs; how far its
+    # mission is; what has to do with a show; a list of revoked names is brought, and which one is
+    # in force is asked.
+    command = _Key("cmd")
+    lease = _Key("lease")
+    log = _Key("log")
+    mission = _Key("mission")
+    show = _Key("show")
+    revoked = _Key("revoked")
+    # A token without session among the other keys, where authors of tools look first.
+    live_beside = _Key("live")
 
     def __post_init__(self) -> None:
         check_name(self.site, "a site")
@@ -82,81 +111,11 @@ class Keys:
         Not among the other keys: zenoh compares each message with all tokens beside its key that
         whoever hears it watches. Of a thousand aircraft that cost ten times the message itself.
         """
-        return f"{LIVE}/{self.site}/{self.name}/*"
+        return self.live_by("*")
 
     def live_by(self, session: str) -> str:
         """The token that an agent shows; an answer of another session is not the aircraft's."""
         return f"{LIVE}/{self.site}/{self.name}/{session}"
-
-    @property
-    def live_beside(self) -> str:
-        """A token without session among the other keys, where authors of tools look first."""
-        return self.of("live")
-
-    @property
-    def telemetry(self) -> str:
-        """Every package, as it came; sent while somebody listens."""
-        return self.of("tel")
-
-    @property
-    def thinned(self) -> str:
-        """What suffices for each item five times a second."""
-        return self.of("tel/5hz")
-
-    @property
-    def state(self) -> str:
-        """Where the agent stands: told once a second, and answered."""
-        return self.of("state")
-
-    @property
-    def event(self) -> str:
-        """What happens."""
-        return self.of("event")
-
-    @property
-    def told(self) -> str:
-        """What fronts of the agent hear; sent while somebody listens."""
-        return self.of("told")
-
-    @property
-    def command(self) -> str:
-        """Orders are asked here."""
-        return self.of("cmd")
-
-    @property
-    def lease(self) -> str:
-        """Whatever is wanted of the lease is asked here."""
-        return self.of("lease")
-
-    @property
-    def revoked(self) -> str:
-        """A list of revoked names is brought here, and which one is in force is asked."""
-        return self.of("revoked")
-
-    @property
-    def setpoint(self) -> str:
-        """Setpoints are sent here."""
-        return self.of("setpoint")
-
-    @property
-    def log(self) -> str:
-        """Pieces of flight logs are asked here."""
-        return self.of("log")
-
-    @property
-    def mission(self) -> str:
-        """How far its mission is, is asked here."""
-        return self.of("mission")
-
-    @property
-    def show(self) -> str:
-        """What has to do with a show is asked here."""
-        return self.of("show")
-
-    @property
-    def place(self) -> str:
-        """Where it will be in its show is told here, to the others that fly it."""
-        return self.of("place")
 
     def status(self, identity: str = "*") -> str:
         """What became of an order is asked here."""

@@ -5,9 +5,12 @@ from __future__ import annotations
 import base64
 import hmac
 import json
+import re
 import struct
 import uuid
 from collections.abc import Callable
+from dataclasses import fields
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +19,14 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
-from m100link.apps.bus.network import Bus
+from m100link.apps.agent.messages import LeaseAction, LeaseAsk
+from m100link.apps.agent.remote_error import Fault
+from m100link.apps.bus.network import Bus, fits
+from m100link.apps.fleet.identity import Rights
+from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.logs.words import LogEntry, LogQuestion, LogReply, What
+from m100link.apps.fleet.payloads import Order, Outcome, Progress, Reply
+from m100link.apps.fleet.pki import router_config
 from m100link.apps.fleet.signing import verifying
 from tests.apps.fleet.conftest import SITE, Rig
 from tests.apps.fleet.test_signing import RIGHTS
@@ -134,9 +144,90 @@ async def test_telemetry_is_what_the_page_says(rig: Rig) -> None:
         assert (version, kind, payload[11 : 11 + length]) == (2, 2, b"1.0")
 
 
-def test_the_page_names_every_key() -> None:
+def keys() -> dict[str, str]:
+    """What stands behind the name of an aircraft, by the name that it has in code."""
+    one = Keys(SITE, "a1")
+    found = {name: getattr(one, name) for name in dir(Keys) if not name.startswith("_")}
+    of_one = f"m100/{SITE}/a1/"
+    return {
+        name: key.removeprefix(of_one)
+        for name, key in found.items()
+        if isinstance(key, str) and key.startswith(of_one)
+    }
+
+
+def names(*kinds: type[Any]) -> list[str]:
+    """Fields of what is written as JSON, and the words of choices."""
+    found: list[str] = []
+    for kind in kinds:
+        is_choice = issubclass(kind, Enum)
+        found += [one.value for one in kind] if is_choice else [one.name for one in fields(kind)]
+    return found
+
+
+# A token is no key to ask or to hear by; the page tells of tokens in words.
+TOLD = {
+    **{f"the key Keys.{name}": f"`{key}`" for name, key in keys().items() if key != "live"},
+    "the key Keys.status": "`status/<id>`",
+    **{
+        f"{kind.__name__} {name}": name
+        for kind in (Order, Reply, Fault, LogQuestion, LogReply, LogEntry, LeaseAsk)
+        for name in names(kind)
+        if name not in ("name", "id")  # words of the page whatever it tells
+    },
+    **{
+        f"{kind.__name__} {name}": name
+        for kind in (Outcome, Progress, What, LeaseAction)
+        for name in names(kind)
+    },
+}
+
+
+def missing(text: str) -> list[str]:
+    """What a message or a key has, and the page does not name in code."""
+    code = "\n".join(re.findall(r"`[^`\n]+`|```.*?```|`[^`]+`", text, re.DOTALL))
+    return [
+        what
+        for what, name in TOLD.items()
+        if not re.search(rf"(?<!\w){re.escape(name)}(?!\w)", code)
+    ]
+
+
+def test_the_page_names_every_key_and_field() -> None:
     text = PAGE.read_text(encoding="utf-8")
-    for what in ("tel", "tel/5hz", "state", "event", "told", "place", "mission", "cmd", "lease"):
-        assert f"`{what}`" in text
-    for what in ("show", "status/<id>", "log", "revoked", "setpoint"):
-        assert f"`{what}`" in text
+    assert len(keys()) == 14
+    lacks = missing(text)
+    assert not lacks, f"docs/reference/fleet-wire.md does not name {', '.join(lacks)}"
+
+
+@pytest.mark.parametrize(
+    ("word", "what"),
+    [
+        ("revoked", "the key Keys.revoked"),
+        ("is_repeated", "Reply is_repeated"),
+        ("take_over", "LeaseAction take_over"),
+        ("again_s", "LogReply again_s"),
+    ],
+)
+def test_what_the_page_leaves_out_is_told_by_name(word: str, what: str) -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert what in missing(re.sub(rf"(?<!\w){word}(?!\w)", "other", text))
+
+
+def test_a_router_has_a_rule_for_every_key() -> None:
+    """A rule too few looks as if nobody were there."""
+    rights = Rights.parse("""
+        [aircraft.a1]
+        [identity.anna]
+        fly = ["a1"]
+    """)
+    config = router_config(rights)
+    for who in ("agent a1", "identity anna"):
+        rules = {
+            key for one in config["rules"] if one["id"].startswith(who) for key in one["key_exprs"]
+        }
+        for name, words in (keys() | {"status": "status/*"}).items():
+            key = Keys("site", "a1").of(words)
+            is_there = any(fits(rule, key) for rule in rules)
+            # Where it will be in a show an aircraft tells the others, and nobody else.
+            assert is_there or (who, name) == ("identity anna", "place"), f"{who}: {name}"
