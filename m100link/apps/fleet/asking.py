@@ -20,7 +20,7 @@ from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import LeaseAction, LeaseAsk, Message
 from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.bus.network import Answer, Bus
-from m100link.apps.fleet.expiry import DRIFT
+from m100link.apps.fleet.expiry import ClockEstimate
 from m100link.apps.fleet.keys import Keys, session_in
 from m100link.apps.fleet.payloads import (
     Half,
@@ -54,7 +54,7 @@ def nobody_there(name: str) -> Unreachable:
     )
 
 
-def _unsigned(order: Order) -> Order:
+def unsigned(order: Order) -> Order:
     """Without an identity the router alone decides who may ask."""
     return order
 
@@ -68,7 +68,7 @@ class Asker:
         keys: Keys,  # of the aircraft
         name: str,  # who asks, for people
         *,
-        sign: Sign = _unsigned,
+        sign: Sign = unsigned,
         # Seconds without any answer after which the outcome is unknown.
         patience: float = PATIENCE_S,
         # Ids of those that are known to show its token, without asking anybody.
@@ -84,9 +84,8 @@ class Asker:
         self.patience = patience
         self._utc = utc
         self._clock = asyncio.get_running_loop().time
-        # When it answered last, on the event loop's clock; None: never.
-        self.heard_at: float | None = None
-        self.its_clock = 0.0  # what the agent's own clock showed in that answer, s
+        # The agent's own clock by the event loop's, from every answer that says what it shows.
+        self.its_clock = ClockEstimate()
         # Clocks of several agents that answered; nobody knows which is the aircraft.
         self.doubtful_clocks: list[float] = []
 
@@ -107,7 +106,7 @@ class Asker:
         *,
         fence: int = 0,  # number of the lease it is asked under; 0 for none
         token: str = "",  # secret of that lease; it is proved, and not sent
-        # The agent's own clock, at the earliest, s; by default what follows from its last answer.
+        # The agent's own clock, at the earliest, s; by default what it shows now, from its answers.
         # What moves has to say it, and is not carried out when it is old.
         clock: float = 0.0,
         identity: str = "",  # of the order; a new one by default
@@ -126,17 +125,17 @@ class Asker:
         """
         if not await self.is_there():
             raise nobody_there(self._keys.name)
-        order = self._order(message, fence, token, clock or self._its_at_least(), identity)
-        key = self._key(message)
+        order = self._order(message, fence, token, clock or self.its_now(), identity)
+        key = self._keys.lease if isinstance(message, LeaseAsk) else self._keys.command
         return _raised(await self._answered(key, order, patience or self.patience))
 
     def lease_request(
-        self, action: LeaseAction = LeaseAction.ACQUIRE, offer: str = "", *, clock: float = 0.0
+        self, action: LeaseAction = LeaseAction.ACQUIRE, offer: str = ""
     ) -> LeaseRequest:
         """A request for the lease, for :meth:`take_lease`."""
         half = Half()
         ask = encode(LeaseAsk(0, action, self._name, offer))
-        order = self._around(ask, clock=clock or self._its_at_least(), key=half.public)
+        order = self._around(ask, clock=self.its_now(), key=half.public)
         return LeaseRequest(order, half)
 
     async def take_lease(self, request: LeaseRequest) -> tuple[Lease, float]:
@@ -152,7 +151,7 @@ class Asker:
         reply = _raised(await self._answered(self._keys.lease, request.order, self.patience))
         return request.lease(reply), reply.clock
 
-    async def renew(self, lease: Lease, clock: float, *, within: float) -> Reply | None:
+    async def renew(self, lease: Lease, *, within: float) -> Reply | None:
         """Renew a lease: what may be asked again, and nobody else can say.
 
         Returns the answer; None when none came in time that can be read, which says nothing.
@@ -162,9 +161,10 @@ class Asker:
         Raises:
             M100Error: As :meth:`ask`.
         """
-        order = self._order(LeaseAsk(0, LeaseAction.RENEW), lease.number, lease.token, clock)
+        renewal, asked_at = LeaseAsk(0, LeaseAction.RENEW), self._clock()
+        order = self._order(renewal, lease.number, lease.token, self.its_now())
         answers = await self._bus.ask(self._keys.lease, pack(order), timeout=within)
-        reply = self._read(answers, order)
+        reply = self._read(answers, order, asked_at)
         if not isinstance(reply, Reply) or reply.progress is not Progress.DONE:
             return None  # anybody may answer nonsense: it ends nothing that silence would not
         return _raised(reply)
@@ -180,26 +180,41 @@ class Asker:
             OutcomeUnknown: Two agents answered, or the reply belongs to another order.
         """
         asked = order or Order(uuid.uuid4().hex, self._keys.name, self._name, 0, 0.0, b"")
+        asked_at = self._clock()
         answers = await self._bus.ask(self._keys.status(asked.id), timeout=within)
-        reply = self._read(answers, asked)
+        reply = self._read(answers, asked, asked_at)
         return reply if isinstance(reply, Reply) else None
+
+    async def once(self, key: str, message: bytes, *, within: float) -> Reply | None:
+        """Ask once, by a new order, what is no message of the agent.
+
+        Returns the answer, whatever it says; None when none came in time.
+
+        Raises:
+            MessageError: The answer cannot be read.
+            OutcomeUnknown: Two agents answered, or the reply belongs to another order.
+        """
+        order, asked_at = self.around(message), self._clock()
+        # Looked for beside it: what ends a show waits for nothing.
+        answers, _ = await asyncio.gather(
+            self._bus.ask(key, pack(order), timeout=within), self.is_there()
+        )
+        reply = self._read(answers, order, asked_at)
+        if isinstance(reply, MessageError):
+            raise reply
+        return reply
 
     def is_of_aircraft(self, answer: Answer) -> bool:
         """Whether it comes from a session that shows the aircraft's token."""
         return answer.session in self._sessions
 
-    def _its_at_least(self) -> float:
-        """What the agent's clock shows by now, at the earliest; 0: nobody knows."""
-        if self.heard_at is None:
-            return 0.0
-        return self.its_clock + (self._clock() - self.heard_at) * (1 - DRIFT)
-
-    def _key(self, message: Message) -> str:
-        return self._keys.lease if isinstance(message, LeaseAsk) else self._keys.command
+    def its_now(self) -> float:
+        """What the agent's clock shows by now, at the earliest, s; 0: nobody knows."""
+        return self.its_clock.at_least(self._clock())
 
     def around(self, message: bytes) -> Order:
         """A new order around what is no message of the agent, such as a question about logs."""
-        return self._around(message)
+        return self._around(message, clock=self.its_now())
 
     def _order(
         self,
@@ -235,7 +250,7 @@ class Asker:
                     sent = questions.ask(key, payload, within=left)
                 elif questions.is_due:
                     questions.ask(status, within=left)
-                number, reply = await self._next(questions, order, min(left, questions.left))
+                number, reply = await self._next(questions, order, began, min(left, questions.left))
                 if isinstance(reply, MessageError):
                     # Whoever answered may well have done it, and what he says cannot be read.
                     raise OutcomeUnknown(reply.seen, cause=reply.cause, remedy=reply.remedy)
@@ -259,7 +274,7 @@ class Asker:
         )
 
     async def _next(
-        self, questions: Questions, order: Order, within: float
+        self, questions: Questions, order: Order, began: float, within: float
     ) -> tuple[int, Reply | MessageError | None]:
         """The next answer and the number of its question; none when it is to be asked again."""
         until = self._clock() + within
@@ -268,7 +283,7 @@ class Asker:
             if ended is None:
                 break
             number, answers = ended
-            found = self._read(answers, order)
+            found = self._read(answers, order, began)
             if found is not None:
                 return number, found
             if questions.is_due:  # nobody was there for the newest one
@@ -283,8 +298,12 @@ class Asker:
             remedy="m100link fleet acl check FILE --who NAME, with the router's file of rights",
         )
 
-    def _read(self, answers: Iterable[Answer], order: Order) -> Reply | MessageError | None:
+    def _read(
+        self, answers: Iterable[Answer], order: Order, asked_at: float
+    ) -> Reply | MessageError | None:
         """One answer, or why there are only such as cannot be read; None for none.
+
+        ``asked_at``: when the question left at the earliest, s.
 
         Raises:
             OutcomeUnknown: There are answers of two agents, two that disagree, or one of another
@@ -297,7 +316,7 @@ class Asker:
             self.doubtful_clocks = clocks_told(came, self._keys.name)
             raise
         if isinstance(found, Reply):
-            self.heard_at, self.its_clock = self._clock(), found.clock
+            self.its_clock.heard(asked_at, found.clock, found.clock, self._clock())
         return found
 
 

@@ -43,7 +43,6 @@ from m100link.apps.agent.remote_error import Fault, MessageError, agent_gone
 from m100link.apps.bus.network import Bus, Held
 from m100link.apps.fleet.asking import Asker
 from m100link.apps.fleet.control import SetpointSender
-from m100link.apps.fleet.expiry import AgentClock
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.orders import revokes
 from m100link.apps.fleet.payloads import Reply, unpack_message
@@ -84,8 +83,8 @@ class FleetChannel:
         self._bus, self._keys, self._asker_of = bus, keys, asker
         self._asker = asker("")
         self._clock = asyncio.get_running_loop().time
-        self._agent_clock = AgentClock()
-        self._setpoints = SetpointSender(bus, keys, self._agent_clock)
+        self._its_clock = self._asker.its_clock
+        self._setpoints = SetpointSender(bus, keys, self._its_clock)
         self._background = BackgroundTasks()
         self._on_message: Callable[[Message], None] | None = None
         self._on_closed: Callable[[str], None] | None = None
@@ -104,7 +103,6 @@ class FleetChannel:
         # the newest beat: it is told again with each, until the agent says that they fly.
         self._unflown: Fault | None = None
         self._asks = 0
-        self._answered_at = self._clock()
         # Messages that this version cannot read, that were too long on their way to say anything,
         # and that this side failed over.
         self.unread = self.old = self.untaken = 0
@@ -203,13 +201,9 @@ class FleetChannel:
                 continue
             message = self._read(answer.payload)
             if isinstance(message, Hello) and self._greeted(message):
-                self._heard_clock(asked_at, message.at, answered_at)
+                self._its_clock.heard(asked_at, message.at, message.at, answered_at)
                 return True
         return False
-
-    def _heard_clock(self, asked_at: float, its: float, answered_at: float) -> None:
-        self._answered_at = answered_at
-        self._agent_clock.heard(asked_at, its, answered_at)
 
     def _greeted(self, hello: Hello) -> bool:
         """Whether it is still the agent that it was."""
@@ -262,7 +256,8 @@ class FleetChannel:
             self._deliver(message)
 
     def _ours(self, its: float, now: float) -> float:
-        return min(now, its - (self._agent_clock.its(now) - now))
+        known = self._its_clock.offset(now)
+        return now if known is None else min(now, its - known.seconds)
 
     def _lease_changed(self, change: LeaseChanged) -> None:
         is_overtaken = change.number < self._holder.number and self._told_at < self._granted_at
@@ -316,8 +311,7 @@ class FleetChannel:
 
     def _send_ask(self, message: Ask | GuidedOrder) -> None:
         # Stamped as it is said, not as its turn comes.
-        asker, fence = self._asker, message.fence
-        clock = self._agent_clock.made_at(self._clock(), asker.its_clock)
+        asker, fence, clock = self._asker, message.fence, self._asker.its_now()
 
         async def ask() -> None:
             lease = self._leases.get(fence)
@@ -346,7 +340,7 @@ class FleetChannel:
 
     def _require_answers(self) -> None:
         """What the agent's clock showed long ago says nothing of how slow the way is by now."""
-        silent = self._clock() - self._answered_at
+        silent = self._its_clock.silent_s(self._clock())
         if silent > _UNANSWERED_S:
             raise UsageError(
                 f"{self._keys.name} has answered nothing for {silent:.0f} s: nobody knows whether "
@@ -376,27 +370,23 @@ class FleetChannel:
         self._background.spawn(self._renew(lease), "renewal of a lease")
 
     async def _renew(self, lease: Lease) -> None:
-        asked_at, fence = self._clock(), self._holder.number
-        made_at = self._agent_clock.made_at(asked_at, self._asker.its_clock)
+        fence = self._holder.number
         try:
-            reply = await self._asker.renew(lease, made_at, within=_GREETING_S)
+            reply = await self._asker.renew(lease, within=_GREETING_S)
         except M100Error as error:
             _logger.info("%s: %s", self._keys.name, error.seen)  # who has it is told by the agent
             return
         if reply is not None:
-            self._heard_clock(asked_at, reply.clock, self._clock())
             self._unflown = reply.fault
             if reply.fault is not None:
                 self._deliver(SteerRefused(fence, reply.fault))
 
     async def _ask_lease(self, ask: LeaseAsk) -> None:
-        asked_at = self._clock()
-        made_at = self._agent_clock.made_at(asked_at, self._asker.its_clock)
         asker = self._asker_of(ask.name)
+        asker.its_clock = self._its_clock
         if ask.action in (LeaseAction.ACQUIRE, LeaseAction.CONFIRM):
-            request = asker.lease_request(ask.action, ask.token, clock=made_at)
+            request = asker.lease_request(ask.action, ask.token)
             lease, its = await asker.take_lease(request)
-            self._heard_clock(asked_at, its, self._clock())
             # By what is told none of them ends: that may be old, lost on the way, or of a stranger,
             # and who believes to have control has to be able to steer, and to give it back.
             kept = sorted({**self._leases, lease.number: lease}.items())
@@ -408,8 +398,7 @@ class FleetChannel:
         held = self._lease_of(ask)
         fence, token = (0, "") if held is None else (held.number, held.token)
         plain = replace(ask, id=0, token="")
-        reply = await asker.ask(plain, fence=fence, token=token, clock=made_at)
-        self._heard_clock(asked_at, reply.clock, self._clock())
+        reply = await asker.ask(plain, fence=fence, token=token)
         if ask.action is LeaseAction.TAKE_OVER:
             until = self._clock() + TAKE_OVER_LIFETIME
             offer = (ask.id, ask.name, reply.text, reply.offer, reply.number, until)

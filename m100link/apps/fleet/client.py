@@ -17,7 +17,7 @@ from m100link.apps.agent.messages import Action, Ask
 from m100link.apps.agent.remote_error import MessageError, fault_of
 from m100link.apps.bus.network import Bus, Held
 from m100link.apps.bus.session import LARGEST, Opening, ZenohBus, open_session
-from m100link.apps.fleet.asking import PATIENCE_S, Asker, Sign, nobody_there
+from m100link.apps.fleet.asking import PATIENCE_S, Asker, Sign, nobody_there, unsigned
 from m100link.apps.fleet.carrier import FleetChannel, reach
 from m100link.apps.fleet.control import FleetControl
 from m100link.apps.fleet.expiry import ORDER_AGE
@@ -236,9 +236,7 @@ class Fleet:
         self.bus = bus
         self.keys = Keys(site)
         self._name = name
-        self._options: dict[str, Any] = {"patience": patience, "utc": utc}
-        if sign is not None:
-            self._options["sign"] = sign
+        self._options: dict[str, Any] = {"patience": patience, "utc": utc, "sign": sign or unsigned}
         self._clock = asyncio.get_running_loop().time
         # Ids of the sessions that show the token of each.
         self._present: dict[str, set[str]] = {}

@@ -21,7 +21,7 @@ from m100link.apps.agent.lease import Lease, LeaseHeld
 from m100link.apps.agent.messages import Action, Ask, LeaseAction, LeaseAsk, Message, Steer
 from m100link.apps.bus.network import Bus
 from m100link.apps.fleet.asking import STEP_S, Asker
-from m100link.apps.fleet.expiry import AgentClock
+from m100link.apps.fleet.expiry import ClockEstimate
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
 from m100link.apps.fleet.payloads import LeaseRequest, Progress, Reply, pack_steer
@@ -75,7 +75,6 @@ class FleetControl:
         self._is_take_over = take_over
         self._bus, self._keys = bus, keys
         self._clock = asyncio.get_running_loop().time
-        self._agent_clock = AgentClock()
         self._lease: Lease | None = None
         self._renewed_at = 0.0
         self._renewing: asyncio.Task[None] | None = None
@@ -104,7 +103,8 @@ class FleetControl:
     @property
     def clock_bound_s(self) -> float | None:
         """By how much the agent's clock is known, s."""
-        return self._agent_clock.bound_s
+        known = self._asker.its_clock.offset(self._clock())
+        return None if known is None else known.bound
 
     async def __aenter__(self) -> Self:
         # An order that says when it was made is not carried out when nobody waits for it any more.
@@ -112,7 +112,7 @@ class FleetControl:
             await self._asker.look(within=STEP_S)
         lease = await self._take_lease()
         self._lease, self._renewed_at = lease, self._clock()
-        self._setpoints = SetpointSender(self._bus, self._keys, self._agent_clock)
+        self._setpoints = SetpointSender(self._bus, self._keys, self._asker.its_clock)
         self._owner = asyncio.current_task()
         self._renewing = asyncio.create_task(self._renew(), name="m100link: lease of a fleet")
         try:
@@ -172,9 +172,9 @@ class FleetControl:
 
     async def _take_lease(self, offer: str = "") -> Lease:
         action = LeaseAction.CONFIRM if offer else LeaseAction.ACQUIRE
-        asked_at, request = self._clock(), self._asker.lease_request(action, offer)
+        request = self._asker.lease_request(action, offer)
         try:
-            lease, its = await self._asker.take_lease(request)
+            lease, _ = await self._asker.take_lease(request)
         except LeaseHeld:
             if not self._is_take_over or offer:
                 raise
@@ -183,7 +183,6 @@ class FleetControl:
         except (OutcomeUnknown, asyncio.CancelledError):
             await self._give_back(request)
             raise
-        self._agent_clock.heard(asked_at, its, self._clock())
         return lease
 
     async def _give_back(self, request: LeaseRequest) -> None:
@@ -233,10 +232,8 @@ class FleetControl:
         )
 
     async def _renew_once(self, lease: Lease) -> None:
-        asked_at = self._clock()
-        made_at = self._agent_clock.made_at(asked_at, self._asker.its_clock)
         try:
-            reply = await self._asker.renew(lease, made_at, within=_LEASE_S)
+            reply = await self._asker.renew(lease, within=_LEASE_S)
         except GuardRefused:
             return  # it came too late to renew anything, and says nothing of the lease
         except M100Error as error:
@@ -244,7 +241,6 @@ class FleetControl:
             return
         if reply is not None:
             self._renewed_at = self._clock()
-            self._agent_clock.heard(asked_at, reply.clock, self._renewed_at)
             if reply.fault is not None:
                 self._refused = reply.fault.error()
 
@@ -270,8 +266,7 @@ class FleetControl:
     async def ask(self, message: Message) -> Reply:
         """Ask for something under this lease; see :meth:`m100link.apps.fleet.asking.Asker.ask`."""
         lease = self._held()
-        clock = self._agent_clock.made_at(self._clock(), self._asker.its_clock)
-        return await self._asker.ask(message, fence=lease.number, token=lease.token, clock=clock)
+        return await self._asker.ask(message, fence=lease.number, token=lease.token)
 
     async def _do(self, action: Action, *, number: int = 0, data: bytes = b"") -> Reply:
         return await self.ask(Ask(0, action, self.fence, number, data))
@@ -450,7 +445,7 @@ class SetpointSender:
     ``clock``: its agent's, as far as is known.
     """
 
-    def __init__(self, bus: Bus, keys: Keys, clock: AgentClock) -> None:
+    def __init__(self, bus: Bus, keys: Keys, clock: ClockEstimate) -> None:
         self._keys, self._agent_clock = keys, clock
         self._clock = asyncio.get_running_loop().time
         self._outlet = bus.publish(keys.setpoint)
@@ -477,8 +472,9 @@ class SetpointSender:
         Raises:
             UsageError: The agent's clock is not known well enough to say how old a setpoint is.
         """
-        bound, now = self._agent_clock.bound_s, self._clock()
-        if bound is None or bound > MOST_CLOCK_BOUND_S:
+        now = self._clock()
+        known = self._agent_clock.offset(now)
+        if known is None or self._agent_clock.way_s > MOST_CLOCK_BOUND_S:
             raise UsageError(
                 f"the clock of {self._keys.name} is not known to {MOST_CLOCK_BOUND_S:g} s",
                 cause="the way there and back takes too long for setpoints",
@@ -487,6 +483,6 @@ class SetpointSender:
         if begins is None:
             begins = now - self._sent_at > _PAUSE_S
         self._sent_at = now
-        stamp = self._agent_clock.its(now if made_at is None else made_at)
+        stamp = (now if made_at is None else made_at) + known.seconds
         steer = Steer(fence, stamp, lifetime, setpoint)
         self._outlet.put(pack_steer(steer, token, begins=begins))

@@ -94,70 +94,6 @@ def _late(why: str, made_at: float, now: float) -> GuardRefused:
     )
 
 
-# -- the clock of an agent, as a pilot knows it: from questions and answers, as NTP does -----------
-
-
-_KEPT = 8
-
-
-class AgentClock:
-    """What the clock of an agent shows (pure logic, times are arguments).
-
-    Of the last exchanges the one that took the shortest time is believed: it cannot be wrong by
-    more than half of that time.
-    """
-
-    def __init__(self) -> None:
-        self._exchanges: deque[tuple[float, float]] = deque(maxlen=_KEPT)
-        self._made_at = 0.0
-
-    def heard(self, asked_at: float, its: float, answered_at: float) -> None:
-        """An exchange.
-
-        ``asked_at``: own time as it was asked, s. ``its``: the agent's time in its answer, s.
-        ``answered_at``: own time as the answer came, s.
-        """
-        way = answered_at - asked_at
-        self._exchanges.append((way / 2, its - (asked_at + answered_at) / 2))
-
-    @property
-    def bound_s(self) -> float | None:
-        """By how much it is wrong at most; None before the first exchange."""
-        return min(self._exchanges)[0] if self._exchanges else None
-
-    def its(self, own: float) -> float:
-        """The agent's time at an own time, s.
-
-        Raises:
-            ValueError: Nothing was heard yet.
-        """
-        if not self._exchanges:
-            raise ValueError("nothing was heard of that clock")
-        return own + min(self._exchanges)[1]
-
-    def its_at_least(self, own: float) -> float:
-        """What the agent's clock shows at an own time at the earliest, s.
-
-        Raises:
-            ValueError: Nothing was heard yet.
-        """
-        return self.its(own) - min(self._exchanges)[0]
-
-    def made_at(self, own: float, answered: float) -> float:
-        """When an order that is made now was made at the earliest, by that clock, s.
-
-        What is asked for after an answer was made after it, however well the clock is known; and no
-        order was made before the one before it.
-
-        ``own``: own time, s. ``answered``: what that clock showed in its agent's last answer, s.
-
-        Raises:
-            ValueError: Nothing was heard yet.
-        """
-        self._made_at = max(self._made_at, answered, self.its_at_least(own))
-        return self._made_at
-
-
 # -- which setpoints fly ---------------------------------------------------------------------------
 # A stream of setpoints is begun by its pilot and ends by silence. One that was cut, by a network or
 # by a process that stood still, does not go on when the way is whole again: the aircraft hovers by
@@ -228,6 +164,8 @@ DRIFT = 100e-6
 """By how much two clocks may run apart, seconds per second: 50 ppm is a cheap crystal."""
 
 _TRIPS = 32
+_NEWEST = 8
+"""Round trips that say how slow the way is by now: what was fast before says nothing of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,6 +206,7 @@ class ClockEstimate:
     def __init__(self) -> None:
         self.steps = 0
         self.refused = 0
+        self._told = -math.inf
         self._seen: deque[_Seen] = deque(maxlen=_TRIPS)
 
     def heard(self, sent: float, received_there: float, sent_there: float, received: float) -> bool:
@@ -297,6 +236,7 @@ class ClockEstimate:
         self._seen.append(new)
         if self._common(received) is None:
             self.steps += 1
+            self._told = -math.inf
             self._seen.clear()
             self._seen.append(new)
         return True
@@ -311,6 +251,30 @@ class ClockEstimate:
             return None
         low, high = common
         return Offset((low + high) / 2, (high - low) / 2)
+
+    def at_least(self, now: float) -> float:
+        """What the other clock shows at the earliest; 0 before the first round trip.
+
+        It never goes back: no order was made before the one before it.
+        """
+        known = self.offset(now)
+        if known is None:
+            return 0.0
+        self._told = max(self._told, now + known.seconds - known.bound)
+        return self._told
+
+    @property
+    def way_s(self) -> float:
+        """Half of the shortest of the last eight round trips: how long what is sent now may take.
+
+        Infinite before the first.
+        """
+        last = list(self._seen)[-_NEWEST:]
+        return min((one.high - one.low for one in last), default=math.inf) / 2
+
+    def silent_s(self, now: float) -> float:
+        """Seconds since the last round trip; infinite before the first."""
+        return now - self._seen[-1].at if self._seen else math.inf
 
     def _common(self, now: float) -> tuple[float, float] | None:
         if not self._seen:

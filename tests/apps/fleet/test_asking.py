@@ -149,7 +149,8 @@ async def test_an_order_is_as_old_as_the_slowest_clock_would_have_it(rig: Rig) -
     """Two clocks part by 100 µs in a second at most; no order is made younger than it is."""
     asker = Asker(rig.network.session(), Keys(SITE, "a1"), "pilot")
     assert asker.lease_request().order.clock == 0.0, "it never answered"
-    asker.heard_at, asker.its_clock = anyio.current_time(), 500.0
+    now = anyio.current_time()
+    assert asker.its_clock.heard(now, 500.0, 500.0, now)
     await anyio.sleep(1000.0)
     assert asker.lease_request().order.clock == pytest.approx(1499.9, abs=0.001)
 

@@ -13,7 +13,6 @@ from m100link.apps.fleet.expiry import (
     DRIFT,
     MAX_AGE_S,
     MOST_AGE_S,
-    AgentClock,
     ClockEstimate,
     Dropped,
     OrderAges,
@@ -77,38 +76,6 @@ def test_what_was_made_by_the_clock_of_before_a_start_is_refused(ages: OrderAges
     ages.hear(1, 20.0, 20.1)
     with pytest.raises(GuardRefused, match="from now"):
         require_young(float("inf"), 20.0)
-
-
-# -- the agent's clock, by questions and answers ---------------------------------------------------
-
-
-def test_nothing_is_known_before_anything_was_heard() -> None:
-    clock = AgentClock()
-    assert clock.bound_s is None
-    with pytest.raises(ValueError, match="nothing was heard"):
-        clock.its(0.0)
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_it_is_never_wrong_by_more_than_it_says(seed: int) -> None:
-    chance = random.Random(seed)
-    clock, offset = AgentClock(), chance.uniform(-1e5, 1e5)
-    for exchange in range(30):
-        now = float(exchange)
-        there, back = chance.expovariate(20), chance.expovariate(20)
-        clock.heard(now, now + there + offset, now + there + back)
-        assert clock.bound_s is not None
-        assert abs(clock.its(now) - (now + offset)) <= clock.bound_s + 1e-9
-
-
-def test_the_shortest_way_of_the_last_eight_is_believed() -> None:
-    clock = AgentClock()
-    clock.heard(0.0, 100.005, 0.01)
-    for _ in range(7):
-        clock.heard(1.0, 105.0, 3.0)
-    assert clock.bound_s == pytest.approx(0.005)
-    clock.heard(2.0, 105.0, 4.0)
-    assert clock.bound_s == pytest.approx(1.0), "what is old says nothing of a clock that drifts"
 
 
 # -- which setpoints fly: each that could be wrong, beside one that is not -------------------------
@@ -253,3 +220,43 @@ def test_a_clock_that_was_set_is_noticed_and_measured_anew() -> None:
     found = estimate.offset(5.002)
     assert found is not None
     assert found.seconds == pytest.approx(130.0, abs=0.002)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_what_it_shows_at_the_earliest_is_never_later_and_never_goes_back(seed: int) -> None:
+    """Order ages count from it: too late a time would let an old order move the aircraft."""
+    chance = random.Random(seed)
+    drift = chance.uniform(-0.9, 0.9) * DRIFT
+    other, estimate, now, before = Other(chance, 1e3, drift), ClockEstimate(), 1000.0, 0.0
+    assert estimate.at_least(now) == 0.0, "nobody knows"
+    assert (estimate.way_s, estimate.silent_s(now)) == (math.inf, math.inf)
+    for _ in range(200):
+        now = other.ask(now, estimate)
+        assert estimate.silent_s(now) == 0.0
+        for later in (now, now + chance.uniform(0, 0.05)):
+            found = estimate.at_least(later)
+            assert before <= found <= other.read(later) + 1e-9
+            before = found
+        now += chance.uniform(0.05, 20)
+    assert estimate.silent_s(now) <= 20.0
+
+
+def test_after_a_clock_was_set_the_earliest_counts_anew() -> None:
+    estimate = ClockEstimate()
+    estimate.heard(0.0, 500.0, 500.0, 0.002)
+    assert estimate.at_least(0.002) == pytest.approx(500.0, abs=0.003)
+    estimate.heard(1.0, 20.0, 20.0, 1.002)  # its computer was started anew
+    assert estimate.at_least(1.002) == pytest.approx(20.0, abs=0.003)
+
+
+def test_a_way_that_became_slow_is_slow_however_well_the_clock_is_known() -> None:
+    estimate = ClockEstimate()
+    estimate.heard(0.0, 100.005, 100.005, 0.01)
+    for second in range(1, 8):
+        estimate.heard(second, second + 101.0, second + 101.0, second + 2.0)
+    assert estimate.way_s == pytest.approx(0.005, abs=1e-5)
+    estimate.heard(8.0, 109.0, 109.0, 10.0)
+    assert estimate.way_s == pytest.approx(1.0, abs=1e-3)
+    found = estimate.offset(10.0)
+    assert found is not None
+    assert found.bound < 0.01

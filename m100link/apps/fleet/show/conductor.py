@@ -19,10 +19,9 @@ from typing import Any
 
 from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.bus.network import Bus
-from m100link.apps.fleet.asking import Sign, believed
-from m100link.apps.fleet.expiry import ClockEstimate
-from m100link.apps.fleet.keys import Keys, session_in
-from m100link.apps.fleet.payloads import SHOW, Order, Reply, pack
+from m100link.apps.fleet.asking import Asker, Sign, unsigned
+from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.payloads import SHOW, Reply
 from m100link.apps.fleet.show.performer import Leave, Stage
 from m100link.apps.fleet.show.plan.document import SKEW_S, Show
 from m100link.apps.fleet.show.plan.steering import ShowRefused, Why
@@ -89,22 +88,20 @@ class Conductor:
         tell: Callable[[str], None] = lambda _text: None,
         utc: Callable[[], float] = time.time,
     ) -> None:
-        self._bus = bus
-        self._who = who
         self._tracks = {track.name: track for track in show.tracks}
         self._keys = {name: Keys(site, name) for name in self._tracks}
+        self._askers = {
+            name: Asker(bus, keys, who, sign=sign or unsigned, patience=_ANSWER_S, utc=utc)
+            for name, keys in self._keys.items()
+        }
         self._least = show.least_distance_m
         digests = sorted(track.digest for track in show.tracks)
         self._digest = hashlib.sha256("".join(digests).encode()).hexdigest()[:16]
         self._leave = leave
         # Orders of nobody else are carried out until this show is over, and none of ours behind it.
         self._run = uuid.uuid4().hex
-        self._sign = sign
         self._tell = tell
-        self._utc = utc
         self._clock = asyncio.get_running_loop().time
-        # Our own clock less each agent's, at most, as of its last answer.
-        self._behind: dict[str, float] = {}
 
     async def fly(self) -> dict[str, Part]:
         """Fly it.
@@ -121,9 +118,9 @@ class Conductor:
             self._tell("all have their tracks")
             await self._each(self._place)
             self._tell("all are at their places")
-            clocks = dict(zip(self._tracks, await self._each(self._measure), strict=True))
+            await self._each(self._measure)
             start_at = self._clock() + _COUNTDOWN_S
-            await self._each(lambda track: self._start(track, clocks[track.name], start_at))
+            await self._each(lambda track: self._start(track, start_at))
             self._tell(f"the show begins in {start_at - self._clock():.1f} s")
         except BaseException:
             await asyncio.shield(self.leave())
@@ -165,29 +162,11 @@ class Conductor:
             Unreachable: No answer came to any try.
             M100Error: What the agent says.
         """
-        keys = self._keys[track.name]
+        asker, key = self._askers[track.name], self._keys[track.name].show
+        message = SHOW + json.dumps(wanted | {"run": self._run}).encode()
         for _ in range(_TRIES):
-            message = SHOW + json.dumps(wanted | {"run": self._run}).encode()
-            order = Order(
-                uuid.uuid4().hex,
-                track.name,
-                self._who,
-                0,
-                self._utc(),
-                message,
-                self._its_at_least(track.name),
-            )
-            payload = pack(order if self._sign is None else self._sign(order))
-            # Asked beside it: what ends a show waits for nothing.
-            answers, tokens = await asyncio.gather(
-                self._bus.ask(keys.show, payload, timeout=_ANSWER_S),
-                self._bus.tokens(keys.live, timeout=_ANSWER_S),
-            )
-            reply = believed(answers, keys, order.id, set(map(session_in, tokens)))
-            if isinstance(reply, MessageError):
-                raise reply
+            reply = await asker.once(key, message, within=_ANSWER_S)
             if reply is not None:
-                self._behind[track.name] = self._clock() - reply.clock
                 if reply.fault is not None:
                     raise reply.fault.error()
                 return _part(reply)
@@ -197,11 +176,6 @@ class Conductor:
             cause="no agent of that name is there, or the router routes nothing to it",
             remedy="m100link fleet list; m100link fleet acl check",
         )
-
-    def _its_at_least(self, name: str) -> float:
-        """What the clock of an agent shows by now, at the earliest, s; 0: it was not heard yet."""
-        behind = self._behind.get(name)
-        return 0.0 if behind is None else self._clock() - behind
 
     async def _do(self, track: TimedTrack, wanted: dict[str, Any], *done: Stage) -> Part:
         """An order; one that was done although its answer was lost is refused and yet done."""
@@ -245,16 +219,13 @@ class Conductor:
                 )
             await asyncio.sleep(_LOOK_S)
 
-    async def _measure(self, track: TimedTrack) -> ClockEstimate:
-        estimate = ClockEstimate()
+    async def _measure(self, track: TimedTrack) -> None:
+        """Learn what its clock shows: the most that several round trips have in common."""
         for _ in range(_ROUND_TRIPS):
-            sent = self._clock()
-            there = (await self._ask(track, {"do": "tell"})).clock
-            estimate.heard(sent, there, there, self._clock())
-        return estimate
+            await self._ask(track, {"do": "tell"})
 
-    async def _start(self, track: TimedTrack, estimate: ClockEstimate, start_at: float) -> None:
-        found = estimate.offset(self._clock())
+    async def _start(self, track: TimedTrack, start_at: float) -> None:
+        found = self._askers[track.name].its_clock.offset(self._clock())
         if found is None or not found.bound <= SKEW_S:
             bound = math.inf if found is None else found.bound
             raise ShowRefused(

@@ -27,7 +27,7 @@ from m100link.flight.guards import Envelope, Guards
 from m100link.geodesy import LocalFrame
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
-from tests.apps.bus.memory import MemoryBus, Weather
+from tests.apps.bus.memory import Weather
 from tests.apps.fleet.conftest import SITE, OnBoard, Rig, anyio_backend, rig
 from tests.apps.fleet.show.shows import ORIGIN, row
 from tests.apps.fleet.show.shows import track as points_track
@@ -70,8 +70,8 @@ class Company:
     def conductor(self, **options: Any) -> Conductor:
         options.setdefault("sign", signing(ANNA))
         options.setdefault("utc", self.rig.utc)
-        bus = self.rig.network.session()
-        return Conductor(bus, SITE, "anna", self.show, tell=self.told.append, **options)
+        self.ground = self.rig.network.session()
+        return Conductor(self.ground, SITE, "anna", self.show, tell=self.told.append, **options)
 
     def places(self) -> list[tuple[float, float, float]]:
         found = []
@@ -322,8 +322,7 @@ async def test_when_not_all_were_told_to_begin_none_begins(
         first, second = (service.performer for service in made.performing)
         await rig.until(lambda: first.stage is Stage.FLYING, within=120.0)
         monkeypatch.setattr(conductor, "leave", anyio.sleep_forever)  # of a process nothing is left
-        assert isinstance(conductor._bus, MemoryBus)
-        rig.network.cut(conductor._bus)
+        rig.network.cut(made.ground)
         place = made.places()[0]
         await anyio.sleep(20.0)
         conducting.cancel()
