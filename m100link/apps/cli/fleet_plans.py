@@ -189,7 +189,7 @@ def _ordering(
                 return await asker.ask(message, fence=fence, token=token)
 
             with told_when_interrupted(name, left):
-                told = await do(MissionOrders(name, ask), aircraft) or done
+                told = await do(MissionOrders(ask), aircraft) or done
         if options.json_output:
             print_json({"name": name, "outcome": "ok", "told": told})
         else:

@@ -39,33 +39,20 @@ _MOST_DOUBTFUL = 8
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """An agent appeared, or is gone.
+    """An agent appeared, or is gone."""
 
-    Attributes:
-        name: The aircraft.
-        is_there: Which of both.
-        silent_s: Seconds since it was heard last; None when it was never heard.
-    """
-
-    name: str
-    is_there: bool
-    silent_s: float | None = None
+    name: str  #: the aircraft
+    is_there: bool  #: which of both
+    silent_s: float | None = None  #: seconds since it was heard last; None when it was never heard
 
 
 class FleetAircraft:
-    """One aircraft of a fleet.
-
-    Args:
-        bus: The network.
-        keys: Its keys.
-        asker: Asks it.
-        name: Who asks, for people.
-    """
+    """One aircraft of a fleet."""
 
     def __init__(self, bus: Bus, keys: Keys, asker: Asker, name: str) -> None:
         self._bus = bus
-        self._asker = asker
-        self._name = name
+        self._name = name  # who asks, for people
+        self.asker = asker  # asks it, for what has no method here
         self.keys = keys
 
     def __repr__(self) -> str:
@@ -75,11 +62,6 @@ class FleetAircraft:
     def name(self) -> str:
         """Its name."""
         return self.keys.name
-
-    @property
-    def asker(self) -> Asker:
-        """What asks it, for what has no method here."""
-        return self._asker
 
     def control(
         self, *, stop: Literal["hover", "land"] = "hover", take_over: bool = False
@@ -95,7 +77,7 @@ class FleetAircraft:
             M100Error: As :meth:`m100link.Control.obtain`, and :class:`m100link.errors.FleetError`.
         """
         return FleetControl(
-            self._bus, self.keys, self._asker, self._name, stop=stop, take_over=take_over
+            self._bus, self.keys, self.asker, self._name, stop=stop, take_over=take_over
         )
 
     async def take_off(self) -> None:
@@ -115,23 +97,23 @@ class FleetAircraft:
                 not begun: the way there and back takes longer.
             M100Error: As :meth:`m100link.Control.land`, and :class:`m100link.errors.FleetError`.
         """
-        self._asker.doubtful_clocks = []
+        self.asker.doubtful_clocks = []
         for left in reversed(range(_LANDINGS_ASKED)):
             try:
-                await self._asker.ask(Ask(0, Action.LAND))
+                await self.asker.ask(Ask(0, Action.LAND))
             except GuardRefused as error:
                 # It was not begun, and the answer told what time it is there: that is known now.
                 if error.guard != ORDER_AGE or not left:
                     raise
             except OutcomeUnknown:
-                await self._land_each(self._asker.doubtful_clocks)
+                await self._land_each(self.asker.doubtful_clocks)
                 raise
             else:
                 return
 
     async def _land_each(self, clocks: list[float]) -> None:
         """Where nobody knows which of them is the aircraft, each is asked by its own time."""
-        asked = (self._asker.ask(Ask(0, Action.LAND), clock=one) for one in clocks[:_MOST_DOUBTFUL])
+        asked = (self.asker.ask(Ask(0, Action.LAND), clock=one) for one in clocks[:_MOST_DOUBTFUL])
         await asyncio.gather(*asked, return_exceptions=True)
 
     async def stop(self) -> None:
@@ -140,7 +122,7 @@ class FleetAircraft:
         Raises:
             FleetError: Unreachable, not allowed, or nobody knows.
         """
-        await self._asker.ask(Ask(0, Action.STOP))
+        await self.asker.ask(Ask(0, Action.STOP))
 
     async def logs(self) -> list[LogEntry]:
         """The flight logs on board, the newest first.
@@ -174,12 +156,12 @@ class FleetAircraft:
         Raises:
             Unreachable, OutcomeUnknown: It is not there, or gives no answer.
         """
-        if not await self._asker.is_there():
+        if not await self.asker.is_there():
             raise nobody_there(self.name)
-        return await mission_card(self._bus, self.keys, patience=self._asker.patience)
+        return await mission_card(self._bus, self.keys, patience=self.asker.patience)
 
     def _fetcher(self) -> LogFetcher:
-        return LogFetcher(self._bus, self.keys, self._asker)
+        return LogFetcher(self._bus, self.keys, self.asker)
 
     async def card(self) -> Card:
         """Where its agent stands.
@@ -189,7 +171,7 @@ class FleetAircraft:
         """
         found = await cards(self._bus, self.keys)
         if self.name not in found:
-            await self._asker.ask(Ask(0, Action.VERSION))  # which says why
+            await self.asker.ask(Ask(0, Action.VERSION))  # which says why
             found = await cards(self._bus, self.keys)
         return found[self.name]
 
@@ -211,17 +193,7 @@ async def cards(bus: Bus, keys: Keys) -> dict[str, Card]:
 
 
 class Fleet:
-    """The aircraft of one site; to be used as ``async with``.
-
-    Args:
-        bus: The network.
-        site: Which site.
-        name: Who this is, for people.
-        sign: Signs orders.
-        patience: Seconds without any answer after which an outcome is unknown. An order over a way
-            of so many seconds needs more than twice as long.
-        utc: POSIX time, s.
-    """
+    """The aircraft of one site; to be used as ``async with``."""
 
     def __init__(
         self,
@@ -230,8 +202,10 @@ class Fleet:
         site: str = DEFAULT_SITE,
         name: str = "pilot",
         sign: Sign | None = None,
+        # Seconds without any answer after which an outcome is unknown. An order over a way of so
+        # many seconds needs more than twice as long.
         patience: float = PATIENCE_S,
-        utc: Callable[[], float] = time.time,
+        utc: Callable[[], float] = time.time,  # POSIX time, s
     ) -> None:
         self.bus = bus
         self.keys = Keys(site)
@@ -339,11 +313,7 @@ class Fleet:
         return FleetAircraft(self.bus, Keys(self.keys.site, name), self.asker(name), self._name)
 
     def asker(self, name: str, by: str = "") -> Asker:
-        """What asks one aircraft.
-
-        Args:
-            name: Of the aircraft.
-            by: Who of those that ask by this end, for people.
+        """What asks one aircraft; ``by``: who of those that ask by this end, for people.
 
         Raises:
             UsageError: That cannot be a name.

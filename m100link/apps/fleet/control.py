@@ -46,16 +46,7 @@ _AGAIN_S = 0.1
 
 
 class FleetControl:
-    """Obtains the lease and control authority; to be used as ``async with``.
-
-    Args:
-        bus: The network.
-        keys: Of the aircraft.
-        asker: Asks it.
-        name: Who flies, for people.
-        stop: What is left behind: ``hover``, or ``land``.
-        take_over: Take the lease from whoever has it.
-    """
+    """Obtains the lease and control authority; to be used as ``async with``."""
 
     def __init__(
         self,
@@ -316,7 +307,7 @@ class FleetControl:
     @property
     def missions(self) -> MissionOrders:
         """What is ordered about missions, one by one."""
-        return MissionOrders(self._keys.name, self.ask)
+        return MissionOrders(self.ask)
 
     def waypoint_mission(self, plan: WaypointPlan, *, take_off: bool = False) -> FleetMission:
         """Let the aircraft fly a plan by itself, as ``async with``.
@@ -415,14 +406,10 @@ class FleetControl:
 
 
 class FleetHold:
-    """The setpoint that is held.
-
-    Attributes:
-        setpoint: That one.
-    """
+    """The setpoint that is held."""
 
     def __init__(self, setpoint: Setpoint) -> None:
-        self.setpoint = setpoint
+        self.setpoint = setpoint  #: that one
 
     def set(self, setpoint: Setpoint) -> None:
         """Hold another one from now on."""

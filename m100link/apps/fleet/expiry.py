@@ -170,15 +170,10 @@ _NEWEST = 8
 
 @dataclass(frozen=True, slots=True)
 class Offset:
-    """The other clock less our own.
+    """The other clock less our own."""
 
-    Attributes:
-        seconds: The middle of what it can be.
-        bound: By how much it can be another, s.
-    """
-
-    seconds: float
-    bound: float
+    seconds: float  #: the middle of what it can be
+    bound: float  #: by how much it can be another, s
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,16 +190,13 @@ class _Seen:
 
 
 class ClockEstimate:
-    """Measures another clock by round trips.
-
-    Attributes:
-        steps: How often the other clock, or our own, was set: what had been measured before then
-            contradicts what came, and is forgotten.
-        refused: Answers that no clock gives: times that are no numbers or run backwards.
-    """
+    """Measures another clock by round trips."""
 
     def __init__(self) -> None:
+        #: how often the other clock, or our own, was set; what had been measured before then
+        #: contradicts what came, and is forgotten
         self.steps = 0
+        #: answers that no clock gives, by times that are no numbers or run backwards
         self.refused = 0
         self._told = -math.inf
         self._seen: deque[_Seen] = deque(maxlen=_TRIPS)

@@ -78,19 +78,13 @@ def outcome_of(error: M100Error | None) -> Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What became of an order to one aircraft.
+    """What became of an order to one aircraft."""
 
-    Attributes:
-        name: Which one.
-        outcome: What became of it.
-        error: Why it is not ``ok``: what was seen, the likely cause, what to do.
-        value: What the order gave, where it gives something.
-    """
-
-    name: str
-    outcome: Outcome
+    name: str  #: which one
+    outcome: Outcome  #: what became of it
+    #: why it is not ``ok``, with what was seen, the likely cause, and what to do
     error: M100Error | None = None
-    value: object = None
+    value: object = None  #: what the order gave, where it gives something
 
     @classmethod
     def of(cls, name: str, error: M100Error | None, value: object = None) -> Result:
@@ -258,89 +252,50 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class Card:
-    """Where an agent stands, for a list.
+    """Where an agent stands, for a list."""
 
-    Attributes:
-        name: The aircraft.
-        boot: Which run of its agent this is.
-        at: When, POSIX time, s.
-        connection: ``"connecting"``, ``"connected"`` or ``"lost"``.
-        fault: Why it is not connected.
-        firmware: Firmware profile; empty when not connected.
-        holder: Who has the lease; empty for nobody.
-        fence: Number of the lease; 0 for none.
-        has_authority: Whether the aircraft obeys the agent.
-        task: What it flies by itself, or what flies it; empty for nothing.
-        phase: Whether it is on the ground or in the air, in words; empty when nobody knows.
-        height_m: Above the take-off point; None when nobody knows.
-        latitude_deg: None when nobody knows.
-        longitude_deg: Likewise.
-        battery_percent: Likewise.
-        lost: What happens when whoever flies is lost: ``"hover"``, ``"land"`` or ``"home"``.
-        lost_after: Seconds until then.
-        version: Of its program.
-    """
-
-    name: str
-    boot: str
-    at: float
-    connection: str = "connecting"
-    fault: Fault | None = None
-    firmware: str = ""
-    holder: str = ""
-    fence: int = 0
-    has_authority: bool = False
-    task: str = ""
-    phase: str = ""
-    height_m: float | None = None
-    latitude_deg: float | None = None
-    longitude_deg: float | None = None
-    battery_percent: int | None = None
-    lost: str = "hover"
-    lost_after: float = 10.0
-    version: str = ""
+    name: str  #: the aircraft
+    boot: str  #: which run of its agent this is
+    at: float  #: when, POSIX time, s
+    connection: str = "connecting"  #: ``"connecting"``, ``"connected"`` or ``"lost"``
+    fault: Fault | None = None  #: why it is not connected
+    firmware: str = ""  #: firmware profile; empty when not connected
+    holder: str = ""  #: who has the lease; empty for nobody
+    fence: int = 0  #: number of the lease; 0 for none
+    has_authority: bool = False  #: whether the aircraft obeys the agent
+    task: str = ""  #: what it flies by itself, or what flies it; empty for nothing
+    phase: str = ""  #: whether it is on the ground or in the air, in words; empty when nobody knows
+    height_m: float | None = None  #: above the take-off point; None when nobody knows
+    latitude_deg: float | None = None  #: none when nobody knows
+    longitude_deg: float | None = None  #: likewise
+    battery_percent: int | None = None  #: likewise
+    lost: str = "hover"  #: ``"hover"``, ``"land"`` or ``"home"``, when whoever flies is lost
+    lost_after: float = 10.0  #: seconds until then
+    version: str = ""  #: of its program
 
 
 @dataclass(frozen=True, slots=True)
 class MissionCard:
-    """Where the mission of an aircraft is.
+    """Where the mission of an aircraft is."""
 
-    Attributes:
-        name: The aircraft.
-        boot: Which run of its agent this is.
-        stage: How far the mission is that came over the fleet.
-        by: Who uploaded it, for people.
-        digest: What names its plan; empty without one.
-        points: Waypoints of the plan that came last; 0 when none came.
-        reached: Waypoints that were reached, in their order, a byte each; the last 1024.
-        is_paused: It hovers in it.
-        is_finished: Every waypoint was flown.
-        fault: What ended it before.
-        kind: The kind of mission that the aircraft says it flies, whoever started it; empty when
-            nobody knows.
-        index: Waypoint that it flies to, counted from 0; None when nobody knows.
-        status: Status of the mission as on the wire; None when nobody knows.
-        elapsed_s: Seconds since it began, until it ended.
-        distance_m: Horizontally to that waypoint; None when nobody knows.
-        height_m: Above the take-off point; None when nobody knows.
-    """
-
-    name: str
-    boot: str
-    stage: MissionStage = MissionStage.NONE
-    by: str = ""
-    digest: str = ""
-    points: int = 0
-    reached: bytes = b""
-    is_paused: bool = False
-    is_finished: bool = False
-    fault: Fault | None = None
+    name: str  #: the aircraft
+    boot: str  #: which run of its agent this is
+    stage: MissionStage = MissionStage.NONE  #: how far the mission is that came over the fleet
+    by: str = ""  #: who uploaded it, for people
+    digest: str = ""  #: what names its plan; empty without one
+    points: int = 0  #: waypoints of the plan that came last; 0 when none came
+    reached: bytes = b""  #: waypoints that were reached, in their order, a byte each; the last 1024
+    is_paused: bool = False  #: it hovers in it
+    is_finished: bool = False  #: every waypoint was flown
+    fault: Fault | None = None  #: what ended it before
+    #: the kind of mission that the aircraft says it flies, whoever started it; empty when nobody
+    #: knows
     kind: str = ""
-    index: int | None = None
-    status: int | None = None
-    elapsed_s: float = 0.0
-    distance_m: float | None = None
-    height_m: float | None = None
+    index: int | None = None  #: waypoint that it flies to, counted from 0; None when nobody knows
+    status: int | None = None  #: status of the mission as on the wire; None when nobody knows
+    elapsed_s: float = 0.0  #: seconds since it began, until it ended
+    distance_m: float | None = None  #: horizontally to that waypoint; None when nobody knows
+    height_m: float | None = None  #: above the take-off point; None when nobody knows
 
 
 Value = Order | Reply | Card | MissionCard

@@ -44,23 +44,14 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Fetched:
-    """A log that is here.
+    """A log that is here."""
 
-    Attributes:
-        name: Of which aircraft.
-        log: Its name on board.
-        path: The file.
-        size: Bytes.
-        came: Bytes of them that came now; the others were here already.
-        is_written: Whether it was being written still: this is what was there of it.
-    """
-
-    name: str
-    log: str
-    path: Path
-    size: int
-    came: int
-    is_written: bool
+    name: str  #: of which aircraft
+    log: str  #: its name on board
+    path: Path  #: the file
+    size: int  #: bytes
+    came: int  #: bytes of them that came now; the others were here already
+    is_written: bool  #: whether it was being written still; this is what was there of it
 
 
 class LogFetcher:
@@ -75,26 +66,14 @@ class LogFetcher:
         self._has_answered = False
 
     async def logs(self) -> list[LogEntry]:
-        """The logs on board, the newest first.
-
-        Raises:
-            Unreachable: It is not there, or gives no answer.
-            NotAllowed: It refused who asked.
-        """
+        """See :meth:`m100link.apps.fleet.FleetAircraft.logs`."""
         _, data = await self._ask(LogQuestion(What.LIST))
         return unpack_entries(data)
 
     async def fetch(
         self, log: str = "", to: Path | str = "", progress: Progress | None = None
     ) -> Fetched:
-        """Bring a log here, or what is still missing of it.
-
-        Raises:
-            UsageError: There is no such log, or it cannot be written here.
-            Unreachable: It is not there, or gives no answer any more. What came is kept.
-            NotAllowed: It refused who asked.
-            FleetError: What came is not what it has.
-        """
+        """See :meth:`m100link.apps.fleet.FleetAircraft.fetch_log`."""
         entry = await self._entry(log)
         part = await _in_thread(Part, Path(to), f"{self._keys.name}-{entry.log}")
         try:

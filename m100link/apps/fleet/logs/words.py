@@ -75,19 +75,12 @@ class LogReply:
 
 @dataclass(frozen=True, slots=True)
 class LogEntry:
-    """One log on board.
+    """One log on board."""
 
-    Attributes:
-        log: Its name.
-        size: Bytes that it has now.
-        at: When it was written last, POSIX time of the computer on board, s.
-        is_written: Whether it is being written still.
-    """
-
-    log: str
-    size: int
-    at: float
-    is_written: bool
+    log: str  #: its name
+    size: int  #: bytes that it has now
+    at: float  #: when it was written last, POSIX time of the computer on board, s
+    is_written: bool  #: whether it is being written still
 
 
 _QUESTION, _REPLY, _ENTRY = Fields(LogQuestion), Fields(LogReply), Fields(LogEntry)

@@ -77,15 +77,10 @@ async def mission_card(bus: Bus, keys: Keys, *, patience: float = PATIENCE_S) ->
 
 
 class MissionOrders:
-    """What is ordered about missions under one lease.
+    """What is ordered about missions under one lease."""
 
-    Args:
-        name: Of the aircraft.
-        ask: Orders something under the lease.
-    """
-
-    def __init__(self, name: str, ask: OrderUnderLease) -> None:
-        self._name, self._ask = name, ask
+    def __init__(self, ask: OrderUnderLease) -> None:
+        self._ask = ask
 
     async def upload(self, plan: WaypointPlan) -> str:
         """Bring a plan on board, where it waits; the aircraft has not heard of it.
@@ -130,13 +125,6 @@ class FleetMission:
 
     Entering uploads and starts it. ``async for event in mission`` gives the events that a mission
     of one aircraft gives, until its end. Leaving the block before stops it.
-
-    Args:
-        bus: The network.
-        keys: Of the aircraft.
-        orders: Under the lease.
-        plan: What to fly.
-        take_off: Take off first, from the ground.
     """
 
     def __init__(
@@ -144,7 +132,7 @@ class FleetMission:
     ) -> None:
         self._bus, self._keys, self._orders = bus, keys, orders
         self.plan = plan
-        self._take_off = take_off
+        self._take_off = take_off  # first, from the ground
         self._digest = self._boot = ""
         self._events: deque[MissionEvent] = deque()
         self._seen = 0

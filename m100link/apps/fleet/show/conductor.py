@@ -43,23 +43,14 @@ _PIECE = 800
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Where one aircraft stands in a show.
+    """Where one aircraft stands in a show."""
 
-    Attributes:
-        name: Which one.
-        stage: How far it is; None: nobody knows, it does not answer.
-        digest: Of its track.
-        farthest_m: Farthest from its track, by its own telemetry.
-        why: Why it left, or tells nothing.
-        clock: Its own clock as it answered, s.
-    """
-
-    name: str
-    stage: Stage | None
-    digest: str = ""
-    farthest_m: float = 0.0
-    why: str = ""
-    clock: float = 0.0
+    name: str  #: which one
+    stage: Stage | None  #: how far it is; None when nobody knows, for it does not answer
+    digest: str = ""  #: of its track
+    farthest_m: float = 0.0  #: farthest from its track, by its own telemetry
+    why: str = ""  #: why it left, or tells nothing
+    clock: float = 0.0  #: its own clock as it answered, s
 
 
 class Conductor:

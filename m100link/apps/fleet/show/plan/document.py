@@ -43,17 +43,12 @@ _BY_DEGREES = ("at", "latitude_deg", "longitude_deg", "height")
 
 @dataclass(frozen=True, slots=True)
 class Show:
-    """What several aircraft fly together.
+    """What several aircraft fly together."""
 
-    Attributes:
-        name: For people.
-        tracks: What each of them flies, in the file's order.
-        least_distance_m: How near two aircraft may come to each other in the air, m, from centre
-            to centre; what GPS is wrong by is not in it.
-    """
-
-    name: str
-    tracks: tuple[TimedTrack, ...]
+    name: str  #: for people
+    tracks: tuple[TimedTrack, ...]  #: what each of them flies, in the file's order
+    #: how near two aircraft may come to each other in the air, m, from centre to centre; what GPS
+    #: is wrong by is not in it
     least_distance_m: float = 3.0
 
     @property
@@ -235,36 +230,22 @@ _SAMPLES = 240
 
 @dataclass(frozen=True, slots=True)
 class Closest:
-    """The nearest that any two come to each other.
+    """The nearest that any two come to each other."""
 
-    Attributes:
-        at: Seconds from the beginning of the show.
-        first: Name of one of them.
-        second: Of the other one.
-        distance_m: Between their tracks.
-        needed_m: What these two need there.
-    """
-
-    at: float
-    first: str
-    second: str
-    distance_m: float
-    needed_m: float
+    at: float  #: seconds from the beginning of the show
+    first: str  #: name of one of them
+    second: str  #: of the other one
+    distance_m: float  #: between their tracks
+    needed_m: float  #: what these two need there
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What the check of a show found.
+    """What the check of a show found."""
 
-    Attributes:
-        problems: Why it must not be flown; none if it may be.
-        remarks: What may surprise.
-        closest: The nearest pair; None if there is only one aircraft.
-    """
-
-    problems: tuple[BadShow, ...]
-    remarks: tuple[str, ...]
-    closest: Closest | None
+    problems: tuple[BadShow, ...]  #: why it must not be flown; none if it may be
+    remarks: tuple[str, ...]  #: what may surprise
+    closest: Closest | None  #: the nearest pair; None if there is only one aircraft
 
     @property
     def ok(self) -> bool:

@@ -47,13 +47,7 @@ class ShowRefused(
     cause="a clock that nobody knows well enough, or an aircraft that stands elsewhere",
     remedy="look at `why`; nothing has begun",
 ):
-    """An aircraft does not begin its track.
-
-    Attributes:
-        why: What is in the way.
-        measured: As a number.
-        limit: What it may be.
-    """
+    """An aircraft does not begin its track."""
 
     def __init__(
         self,
@@ -66,9 +60,9 @@ class ShowRefused(
         remedy: str = "",
     ) -> None:
         super().__init__(seen, cause=cause, remedy=remedy)
-        self.why = why
-        self.measured = measured
-        self.limit = limit
+        self.why = why  #: what is in the way
+        self.measured = measured  #: as a number
+        self.limit = limit  #: what it may be
 
 
 class LeftShow(
@@ -77,23 +71,16 @@ class LeftShow(
     cause="wind, a battery that does not give enough, or a line that stood still",
     remedy="it hovers or lands where it is, as its control block was told; the others fly on",
 ):
-    """An aircraft flew its track and could not keep to it.
-
-    Attributes:
-        why: What went wrong.
-        at: Seconds from the beginning of the show.
-        measured: As a number: metres from its track, or seconds by which the clock may be wrong.
-        limit: What it may be.
-    """
+    """An aircraft flew its track and could not keep to it."""
 
     def __init__(
         self, seen: str, *, why: Why, at: float, measured: float, limit: float, cause: str = ""
     ) -> None:
         super().__init__(seen, cause=cause)
-        self.why = why
-        self.at = at
-        self.measured = measured
-        self.limit = limit
+        self.why = why  #: what went wrong
+        self.at = at  #: seconds from the beginning of the show
+        self.measured = measured  #: metres from its track, or s by which the clock may be wrong
+        self.limit = limit  #: what it may be
 
 
 class TrackSteering:

@@ -43,36 +43,22 @@ class BadShow(
     cause="a show that would bring aircraft too near to each other, or a file that is none",
     remedy="`m100link fleet show check FILE` names what is wrong, the aircraft and the time",
 ):
-    """A show that must not be flown, or a file that is none.
+    """A show that must not be flown, or a file that is none."""
 
-    Attributes:
-        aircraft: Names of those it is about; none if it is the whole.
-        at: Seconds from the beginning of the show, None if it is about no moment.
-        measured: What it is, as a number.
-        limit: What it may be.
-    """
-
-    aircraft: tuple[str, ...] = ()
-    at: float | None = None
-    measured: float | None = None
-    limit: float | None = None
+    aircraft: tuple[str, ...] = ()  #: names of those it is about; none if it is the whole
+    at: float | None = None  #: seconds from the beginning of the show, None if it is about no moment
+    measured: float | None = None  #: what it is, as a number
+    limit: float | None = None  #: what it may be
 
 
 @dataclass(frozen=True, slots=True)
 class TimedPoint:
-    """Where to be, and when.
+    """Where to be, and when."""
 
-    Attributes:
-        at: Seconds from the beginning of the show.
-        north: Metres from the show's origin.
-        east: See ``north``.
-        height: Metres above the show's origin.
-    """
-
-    at: float
-    north: float
-    east: float
-    height: float
+    at: float  #: seconds from the beginning of the show
+    north: float  #: metres from the show's origin
+    east: float  #: see ``north``
+    height: float  #: metres above the show's origin
 
     @property
     def place(self) -> Vector:
@@ -82,15 +68,10 @@ class TimedPoint:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """Where a track is at one time.
+    """Where a track is at one time."""
 
-    Attributes:
-        place: North, east and height, m from the show's origin.
-        velocity: North, east and up, m/s.
-    """
-
-    place: Vector
-    velocity: Vector
+    place: Vector  #: north, east and height, m from the show's origin
+    velocity: Vector  #: north, east and up, m/s
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,26 +142,21 @@ class Leg:
 class TimedTrack:
     """What one aircraft flies.
 
-    Attributes:
-        name: Of the aircraft.
-        origin: Latitude and longitude from which north and east count, °.
-        points: Where to be and when, 2 or more; it hovers at the first one until its time, and at
-            the last one afterwards.
-        ground_m: Height of its take-off point above the show's origin, m: where the aircraft's own
-            heights count from. It takes off below its first point.
-        heading_deg: Where the nose points, None for wherever it points when the show begins.
-        tube_m: How far it may be from its track before it leaves the show.
-
     Raises:
         BadShow: These are no track.
     """
 
-    name: str
-    origin: tuple[float, float]
+    name: str  #: of the aircraft
+    origin: tuple[float, float]  #: latitude and longitude from which north and east count, °
+    #: where to be and when, 2 or more; it hovers at the first one until its time, and at the last
+    #: one afterwards
     points: tuple[TimedPoint, ...]
+    #: height of its take-off point above the show's origin, m; the aircraft's own heights count
+    #: from there. It takes off below its first point.
     ground_m: float = 0.0
+    #: where the nose points, None for wherever it points when the show begins
     heading_deg: float | None = None
-    tube_m: float = 1.5
+    tube_m: float = 1.5  #: how far it may be from its track before it leaves the show
 
     def __post_init__(self) -> None:
         for problem in _problems(self):
