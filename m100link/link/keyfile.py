@@ -106,6 +106,14 @@ def replace_file(path: Path, data: bytes, *, mode: int = 0o600) -> None:
     keep_names(path.parent)
 
 
+def is_at(handle: int, path: Path) -> bool:
+    """Whether an open file is the one that stands there."""
+    try:
+        return os.path.samestat(os.fstat(handle), path.stat())
+    except FileNotFoundError:
+        return False
+
+
 def keep_names(folder: Path) -> None:
     """Wait until the disk has the names of the files in a folder, as they are now.
 

@@ -313,14 +313,7 @@ class FleetAgent:
         question.answer(key, pack(self._told(order.id, is_repeated=is_repeated)))
 
     def _begin(self, order: Order) -> None:
-        """Hear an order for the first time.
-
-        Raises:
-            NotAllowed: Not for this aircraft, or not by this identity.
-            MessageError: It says nothing that can be done.
-            StaleLease: It needs the lease, and came without.
-            GuardRefused: It comes too late.
-        """
+        """Hear an order for the first time."""
         if not _ID.fullmatch(order.id):
             raise MessageError("the id of an order is 32 hexadecimal digits")
         if order.aircraft != self._keys.name:
@@ -342,7 +335,7 @@ class FleetAgent:
         self.client.background.spawn(self._carry_out(order, message), "order of the fleet")
 
     def _admitted(self, order: Order) -> Message:
-        """What an order asks for, if it may begin now. Raises: as :meth:`_begin`."""
+        """What an order asks for, if it may begin now."""
         message = decode(order.message)
         if moves(message):
             self.namesakes.require_none(self.client.now)
@@ -517,11 +510,7 @@ class Namesakes:
         )
 
     def require_none(self, now: float) -> None:
-        """Whether what is asked of this name is asked of one aircraft.
-
-        Raises:
-            UsageError: It is not.
-        """
+        """Refuse what is asked of this name where that is asked of two aircraft."""
         if self.is_there(now):
             raise UsageError(
                 f"two agents are named {self._name}: neither moves its aircraft",

@@ -243,11 +243,7 @@ class FleetControl:
             self._owner.cancel()
 
     def _held(self) -> Lease:
-        """The lease.
-
-        Raises:
-            StaleLease: It has ended.
-        """
+        """The lease; StaleLease where it has ended."""
         if self._lease is None or self._lost is not None:
             raise StaleLease(f"{self._name} has no control of {self._keys.name}") from self._lost
         return self._lease

@@ -63,12 +63,9 @@ class OrderAges:
 
 
 def require_young(made_at: float, now: float) -> None:
-    """Whether somebody still waits for an order, whatever else was asked for since.
+    """Refuse an order that nobody waits for any more, whatever else was asked for since.
 
     ``made_at``: when it was made at the earliest, s. ``now``: s.
-
-    Raises:
-        GuardRefused: Nobody does.
     """
     if not now - made_at <= MOST_AGE_S:  # NaN is no time
         raise _late("nobody waits for it any more", made_at, now)

@@ -283,11 +283,7 @@ class Revoked:
 
 
 def sign_revoked(number: int, names: Mapping[str, str], key: ec.EllipticCurvePrivateKey) -> bytes:
-    """The bytes of a list.
-
-    Raises:
-        BadRevoked: They are too many for one list.
-    """
+    """The bytes of a list."""
     told = {"m100link": _KIND, "number": number, "names": dict(names)}
     line = json.dumps(told).encode() + b"\n"
     data = line + base64.b64encode(key.sign(line, ec.ECDSA(SHA256()))) + b"\n"

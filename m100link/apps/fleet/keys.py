@@ -20,11 +20,7 @@ _PARTS = re.compile(r"[0-9]+|[^0-9]+")
 
 
 def check_name(name: str, what: str = "an aircraft") -> str:
-    """The name, if it can be a word of a key.
-
-    Raises:
-        UsageError: It cannot.
-    """
+    """The name, if it can be a word of a key."""
     if not NAME.fullmatch(name):
         raise UsageError(
             f"{name!r} is no name for {what}",

@@ -27,7 +27,7 @@ from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.fleet.payloads import Reply
 from m100link.errors import UsageError
 from m100link.errors.texts import read_json
-from m100link.link.keyfile import replace_file
+from m100link.link.keyfile import is_at, replace_file
 
 _logger = logging.getLogger(__name__)
 
@@ -218,35 +218,21 @@ class FileLedger:
     # -- in the event loop -------------------------------------------------------------------------
 
     async def begin(self, identity: str) -> None:
-        """Keep that an order begins; done when the disk has it.
-
-        Raises:
-            UsageError: The disk does not take it.
-        """
+        """Keep that an order begins."""
         async with self._writing:
             boot, up = self._up()
             await self._write(_begun(identity, boot, up))
             self.begun[identity] = up
 
     async def granted(self, fence: int) -> None:
-        """Keep that a lease has this number; most need no word, for they are reserved.
-
-        Raises:
-            UsageError: The disk does not take it.
-        """
+        """Keep that a lease has this number; most need no word, for they are reserved."""
         async with self._writing:
             if fence >= self._reserved:
                 await self._write({"fence": fence + FENCES_AT_ONCE})
                 self._reserved = fence + FENCES_AT_ONCE
 
     async def flies(self, fence: int) -> None:
-        """Keep who flies; done when the disk has it.
-
-        What it does not take is written with the next word.
-
-        Raises:
-            UsageError: The disk does not take it.
-        """
+        """Keep who flies; what the disk does not take is written with the next word."""
         async with self._writing:
             boot, seconds = self._up()
             self._flown = {"flies": fence, "at": self._utc(), "boot": boot, "up": seconds}
@@ -266,10 +252,10 @@ class FileLedger:
     def _keep(self, *contents: dict[str, Any]) -> str:
         """Write words; returns what is to be told of the disk."""
         with self._in_thread:
-            has_lock = _is_at(self._lock, self._lock_path)
+            has_lock = is_at(self._lock, self._lock_path)
             # What a full disk took a part of is cut off with the next word.
             has_all = os.fstat(self._file).st_size >= self._size
-            is_there = has_lock and has_all and _is_at(self._file, self._path)
+            is_there = has_lock and has_all and is_at(self._file, self._path)
             if not has_lock:
                 self._own()
             if not is_there or self._newest - self._first > 2 * MOST_KEPT:
@@ -336,16 +322,6 @@ class FileLedger:
                 os.close(handle)
         self._file = self._lock = -1
         self._in_thread.release()
-
-
-def _is_at(handle: int, path: Path) -> bool:
-    """Whether an open file is the one that stands there."""
-    own = os.fstat(handle)
-    try:
-        there = path.stat()
-    except FileNotFoundError:
-        return False
-    return (own.st_dev, own.st_ino) == (there.st_dev, there.st_ino)
 
 
 def _write_all(handle: int, data: bytes, at: int) -> None:

@@ -14,6 +14,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import cache
 from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
@@ -300,26 +301,45 @@ class MissionCard:
 
 Value = Order | Reply | Card | MissionCard
 
-_FIELDS: dict[type[Any], Fields] = {kind: Fields(kind) for kind in Value.__args__}
+
+@cache
+def _fields(kind: Any) -> Fields:
+    return Fields(kind)
 
 
 def _proof(token: str, data: bytes) -> bytes:
     return hmac.new(token.encode(), data, hashlib.sha256).digest()[:_PROOF]
 
 
-def pack(value: Value | Message) -> bytes:
-    """The bytes of a value of a fleet, or of a message of the agent.
-
-    Raises:
-        MessageError: It cannot be written.
-    """
-    if not isinstance(value, Value):
-        return bytes([VERSION]) + encode(value)
+def to_json(value: Any) -> bytes:
+    """A value as JSON; MessageError where it cannot be written."""
+    kind: Any = type(value)
     try:
-        text = json.dumps(_FIELDS[type(value)].write(value), separators=(",", ":"))
+        text = json.dumps(_fields(kind).write(value), separators=(",", ":"))
     except BadValue as error:
-        raise MessageError(f"{type(value).__name__} cannot be sent: {error}") from None
-    return bytes([VERSION]) + text.encode()
+        raise MessageError(f"{kind.__name__} cannot be sent: {error}") from None
+    return text.encode()
+
+
+def parsed(text: bytes, what: str) -> object:
+    """What stands in JSON that came; MessageError where it is none."""
+    try:
+        return read_json(text)
+    except ValueError:
+        raise MessageError(f"not {what}: this is not JSON") from None
+
+
+def value_of(kind: Any, found: object, what: str = "") -> Any:
+    """The value that JSON means; MessageError where it is none of that kind."""
+    try:
+        return _fields(kind).read(found)
+    except BadValue as error:
+        raise MessageError(f"not {what or f'a {kind.__name__}'}: {error}") from None
+
+
+def pack(value: Value | Message) -> bytes:
+    """The bytes of a value of a fleet, or of a message of the agent; MessageError for none."""
+    return bytes([VERSION]) + (to_json(value) if isinstance(value, Value) else encode(value))
 
 
 def body(payload: bytes, most: int = _MOST) -> bytes:
@@ -340,18 +360,8 @@ def body(payload: bytes, most: int = _MOST) -> bytes:
 
 
 def unpack(kind: type[Any], payload: bytes) -> Any:
-    """The value of these bytes.
-
-    Raises:
-        MessageError: They are none of that kind, or of another version.
-    """
-    text = body(payload)
-    try:
-        return _FIELDS[kind].read(read_json(text))
-    except BadValue as error:
-        raise MessageError(f"not a {kind.__name__}: {error}") from None
-    except ValueError:
-        raise MessageError(f"not a {kind.__name__}: this is not JSON") from None
+    """The value of these bytes; MessageError for another kind or version."""
+    return value_of(kind, parsed(body(payload), f"a {kind.__name__}"))
 
 
 def unpack_message(payload: bytes) -> Message:
@@ -374,12 +384,9 @@ def unpack_steer(
 ) -> tuple[Steer, bool] | None:
     """The setpoint in these bytes, and whether it begins a stream.
 
-    Returns None when the lease that it names is not proved.
+    Returns None when the lease that it names is not proved. Raises MessageError: they are none.
 
     ``token_of``: secret of the lease of a number; None where none was granted.
-
-    Raises:
-        MessageError: They are none.
     """
     found = body(payload)
     proof, data = found[:_PROOF], found[_PROOF:]

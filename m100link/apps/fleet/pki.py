@@ -266,11 +266,7 @@ def _usage(*, digital_signature: bool, key_cert_sign: bool) -> x509.KeyUsage:
 
 
 def _authority(folder: Path, now: datetime) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
-    """Its certificate and key.
-
-    Raises:
-        BadAuthority: They are not there, are none, do not belong together, or have ended.
-    """
+    """Its certificate and key."""
     try:
         certificate = x509.load_pem_x509_certificate((folder / AUTHORITY).read_bytes())
         key = load_pem_private_key((folder / f"{_CA}.key").read_bytes(), None)
@@ -303,11 +299,7 @@ def _pem_of(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 
 def _write(files: dict[Path, bytes], *, force: bool) -> None:
-    """Write all of them or none, each readable for its owner alone.
-
-    Raises:
-        BadAuthority: One is there, or cannot be written.
-    """
+    """Write all of them or none, each readable for its owner alone."""
     there = [path for path in files if path.exists() or path.is_symlink()]
     if there and not force:
         raise BadAuthority(

@@ -134,11 +134,7 @@ class LogFetcher:
             at = began_at = 0  # what was here from before is of something else
 
     async def _same(self, entry: LogEntry, part: Part) -> int:
-        """How many bytes of the log were fetched before.
-
-        Raises:
-            UsageError: The file of that name is another one.
-        """
+        """How many bytes of the log were fetched before."""
         have, digest = await _in_thread(part.whole_digest)
         if have > entry.size or await self._digest(entry.log, have) != digest:
             raise UsageError(

@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from io import FileIO
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Any, TypeVar
 
 from m100link.apps.agent.background import BackgroundTasks
 from m100link.apps.agent.remote_error import fault_of
@@ -51,17 +51,6 @@ _MOST_WAIT_S = 0.5
 _LIST_COSTS = 64 * 1024
 _DIGEST_S = 0.5
 _MOST_DIGESTS = 8
-
-
-class Apart(Protocol):
-    """Where the disk is waited for."""
-
-    async def do(self, work: Callable[[], T]) -> T:
-        """Have it done, and wait for what it gives."""
-        ...
-
-    def close(self) -> None:
-        """Nothing more is done."""
 
 
 class OwnThreads:
@@ -98,7 +87,7 @@ class LogService:
         # Looks at each question; without it the router alone decides who may ask.
         verify: Verify | None = None,
         rate: float = RATE,  # bytes a second, at most
-        apart: Apart | None = None,  # where the disk is waited for
+        apart: OwnThreads | None = None,  # where the disk is waited for
     ) -> None:
         if not rate > 0.0:
             raise UsageError(f"logs cannot leave at {rate:g} bytes a second")
@@ -156,13 +145,6 @@ class LogService:
         question.answer(self._keys.log, payload)
 
     async def _answered(self, order: Order) -> bytes:
-        """The answer.
-
-        Raises:
-            NotAllowed: Not for this aircraft, or not by this identity.
-            MessageError: It asks nothing about logs.
-            UsageError: There is no such log.
-        """
         if order.aircraft != self._keys.name:
             raise NotAllowed(f"an order to {order.aircraft} came to {self._keys.name}")
         if self._verify is not None:
@@ -170,38 +152,30 @@ class LogService:
         question = unpack_question(order.message)
         return await self._doing[question.what](question, order)
 
-    def _turn(self, size: int) -> float:
-        """Seconds until the turn of so many bytes; a negative number is when to ask again."""
+    async def _may_go(self, size: int) -> float:
+        """Wait for the turn of so many bytes; 0, or seconds after which to ask again."""
         now = self._clock()
         waits = max(0.0, self._free_at - now)
         if waits > _MOST_WAIT_S:
-            return -waits
+            return waits
         self._free_at = now + waits + size / self._rate
-        return waits
-
-    async def _may_go(self, size: int) -> float:
-        """Wait for the turn of so many bytes; 0, or seconds after which to ask again."""
-        waits = self._turn(size)
-        if waits < 0.0:
-            return -waits
         await asyncio.sleep(waits)
         return 0.0
 
     async def _list(self, question: LogQuestion, order: Order) -> bytes:
         again = await self._may_go(_LIST_COSTS)
-        entries = [] if again else await self._apart.do(self._shelf.entries)
-        return pack_reply(
-            self._reply(order, again_s=again), b"" if again else pack_entries(entries)
-        )
+        if again:
+            return self._told(order, again_s=again)
+        return self._told(order, pack_entries(await self._apart.do(self._shelf.entries)))
 
     async def _piece(self, question: LogQuestion, order: Order) -> bytes:
         again = await self._may_go(question.length)
         if again:
-            return pack_reply(self._reply(order, again_s=again))
+            return self._told(order, again_s=again)
         log, offset, length = question.log, question.offset, question.length
         data, entry = await self._apart.do(lambda: self._shelf.piece(log, offset, length))
-        reply = self._reply(order, offset=offset, size=entry.size, is_written=entry.is_written)
-        return pack_reply(reply, data)
+        is_written = entry.is_written
+        return self._told(order, data, offset=offset, size=entry.size, is_written=is_written)
 
     async def _digest(self, question: LogQuestion, order: Order) -> bytes:
         """Of one log at a time: whoever asks comes again until it is ready."""
@@ -209,36 +183,25 @@ class LogService:
         task = self._digests.get(wanted)
         if task is None:
             if any(not one.done() for one in self._digests.values()):
-                return pack_reply(self._reply(order, again_s=_DIGEST_S))
+                return self._told(order, again_s=_DIGEST_S)
             task = self._background.spawn(self._digested(*wanted), f"digest of {question.log}")
             self._digests[wanted] = task
             while len(self._digests) > _MOST_DIGESTS:
                 self._digests.popitem(last=False)
         await asyncio.wait([task], timeout=_DIGEST_S)
         if not task.done():
-            return pack_reply(self._reply(order, again_s=_DIGEST_S))
+            return self._told(order, again_s=_DIGEST_S)
         if task.cancelled() or task.exception() is not None:
             del self._digests[wanted]  # another time the disk may do it
-        return pack_reply(self._reply(order, size=question.length), await task)
+        return self._told(order, await task, size=question.length)
 
     async def _digested(self, log: str, length: int) -> bytes:
         return await self._apart.do(
             lambda: self._shelf.digest(log, length, lambda: not self._is_ended)
         )
 
-    def _reply(
-        self,
-        order: Order,
-        *,
-        again_s: float = 0.0,
-        offset: int = 0,
-        size: int = 0,
-        is_written: bool = False,
-    ) -> LogReply:
-        name = self._keys.name
-        return LogReply(
-            order.id, name, again_s=again_s, offset=offset, size=size, is_written=is_written
-        )
+    def _told(self, order: Order, data: bytes = b"", **fields: Any) -> bytes:
+        return pack_reply(LogReply(order.id, self._keys.name, **fields), data)
 
 
 # -- the folder of logs on board, as whoever asks over the network sees it -------------------------
@@ -322,11 +285,7 @@ class Shelf:
 
     @contextmanager
     def _opened(self, log: str) -> Iterator[FileIO]:
-        """A log.
-
-        Raises:
-            UsageError: There is none of that name.
-        """
+        """A log; UsageError where there is none of that name."""
         if self._folder is None or not is_log_name(log):
             raise _no_log(log, "nothing is recorded")
         # Neither through a link, nor into what would wait for another program, such as a pipe.

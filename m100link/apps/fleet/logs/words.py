@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
-import json
 import os
 import threading
 from collections.abc import Iterator
@@ -17,14 +16,12 @@ from dataclasses import dataclass
 from enum import Enum
 from io import FileIO
 from pathlib import Path
-from typing import Any
 
-from m100link.apps.agent.codec import BadValue, Fields
 from m100link.apps.agent.remote_error import Fault, MessageError
-from m100link.apps.fleet.payloads import VERSION, Outcome, body
+from m100link.apps.fleet.payloads import VERSION, Outcome, body, parsed, to_json, value_of
 from m100link.errors import UsageError
-from m100link.errors.texts import read_json, read_path
-from m100link.link.keyfile import keep_names
+from m100link.errors.texts import read_path
+from m100link.link.keyfile import is_at, keep_names
 from m100link.log.folder import is_log_name
 
 LOG = b"log\n"
@@ -83,23 +80,17 @@ class LogEntry:
     is_written: bool  #: whether it is being written still
 
 
-_QUESTION, _REPLY, _ENTRY = Fields(LogQuestion), Fields(LogReply), Fields(LogEntry)
-
-
 def pack_question(question: LogQuestion) -> bytes:
     """The message of the order that asks it."""
-    return LOG + json.dumps(_QUESTION.write(question)).encode()
+    return LOG + to_json(question)
 
 
 def unpack_question(message: bytes) -> LogQuestion:
-    """What the message of an order asks.
-
-    Raises:
-        MessageError: Nothing about logs, or what cannot be.
-    """
+    """What the message of an order asks."""
     if not message.startswith(LOG):
         raise MessageError("an order came where logs are asked, and is about none")
-    question: LogQuestion = _read(_QUESTION, message[len(LOG) :], "question about logs")
+    what = "a question about logs"
+    question: LogQuestion = value_of(LogQuestion, parsed(message[len(LOG) :], what), what)
     if question.what is not What.LIST and not is_log_name(question.log):
         raise MessageError(
             f"{question.log[:80]!r} is no name of a log", remedy="m100link fleet log list NAME"
@@ -111,68 +102,36 @@ def unpack_question(message: bytes) -> LogQuestion:
 
 
 def pack_reply(reply: LogReply, data: bytes = b"") -> bytes:
-    """The bytes of an answer.
-
-    Raises:
-        MessageError: It cannot be written.
-    """
-    try:
-        head = json.dumps(_REPLY.write(reply), separators=(",", ":")).encode()
-    except BadValue as error:
-        raise MessageError(f"an answer about logs cannot be sent: {error}") from None
-    return bytes([VERSION]) + head + b"\n" + data
+    """The bytes of an answer."""
+    return bytes([VERSION]) + to_json(reply) + b"\n" + data
 
 
 def unpack_reply(payload: bytes) -> tuple[LogReply, bytes]:
-    """The answer in these bytes, and what stands behind it.
-
-    Raises:
-        MessageError: There is none, or of another version.
-    """
+    """The answer in these bytes, and what stands behind it."""
     head, _, data = body(payload, MOST_PIECE + _MOST_HEAD).partition(b"\n")
     if len(data) > MOST_PIECE:
         raise MessageError(f"{len(data)} bytes of a log in one answer")
-    reply: LogReply = _read(_REPLY, head, "answer about logs")
+    what = "an answer about logs"
+    reply: LogReply = value_of(LogReply, parsed(head, what), what)
     return reply, data
 
 
 def pack_entries(entries: list[LogEntry]) -> bytes:
     """The newest logs as an answer carries them."""
-    return json.dumps([_ENTRY.write(one) for one in entries[:MOST_ENTRIES]]).encode()
+    return b"[" + b",".join(map(to_json, entries[:MOST_ENTRIES])) + b"]"
 
 
 def unpack_entries(data: bytes) -> list[LogEntry]:
-    """The logs of a list. None has a name that leads out of a folder: it becomes one of a file.
-
-    Raises:
-        MessageError: It is none.
-    """
-    found = _json(data, "list of logs")
+    """The logs of a list. None has a name that leads out of a folder: it becomes one of a file."""
+    found = parsed(data, "a list of logs")
     if not isinstance(found, list) or len(found) > MOST_ENTRIES:
         raise MessageError("not a list of logs")
-    try:
-        entries = [_ENTRY.read(one) for one in found]
-    except BadValue as error:
-        raise MessageError(f"not a list of logs: {error}") from None
+    entries = [value_of(LogEntry, one, "a list of logs") for one in found]
     return [
         one
         for one in entries
         if is_log_name(one.log) and one.size >= 0 and 0.0 <= one.at <= _LAST_UTC
     ]
-
-
-def _json(data: bytes, what: str) -> object:
-    try:
-        return read_json(data)
-    except ValueError:
-        raise MessageError(f"this is no {what}: it is not JSON") from None
-
-
-def _read(fields: Fields, data: bytes, what: str) -> Any:
-    try:
-        return fields.read(_json(data, what))
-    except BadValue as error:
-        raise MessageError(f"this is no {what}: {error}") from None
 
 
 # -- A log that is on its way, in a file whose name ends in ``.part`` ------------------------------
@@ -209,7 +168,7 @@ class Part:
         """
         with self._lock, _telling(self.path):
             file = self._locked()
-            while not _is_at(file, self.path):
+            while not is_at(file.fileno(), self.path):
                 # Whoever had it made it the log meanwhile, or removed it: that is not this part.
                 file.close()
                 file = self._locked()
@@ -294,13 +253,6 @@ class Part:
         if self._file is None:  # it was closed here while a thread was about to go on
             raise OSError("it is closed")
         return self._file
-
-
-def _is_at(file: FileIO, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(file.fileno()), path.stat())
-    except FileNotFoundError:
-        return False
 
 
 @contextmanager

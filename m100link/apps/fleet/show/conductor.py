@@ -147,12 +147,7 @@ class Conductor:
     # -- one of them -----------------------------------------------------------------------------
 
     async def _ask(self, track: TimedTrack, wanted: dict[str, Any]) -> Part:
-        """One question; each try is an order of its own, which the stage admits once.
-
-        Raises:
-            Unreachable: No answer came to any try.
-            M100Error: What the agent says.
-        """
+        """One question; each try is an order of its own, which the stage admits once."""
         asker, key = self._askers[track.name], self._keys[track.name].show
         message = SHOW + json.dumps(wanted | {"run": self._run}).encode()
         for _ in range(_TRIES):

@@ -26,13 +26,13 @@ from m100link.apps.fleet.payloads import (
     Reply,
     outcome_of,
     pack,
+    parsed,
     unpack,
 )
 from m100link.apps.fleet.show.performer import Performer
 from m100link.apps.fleet.show.plan.conflicts import Ahead, Neighbours
 from m100link.apps.fleet.show.plan.track import MAX_POINTS, BadShow
 from m100link.errors import M100Error, NotAllowed
-from m100link.errors.texts import read_json
 
 _TELL_S = 0.2
 _MOST_ORDER = 4096
@@ -200,11 +200,7 @@ class ShowService:
         return Neighbours(show, self._keys.name, least, count) if show else None
 
     def _require_wanted(self, order: Order) -> None:
-        """Whether it is waited for still, and was made after whatever ended a show here.
-
-        Raises:
-            GuardRefused: It was not.
-        """
+        """Refuse what nobody waits for still, or was made before whatever ended a show here."""
         self.performer.ages.check(order.clock, self._client.now)
 
     def _require_name(self) -> None:
@@ -244,10 +240,7 @@ class ShowService:
 def _read(message: bytes) -> dict[str, Any]:
     if not message.startswith(SHOW):
         raise MessageError("an order came where shows are asked, and is about none")
-    try:
-        found = read_json(message[len(SHOW) :])
-    except ValueError as error:
-        raise MessageError("an order to a show is not JSON") from error
+    found = parsed(message[len(SHOW) :], "an order to a show")
     if not isinstance(found, dict):
         raise MessageError("an order to a show is no object")
     return found

@@ -14,7 +14,7 @@ from m100link.apps.fleet.asking import Asker
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.logs import fetching
 from m100link.apps.fleet.logs.fetching import LogFetcher
-from m100link.apps.fleet.logs.service import LogService
+from m100link.apps.fleet.logs.service import LogService, OwnThreads
 from tests.apps.bus.memory import MemoryBus, MemoryNetwork
 from tests.apps.fleet.conftest import UTC
 
@@ -38,8 +38,11 @@ def shelf(tmp_path: Path) -> Path:
     return folder
 
 
-class AtOnce:
+class AtOnce(OwnThreads):
     """A disk that nobody waits for: on virtual time a thread would take hours."""
+
+    def __init__(self) -> None:
+        """It has no threads."""
 
     async def do(self, work: Callable[[], T]) -> T:
         await asyncio.sleep(0.001)

@@ -84,11 +84,7 @@ class Ahead:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Read what another aircraft tells.
-
-        Raises:
-            BadShow: It is none.
-        """
+        """Read what another aircraft tells."""
         try:
             if len(data) > _MOST_BYTES:
                 raise ValueError("too long")

@@ -92,11 +92,7 @@ class TrackSteering:
         self.farthest_m = 0.0  # farthest from where it should have been
 
     def require_below(self, here: Vector) -> None:
-        """Whether it may take off here: below its first point, or above that.
-
-        Raises:
-            ShowRefused: It stands elsewhere.
-        """
+        """Refuse a take-off that is neither below its first point nor above it."""
         first, name, tube = self._track.points[0], self._track.name, self._track.tube_m
         aside = math.dist(here[:2], (first.north, first.east))
         if not aside <= tube:
@@ -112,11 +108,7 @@ class TrackSteering:
             )
 
     def require_fast_enough(self) -> None:
-        """Whether what may be asked for suffices for its track.
-
-        Raises:
-            ShowRefused: It does not: it would fall behind, and leave.
-        """
+        """Refuse a track that needs more than may be asked for: it would fall behind, and leave."""
         needed = self._track.fastest[0]
         if needed > self._fastest:
             raise ShowRefused(
