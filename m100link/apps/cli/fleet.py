@@ -15,9 +15,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
+from rich.console import Console
 
 from m100link.apps.cli.common import err, out
 from m100link.apps.cli.options import Above0
+from m100link.apps.cli.plan import File, require_free
 from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, print_json
 from m100link.apps.fleet.asking import PATIENCE_S, Sign
 from m100link.apps.fleet.client import Fleet, FleetAircraft, connect
@@ -49,7 +51,7 @@ class Begun:
 
     def __init__(self, do: Callable[[FleetAircraft], Awaitable[object]], left: Left) -> None:
         self._do, self._left = do, left
-        self._results: dict[str, Result] = {}
+        self.results: dict[str, Result] = {}  # what is known of each that was asked
 
     async def __call__(self, aircraft: FleetAircraft) -> object:
         """Ask one.
@@ -57,19 +59,14 @@ class Begun:
         Raises: as what is done.
         """
         name = aircraft.name
-        self._results[name] = self._left.of(name)
+        self.results[name] = self._left.of(name)
         try:
             value = await self._do(aircraft)
         except M100Error as error:
-            self._results[name] = Result.of(name, error)
+            self.results[name] = Result.of(name, error)
             raise
-        self._results[name] = Result.of(name, None, value)
+        self.results[name] = Result.of(name, None, value)
         return value
-
-    @property
-    def results(self) -> dict[str, Result]:
-        """What is known of each that was asked."""
-        return dict(self._results)
 
 
 @contextmanager
@@ -80,8 +77,7 @@ def told_when_interrupted(name: str, left: Left) -> Iterator[None]:
     except asyncio.CancelledError:
         result = left.of(name)
         if result.error is not None:
-            err.print(f"{name}: {result.error.seen}", markup=False, soft_wrap=True)
-            err.print(result.error.remedy, markup=False, soft_wrap=True)
+            say(f"{name}: {result.error.seen}", result.error.remedy, to=err)
         raise
 
 
@@ -217,8 +213,56 @@ def wanted_names(names: tuple[str, ...], everybody: bool) -> list[str] | None:
     return None if everybody else list(names)
 
 
-def tell_results(results: dict[str, Result], *, as_json: bool) -> int:
+async def results_of(
+    names: tuple[str, ...],
+    everybody: bool,
+    options: FleetOptions,
+    do: Callable[[FleetAircraft], Awaitable[object]],
+) -> dict[str, Result]:
+    """Do something with each aircraft that is named, or that is there."""
+    wanted = wanted_names(names, everybody)
+    async with options.open() as fleet:
+        return await fleet.each(do, wanted)
+
+
+def say(*lines: str, to: Console = out) -> None:
+    """Print lines as they are."""
+    for line in lines:
+        to.print(line, markup=False, soft_wrap=True)
+
+
+def tell(facts: dict[str, Any], *lines: str, as_json: bool) -> int:
+    """Print an object of JSON, or lines for people."""
+    if as_json:
+        print_json(facts)
+    else:
+        say(*lines)
+    return ExitCode.OK
+
+
+def write_out(target: File, text: str, *, force: bool) -> None:
+    """Write a file; - is standard output.
+
+    Raises UsageError: it is there already, or cannot be written.
+    """
+    if str(target) == "-":
+        sys.stdout.write(text)
+        return
+    require_free(target, force=force)
+    try:
+        Path(target).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UsageError(
+            f"{target} cannot be written: {error.strerror}", remedy="name another file"
+        ) from error
+
+
+def tell_results(results: dict[str, Result], options: FleetOptions) -> int:
     """Print what became of an order to each; 0 only when all is well."""
+    as_json = options.json_output
+    if not results:
+        err.print(f"no agent is there at site {options.site}")
+        return ExitCode.NO_LINK
     for name in in_order(results):
         result = results[name]
         error = result.error
@@ -231,9 +275,9 @@ def tell_results(results: dict[str, Result], *, as_json: bool) -> int:
         why = "" if error is None else f"  {error.seen}"
         style = "green" if result.is_ok else "red"
         out.print(f"{name:12} [{style}]{result.outcome.value}[/]", end="")
-        out.print(why, markup=False, soft_wrap=True)
+        say(why)
         if error is not None and error.remedy:
-            err.print(f"{'':12} {error.remedy}", markup=False, soft_wrap=True)
+            say(f"{'':12} {error.remedy}", to=err)
     bad = [result for result in results.values() if not result.is_ok]
     if bad and not as_json:
         sys.stdout.flush()

@@ -7,7 +7,7 @@ import signal
 import sys
 from collections.abc import Awaitable, Callable
 from dataclasses import asdict, dataclass
-from pathlib import Path
+from functools import partial
 from typing import Annotated, Any
 
 from cyclopts import Parameter
@@ -19,12 +19,15 @@ from m100link.apps.cli.fleet import (
     FleetOptions,
     Left,
     borrowed,
+    say,
     shared,
+    tell,
     told_when_interrupted,
+    write_out,
 )
 from m100link.apps.cli.mission import event_name, event_words
 from m100link.apps.cli.options import Above0, AsJson, Flag, group
-from m100link.apps.cli.plan import File, FileOptions, read_plan, require_free
+from m100link.apps.cli.plan import File, FileOptions, read_plan
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json, wants_json
 from m100link.apps.fleet.client import FleetAircraft
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
@@ -90,7 +93,7 @@ def fly(
                         async for event in mission:
                             show.tell(event)
         except (asyncio.CancelledError, ReaderGone):
-            err.print(show.stopped(), markup=False, soft_wrap=True)
+            say(show.stopped(), to=err)
             raise
         return ExitCode.OK
 
@@ -103,17 +106,21 @@ def fly(
 
 
 def _confirm(name: str, plan: WaypointPlan, *, take_off: bool) -> None:
-    """Whether it may fly. Raises UsageError: nobody says so."""
     err.print(
         f"{name}: {len(plan.waypoints)} waypoints, about {plan.estimate()}; at the end "
         f"{plan.at_end.name.lower().replace('_', ' ')}, without RC {plan.on_rc_loss.name.lower()}. "
         "Ctrl-C stops it.",
         markup=False,
     )
-    if not sys.stdin.isatty():
-        raise UsageError(f"nobody can be asked whether {name} may fly this", remedy="--yes")
     what = "take off and fly" if take_off else "fly"
-    if input(f"{what} this mission? [y/N] ").lower() != "y":
+    _ask(f"{name} may fly this", f"{what} this mission?")
+
+
+def _ask(what: str, question: str) -> None:
+    """Whether it may begin. Raises UsageError: nobody says so."""
+    if not sys.stdin.isatty():
+        raise UsageError(f"nobody can be asked whether {what}", remedy="--yes")
+    if input(f"{question} [y/N] ").lower() != "y":
         raise UsageError("nothing was begun")
 
 
@@ -190,11 +197,8 @@ def _ordering(
 
             with told_when_interrupted(name, left):
                 told = await do(MissionOrders(ask), aircraft) or done
-        if options.json_output:
-            print_json({"name": name, "outcome": "ok", "told": told})
-        else:
-            out.print(f"{name}: {told}", markup=False)
-        return ExitCode.OK
+        facts = {"name": name, "outcome": "ok", "told": told}
+        return tell(facts, f"{name}: {told}", as_json=options.json_output)
 
     return run_async(run())
 
@@ -275,11 +279,8 @@ def stop(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
         async with options.open() as fleet:
             with told_when_interrupted(name, _STOP):
                 await fleet[name].stop()
-        if options.json_output:
-            print_json({"name": name, "outcome": "ok"})
-        else:
-            out.print(f"{name}: stopped", markup=False)
-        return ExitCode.OK
+        facts = {"name": name, "outcome": "ok"}
+        return tell(facts, f"{name}: stopped", as_json=options.json_output)
 
     return run_async(run())
 
@@ -295,11 +296,8 @@ def progress(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
     async def run() -> int:
         async with options.open() as fleet:
             card = await fleet[name].mission()
-        if options.json_output:
-            print_json(asdict(card) | {"stage": card.stage.value, "reached": list(card.reached)})
-        else:
-            out.print(f"{name}: {_progress(card)}", markup=False, soft_wrap=True)
-        return ExitCode.OK
+        facts = asdict(card) | {"stage": card.stage.value, "reached": list(card.reached)}
+        return tell(facts, f"{name}: {_progress(card)}", as_json=options.json_output)
 
     return run_async(run())
 
@@ -389,7 +387,7 @@ def check(
             f"{nearest.at:.2f} s; {nearest.needed_m:.2f} m are needed"
         )
     lines += [f"  {track.name} {track.digest[:16]}" for track in found.tracks]
-    _say(lines)
+    say(*lines)
     return status
 
 
@@ -415,11 +413,6 @@ def _problem(error: BadShow) -> dict[str, Any]:
     }
 
 
-def _say(lines: list[str]) -> None:
-    for line in lines:
-        out.print(line, markup=False, soft_wrap=True)
-
-
 @shows.command
 def preview(
     show: File,
@@ -442,12 +435,9 @@ def preview(
     found = _read(show)
     report = report_on(found, guards.envelope)
     if picture is None:
-        _say(_drawn(found))
-    elif str(picture) == "-":
-        sys.stdout.write(svg(found, report))
+        say(*_drawn(found))
     else:
-        require_free(picture, force=force)
-        _write(picture, svg(found, report))
+        write_out(picture, svg(found, report), force=force)
     for problem in report.problems:
         sys.stderr.write(f"✗ {problem.seen}\n")
     return ExitCode.OK if report.ok else ExitCode.USAGE
@@ -477,14 +467,13 @@ def fly_show(
     found = _read(show)
     report = report_on(found, guards.envelope)
     for problem in report.problems:
-        err.print(f"✗ {problem.seen}", markup=False, soft_wrap=True)
+        say(f"✗ {problem.seen}", to=err)
     if not report.ok:
         raise UsageError("this show is not flown", remedy="m100link fleet show check FILE")
     if not yes:
-        _ask(found)
-
-    def tell(text: str) -> None:
-        err.print(text, markup=False, soft_wrap=True)
+        names = ", ".join(track.name for track in found.tracks)
+        question = f"{names} take off and fly for {found.duration:g} s. Go on?"
+        _ask(f"{names} may take off", question)
 
     async def run() -> int:
         async with options.open() as fleet:
@@ -495,29 +484,18 @@ def fly_show(
                 found,
                 leave=leave,
                 sign=options.sign(),
-                tell=tell,
+                tell=partial(say, to=err),
             )
             parts = await conductor.fly()
         for part in parts.values():
             stage = "silent" if part.stage is None else part.stage.value
-            if options.json_output:
-                print_json({"name": part.name, "stage": stage, "why": part.why})
-            else:
-                words = part.why or f"at most {part.farthest_m:.2f} m from its track"
-                out.print(f"{part.name}: {stage}, {words}", markup=False, soft_wrap=True)
+            words = part.why or f"at most {part.farthest_m:.2f} m from its track"
+            facts = {"name": part.name, "stage": stage, "why": part.why}
+            tell(facts, f"{part.name}: {stage}, {words}", as_json=options.json_output)
         is_flown = all(part.stage is Stage.FLOWN for part in parts.values())
         return ExitCode.OK if is_flown else ExitCode.FAILED
 
     return run_async(run())
-
-
-def _ask(show: Show) -> None:
-    """Whether they may take off. Raises UsageError: nobody says so."""
-    names = ", ".join(track.name for track in show.tracks)
-    if not sys.stdin.isatty():
-        raise UsageError(f"nobody can be asked whether {names} may take off", remedy="--yes")
-    if input(f"{names} take off and fly for {show.duration:g} s. Go on? [y/N] ").lower() != "y":
-        raise UsageError("nothing was begun")
 
 
 def _drawn(show: Show) -> list[str]:
@@ -533,12 +511,3 @@ def _drawn(show: Show) -> list[str]:
         lines += ["", "least distance of any two"]
         lines += line_plot(distances(show), unit="m", columns=width - 10, rows=6)
     return lines
-
-
-def _write(picture: File, text: str) -> None:
-    try:
-        Path(picture).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(
-            f"{picture} cannot be written: {error.strerror}", remedy="name another file"
-        ) from error

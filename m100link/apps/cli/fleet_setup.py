@@ -6,7 +6,6 @@ import asyncio
 import json
 import logging
 import os
-import sys
 import time
 import webbrowser
 from collections.abc import Iterable
@@ -19,18 +18,20 @@ from cyclopts import Parameter
 
 from m100link.apps.agent.journal import JOURNAL_LOG
 from m100link.apps.agent.messages import Event
-from m100link.apps.cli.common import Told, err, out, places, run_async
+from m100link.apps.cli.common import Told, err, places, run_async
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
     ROUTER,
     All,
     FleetOptions,
     Names,
+    results_of,
+    tell,
     tell_results,
-    wanted_names,
+    write_out,
 )
 from m100link.apps.cli.options import Above0, AsJson, Counted, group, offered, options_of
-from m100link.apps.cli.plan import File, require_free
+from m100link.apps.cli.plan import File
 from m100link.apps.cli.serve import (
     AS_USUAL,
     RunOptions,
@@ -40,7 +41,7 @@ from m100link.apps.cli.serve import (
     show,
     warn_of,
 )
-from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, print_json, wants_json
+from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, wants_json
 from m100link.apps.fleet.client import open_fleet
 from m100link.apps.fleet.identity import BadRights, Right, Rights, nobody
 from m100link.apps.fleet.keys import DEFAULT_SITE
@@ -139,10 +140,7 @@ def router(
     async def run() -> None:
         ended = Told()
         async with open_fleet("router", listen=listen, connect=connect, options=options):
-            if json_output:
-                print_json({"listen": list(listen)})
-            else:
-                out.print(f"router: {', '.join(listen)}", markup=False, soft_wrap=True)
+            tell({"listen": list(listen)}, f"router: {', '.join(listen)}", as_json=json_output)
             await ended.wait()
 
     return run_async(run())
@@ -221,7 +219,7 @@ async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, run: RunOp
     events = logging.getLogger(__name__)
     with Teller() as teller:
 
-        def tell(name: str, event: Event) -> None:
+        def tell_event(name: str, event: Event) -> None:
             if run.log.log_json:
                 level = logging.getLevelNamesMapping()[event.level.upper()]
                 events.log(level, "%s", event.text, extra={"aircraft": name})
@@ -230,12 +228,10 @@ async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, run: RunOp
             text = f"{name}: {event.text}"
             teller.do(lambda: err.print(text, style=style, markup=False, soft_wrap=True))
 
-        async with serving_fleet(aircraft, fleet, tell) as agents:
-            if run.json_output:
-                print_json({"fleet": fleet.site, "agents": list(agents)})
-            else:
-                names = ", ".join(agents)
-                out.print(f"fleet:     {fleet.site}: {names}", markup=False, soft_wrap=True)
+        async with serving_fleet(aircraft, fleet, tell_event) as agents:
+            words = f"fleet:     {fleet.site}: {', '.join(agents)}"
+            facts = {"fleet": fleet.site, "agents": list(agents)}
+            tell(facts, words, as_json=run.json_output)
             leave_what_stays()
             await ended.wait()
             teller.do(lambda: err.print("ending: an aircraft that flies hovers"))
@@ -296,11 +292,8 @@ async def _serve_console(
         scheme = "http" if settings.tls_cert is None else "https"
         path = served.fronts.console_path()
         url = f"{scheme}://{settings.authority(served.console_port)}{path}"
-        if options.json_output:
-            print_json({"console": url, "aircraft": served.names})
-        else:
-            out.print(f"console:   {url}", markup=False, soft_wrap=True)
-            out.print(f"aircraft:  {', '.join(served.names)}", markup=False, soft_wrap=True)
+        words = f"console:   {url}", f"aircraft:  {', '.join(served.names)}"
+        tell({"console": url, "aircraft": served.names}, *words, as_json=options.json_output)
         warn_of(settings)
         if is_opened:
             await asyncio.to_thread(webbrowser.open, url)
@@ -381,13 +374,13 @@ def revoke(
     if not names:
         raise UsageError("nobody is named", remedy="m100link fleet pki revoke NAME --folder FOLDER")
     found = revoke_names(folder, names, now=datetime.now(UTC))
-    if wants_json(json):
-        print_json({"number": found.number, "names": dict(found.names)})
-        return ExitCode.OK
-    _say([f"{folder / LIST}: list {found.number}"])
-    _say([f"  {name}: revoked since {since}" for name, since in found.names.items()])
-    _say(["m100link fleet pki push --all brings it to the agents; start routers anew with it"])
-    return ExitCode.OK
+    return tell(
+        {"number": found.number, "names": dict(found.names)},
+        f"{folder / LIST}: list {found.number}",
+        *(f"  {name}: revoked since {since}" for name, since in found.names.items()),
+        "m100link fleet pki push --all brings it to the agents; start routers anew with it",
+        as_json=wants_json(json),
+    )
 
 
 @pki.command(name="list")
@@ -399,13 +392,10 @@ def list_(*, folder: Path = Path(), json: AsJson = None) -> int:
         json: One JSON object for each instead of text; the default when output is no terminal.
     """
     for name, ends, since in listed(folder):
-        if wants_json(json):
-            told = {"name": name, "ends": ends.isoformat(), "revoked": since or None}
-            print_json(told)
-            continue
+        facts = {"name": name, "ends": ends.isoformat(), "revoked": since or None}
         over = " already" if ends <= datetime.now(UTC) else ""
         text = f"revoked since {since}" if since else f"ends{over} {ends:%Y-%m-%d}"
-        _say([f"{name}: {text}"])
+        tell(facts, f"{name}: {text}", as_json=wants_json(json))
     return ExitCode.OK
 
 
@@ -426,7 +416,6 @@ def push(
         everybody: All that are there.
         folder: With revoked.list; that of --pki by default.
     """
-    wanted = wanted_names(names, everybody)
     place = (options.pki if folder is None else folder) / LIST
     try:
         data = place.read_bytes()
@@ -436,12 +425,8 @@ def push(
         ) from error
 
     async def run() -> int:
-        async with options.open() as fleet:
-            results = await fleet.each(lambda one: bring(fleet.bus, one.keys, data), wanted)
-        if not results:
-            err.print(f"no agent is there at site {options.site}")
-            return ExitCode.NO_LINK
-        return tell_results(results, as_json=options.json_output)
+        pushed = results_of(names, everybody, options, lambda one: bring(one.bus, one.keys, data))
+        return tell_results(await pushed, options)
 
     return run_async(run())
 
@@ -454,18 +439,8 @@ def _tell(made: Issued, json: bool | None) -> int:
     }
     if made.signing_key is not None:
         facts |= {"signing_key": str(made.signing_key), "public_key": made.public_key}
-    if wants_json(json):
-        print_json(facts)
-    else:
-        _say([f"{name.replace('_', ' ')}: {value}" for name, value in facts.items()])
-    return ExitCode.OK
-
-
-def _say(lines: list[str]) -> None:
-    from m100link.apps.cli.common import out
-
-    for line in lines:
-        out.print(line, markup=False, soft_wrap=True)
+    lines = (f"{name.replace('_', ' ')}: {value}" for name, value in facts.items())
+    return tell(facts, *lines, as_json=wants_json(json))
 
 
 @acl.command
@@ -500,16 +475,17 @@ def check(
         since = "" if revocations is None else revocations.since(name)
         if since:
             found = [(aircraft, None) for aircraft, _ in found]
-        if as_json:
-            may = {aircraft: right and right.name.lower() for aircraft, right in found}
-            signs = one.public_key is not None
-            told = {"who": name, "certificate": one.common_name, "signs": signs, "may": may}
-            print_json(told | ({"revoked": since} if since else {}))
-            continue
-        signs_text = "signs orders" if one.public_key else "signs nothing: agents obey no order"
+        may = {aircraft: right and right.name.lower() for aircraft, right in found}
+        signs = one.public_key is not None
+        facts = {"who": name, "certificate": one.common_name, "signs": signs, "may": may}
+        signs_text = "signs orders" if signs else "signs nothing: agents obey no order"
         signs_text = f"revoked since {since}" if since else signs_text
-        _say([f"{name} (certificate {one.common_name}, {signs_text})"])
-        _say([f"  {aircraft}: {_words(right)}" for aircraft, right in found])
+        tell(
+            facts | ({"revoked": since} if since else {}),
+            f"{name} (certificate {one.common_name}, {signs_text})",
+            *(f"  {aircraft}: {_words(right)}" for aircraft, right in found),
+            as_json=as_json,
+        )
     return ExitCode.OK
 
 
@@ -539,14 +515,5 @@ def zenoh(file: File, target: File, /, *, pki: Pki = None, force: bool = False) 
     if pki is not None:
         rights = rights.without(Revocations.of_folder(pki).revoked.names)
     text = json.dumps({"access_control": router_config(rights)}, indent=2) + "\n"
-    if str(target) == "-":
-        sys.stdout.write(text)
-        return ExitCode.OK
-    require_free(target, force=force)
-    try:
-        Path(target).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(
-            f"{target} cannot be written: {error.strerror}", remedy="name another file"
-        ) from error
+    write_out(target, text, force=force)
     return ExitCode.OK

@@ -18,15 +18,15 @@ from m100link.apps.cli.fleet import (
     FleetOptions,
     Left,
     Names,
+    results_of,
     tell_results,
-    wanted_names,
 )
 from m100link.apps.cli.fleet_plans import missions, shows
 from m100link.apps.cli.fleet_setup import acl, agent, console, pki, router
 from m100link.apps.cli.fleet_watch import app as log
 from m100link.apps.cli.fleet_watch import lease, monitor, watch
 from m100link.apps.cli.options import Above0, group
-from m100link.apps.cli.terminal import ExitCode, print_json
+from m100link.apps.cli.terminal import print_json
 from m100link.apps.fleet.client import FleetAircraft
 from m100link.apps.fleet.keys import in_order
 from m100link.apps.fleet.payloads import Card
@@ -107,20 +107,15 @@ def _each(
     do: Callable[[FleetAircraft], Awaitable[object]],
     left: Left,
 ) -> int:
-    wanted = wanted_names(names, everybody)
     begun = Begun(do, left)
 
     async def run() -> int:
-        async with options.open() as fleet:
-            try:
-                results = await fleet.each(begun, wanted)
-            except asyncio.CancelledError:
-                tell_results(begun.results, as_json=options.json_output)
-                raise
-        if not results:
-            err.print(f"no agent is there at site {options.site}")
-            return ExitCode.NO_LINK
-        return tell_results(results, as_json=options.json_output)
+        try:
+            return tell_results(await results_of(names, everybody, options, begun), options)
+        except asyncio.CancelledError:
+            if begun.results:
+                tell_results(begun.results, options)
+            raise
 
     return run_async(run())
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
@@ -22,9 +22,11 @@ from m100link.apps.cli.fleet import (
     All,
     FleetOptions,
     Names,
+    results_of,
+    say,
     shared,
+    tell,
     tell_results,
-    wanted_names,
 )
 from m100link.apps.cli.options import Above0, Flag, group
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json
@@ -192,10 +194,9 @@ def lease(name: str, /, *, take_over: Flag = False, options: FleetOptions = NO_O
     async def run() -> None:
         ended = Told()
         async with options.open() as fleet, fleet[name].control(take_over=take_over) as control:
-            if options.json_output:
-                print_json({"name": name, "fence": control.fence})
-            else:
-                out.print(f"{name}: lease {control.fence}, until Ctrl-C", markup=False)
+            facts = {"name": name, "fence": control.fence}
+            words = f"{name}: lease {control.fence}, until Ctrl-C"
+            tell(facts, words, as_json=options.json_output)
             with shared(options.site, name, control.proof):
                 await ended.wait()
                 if not options.json_output:
@@ -210,28 +211,10 @@ def lease(name: str, /, *, take_over: Flag = False, options: FleetOptions = NO_O
 app = group("log", "List and fetch the flight logs that agents have recorded on board.")
 
 
-async def _each(
-    names: tuple[str, ...],
-    everybody: bool,
-    options: FleetOptions,
-    do: Callable[[FleetAircraft], Awaitable[object]],
-) -> dict[str, Result]:
-    wanted = wanted_names(names, everybody)
-    async with options.open() as fleet:
-        return await fleet.each(do, wanted)
-
-
 def _failures(results: dict[str, Result], options: FleetOptions) -> int:
     """Tell what went wrong; the exit status."""
-    if not results:
-        err.print(f"no agent is there at site {options.site}")
-        return ExitCode.NO_LINK
     bad = {name: one for name, one in results.items() if not one.is_ok}
-    return tell_results(bad, as_json=options.json_output) if bad else ExitCode.OK
-
-
-def _print(line: str) -> None:
-    out.print(line, markup=False, soft_wrap=True)
+    return ExitCode.OK if results and not bad else tell_results(bad, options)
 
 
 @app.command(name="list")
@@ -244,7 +227,7 @@ def list_(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTI
     """
 
     async def run() -> int:
-        results = await _each(names, everybody, options, FleetAircraft.logs)
+        results = await results_of(names, everybody, options, FleetAircraft.logs)
         rows = [
             (name, one)
             for name, result in sorted(results.items())
@@ -252,14 +235,12 @@ def list_(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTI
             for one in result.value
         ]
         if rows and not options.json_output:
-            _print(f"{'name':12} {'log':32} {'size':>9}  last written (UTC)")
+            say(f"{'name':12} {'log':32} {'size':>9}  last written (UTC)")
         for name, one in rows:
-            if options.json_output:
-                print_json({"name": name} | asdict(one))
-                continue
             at = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(one.at))
             is_written = ", and still" if one.is_written else ""
-            _print(f"{name:12} {one.log:32} {decimal(one.size):>9}  {at}{is_written}")
+            words = f"{name:12} {one.log:32} {decimal(one.size):>9}  {at}{is_written}"
+            tell({"name": name} | asdict(one), words, as_json=options.json_output)
         if results and not rows and not options.json_output:
             err.print("no logs")
         return _failures(results, options)
@@ -300,7 +281,7 @@ def fetch(
     async def run() -> int:
         try:
             with shown.bar:
-                results = await _each(names, everybody, options, one)
+                results = await results_of(names, everybody, options, one)
         except asyncio.CancelledError:
             shown.interrupted()
             raise
@@ -338,18 +319,16 @@ class _Shown:
     def done(self, fetched: Fetched) -> None:
         """One is here."""
         self._at.pop(fetched.name, None)
-        if self._is_json:
-            print_json(asdict(fetched) | {"path": str(fetched.path), "outcome": "ok"})
-            return
         told = f"{fetched.size:,} bytes"
         if fetched.came < fetched.size:
             told += f", {fetched.size - fetched.came:,} of them were here"
         if fetched.is_written:
             told += "; it is being written still, and this is what there was of it"
-        out.print(f"{fetched.name}: {fetched.path}: {told}", markup=False, soft_wrap=True)
+        facts = asdict(fetched) | {"path": str(fetched.path), "outcome": "ok"}
+        tell(facts, f"{fetched.name}: {fetched.path}: {told}", as_json=self._is_json)
 
     def interrupted(self) -> None:
         """What is here of those that were not finished."""
         for name, (at, size) in self._at.items():
             text = f"{name}: {at:,} of {size:,} bytes are here; the same command goes on there"
-            err.print(text, markup=False, soft_wrap=True)
+            say(text, to=err)

@@ -67,6 +67,10 @@ _NAMESAKE_S = 2.0
 _SHORT = 2048
 """Bytes of an order that is read at once: with its signature STOP has 600."""
 _MOST_LONG = 16
+_MOST_WAITING = 16
+"""Questions about its mission; of a flood the oldest are dropped."""
+_AS_GOOD_AS_NEW_S = 0.05
+"""Seconds in which all who ask that hear the same: whoever flies must not wait for who asks."""
 _LONG_S = 0.02
 
 Verify = Callable[[Order], None]
@@ -113,6 +117,7 @@ class FleetAgent:
         self._has_long = asyncio.Event()
         self._stream = SetpointStream()
         self._thinner = Thinner()
+        self._mission, self._mission_at = b"", -math.inf  # card as it was told last, and when
         client.on_steer_refused.append(self._steer_refused)
 
     async def run(self) -> None:
@@ -133,6 +138,7 @@ class FleetAgent:
                 hold(bus.serve(key, self._on_order))
             hold(bus.serve(keys.status(), self._on_status))
             hold(bus.serve(keys.state, self._on_state))
+            hold(bus.serve(keys.mission, self._on_mission, depth=_MOST_WAITING))
             hold(bus.subscribe(keys.setpoint, self._on_setpoint))
             hold(bus.subscribe(keys.state, self._on_own_state))
             self.client.on_event.append(self._on_event)
@@ -273,6 +279,13 @@ class FleetAgent:
 
     def _on_state(self, question: Question) -> None:
         question.answer(self._keys.state, pack(self.card()))
+
+    def _on_mission(self, question: Question) -> None:
+        now = self.client.now
+        if now - self._mission_at >= _AS_GOOD_AS_NEW_S:
+            self._mission = pack(self.missions.card(self._keys.name, self.boot))
+            self._mission_at = now
+        question.answer(self._keys.mission, self._mission)
 
     # -- orders ----------------------------------------------------------------------------------
 

@@ -50,7 +50,7 @@ class FleetAircraft:
     """One aircraft of a fleet."""
 
     def __init__(self, bus: Bus, keys: Keys, asker: Asker, name: str) -> None:
-        self._bus = bus
+        self.bus = bus
         self._name = name  # who asks, for people
         self.asker = asker  # asks it, for what has no method here
         self.keys = keys
@@ -77,7 +77,7 @@ class FleetAircraft:
             M100Error: As :meth:`m100link.Control.obtain`, and :class:`m100link.errors.FleetError`.
         """
         return FleetControl(
-            self._bus, self.keys, self.asker, self._name, stop=stop, take_over=take_over
+            self.bus, self.keys, self.asker, self._name, stop=stop, take_over=take_over
         )
 
     async def take_off(self) -> None:
@@ -158,10 +158,10 @@ class FleetAircraft:
         """
         if not await self.asker.is_there():
             raise nobody_there(self.name)
-        return await mission_card(self._bus, self.keys, patience=self.asker.patience)
+        return await mission_card(self.bus, self.keys, patience=self.asker.patience)
 
     def _fetcher(self) -> LogFetcher:
-        return LogFetcher(self._bus, self.keys, self.asker)
+        return LogFetcher(self.bus, self.keys, self.asker)
 
     async def card(self) -> Card:
         """Where its agent stands.
@@ -169,10 +169,10 @@ class FleetAircraft:
         Raises:
             Unreachable, OutcomeUnknown: It is not there, or gives no answer.
         """
-        found = await cards(self._bus, self.keys)
+        found = await cards(self.bus, self.keys)
         if self.name not in found:
             await self.asker.ask(Ask(0, Action.VERSION))  # which says why
-            found = await cards(self._bus, self.keys)
+            found = await cards(self.bus, self.keys)
         return found[self.name]
 
 

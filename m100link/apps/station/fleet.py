@@ -23,7 +23,6 @@ from m100link.apps.fleet.identity import nobody
 from m100link.apps.fleet.keys import DEFAULT_SITE, Keys, check_name, in_order
 from m100link.apps.fleet.logs.service import RATE, LogService
 from m100link.apps.fleet.lost_link import LostPlan
-from m100link.apps.fleet.missions.board import MissionTeller
 from m100link.apps.fleet.order_log import FileLedger, Ledger, MemoryLedger
 from m100link.apps.fleet.publisher import AgentTold
 from m100link.apps.fleet.revocations import Revocations, RevocationService
@@ -125,7 +124,6 @@ def _services(
     served = {
         "fronts": AgentTold(one.client, bus, keys, one.boot).run(),
         "show": show.run(),
-        "missions": MissionTeller(one.missions, bus, keys, one.boot).run(),
         "logs": LogService(bus, keys, folder, verify=verify, rate=fleet.log_rate).run(),
     }
     if revocations is not None:

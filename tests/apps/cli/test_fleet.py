@@ -21,7 +21,13 @@ import anyio.to_thread
 import pytest
 
 from m100link.apps.bus.network import Question
-from m100link.apps.cli.fleet import Left, tell_results, told_when_interrupted
+from m100link.apps.cli.fleet import (
+    NO_OPTIONS,
+    FleetOptions,
+    Left,
+    tell_results,
+    told_when_interrupted,
+)
 from m100link.apps.cli.terminal import ExitCode
 from m100link.apps.fleet.client import Fleet, connect
 from m100link.apps.fleet.keys import DEFAULT_SITE, Keys
@@ -192,12 +198,12 @@ def test_results_are_told_with_reason_and_remedy(capsys: pytest.CaptureFixture[s
         "a1": Result.of("a1", None),
         "a2": Result.of("a2", StaleLease("lease 3 is not in force", remedy="take it")),
     }
-    assert tell_results(results, as_json=False) == 1
+    assert tell_results(results, NO_OPTIONS) == 1
     told = capsys.readouterr()
     assert "ok" in told.out
     assert "lease 3 is not in force" in told.out
     assert "take it" in told.err
-    assert tell_results({"a1": results["a1"]}, as_json=True) == 0
+    assert tell_results({"a1": results["a1"]}, FleetOptions(json_output=True)) == 0
 
 
 def test_the_console_of_a_fleet_shows_who_is_there(site: Site) -> None:

@@ -18,7 +18,6 @@ from m100link.apps.agent.transports import memory_channels
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.missions.board import MissionTeller
 from m100link.apps.fleet.order_log import Ledger, MemoryLedger
 from m100link.apps.fleet.publisher import AgentTold
 from m100link.sim.clock import virtual_clock_loop
@@ -76,9 +75,6 @@ class OnBoard:
                 **options,
             )
             self.work = self.agent.background.spawn(self.fleet_agent.run(), "fleet")
-            one = self.fleet_agent
-            teller = MissionTeller(one.missions, self.bus, Keys(SITE, self.name), one.boot)
-            self.agent.background.spawn(teller.run(), "missions")
             await self.rig.until(lambda: self.client.is_connected)
             yield self
             self.work.cancel()
