@@ -26,13 +26,6 @@ DEPTH = 1024
 """What waits at most for one taker; of more than that the oldest is lost."""
 
 
-class Answering(Protocol):
-    """Takes key, payload and attachment of an answer."""
-
-    def __call__(self, key: str, payload: bytes, attachment: bytes | None = None, /) -> None:
-        """Answer."""
-
-
 @dataclass(frozen=True, slots=True)
 class Received:
     """A message."""
@@ -47,9 +40,9 @@ class Question:
 
     key: str  # what was asked, which may be a pattern
     payload: bytes  # as in :class:`Received`
-    # Takes the answer, once. Under a key of one's own: of two answers under one key the network
-    # hands over one.
-    answer: Answering
+    # Takes key, payload and attachment of the answer, once. Under a key of one's own: of two
+    # answers under one key the network hands over one.
+    answer: Callable[..., None]
     drop: Callable[[], None]  # ends it without an answer
     attachment: bytes = b""  # as in :class:`Received`
 

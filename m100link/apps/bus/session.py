@@ -136,6 +136,9 @@ class ZenohBus:
     """
 
     def __init__(self, session: zenoh.Session, largest: int = LARGEST) -> None:
+        import zenoh  # which whoever opened the session has loaded
+
+        self._zenoh = zenoh
         self._session, self._largest = session, largest
         self._loop = asyncio.get_running_loop()
         self._bundle = Bundle(self._loop)
@@ -153,13 +156,11 @@ class ZenohBus:
 
     def publish(self, key: str, *, kept: int = 0, within: float = 0.0) -> Outlet:
         """Offer messages under a key; UsageError where they are kept, and this session cannot."""
-        import zenoh
-
-        drop = zenoh.CongestionControl.DROP
+        drop = self._zenoh.CongestionControl.DROP
         if not kept:
             # Remote: whether this session has to hear it itself would be looked for with each.
             publisher = self._session.declare_publisher(
-                key, congestion_control=drop, allowed_destination=zenoh.Locality.REMOTE
+                key, congestion_control=drop, allowed_destination=self._zenoh.Locality.REMOTE
             )
             outlet = _Outlet(publisher, is_kept=False)
             return Patient(outlet, self._bundle, within) if within else outlet
@@ -167,11 +168,11 @@ class ZenohBus:
 
         try:
             # rmw_zenoh asks for what was kept by zenoh's advanced subscriber.
-            latched: Any = zenoh.ext.declare_advanced_publisher(
+            latched: Any = self._zenoh.ext.declare_advanced_publisher(
                 self._session,
                 key,
                 congestion_control=drop,
-                cache=zenoh.ext.CacheConfig(max_samples=kept),
+                cache=self._zenoh.ext.CacheConfig(max_samples=kept),
                 publisher_detection=True,
             )
         except zenoh.ZError as error:
@@ -223,15 +224,13 @@ class ZenohBus:
     def _look(
         self, pattern: str, take: Callable[[str, bytes], None], depth: int, within: float
     ) -> Held:
-        import zenoh
-
-        channel: Any = zenoh.handlers.RingChannel(depth)
+        channel: Any = self._zenoh.handlers.RingChannel(depth)
         declared: Any = self._session.declare_subscriber(pattern, channel)
 
         def made(sample: zenoh.Sample) -> tuple[str, bytes]:
             return str(sample.key_expr), self._bytes(sample.payload)
 
-        ring = Ring(declared, made, min(depth, AT_ONCE), zenoh.ZError)
+        ring = Ring(declared, made, min(depth, AT_ONCE), self._zenoh.ZError)
         return Looks(_Declared(declared), ring, lambda one: take(*one), within)
 
     def serve(self, key: str, take: Callable[[Question], None], *, depth: int = DEPTH) -> Held:
@@ -245,10 +244,8 @@ class ZenohBus:
 
     def watch(self, pattern: str, take: Callable[[str, bool], None]) -> Held:
         """See tokens come and go."""
-        import zenoh
-
         queue = Queue(self._loop, take, DEPTH)
-        put = zenoh.SampleKind.PUT
+        put = self._zenoh.SampleKind.PUT
 
         def heard(sample: zenoh.Sample) -> None:
             queue.put(str(sample.key_expr), sample.kind == put)
@@ -261,49 +258,43 @@ class ZenohBus:
 
     def inbox(self, pattern: str, depth: int) -> Inbox[Received]:
         """Hear messages."""
-        import zenoh
-
-        ring: Any = zenoh.handlers.RingChannel(depth)
+        ring: Any = self._zenoh.handlers.RingChannel(depth)
         return Ring(
-            self._session.declare_subscriber(pattern, ring), self._received, depth, zenoh.ZError
+            self._session.declare_subscriber(pattern, ring),
+            self._received,
+            depth,
+            self._zenoh.ZError,
         )
 
     def questions(self, key: str, depth: int) -> Inbox[Question]:
         """Hear questions."""
-        import zenoh
-
-        ring: Any = zenoh.handlers.RingChannel(depth)
+        ring: Any = self._zenoh.handlers.RingChannel(depth)
         # Complete: a client of rmw_zenoh asks those alone that answer for the whole key.
         declared = self._session.declare_queryable(key, ring, complete=True)
-        return Ring(declared, self._question, depth, zenoh.ZError)
+        return Ring(declared, self._question, depth, self._zenoh.ZError)
 
     def changes(self, pattern: str) -> Inbox[TokenChange]:
         """See tokens come and go."""
-        import zenoh
-
-        ring: Any = zenoh.handlers.RingChannel(DEPTH)
+        ring: Any = self._zenoh.handlers.RingChannel(DEPTH)
         declared = self._session.liveliness().declare_subscriber(pattern, ring, history=True)
-        put = zenoh.SampleKind.PUT
+        put = self._zenoh.SampleKind.PUT
 
         def change(one: zenoh.Sample) -> TokenChange:
             return TokenChange(str(one.key_expr), one.kind == put)
 
-        return Ring(declared, change, DEPTH, zenoh.ZError)
+        return Ring(declared, change, DEPTH, self._zenoh.ZError)
 
     def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
         """Ask whether anybody answers."""
-        import zenoh
-
         # No ring, which is emptied when the question has ended.
-        queue: Any = zenoh.handlers.FifoChannel(_MOST_ANSWERS)
+        queue: Any = self._zenoh.handlers.FifoChannel(_MOST_ANSWERS)
         asked = self._session.get(key, queue, timeout=timeout)
-        return Ring(asked, lambda reply: reply.ok is not None, _MOST_ANSWERS, zenoh.ZError)
+        return Ring(asked, lambda reply: reply.ok is not None, _MOST_ANSWERS, self._zenoh.ZError)
 
     # -- waited for ------------------------------------------------------------------------------
 
     async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:
         """Ask everybody who serves it."""
-        import zenoh
 
         def get(handler: Any) -> None:
             self._session.get(
@@ -311,8 +302,8 @@ class ZenohBus:
                 handler,
                 payload=payload,
                 timeout=timeout,
-                target=zenoh.QueryTarget.ALL,
-                consolidation=zenoh.ConsolidationMode.NONE,
+                target=self._zenoh.QueryTarget.ALL,
+                consolidation=self._zenoh.ConsolidationMode.NONE,
             )
 
         return [
@@ -332,8 +323,6 @@ class ZenohBus:
         self, get: Callable[[Any], None], timeout: float
     ) -> list[tuple[str, zenoh.Sample]]:
         """Who answered, and what, until zenoh says that no more comes, or the time is over."""
-        import zenoh
-
         found: list[tuple[str, zenoh.Sample]] = []
         ended = asyncio.Event()
 
@@ -349,8 +338,8 @@ class ZenohBus:
                 _logger.debug("the event loop has ended: nobody waits for an answer")
 
         try:
-            get(zenoh.handlers.Callback(heard, end))
-        except zenoh.ZError as error:
+            get(self._zenoh.handlers.Callback(heard, end))
+        except self._zenoh.ZError as error:
             _logger.debug("not asked: %s", error)
             return []
         try:

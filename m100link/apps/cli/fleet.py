@@ -8,7 +8,7 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Awaitable, Callable, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,11 +86,10 @@ def told_when_interrupted(name: str, left: Left) -> Iterator[None]:
 # it.
 
 
-def lease_file(site: str, name: str, environment: Mapping[str, str] | None = None) -> Path:
+def lease_file(site: str, name: str) -> Path:
     """Where the proof lies: in the folder of the user's session, else in that of the state."""
-    known = os.environ if environment is None else environment
-    session = known.get("XDG_RUNTIME_DIR", "")
-    base = Path(session) / "m100link" if Path(session).is_absolute() else state_folder(known)
+    session = os.environ.get("XDG_RUNTIME_DIR", "")
+    base = Path(session) / "m100link" if Path(session).is_absolute() else state_folder(os.environ)
     return base / "leases" / check_name(site, "a site") / f"{check_name(name)}.json"
 
 

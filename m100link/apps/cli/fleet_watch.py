@@ -39,7 +39,6 @@ from m100link.errors import UsageError
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import Battery, FlightStatus, Position, Velocity
 from m100link.telemetry.sample import Sample
-from m100link.telemetry.state import AircraftState
 
 _OLD_S = 2.0
 
@@ -92,16 +91,11 @@ def _told(fleet: Fleet, heard: FleetTelemetry, name: str) -> dict[str, Any]:
     told["received"] = heard.received[name]
     if state is not None:
         told["age"] = state.newest_age
-        told |= {
-            BY_RECORD[kind].name: _plain(state, kind) for kind in (Position, Velocity, Battery)
-        }
-        told[BY_RECORD[FlightStatus].name] = _plain(state, FlightStatus)
+        kinds: tuple[type[Any], ...] = (Position, Velocity, Battery, FlightStatus)
+        for kind in kinds:
+            value = state.get(kind)
+            told[BY_RECORD[kind].name] = None if value is None else value._asdict()
     return told
-
-
-def _plain(state: AircraftState, kind: type[Any]) -> dict[str, Any] | None:
-    value = state.get(kind)
-    return None if value is None else value._asdict()
 
 
 def _table(fleet: Fleet, heard: FleetTelemetry) -> Table:

@@ -18,7 +18,7 @@ from typing import Self
 from m100link.apps.agent.codec import encode
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import LeaseAction, LeaseAsk, Message
-from m100link.apps.agent.remote_error import MessageError
+from m100link.apps.agent.remote_error import Fault, MessageError
 from m100link.apps.bus.network import Answer, Bus
 from m100link.apps.fleet.expiry import ClockEstimate
 from m100link.apps.fleet.keys import Keys, session_in
@@ -32,7 +32,7 @@ from m100link.apps.fleet.payloads import (
     pack,
     unpack,
 )
-from m100link.errors import NotAllowed, OutcomeUnknown, StaleLease, Unreachable
+from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, StaleLease, Unreachable
 
 PATIENCE_S = 10.0
 """Seconds without any answer after which the outcome counts as unknown.
@@ -125,7 +125,7 @@ class Asker:
         """
         if not await self.is_there():
             raise nobody_there(self._keys.name)
-        order = self._order(message, fence, token, clock or self.its_now(), identity)
+        order = self.around(encode(message), fence, token, clock, identity)
         key = self._keys.lease if isinstance(message, LeaseAsk) else self._keys.command
         return _raised(await self._answered(key, order, patience or self.patience))
 
@@ -135,16 +135,12 @@ class Asker:
         """A request for the lease, for :meth:`take_lease`."""
         half = Half()
         ask = encode(LeaseAsk(0, action, self._name, offer))
-        order = self._around(ask, clock=self.its_now(), key=half.public)
-        return LeaseRequest(order, half)
+        return LeaseRequest(self.around(ask, key=half.public), half)
 
     async def take_lease(self, request: LeaseRequest) -> tuple[Lease, float]:
         """Ask for the lease, whose secret this side and the agent then know and nobody else.
 
-        Returns the lease, and the agent's time in its answer, s.
-
-        Raises:
-            M100Error: As :meth:`ask`.
+        Returns the lease, and the agent's time in its answer, s. Raises: as :meth:`ask`.
         """
         if not await self.is_there():
             raise nobody_there(self._keys.name)
@@ -155,14 +151,12 @@ class Asker:
         """Renew a lease: what may be asked again, and nobody else can say.
 
         Returns the answer; None when none came in time that can be read, which says nothing.
+        Raises: as :meth:`ask`.
 
         ``within``: seconds.
-
-        Raises:
-            M100Error: As :meth:`ask`.
         """
-        renewal, asked_at = LeaseAsk(0, LeaseAction.RENEW), self._clock()
-        order = self._order(renewal, lease.number, lease.token, self.its_now())
+        renewal, asked_at = encode(LeaseAsk(0, LeaseAction.RENEW)), self._clock()
+        order = self.around(renewal, lease.number, lease.token)
         answers = await self._bus.ask(self._keys.lease, pack(order), timeout=within)
         reply = self._read(answers, order, asked_at)
         if not isinstance(reply, Reply) or reply.progress is not Progress.DONE:
@@ -212,32 +206,20 @@ class Asker:
         """What the agent's clock shows by now, at the earliest, s; 0: nobody knows."""
         return self.its_clock.at_least(self._clock())
 
-    def around(self, message: bytes) -> Order:
-        """A new order around what is no message of the agent, such as a question about logs."""
-        return self._around(message, clock=self.its_now())
-
-    def _order(
+    def around(
         self,
-        message: Message,
+        message: bytes,  # one of the agent's, or what is none, such as a question about logs
         fence: int = 0,
         token: str = "",
         clock: float = 0.0,
         identity: str = "",
-    ) -> Order:
-        order = self._around(encode(message), fence, clock, identity)
-        return order.under(token) if token else order
-
-    def _around(
-        self,
-        message: bytes,
-        fence: int = 0,
-        clock: float = 0.0,
-        identity: str = "",
         key: bytes = b"",
     ) -> Order:
-        named, at = identity or uuid.uuid4().hex, self._utc()
-        order = Order(named, self._keys.name, self._name, fence, at, message, clock, key=key)
-        return self._sign(order)
+        """A new order, signed; see :meth:`ask`."""
+        named, clock = identity or uuid.uuid4().hex, clock or self.its_now()
+        head = (named, self._keys.name, self._name, fence, self._utc())
+        order = self._sign(Order(*head, message, clock, key=key))
+        return order.under(token) if token else order
 
     async def _answered(self, key: str, order: Order, patience: float) -> Reply:
         payload, status = pack(order), self._keys.status(order.id)
@@ -303,11 +285,7 @@ class Asker:
     ) -> Reply | MessageError | None:
         """One answer, or why there are only such as cannot be read; None for none.
 
-        ``asked_at``: when the question left at the earliest, s.
-
-        Raises:
-            OutcomeUnknown: There are answers of two agents, two that disagree, or one of another
-                order.
+        ``asked_at``: when the question left at the earliest, s. Raises: as :func:`believed`.
         """
         came = list(answers)
         try:
@@ -320,15 +298,16 @@ class Asker:
         return found
 
 
+def reason_of(name: str, fault: Fault | None) -> M100Error:
+    """Why an agent of that name refused, as it says itself."""
+    return MessageError(f"{name} gave no reason") if fault is None else fault.error()
+
+
 def _raised(reply: Reply) -> Reply:
     """The reply, if it is good; else raised as what it means."""
     if reply.outcome is Outcome.OK:
         return reply
-    error = (
-        reply.fault.error()
-        if reply.fault is not None
-        else MessageError(f"{reply.name} gave no reason")
-    )
+    error = reason_of(reply.name, reply.fault)
     kinds = {
         Outcome.STALE_LEASE: StaleLease,
         Outcome.NOT_ALLOWED: NotAllowed,

@@ -146,9 +146,6 @@ class FleetControl:
         lease, self._lease = self._lease, None
         if lease is None or self._lost is not None:
             return
-        await self._release(lease)
-
-    async def _release(self, lease: Lease) -> None:
         await self._try(LeaseAsk(0, LeaseAction.RELEASE), lease)
 
     async def _try(self, message: Message, lease: Lease | None = None) -> None:
@@ -187,7 +184,8 @@ class FleetControl:
                 return
             if found is not None and found.progress is Progress.DONE:
                 if found.key:
-                    await self._release(request.lease(found))
+                    lease = request.lease(found)
+                    await self._try(LeaseAsk(0, LeaseAction.RELEASE), lease)
                 return
             await asyncio.sleep(_AGAIN_S)
 

@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 from zlib import crc32
 
 from m100link.apps.agent.remote_error import MessageError
@@ -50,40 +50,6 @@ class LeftAloft:
     ago_s: float | None  # seconds since it said so last; None when no clock tells
 
 
-class Ledger(Protocol):
-    """What is kept."""
-
-    tell: Callable[[str], None]  # called in the event loop with what people should know of the disk
-    # Orders that were begun lately, and when, s since the computer was started.
-    begun: dict[str, float]
-    leases_before: int  # the greatest number that a lease may have had
-    aloft: LeftAloft | None  # how the agent before ended, if somebody flew then
-    # Words that were on the disk and cannot be read any more, or are gone: each may be an order
-    # that was begun, the number of a lease, or who flew.
-    damaged: int
-
-    async def begin(self, identity: str) -> None:
-        """Keep that an order begins; done when it is kept.
-
-        Raises:
-            UsageError: It cannot be kept.
-        """
-
-    async def granted(self, fence: int) -> None:
-        """Keep that a lease has this number; done when no later agent can grant it again.
-
-        Raises:
-            UsageError: It cannot be kept.
-        """
-
-    async def flies(self, fence: int) -> None:
-        """Keep the lease it is flown under, 0 for none of the fleet; done when it is kept.
-
-        Raises:
-            UsageError: It cannot be kept.
-        """
-
-
 def since_boot() -> tuple[str, float]:
     """Which run of this computer it is, and its age in s: no clock that is set changes that."""
     try:
@@ -97,24 +63,29 @@ class MemoryLedger:
     """Kept as long as the process lives: for virtual aircraft and tests."""
 
     def __init__(self, before: MemoryLedger | None = None) -> None:
+        # Called in the event loop with what people should know of the disk.
         self.tell: Callable[[str], None] = _logger.warning
+        # Orders that were begun lately, and when, s since the computer was started.
         self.begun: dict[str, float] = {} if before is None else before.begun
+        # The greatest number that a lease may have had.
         self.leases_before: int = 0 if before is None else before.leases_before + FENCES_AT_ONCE
+        # Words that were on the disk and cannot be read any more, or are gone: each may be an order
+        # that was begun, the number of a lease, or who flew.
         self.damaged = 0
         self.flown_under: int = 0 if before is None else before.flown_under
-        self.aloft: LeftAloft | None = None
+        self.aloft: LeftAloft | None = None  # how the agent before ended, if somebody flew then
         if self.flown_under:
             self.aloft = LeftAloft(self.flown_under, 0.0)
 
     async def begin(self, identity: str) -> None:
-        """Keep that an order begins."""
+        """Keep that an order begins; done when it is kept."""
         self.begun[identity] = 0.0
 
     async def granted(self, fence: int) -> None:
         """Whoever takes this over begins above what was reserved."""
 
     async def flies(self, fence: int) -> None:
-        """Keep who flies."""
+        """Keep the lease it is flown under, 0 for none of the fleet."""
         self.flown_under = fence
 
 
@@ -125,7 +96,8 @@ class FileLedger:
     replaced or emptied while the agent runs is made again at the next record, with a report.
 
     Raises:
-        UsageError: It cannot be read or written, or another agent has it.
+        UsageError: It cannot be read or written, or another agent has it. So do its methods: what
+            they were to keep is not kept then.
     """
 
     def __init__(
@@ -322,6 +294,10 @@ class FileLedger:
                 os.close(handle)
         self._file = self._lock = -1
         self._in_thread.release()
+
+
+Ledger = FileLedger | MemoryLedger
+"""What is kept, and done when it is kept: no later agent carries out twice what this one began."""
 
 
 def _write_all(handle: int, data: bytes, at: int) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.bus.network import Bus
-from m100link.apps.fleet.asking import PATIENCE_S, Asker, nobody_there
+from m100link.apps.fleet.asking import PATIENCE_S, Asker, nobody_there, reason_of
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.logs.words import (
     LogEntry,
@@ -184,7 +184,7 @@ class LogFetcher:
             self._has_answered = True
             reply, data = found
             if reply.outcome is not Outcome.OK:
-                raise _error_of(reply)
+                raise reason_of(name, reply.fault)
             if reply.again_s <= 0.0:
                 return reply, data
             silent_since = self._clock()
@@ -197,12 +197,6 @@ class LogFetcher:
             "lets no answer pass to this identity",
             remedy="m100link fleet acl check FILE --who NAME, with the router's file of rights",
         )
-
-
-def _error_of(reply: LogReply) -> M100Error:
-    if reply.fault is None:
-        return MessageError(f"{reply.name} gave no reason")
-    return reply.fault.error()
 
 
 def _with_rest(error: M100Error, part: Part, size: int) -> M100Error:

@@ -136,14 +136,7 @@ def _origin(found: Mapping[str, Any], listed: Sequence[Any]) -> tuple[float, flo
     if not isinstance(origin, dict):
         raise BadShow(f"origin is {_short(origin)}", remedy="an object of two numbers")
     _refuse_unknown(origin, ("latitude_deg", "longitude_deg"), "origin")
-    latitude = _number(origin, "latitude_deg", "origin")
-    longitude = _number(origin, "longitude_deg", "origin")
-    if not (abs(latitude) <= 89 and abs(longitude) <= 180):
-        raise BadShow(
-            f"the origin is {latitude:g}° {longitude:g}°",
-            remedy="latitude within ±89°, longitude within ±180°",
-        )
-    return latitude, longitude
+    return _degrees(origin, "the origin")
 
 
 def _track(index: int, found: Any, origin: tuple[float, float], tube: float) -> TimedTrack:
@@ -177,6 +170,10 @@ def _point(where: str, found: Any, frame: LocalFrame) -> TimedPoint:
     at, height = _number(found, "at", where), _number(found, "height", where)
     if not is_by_degrees:
         return TimedPoint(at, _number(found, "north", where), _number(found, "east", where), height)
+    return TimedPoint(at, *frame.to_local(*_degrees(found, where)), height)
+
+
+def _degrees(found: Mapping[str, Any], where: str) -> tuple[float, float]:
     latitude = _number(found, "latitude_deg", where)
     longitude = _number(found, "longitude_deg", where)
     if not (abs(latitude) <= 89 and abs(longitude) <= 180):
@@ -184,7 +181,7 @@ def _point(where: str, found: Any, frame: LocalFrame) -> TimedPoint:
             f"{where} is at {latitude:g}° {longitude:g}°",
             remedy="latitude within ±89°, longitude within ±180°",
         )
-    return TimedPoint(at, *frame.to_local(latitude, longitude), height)
+    return latitude, longitude
 
 
 def _number(found: Mapping[str, Any], name: str, where: str, default: float | None = None) -> float:

@@ -92,7 +92,7 @@ POINT = ("aircraft", 1, "waypoints", 2)
         (at("origin")(None), "the show has no origin"),
         (at("origin")([52, 4]), "origin is [52, 4]"),
         (at("origin")({"latitude_deg": 52}), "origin: longitude_deg is missing"),
-        (at("origin", "latitude_deg")(91), "the origin is 91°"),
+        (at("origin", "latitude_deg")(91), "the origin is at 91°"),
         (at("aircraft")([]), "aircraft is []"),
         (at("aircraft")([{}] * 201), "aircraft is [{}"),
         (at("aircraft", 1)(7), "aircraft 1 is 7"),
