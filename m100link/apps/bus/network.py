@@ -213,6 +213,14 @@ _SENT_AT_ONCE = 256
 _NEXT_S = 0.001
 
 
+def _do(work: Callable[..., object], *what: Any) -> None:
+    """Take or send a message: what one leads to does not happen to the next one."""
+    try:
+        work(*what)
+    except Exception:
+        _logger.exception("a message was not taken, or not sent")
+
+
 class Queue:
     """From threads of zenoh into the event loop."""
 
@@ -239,11 +247,7 @@ class Queue:
         for _ in range(AT_ONCE):
             if not self._waiting:
                 return
-            try:
-                self._take(*self._waiting.popleft())
-            except Exception:
-                # What one message leads to does not happen to the next one.
-                _logger.exception("a message was not taken")
+            _do(self._take, *self._waiting.popleft())
             if perf_counter() >= until:
                 break
         if not self._is_due:
@@ -298,11 +302,7 @@ class Bundle:
     def _send(self) -> None:
         self._timer = None
         for _ in range(min(_SENT_AT_ONCE, len(self._waiting))):
-            try:
-                self._waiting.popleft()()
-            except Exception:
-                # What one message leads to does not happen to the next one.
-                _logger.exception("a message was not sent")
+            _do(self._waiting.popleft())
         if self._waiting:
             self._send_in(_NEXT_S)
 
@@ -357,11 +357,7 @@ class Looks(Held):
             self._found.extend(self._ring.take())
             self._is_full = len(self._found) >= AT_ONCE
         while self._found and self._is_open:
-            try:
-                self._take(self._found.popleft())
-            except Exception:
-                # What one message leads to does not happen to the next one.
-                _logger.exception("a message was not taken")
+            _do(self._take, self._found.popleft())
             if perf_counter() >= until:
                 break
         if self._is_open:

@@ -291,7 +291,6 @@ class _Shown:
         self._is_json = is_quiet
         columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn())
         self._progress = Progress(*columns, TransferSpeedColumn(), console=err, transient=True)
-        self._tasks: dict[str, Any] = {}
         self._at: dict[str, tuple[int, int]] = {}
 
     @property
@@ -301,12 +300,11 @@ class _Shown:
 
     def listener(self, name: str) -> Callable[[int, int], None]:
         """Takes how far the log of one aircraft is."""
+        bar = self._progress.add_task(name, total=None, visible=False)
 
         def tell(at: int, size: int) -> None:
-            if name not in self._tasks:
-                self._tasks[name] = self._progress.add_task(name, total=size, completed=at)
             self._at[name] = (at, size)
-            self._progress.update(self._tasks[name], completed=at)
+            self._progress.update(bar, total=size, completed=at, visible=True)
 
         return tell
 

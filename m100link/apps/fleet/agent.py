@@ -180,10 +180,9 @@ class FleetAgent:
             )
 
     async def require_alone(self) -> None:
-        """Look whether the name is free; one whose agent was killed is seen for a while yet.
+        """Refuse a name that another agent has: both would obey.
 
-        Raises:
-            UsageError: Another agent has it, and both would obey.
+        One whose agent was killed is seen for a while yet.
         """
         deadline = self.client.now + _NAMESAKE_S
         while await self._bus.tokens(self._keys.live, timeout=1.0):

@@ -64,11 +64,7 @@ _MOST_ASKS = 64
 
 
 async def reach(bus: Bus, keys: Keys, asker: Callable[[str], Asker]) -> FleetChannel:
-    """A way to the agent of one aircraft.
-
-    Raises:
-        LinkError: It is not there, or it is older than this front.
-    """
+    """See :meth:`m100link.apps.fleet.client.Fleet.reach`."""
     channel = FleetChannel(bus, keys, asker)
     if not await asker("").is_there() or not await channel.look_at_clock():
         channel.close()

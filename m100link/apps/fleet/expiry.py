@@ -39,12 +39,9 @@ class OrderAges:
         self.not_before = now
 
     def hear(self, fence: int, made_at: float, now: float) -> None:
-        """An order is heard for the first time.
+        """Take an order that is heard for the first time, or refuse it.
 
         ``made_at``: when it was made at the earliest, s. ``now``: s.
-
-        Raises:
-            GuardRefused: It is not to be carried out.
         """
         self.check(made_at, now)
         if self._newest[0] == fence and made_at < self._newest[1]:
@@ -52,11 +49,7 @@ class OrderAges:
         self._newest = (fence, made_at)
 
     def check(self, made_at: float, now: float) -> None:
-        """Look again as it is about to be carried out.
-
-        Raises:
-            GuardRefused: It is not to be carried out.
-        """
+        """Refuse an order that came too late as it is about to be carried out."""
         require_young(made_at, now)
         if made_at < self.not_before:
             raise _late("stop, hover or landing was asked for after it was made", made_at, now)

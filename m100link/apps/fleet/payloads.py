@@ -365,11 +365,7 @@ def unpack(kind: type[Any], payload: bytes) -> Any:
 
 
 def unpack_message(payload: bytes) -> Message:
-    """The agent's message in these bytes.
-
-    Raises:
-        MessageError: There is none, or of another version.
-    """
+    """The agent's message in these bytes; MessageError for none, or another version."""
     return decode(body(payload))
 
 
@@ -434,11 +430,7 @@ class Half:
 
 
 def agree(order: Order) -> tuple[bytes, str]:
-    """Return the agent's side: its public half, for the reply, and the secret.
-
-    Raises:
-        MessageError: The order brings no half.
-    """
+    """Return the agent's side: its public half, for the reply, and the secret."""
     half = Half()
     return half.public, half.secret(order, order.key, half.public)
 
@@ -450,10 +442,6 @@ class LeaseRequest:
         self.order, self._half = order, half
 
     def lease(self, reply: Reply) -> Lease:
-        """Return the lease that a reply grants.
-
-        Raises:
-            MessageError: The reply brings no half of a secret.
-        """
+        """Return the lease that a reply grants."""
         secret = self._half.secret(self.order, reply.key, reply.key)
         return Lease(reply.text, secret, reply.number)
