@@ -403,14 +403,8 @@ def _told(show: Show, report: Report) -> dict[str, Any]:
 
 
 def _problem(error: BadShow) -> dict[str, Any]:
-    return {
-        "aircraft": list(error.aircraft),
-        "at": error.at,
-        "measured": error.measured,
-        "limit": error.limit,
-        "seen": error.seen,
-        "remedy": error.remedy,
-    }
+    told = ("aircraft", "at", "measured", "limit", "seen", "remedy")
+    return {name: getattr(error, name) for name in told}
 
 
 @shows.command

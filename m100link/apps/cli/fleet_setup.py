@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import json
-import logging
 import os
 import time
 import webbrowser
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from m100link.apps.agent.journal import JOURNAL_LOG
-from m100link.apps.agent.messages import Event
 from m100link.apps.cli.common import Told, err, places, run_async
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
@@ -34,11 +33,12 @@ from m100link.apps.cli.options import Above0, AsJson, Counted, group, offered, o
 from m100link.apps.cli.plan import File
 from m100link.apps.cli.serve import (
     AS_USUAL,
+    MOST_UNTOLD,
     RunOptions,
-    Teller,
     aircraft_of,
     require_packages,
     show,
+    tell_event,
     warn_of,
 )
 from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, wants_json
@@ -61,7 +61,7 @@ from m100link.apps.station.fleet import (
     serving_fleet,
     serving_fleet_console,
 )
-from m100link.apps.station.log_output import tell_elsewhere
+from m100link.apps.station.log_output import Teller, tell_elsewhere
 from m100link.apps.station.supervisor import leave_what_stays
 from m100link.errors import UsageError
 
@@ -216,19 +216,8 @@ def _checking(rights: Rights, names: Iterable[str], pki: Path | None) -> dict[st
 async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, run: RunOptions) -> int:
     ended = Told()
     tell_elsewhere(JOURNAL_LOG)
-    events = logging.getLogger(__name__)
-    with Teller() as teller:
-
-        def tell_event(name: str, event: Event) -> None:
-            if run.log.log_json:
-                level = logging.getLevelNamesMapping()[event.level.upper()]
-                events.log(level, "%s", event.text, extra={"aircraft": name})
-                return
-            style = {"warning": "yellow", "error": "red"}.get(event.level)
-            text = f"{name}: {event.text}"
-            teller.do(lambda: err.print(text, style=style, markup=False, soft_wrap=True))
-
-        async with serving_fleet(aircraft, fleet, tell_event) as agents:
+    with Teller("talk", MOST_UNTOLD) as teller:
+        async with serving_fleet(aircraft, fleet, partial(tell_event, teller, run.log)) as agents:
             words = f"fleet:     {fleet.site}: {', '.join(agents)}"
             facts = {"fleet": fleet.site, "agents": list(agents)}
             tell(facts, words, as_json=run.json_output)

@@ -31,7 +31,9 @@ if TYPE_CHECKING:
     from m100link.apps.station.supervisor import Child
 
 
-_MOST_UNTOLD = 200
+_logger = logging.getLogger(__name__)
+
+MOST_UNTOLD = 200
 
 
 @Parameter(name="*")
@@ -130,19 +132,9 @@ async def _serve(
 
     ended = Told()
     tell_elsewhere(JOURNAL_LOG)
-    events = logging.getLogger(__name__)
     log_of(next(iter(aircraft)) if len(aircraft) == 1 else "")
-    with Teller("talk", _MOST_UNTOLD) as teller:
-
-        def tell(name: str, event: Event) -> None:
-            if options.log.log_json:
-                level = logging.getLevelNamesMapping()[event.level.upper()]
-                events.log(level, "%s", event.text, extra={"aircraft": name})
-                return
-            style = {"warning": "yellow", "error": "red"}.get(event.level)
-            text = f"{name}: {event.text}" if len(aircraft) > 1 else event.text
-            teller.do(lambda: err.print(text, style=style, markup=False))
-
+    with Teller("talk", MOST_UNTOLD) as teller:
+        tell = partial(tell_event, teller, options.log, is_named=len(aircraft) > 1)
         async with _running(aircraft, options, served, tell) as (station, front):
             announce = partial(_announce, aircraft, station, as_json=options.json_output)
             announce()
@@ -185,6 +177,19 @@ async def _running(
             tell(name, event)
         one.agent.journal.on_event.append(partial(tell, name))
         yield one, one.front if isinstance(one, RunningApart) else None
+
+
+def tell_event(
+    teller: Teller, log: LogOptions, name: str, event: Event, *, is_named: bool = True
+) -> None:
+    """Tell what happened to an aircraft: in the log, if that is JSON, else in words."""
+    if log.log_json:
+        level = logging.getLevelNamesMapping()[event.level.upper()]
+        _logger.log(level, "%s", event.text, extra={"aircraft": name})
+        return
+    style = {"warning": "yellow", "error": "red"}.get(event.level)
+    text = f"{name}: {event.text}" if is_named else event.text
+    teller.do(lambda: err.print(text, style=style, markup=False, soft_wrap=True))
 
 
 class _Station(Protocol):

@@ -46,7 +46,7 @@ class BadShow(
     """A show that must not be flown, or a file that is none."""
 
     aircraft: tuple[str, ...] = ()  #: names of those it is about; none if it is the whole
-    at: float | None = None  #: seconds from the beginning of the show, None if it is about no moment
+    at: float | None = None  #: seconds from the beginning of the show, None if of no moment
     measured: float | None = None  #: what it is, as a number
     limit: float | None = None  #: what it may be
 
