@@ -77,8 +77,7 @@ class Asker:
     ) -> None:
         self._known = sessions
         self._found: frozenset[str] = frozenset()
-        self._bus = bus
-        self._keys = keys
+        self.bus, self.keys = bus, keys
         self._name = name
         self._sign = sign
         self.patience = patience
@@ -92,7 +91,7 @@ class Asker:
     async def is_there(self) -> bool:
         """Whether its agent shows itself."""
         if not self._known():
-            tokens = await self._bus.tokens(self._keys.live, timeout=self.patience)
+            tokens = await self.bus.tokens(self.keys.live, timeout=self.patience)
             self._found = frozenset(map(session_in, tokens))
         return bool(self._sessions)
 
@@ -124,9 +123,9 @@ class Asker:
             M100Error: What the agent tells.
         """
         if not await self.is_there():
-            raise nobody_there(self._keys.name)
+            raise nobody_there(self.keys.name)
         order = self.around(encode(message), fence, token, clock, identity)
-        key = self._keys.lease if isinstance(message, LeaseAsk) else self._keys.command
+        key = self.keys.lease if isinstance(message, LeaseAsk) else self.keys.command
         return _raised(await self._answered(key, order, patience or self.patience))
 
     def lease_request(
@@ -143,8 +142,8 @@ class Asker:
         Returns the lease, and the agent's time in its answer, s. Raises: as :meth:`ask`.
         """
         if not await self.is_there():
-            raise nobody_there(self._keys.name)
-        reply = _raised(await self._answered(self._keys.lease, request.order, self.patience))
+            raise nobody_there(self.keys.name)
+        reply = _raised(await self._answered(self.keys.lease, request.order, self.patience))
         return request.lease(reply), reply.clock
 
     async def renew(self, lease: Lease, *, within: float) -> Reply | None:
@@ -157,7 +156,7 @@ class Asker:
         """
         renewal, asked_at = encode(LeaseAsk(0, LeaseAction.RENEW)), self._clock()
         order = self.around(renewal, lease.number, lease.token)
-        answers = await self._bus.ask(self._keys.lease, pack(order), timeout=within)
+        answers = await self.bus.ask(self.keys.lease, pack(order), timeout=within)
         reply = self._read(answers, order, asked_at)
         if not isinstance(reply, Reply) or reply.progress is not Progress.DONE:
             return None  # anybody may answer nonsense: it ends nothing that silence would not
@@ -173,9 +172,9 @@ class Asker:
         Raises:
             OutcomeUnknown: Two agents answered, or the reply belongs to another order.
         """
-        asked = order or Order(uuid.uuid4().hex, self._keys.name, self._name, 0, 0.0, b"")
+        asked = order or Order(uuid.uuid4().hex, self.keys.name, self._name, 0, 0.0, b"")
         asked_at = self._clock()
-        answers = await self._bus.ask(self._keys.status(asked.id), timeout=within)
+        answers = await self.bus.ask(self.keys.status(asked.id), timeout=within)
         reply = self._read(answers, asked, asked_at)
         return reply if isinstance(reply, Reply) else None
 
@@ -191,7 +190,7 @@ class Asker:
         order, asked_at = self.around(message), self._clock()
         # Looked for beside it: what ends a show waits for nothing.
         answers, _ = await asyncio.gather(
-            self._bus.ask(key, pack(order), timeout=within), self.is_there()
+            self.bus.ask(key, pack(order), timeout=within), self.is_there()
         )
         reply = self._read(answers, order, asked_at)
         if isinstance(reply, MessageError):
@@ -217,15 +216,15 @@ class Asker:
     ) -> Order:
         """A new order, signed; see :meth:`ask`."""
         named, clock = identity or uuid.uuid4().hex, clock or self.its_now()
-        head = (named, self._keys.name, self._name, fence, self._utc())
+        head = (named, self.keys.name, self._name, fence, self._utc())
         order = self._sign(Order(*head, message, clock, key=key))
         return order.under(token) if token else order
 
     async def _answered(self, key: str, order: Order, patience: float) -> Reply:
-        payload, status = pack(order), self._keys.status(order.id)
+        payload, status = pack(order), self.keys.status(order.id)
         silent_since = began = self._clock()
         sent = 0  # the question that the order was; 0: it is to be sent
-        async with Questions(self._bus) as questions:
+        async with Questions(self.bus) as questions:
             while (left := silent_since + patience - self._clock()) > 0:
                 if not sent:
                     # Only what never arrived is sent, and sent again.
@@ -250,7 +249,7 @@ class Asker:
                     sent = 0
                     await asyncio.sleep(_AGAIN_S)
         raise OutcomeUnknown(
-            f"{self._keys.name} gave no answer for {patience:g} s",
+            f"{self.keys.name} gave no answer for {patience:g} s",
             cause="the way there or back is cut or takes longer, its agent hangs, or the router "
             "lets no answer pass to this identity",
         )
@@ -275,7 +274,7 @@ class Asker:
     def _never_arrives(self) -> OutcomeUnknown:
         """It answers what became of the order, and the order does not come to it."""
         return OutcomeUnknown(
-            f"{self._keys.name} answers, and has not heard of the order",
+            f"{self.keys.name} answers, and has not heard of the order",
             cause="the router routes no such order of this identity, or the way there loses it",
             remedy="m100link fleet acl check FILE --who NAME, with the router's file of rights",
         )
@@ -289,9 +288,9 @@ class Asker:
         """
         came = list(answers)
         try:
-            found = believed(came, self._keys, order.id, self._sessions, order.digest())
+            found = believed(came, self.keys, order.id, self._sessions, order.digest())
         except OutcomeUnknown:
-            self.doubtful_clocks = clocks_told(came, self._keys.name)
+            self.doubtful_clocks = clocks_told(came, self.keys.name)
             raise
         if isinstance(found, Reply):
             self.its_clock.heard(asked_at, found.clock, found.clock, self._clock())

@@ -49,11 +49,10 @@ class Change:
 class FleetAircraft:
     """One aircraft of a fleet."""
 
-    def __init__(self, bus: Bus, keys: Keys, asker: Asker, name: str) -> None:
-        self.bus = bus
+    def __init__(self, asker: Asker, name: str) -> None:
         self._name = name  # who asks, for people
         self.asker = asker  # asks it, for what has no method here
-        self.keys = keys
+        self.bus, self.keys = asker.bus, asker.keys
 
     def __repr__(self) -> str:
         return f"<FleetAircraft {self.name!r} of {self.keys.site!r}>"
@@ -76,9 +75,7 @@ class FleetAircraft:
             LeaseHeld: Another pilot has the lease.
             M100Error: As :meth:`m100link.Control.obtain`, and :class:`m100link.errors.FleetError`.
         """
-        return FleetControl(
-            self.bus, self.keys, self.asker, self._name, stop=stop, take_over=take_over
-        )
+        return FleetControl(self.asker, self._name, stop=stop, take_over=take_over)
 
     async def take_off(self) -> None:
         """Take control, take off, give control back: it hovers.
@@ -158,10 +155,10 @@ class FleetAircraft:
         """
         if not await self.asker.is_there():
             raise nobody_there(self.name)
-        return await mission_card(self.bus, self.keys, patience=self.asker.patience)
+        return await mission_card(self.asker, patience=self.asker.patience)
 
     def _fetcher(self) -> LogFetcher:
-        return LogFetcher(self.bus, self.keys, self.asker)
+        return LogFetcher(self.asker)
 
     async def card(self) -> Card:
         """Where its agent stands.
@@ -310,7 +307,7 @@ class Fleet:
         Raises:
             UsageError: That cannot be a name.
         """
-        return FleetAircraft(self.bus, Keys(self.keys.site, name), self.asker(name), self._name)
+        return FleetAircraft(self.asker(name), self._name)
 
     def asker(self, name: str, by: str = "") -> Asker:
         """What asks one aircraft; ``by``: who of those that ask by this end, for people.

@@ -50,8 +50,6 @@ class FleetControl:
 
     def __init__(
         self,
-        bus: Bus,
-        keys: Keys,
         asker: Asker,
         name: str,
         *,
@@ -64,7 +62,7 @@ class FleetControl:
         self._name = name
         self._stop = stop
         self._is_take_over = take_over
-        self._bus, self._keys = bus, keys
+        self._keys = asker.keys
         self._clock = asyncio.get_running_loop().time
         self._lease: Lease | None = None
         self._renewed_at = 0.0
@@ -103,7 +101,7 @@ class FleetControl:
             await self._asker.look(within=STEP_S)
         lease = await self._take_lease()
         self._lease, self._renewed_at = lease, self._clock()
-        self._setpoints = SetpointSender(self._bus, self._keys, self._asker.its_clock)
+        self._setpoints = SetpointSender(self._asker.bus, self._keys, self._asker.its_clock)
         self._owner = asyncio.current_task()
         self._renewing = asyncio.create_task(self._renew(), name="m100link: lease of a fleet")
         try:
@@ -315,7 +313,7 @@ class FleetControl:
         Raises (when it is entered):
             M100Error: As :meth:`m100link.Control.waypoint_mission`, and :class:`FleetError`.
         """
-        return FleetMission(self._bus, self._keys, self.missions, plan, take_off=take_off)
+        return FleetMission(self._asker, self.missions, plan, take_off=take_off)
 
     async def pause_mission(self) -> None:
         """Pause whatever mission flies. Raises: see :meth:`take_off`."""

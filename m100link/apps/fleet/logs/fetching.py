@@ -12,9 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from m100link.apps.agent.remote_error import MessageError
-from m100link.apps.bus.network import Bus
 from m100link.apps.fleet.asking import PATIENCE_S, Asker, nobody_there, reason_of
-from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.logs.words import (
     LogEntry,
     LogQuestion,
@@ -60,8 +58,8 @@ class LogFetcher:
     ``patience``: seconds without any answer after which it counts as gone.
     """
 
-    def __init__(self, bus: Bus, keys: Keys, asker: Asker, *, patience: float = PATIENCE_S) -> None:
-        self._bus, self._keys, self._asker, self._patience = bus, keys, asker, patience
+    def __init__(self, asker: Asker, *, patience: float = PATIENCE_S) -> None:
+        self._keys, self._asker, self._patience = asker.keys, asker, patience
         self._clock = asyncio.get_running_loop().time
         self._has_answered = False
 
@@ -169,7 +167,7 @@ class LogFetcher:
             # A new one each time, for a signature ages.
             order = self._asker.around(pack_question(question))
             found = None
-            answers = await self._bus.ask(self._keys.log, pack(order), timeout=_ANSWER_S)
+            answers = await self._asker.bus.ask(self._keys.log, pack(order), timeout=_ANSWER_S)
             for answer in filter(self._asker.is_of_aircraft, answers):
                 try:
                     reply, data = unpack_reply(answer.payload)

@@ -16,9 +16,7 @@ from typing import Self
 from m100link.apps.agent.codec import told_of
 from m100link.apps.agent.messages import TAKE_OFF_FIRST, Action, Ask, Message
 from m100link.apps.agent.remote_error import MessageError
-from m100link.apps.bus.network import Bus
-from m100link.apps.fleet.asking import PATIENCE_S, Questions
-from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.asking import PATIENCE_S, Asker, Questions
 from m100link.apps.fleet.payloads import MissionCard, MissionStage, Reply, unpack
 from m100link.errors import M100Error, MissionAborted, OutcomeUnknown
 from m100link.flight.missions.events import (
@@ -42,21 +40,22 @@ _AGAIN_S = 0.2
 OrderUnderLease = Callable[[Message], Awaitable[Reply]]
 
 
-async def mission_card(bus: Bus, keys: Keys, *, patience: float = PATIENCE_S) -> MissionCard:
+async def mission_card(asker: Asker, *, patience: float = PATIENCE_S) -> MissionCard:
     """Where the mission of an aircraft is.
 
     Raises:
         OutcomeUnknown: It gives no answer for so many seconds.
         MessageError: Its answer cannot be read.
     """
-    clock = asyncio.get_running_loop().time
+    clock, keys = asyncio.get_running_loop().time, asker.keys
     until, unread = clock() + patience, None
-    async with Questions(bus) as questions:
+    async with Questions(asker.bus) as questions:
         while (left := until - clock()) > 0:
             if questions.is_due:
                 questions.ask(keys.mission, within=left)
             ended = await questions.answered(min(left, questions.left))
-            for answer in [] if ended is None else ended[1]:
+            answers = [] if ended is None else ended[1]
+            for answer in filter(asker.is_of_aircraft, answers):
                 try:
                     card: MissionCard = unpack(MissionCard, answer.payload)
                 except MessageError as error:
@@ -128,9 +127,9 @@ class FleetMission:
     """
 
     def __init__(
-        self, bus: Bus, keys: Keys, orders: MissionOrders, plan: WaypointPlan, *, take_off: bool
+        self, asker: Asker, orders: MissionOrders, plan: WaypointPlan, *, take_off: bool
     ) -> None:
-        self._bus, self._keys, self._orders = bus, keys, orders
+        self._asker, self._keys, self._orders = asker, asker.keys, orders
         self.plan = plan
         self._take_off = take_off  # first, from the ground
         self._digest = self._boot = ""
@@ -153,7 +152,7 @@ class FleetMission:
     async def __aenter__(self) -> Self:
         self._digest = await self._orders.upload(self.plan)
         self._events.append(Uploaded(len(self.plan.waypoints), None))
-        self._boot = (await mission_card(self._bus, self._keys)).boot
+        self._boot = (await mission_card(self._asker)).boot
         self._has_begun = True
         try:
             await self._orders.start(self._digest, take_off=self._take_off)
@@ -206,7 +205,7 @@ class FleetMission:
 
         Raises: as :meth:`__anext__`, but for how it ended.
         """
-        card = await mission_card(self._bus, self._keys)
+        card = await mission_card(self._asker)
         if card.boot != self._boot:
             raise OutcomeUnknown(
                 f"the agent of {self._keys.name} was started anew while its mission flew",

@@ -80,11 +80,8 @@ class Conductor:
         utc: Callable[[], float] = time.time,
     ) -> None:
         self._tracks = {track.name: track for track in show.tracks}
-        self._keys = {name: Keys(site, name) for name in self._tracks}
-        self._askers = {
-            name: Asker(bus, keys, who, sign=sign or unsigned, patience=_ANSWER_S, utc=utc)
-            for name, keys in self._keys.items()
-        }
+        how: dict[str, Any] = {"sign": sign or unsigned, "patience": _ANSWER_S, "utc": utc}
+        self._askers = {name: Asker(bus, Keys(site, name), who, **how) for name in self._tracks}
         self._least = show.least_distance_m
         digests = sorted(track.digest for track in show.tracks)
         self._digest = hashlib.sha256("".join(digests).encode()).hexdigest()[:16]
@@ -148,10 +145,10 @@ class Conductor:
 
     async def _ask(self, track: TimedTrack, wanted: dict[str, Any]) -> Part:
         """One question; each try is an order of its own, which the stage admits once."""
-        asker, key = self._askers[track.name], self._keys[track.name].show
+        asker = self._askers[track.name]
         message = SHOW + json.dumps(wanted | {"run": self._run}).encode()
         for _ in range(_TRIES):
-            reply = await asker.once(key, message, within=_ANSWER_S)
+            reply = await asker.once(asker.keys.show, message, within=_ANSWER_S)
             if reply is not None:
                 if reply.fault is not None:
                     raise reply.fault.error()

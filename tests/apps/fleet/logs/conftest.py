@@ -69,8 +69,7 @@ class Road:
         return Asker(bus or self.here, KEYS, "anna", **{"utc": lambda: UTC} | options)
 
     def fetcher(self, **options: object) -> LogFetcher:
-        bus = self.network.session()
-        return LogFetcher(bus, KEYS, self.asker(bus, **options))
+        return LogFetcher(self.asker(self.network.session(), **options))
 
 
 @pytest.fixture

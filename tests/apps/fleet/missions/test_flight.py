@@ -8,7 +8,7 @@ import pytest
 from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.missions.flight import FleetMission, mission_card
-from m100link.apps.fleet.payloads import MissionStage
+from m100link.apps.fleet.payloads import MissionCard, MissionStage, pack
 from m100link.errors import M100Error, NotObserved, OutcomeUnknown, Unreachable
 from m100link.flight.missions.events import (
     Finished,
@@ -164,15 +164,35 @@ async def test_an_agent_that_was_started_anew_is_said(rig: Rig) -> None:
 
 
 async def test_where_nobody_tells_it_is_said_with_what_to_do(rig: Rig) -> None:
-    pilot = await rig.pilot()
+    pilot, key = await rig.pilot(), Keys(SITE, "a7")
     with pytest.raises(Unreachable):
         await pilot["a7"].mission()
     with pytest.raises(OutcomeUnknown, match="does not tell where its mission is"):
-        await mission_card(pilot.bus, Keys(SITE, "a7"), patience=1.0)
+        await mission_card(pilot.asker("a7"), patience=1.0)
     junk = rig.network.session()
-    junk.serve(Keys(SITE, "a7").mission, lambda q: q.answer(Keys(SITE, "a7").mission, b"\x01{]"))
+    junk.serve(key.mission, lambda q: q.answer(key.mission, b"\x01{]"))
+    with pytest.raises(OutcomeUnknown):
+        await mission_card(pilot.asker("a7"), patience=1.0)
+    junk.declare(key.live_by(junk.session))
+    await rig.until(lambda: "a7" in pilot.present)
     with pytest.raises(MessageError):
-        await mission_card(pilot.bus, Keys(SITE, "a7"), patience=1.0)
+        await mission_card(pilot.asker("a7"), patience=1.0)
+
+
+async def test_a_stranger_ends_no_mission_by_telling_that_it_is_over(rig: Rig) -> None:
+    """Anybody on the network may answer; the aircraft is the session that shows its token."""
+    key = Keys(SITE, "a1").mission
+    over = pack(MissionCard("a1", "stranger", MissionStage.OVER, is_finished=True))
+    stranger = rig.network.session()
+    stranger.serve(key, lambda question: question.answer(key, over))
+    one, pilot = await on_board(rig), await rig.pilot()
+    async with pilot["a1"].control() as control:
+        async with control.waypoint_mission(away(one, 20, 140), take_off=True) as mission:
+            for _ in range(20):
+                assert (await mission.look()).boot == one.fleet_agent.boot
+                await anyio.sleep(0.5)
+            assert not mission.is_over
+            assert (await pilot["a1"].mission()).stage is MissionStage.FLYING
 
 
 async def test_a_plan_that_the_guards_refuse_flies_nothing_and_says_why(rig: Rig) -> None:
