@@ -40,10 +40,9 @@ from m100link.apps.agent.messages import (
     Telemetry,
 )
 from m100link.apps.agent.remote_error import Fault, MessageError, agent_gone
-from m100link.apps.bus.network import Bus, Held
+from m100link.apps.bus.network import Held
 from m100link.apps.fleet.asking import Asker
 from m100link.apps.fleet.control import SetpointSender
-from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.orders import revokes
 from m100link.apps.fleet.payloads import Reply, unpack_message
 from m100link.errors import M100Error, UsageError
@@ -63,24 +62,24 @@ _MOST_LEASES = 8
 _MOST_ASKS = 64
 
 
-async def reach(bus: Bus, keys: Keys, asker: Callable[[str], Asker]) -> FleetChannel:
+async def reach(asker: Callable[[str], Asker]) -> FleetChannel:
     """See :meth:`m100link.apps.fleet.client.Fleet.reach`."""
-    channel = FleetChannel(bus, keys, asker)
-    if not await asker("").is_there() or not await channel.look_at_clock():
+    channel, own = FleetChannel(asker), asker("")
+    if not await own.is_there() or not await channel.look_at_clock():
         channel.close()
-        raise agent_gone(f"{keys.name} does not answer, or has an older release")
+        raise agent_gone(f"{own.keys.name} does not answer, or has an older release")
     return channel
 
 
 class FleetChannel:
     """A front's end; see :class:`m100link.apps.agent.transports.Channel`."""
 
-    def __init__(self, bus: Bus, keys: Keys, asker: Callable[[str], Asker]) -> None:
-        self._bus, self._keys, self._asker_of = bus, keys, asker
-        self._asker = asker("")
+    def __init__(self, asker: Callable[[str], Asker]) -> None:
+        self._asker_of, self._asker = asker, asker("")
+        self._bus, self._keys = self._asker.bus, self._asker.keys
         self._clock = asyncio.get_running_loop().time
         self._its_clock = self._asker.its_clock
-        self._setpoints = SetpointSender(bus, keys, self._its_clock)
+        self._setpoints = SetpointSender(self._asker)
         self._background = BackgroundTasks()
         self._on_message: Callable[[Message], None] | None = None
         self._on_closed: Callable[[str], None] | None = None

@@ -10,7 +10,6 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mappin
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Literal, Self
 
 from m100link.apps.agent.messages import Action, Ask
@@ -226,12 +225,7 @@ class Fleet:
         ]
         return self
 
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         for one in self._held:
             one.close()
 
@@ -330,8 +324,7 @@ class Fleet:
             LinkError: It is not there, or it is older than this front.
             UsageError: That cannot be a name.
         """
-        keys = Keys(self.keys.site, name)
-        return await reach(self.bus, keys, lambda by: self.asker(name, by))
+        return await reach(lambda by: self.asker(name, by))
 
     async def each(
         self, do: Callable[[FleetAircraft], Awaitable[object]], names: Iterable[str] | None = None

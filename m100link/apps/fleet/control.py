@@ -12,17 +12,13 @@ import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
-from types import TracebackType
 from typing import Literal, Self
 
 from m100link.apps.agent.background import BackgroundTasks
 from m100link.apps.agent.guided import SETPOINT_LIFETIME, FlyTo
 from m100link.apps.agent.lease import Lease, LeaseHeld
 from m100link.apps.agent.messages import Action, Ask, LeaseAction, LeaseAsk, Message, Steer
-from m100link.apps.bus.network import Bus
 from m100link.apps.fleet.asking import STEP_S, Asker
-from m100link.apps.fleet.expiry import ClockEstimate
-from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
 from m100link.apps.fleet.payloads import LeaseRequest, Progress, Reply, pack_steer
 from m100link.errors import (
@@ -101,7 +97,7 @@ class FleetControl:
             await self._asker.look(within=STEP_S)
         lease = await self._take_lease()
         self._lease, self._renewed_at = lease, self._clock()
-        self._setpoints = SetpointSender(self._asker.bus, self._keys, self._asker.its_clock)
+        self._setpoints = SetpointSender(self._asker)
         self._owner = asyncio.current_task()
         self._renewing = asyncio.create_task(self._renew(), name="m100link: lease of a fleet")
         try:
@@ -114,12 +110,7 @@ class FleetControl:
         self._has_entered = True
         return self
 
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, _type: object, exc: BaseException | None, _: object) -> None:
         is_lost = self._lost is not None
         try:
             if not is_lost and self._stop == "land":
@@ -419,15 +410,12 @@ _PAUSE_S = 0.5
 
 
 class SetpointSender:
-    """Sends to one aircraft until it is closed.
+    """Sends to one aircraft until it is closed, by the agent's clock as its asker knows it."""
 
-    ``clock``: its agent's, as far as is known.
-    """
-
-    def __init__(self, bus: Bus, keys: Keys, clock: ClockEstimate) -> None:
-        self._keys, self._agent_clock = keys, clock
+    def __init__(self, asker: Asker) -> None:
+        self._name, self._agent_clock = asker.keys.name, asker.its_clock
         self._clock = asyncio.get_running_loop().time
-        self._outlet = bus.publish(keys.setpoint)
+        self._outlet = asker.bus.publish(asker.keys.setpoint)
         self._sent_at = -math.inf
 
     def close(self) -> None:
@@ -455,7 +443,7 @@ class SetpointSender:
         known = self._agent_clock.offset(now)
         if known is None or self._agent_clock.way_s > MOST_CLOCK_BOUND_S:
             raise UsageError(
-                f"the clock of {self._keys.name} is not known to {MOST_CLOCK_BOUND_S:g} s",
+                f"the clock of {self._name} is not known to {MOST_CLOCK_BOUND_S:g} s",
                 cause="the way there and back takes too long for setpoints",
                 remedy="fly by tasks and fly_to(), whose loops are closed on board",
             )

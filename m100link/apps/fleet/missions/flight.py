@@ -10,7 +10,6 @@ import asyncio
 import logging
 from collections import deque
 from collections.abc import Awaitable, Callable
-from types import TracebackType
 from typing import Self
 
 from m100link.apps.agent.codec import told_of
@@ -162,12 +161,7 @@ class FleetMission:
         self._events.append(Started())
         return self
 
-    async def __aexit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, exc_type: object, *_: object) -> None:
         await self._leave(is_quiet=exc_type is not None)
 
     async def _leave(self, *, is_quiet: bool) -> None:
