@@ -40,10 +40,9 @@ class Left:
     seen: str  # what goes on, or ends
     remedy: str  # how to see it and how to end it, with ``{name}`` for the aircraft
 
-    def of(self, name: str) -> Result:
+    def of(self, name: str) -> OutcomeUnknown:
         """What is told of one aircraft: nobody knows what became of the order."""
-        remedy = self.remedy.format(name=name)
-        return Result.of(name, OutcomeUnknown(f"interrupted: {self.seen}", remedy=remedy))
+        return OutcomeUnknown(f"interrupted: {self.seen}", remedy=self.remedy.format(name=name))
 
 
 class Begun:
@@ -54,12 +53,9 @@ class Begun:
         self.results: dict[str, Result] = {}  # what is known of each that was asked
 
     async def __call__(self, aircraft: FleetAircraft) -> object:
-        """Ask one.
-
-        Raises: as what is done.
-        """
+        """Ask one."""
         name = aircraft.name
-        self.results[name] = self._left.of(name)
+        self.results[name] = Result.of(name, self._left.of(name))
         try:
             value = await self._do(aircraft)
         except M100Error as error:
@@ -75,9 +71,8 @@ def told_when_interrupted(name: str, left: Left) -> Iterator[None]:
     try:
         yield
     except asyncio.CancelledError:
-        result = left.of(name)
-        if result.error is not None:
-            say(f"{name}: {result.error.seen}", result.error.remedy, to=err)
+        error = left.of(name)
+        say(f"{name}: {error.seen}", error.remedy, to=err)
         raise
 
 

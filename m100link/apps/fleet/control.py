@@ -434,11 +434,7 @@ class SetpointSender:
         # Whether a stream begins with it; by default when none was sent for half a second.
         begins: bool | None = None,
     ) -> None:
-        """Send one; never waits.
-
-        Raises:
-            UsageError: The agent's clock is not known well enough to say how old a setpoint is.
-        """
+        """Send one; never waits."""
         now = self._clock()
         known = self._agent_clock.offset(now)
         if known is None or self._agent_clock.way_s > MOST_CLOCK_BOUND_S:

@@ -158,11 +158,7 @@ _NEXT: dict[MissionStage, dict[MissionInput, MissionStage | None]] = {
 
 
 def after(stage: MissionStage, happens: MissionInput) -> MissionStage:
-    """How far it is then.
-
-    Raises:
-        MissionRunning: It cannot be asked for while a mission flies, or begins.
-    """
+    """How far it is then; MissionRunning where it cannot be asked for."""
     found = _NEXT[stage].get(happens, stage)
     if found is None:
         what = "a plan" if happens is MissionInput.UPLOADED else "the start of a mission"

@@ -216,7 +216,7 @@ _IDLE = 1.0
 
 
 class Shelf:
-    """The logs of one aircraft.
+    """The logs of one aircraft; UsageError for each that is not there, or cannot be read.
 
     ``folder``: where they are; None: nowhere, nothing is recorded.
     """
@@ -241,11 +241,7 @@ class Shelf:
         return sorted(found, key=lambda one: (one.at, one.log), reverse=True)
 
     def piece(self, log: str, offset: int, length: int) -> tuple[bytes, LogEntry]:
-        """Some bytes of a log, fewer at its end; and what it is now.
-
-        Raises:
-            UsageError: There is no such log, or it cannot be read.
-        """
+        """Some bytes of a log, fewer at its end; and what it is now."""
         with self._opened(log) as stream:
             # First: what is written after that may be in the bytes, and is only not promised.
             is_written = self._is_written(log)
@@ -257,11 +253,7 @@ class Shelf:
         return data, LogEntry(log, told.st_size, told.st_mtime, is_written)
 
     def digest(self, log: str, length: int, is_wanted: Callable[[], bool]) -> bytes:
-        """SHA-256 of its first bytes.
-
-        Raises:
-            UsageError: There is no such log, it has fewer bytes, or nobody wants it any more.
-        """
+        """SHA-256 of its first bytes."""
         found, left = hashlib.sha256(), length
         with self._opened(log) as stream:
             while left:

@@ -154,11 +154,7 @@ class Performer:
             self._heard_at = self._client.now
 
     def require_run(self, run: str) -> None:
-        """Whether an order comes of who conducts the show that it is in.
-
-        Raises:
-            UsageError: It is in a show, and another one conducts that.
-        """
+        """Refuse an order of somebody who does not conduct the show that it is in."""
         silent = self._client.now - self._heard_at
         is_over = self.stage is Stage.LOADED and silent > ATTENDED_S  # nobody conducts it any more
         if run not in ("", self.run) and self.stage in _IN_SHOW and not is_over:
@@ -208,12 +204,7 @@ class Performer:
         return track.digest
 
     def place(self, who: str) -> None:
-        """Begin to take off and to fly to the first point.
-
-        Raises:
-            ShowRefused: Its guards do not let it fly as fast as its track.
-            UsageError: It is not loaded.
-        """
+        """Begin to take off and to fly to the first point."""
         self._require(Order.PLACE)
         TrackSteering(self._loaded(), self._fastest).require_fast_enough()
         self.heard()
