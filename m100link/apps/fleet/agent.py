@@ -77,6 +77,14 @@ Verify = Callable[[Order], None]
 """Looks at an order before anything is done; raises :class:`~m100link.errors.NotAllowed`."""
 
 
+def admit(order: Order, name: str, verify: Verify | None) -> None:
+    """Refuse an order for another aircraft, or of somebody who may not give it."""
+    if order.aircraft != name:
+        raise NotAllowed(f"an order to {order.aircraft} came to {name}")
+    if verify is not None:
+        verify(order)
+
+
 class FleetAgent:
     """One aircraft of a fleet."""
 
@@ -328,10 +336,7 @@ class FleetAgent:
         """Hear an order for the first time."""
         if not _ID.fullmatch(order.id):
             raise MessageError("the id of an order is 32 hexadecimal digits")
-        if order.aircraft != self._keys.name:
-            raise NotAllowed(f"an order to {order.aircraft} came to {self._keys.name}")
-        if self._verify is not None:
-            self._verify(order)
+        admit(order, self._keys.name, self._verify)
         try:
             message = self._admitted(order)
         except M100Error as error:

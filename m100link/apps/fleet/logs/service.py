@@ -23,7 +23,7 @@ from typing import Any, TypeVar
 from m100link.apps.agent.background import BackgroundTasks
 from m100link.apps.agent.remote_error import fault_of
 from m100link.apps.bus.network import Bus, Question
-from m100link.apps.fleet.agent import Verify
+from m100link.apps.fleet.agent import Verify, admit
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.logs.words import (
     LogEntry,
@@ -35,7 +35,7 @@ from m100link.apps.fleet.logs.words import (
     unpack_question,
 )
 from m100link.apps.fleet.payloads import Order, outcome_of, unpack
-from m100link.errors import M100Error, NotAllowed, UsageError
+from m100link.errors import M100Error, UsageError
 from m100link.errors.texts import read_path
 from m100link.log.folder import is_log_name
 from m100link.log.recorder import is_being_written
@@ -145,10 +145,7 @@ class LogService:
         question.answer(self._keys.log, payload)
 
     async def _answered(self, order: Order) -> bytes:
-        if order.aircraft != self._keys.name:
-            raise NotAllowed(f"an order to {order.aircraft} came to {self._keys.name}")
-        if self._verify is not None:
-            self._verify(order)
+        admit(order, self._keys.name, self._verify)
         question = unpack_question(order.message)
         return await self._doing[question.what](question, order)
 

@@ -15,7 +15,7 @@ from typing import Any
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.remote_error import MessageError, fault_of
 from m100link.apps.bus.network import Bus, Question
-from m100link.apps.fleet.agent import Namesakes, Verify
+from m100link.apps.fleet.agent import Namesakes, Verify, admit
 from m100link.apps.fleet.identity import Since
 from m100link.apps.fleet.keys import Keys, name_in
 from m100link.apps.fleet.payloads import (
@@ -132,23 +132,14 @@ class ShowService:
             order: Order = unpack(Order, question.payload)
             identity, digest = order.id, order.digest()
             if digest not in self._known:  # by its id somebody else's would be taken for it
-                self._admit(order)
-                self._remember(digest, self._obey(order))
+                admit(order, self._keys.name, self._verify)
+                self._known[digest] = self._obey(order)
+                if len(self._known) > _MOST_KNOWN:
+                    del self._known[next(iter(self._known))]
             fault = self._known[digest]
         except M100Error as error:
             fault = error
         question.answer(self._keys.show, pack(self._reply(identity, fault)))
-
-    def _remember(self, digest: bytes, fault: M100Error | None) -> None:
-        self._known[digest] = fault
-        if len(self._known) > _MOST_KNOWN:
-            del self._known[next(iter(self._known))]
-
-    def _admit(self, order: Order) -> None:
-        if order.aircraft != self._keys.name:
-            raise NotAllowed(f"an order to {order.aircraft} came to {self._keys.name}")
-        if self._verify is not None:
-            self._verify(order)
 
     def _obey(self, order: Order) -> M100Error | None:
         """Do it; what it is refused for, if it is."""
