@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     # For type checkers and editors, which read one file and run nothing: mypy, pyright and jedi see
     # plain imports. A stub beside this file would be a second list to keep, and would hide it.
+    # A star stands where each name of a module is public here, too (pyproject.toml: F403, F405).
     # Rooms by their own names again, which is how checkers tell what may be used from outside.
     from m100link import aircraft as aircraft
     from m100link import errors as errors
@@ -61,10 +62,7 @@ if TYPE_CHECKING:
     )
     from m100link.apps import doctor as doctor
     from m100link.apps import fleet as fleet
-    from m100link.errors.aircraft import *  # noqa: F403 (all of its __all__, like those below)
-    from m100link.errors.base import *  # noqa: F403
-    from m100link.errors.line import *  # noqa: F403
-    from m100link.errors.usage import *  # noqa: F403
+    from m100link.errors import *
     from m100link.flight.authority import Authority, AuthorityState
     from m100link.flight.control import Control, Hold
     from m100link.flight.guards import Envelope, Guards
@@ -98,22 +96,7 @@ if TYPE_CHECKING:
     from m100link.link import LinkStatistics, RoundTrips
     from m100link.link import requests as requests
     from m100link.missions import patterns as patterns
-    from m100link.missions.plan import (
-        AtEnd,
-        GimbalPitch,
-        Heading,
-        OnRCLoss,
-        PlanEstimate,
-        StartVideo,
-        Stay,
-        StopVideo,
-        TakePhoto,
-        Trace,
-        TurnTo,
-        Waypoint,
-        WaypointAction,
-        WaypointPlan,
-    )
+    from m100link.missions.plan import *
     from m100link.protocol import (
         PROFILES,
         ActivationCode,
@@ -128,7 +111,7 @@ if TYPE_CHECKING:
         TaskStartCode,
         Version,
     )
-    from m100link.protocol.records import *  # noqa: F403 (all of its __all__)
+    from m100link.protocol.records import *
     from m100link.session import SessionMode
     from m100link.telemetry import notifications as notifications
     from m100link.telemetry.columns import Columns, Table
