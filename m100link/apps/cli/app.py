@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import signal
 import sys
 
@@ -200,6 +201,10 @@ def _status_of(words: list[str]) -> int:
             signal.signal(signal.SIGINT, signal.default_int_handler)
         with logging_as_asked(bound.arguments.values()):
             status = verb(*bound.args, **bound.kwargs)
+            if inspect.iscoroutine(status):
+                from m100link.apps.cli.common import run_async  # who decodes a frame needs none
+
+                status = run_async(status)
     except UnusedCliTokensError as error:
         called = " ".join(("m100link", *(error.command_chain or ())))
         return complain(

@@ -7,7 +7,7 @@ import os
 import signal
 from collections.abc import Callable, Coroutine, Iterable
 from dataclasses import asdict, dataclass
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 from rich.console import Console
@@ -22,6 +22,9 @@ from m100link.errors import UsageError
 from m100link.link.url import parse_url
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.firmware import PROFILES
+
+if TYPE_CHECKING:
+    from m100link.aircraft.connecting import Connecting, Recording
 
 out = Console(highlight=False)
 """Standard output: data."""
@@ -69,13 +72,17 @@ class Place:
     url: str  # where the aircraft is
     settings: Settings  # everything else; each names its source
 
-    def arguments(self) -> dict[str, Any]:
-        """Keyword arguments of :func:`m100link.connect`."""
-        return {
-            "firmware": self.settings.firmware,
-            "baud_rate": self.settings.baud_rate,
-            "timeout": self.settings.timeout,
-        }
+    def connect(self, record: Recording | None = None) -> Connecting:
+        """As :func:`m100link.connect`."""
+        from m100link.aircraft import connect  # who serves one loads it in another process
+
+        return connect(
+            self.url,
+            firmware=self.settings.firmware,
+            baud_rate=self.settings.baud_rate,
+            timeout=self.settings.timeout,
+            record=record,
+        )
 
     @property
     def is_virtual(self) -> bool:

@@ -9,15 +9,15 @@ import json as json_text
 import os
 import platform
 import sys
-from collections.abc import Callable
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 from rich.table import Table
 
 from m100link import __version__
-from m100link.aircraft import Aircraft, connect
+from m100link.aircraft import Aircraft
 from m100link.aircraft.activation import ActivationProgress
 from m100link.apps.cli.common import (
     AS_SET,
@@ -28,12 +28,10 @@ from m100link.apps.cli.common import (
     Url,
     err,
     out,
-    run_async,
 )
 from m100link.apps.cli.options import Above0, offered
 from m100link.apps.cli.terminal import ExitCode, finite, print_json, read_line
 from m100link.apps.doctor import Finding, Machine, Report, Stage, Verdict, diagnose
-from m100link.apps.doctor.diagnosis import ignore
 from m100link.apps.doctor.machine import RULES_FILE, rule
 from m100link.errors import AckTimeout, LinkError, PortNotFound, UsageError
 from m100link.link.statistics import ROUND_TRIP_BOUNDS_S, RoundTrips
@@ -41,14 +39,14 @@ from m100link.link.transport import serial_ports
 from m100link.protocol.items import BY_RECORD
 
 
-def info(
+async def info(
     url: Url = None,
     /,
     *,
     link: LinkOptions = BY_LINK,
     duration: Annotated[float, Above0] = 1.1,
     json: bool = False,
-) -> int:
+) -> None:
     """Show what is at the other end: version, firmware profile, telemetry items, line quality.
 
     Args:
@@ -56,15 +54,10 @@ def info(
         duration: Seconds to watch telemetry.
         json: One JSON object instead of tables.
     """
-    as_json = json or not sys.stdout.isatty()
-    return run_async(_info(link.place(url), duration, as_json))
-
-
-async def _info(place: Place, duration: float, as_json: bool) -> int:
-    async with connect(place.url, **place.arguments()) as aircraft:
+    place = link.place(url)
+    async with place.connect() as aircraft:
         version = await aircraft.version()
         await asyncio.sleep(duration)
-        numbers = dataclasses.asdict(aircraft.statistics())
         described: dict[str, Any] = {
             "url": place.url,
             "version": version.name,
@@ -76,13 +69,12 @@ async def _info(place: Place, duration: float, as_json: bool) -> int:
             "firmware_summary": aircraft.firmware.summary,
             "telemetry": telemetry_rates(aircraft),
             "telemetry_mismatches": aircraft.telemetry_mismatches,
-            "line": numbers,
+            "line": dataclasses.asdict(aircraft.statistics()),
         }
-    if as_json:
+    if json or not sys.stdout.isatty():
         print_json(described)
     else:
         _print_info(described)
-    return 0
 
 
 def _print_info(described: dict[str, Any]) -> None:
@@ -120,14 +112,14 @@ def _print_rows(rows: dict[str, str], described: dict[str, Any]) -> None:
     out.print(table)
 
 
-def activate(
+async def activate(
     url: Url = None,
     /,
     *,
     options: AircraftOptions = AS_SET,
     wait: Annotated[float, Above0] = 60.0,
     json: bool = False,
-) -> int:
+) -> None:
     """Activate the aircraft for an app; waits while the aircraft asks DJI's server.
 
     Args:
@@ -135,10 +127,7 @@ def activate(
         wait: Seconds until it gives up.
         json: One JSON object instead of talk.
     """
-    return run_async(_activate(options.place(url), wait, json))
-
-
-async def _activate(place: Place, wait: float, as_json: bool) -> int:
+    place = options.place(url)
     credentials = place.credentials()
     attempts = 0
 
@@ -152,9 +141,9 @@ async def _activate(place: Place, wait: float, as_json: bool) -> int:
                 f"({progress.code.remedy})"
             )
 
-    async with connect(place.url, **place.arguments()) as aircraft:
+    async with place.connect() as aircraft:
         version = await aircraft.activate(credentials, timeout=wait, progress=tell)
-    if as_json or not sys.stdout.isatty():
+    if json or not sys.stdout.isatty():
         print_json(
             {
                 "activated": True,
@@ -166,7 +155,6 @@ async def _activate(place: Place, wait: float, as_json: bool) -> int:
         )
     else:
         out.print(f"[green]activated[/] for app {credentials.app_id}: {version.name}")
-    return 0
 
 
 # -- ``m100link link``: how good is the line? ------------------------------------------------------
@@ -176,7 +164,7 @@ _BAR = 40
 _SHARES = (0.5, 0.95, 0.99)
 
 
-def link(
+async def link(
     url: Url = None,
     /,
     *,
@@ -184,7 +172,7 @@ def link(
     duration: Annotated[float, Above0] = 5.0,
     rate: Annotated[float, Above0] = 10.0,
     json: bool = False,
-) -> int:
+) -> None:
     """Measure the line: damage and its causes, how long answers take, rates of telemetry.
 
     It asks for the version again and again, and nothing else: nothing moves.
@@ -195,12 +183,8 @@ def link(
         rate: Questions per second; the next one waits for the answer.
         json: One JSON object instead of tables.
     """
-    as_json = json or not sys.stdout.isatty()
-    return run_async(_link(options.place(url), duration, 1.0 / rate, as_json))
-
-
-async def _link(place: Place, duration: float, interval: float, as_json: bool) -> int:
-    async with connect(place.url, **place.arguments()) as aircraft:
+    place = options.place(url)
+    async with place.connect() as aircraft:
         loop = asyncio.get_running_loop()
         end, asked, unanswered = loop.time() + duration, 0, 0
         while (now := loop.time()) < end:
@@ -209,13 +193,12 @@ async def _link(place: Place, duration: float, interval: float, as_json: bool) -
                 await aircraft.version()
             except AckTimeout:
                 unanswered += 1
-            await asyncio.sleep(max(0.0, min(now + interval, end) - loop.time()))
+            await asyncio.sleep(max(0.0, min(now + 1.0 / rate, end) - loop.time()))
         measured = _measured(aircraft) | {"asked": asked, "unanswered": unanswered}
-    if as_json:
+    if json or not sys.stdout.isatty():
         print_json(measured)
     else:
         _print(measured)
-    return ExitCode.OK
 
 
 def telemetry_rates(aircraft: Aircraft) -> dict[str, float | None]:
@@ -334,7 +317,7 @@ def doctor(
     place = options.place(url or _only_port(options.link))
     as_json = json or not sys.stdout.isatty()
     try:
-        found = _diagnosed(_Patient(place), authority=authority, as_json=as_json)
+        found = _diagnosed(place, authority=authority, as_json=as_json)
     except KeyboardInterrupt:
         err.print("interrupted")
         return ExitCode.INTERRUPTED
@@ -373,32 +356,24 @@ def _only_port(link: LinkOptions) -> str | None:
     return found[0] if found else None
 
 
-class _Patient:
-    """What is diagnosed, once or twice."""
-
-    def __init__(self, place: Place) -> None:
-        app = place.settings
-        has_app = app.app_id is not None or (
-            place.is_virtual and app.key is None and app.key_file is None
-        )
-        self._url = place.url
-        self._arguments: dict[str, Any] = {
-            "credentials": place.credentials() if has_app else None,
-            "firmware": app.firmware,
-            "baud_rate": app.baud_rate,
-        }
-
-    async def diagnose(self, tell: Callable[[Finding], None], *, authority: bool) -> Report:
-        return await diagnose(self._url, tell=tell, authority=authority, **self._arguments)
-
-
-def _diagnosed(patient: _Patient, *, authority: bool, as_json: bool) -> Report:
+def _diagnosed(place: Place, *, authority: bool, as_json: bool) -> Report:
+    app = place.settings
+    has_app = app.app_id is not None or (
+        place.is_virtual and app.key is None and app.key_file is None
+    )
+    look = partial(
+        diagnose,
+        place.url,
+        credentials=place.credentials() if has_app else None,
+        firmware=app.firmware,
+        baud_rate=app.baud_rate,
+    )
     if as_json:
-        return asyncio.run(patient.diagnose(ignore, authority=authority))
-    found = asyncio.run(patient.diagnose(_tell, authority=authority))
+        return asyncio.run(look(authority=authority))
+    found = asyncio.run(look(tell=_tell, authority=authority))
     if found.findings[-1].details.get("may_be_tried") and asyncio.run(_agrees()):
         # A second time, because a person may take long, and an open port is nobody else's.
-        found = asyncio.run(patient.diagnose(ignore, authority=True))
+        found = asyncio.run(look(authority=True))
         _tell(found.findings[-1])
     return found
 

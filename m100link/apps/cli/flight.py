@@ -10,13 +10,14 @@ import asyncio
 import math
 import re
 import sys
-from collections.abc import Awaitable, Callable, Sequence
-from typing import Annotated, Any
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from contextlib import asynccontextmanager
+from typing import Annotated
 
 from cyclopts import Parameter
 from rich.table import Table
 
-from m100link.aircraft import Aircraft, connect
+from m100link.aircraft import Aircraft
 from m100link.aircraft.activation import ActivationProgress
 from m100link.aircraft.payload import angles_command, rates_command
 from m100link.aircraft.rates import rates_by_item
@@ -30,7 +31,6 @@ from m100link.apps.cli.common import (
     err,
     out,
     places,
-    run_async,
 )
 from m100link.apps.cli.options import Above0, offered
 from m100link.apps.cli.terminal import print_json, read_line
@@ -50,21 +50,22 @@ Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=())]
 
 _PUSHES_S = 1.0  # in which an aircraft that tells of its mission has done so
 
-_Flight = Callable[[Control], Awaitable[object]]
 
-
-def takeoff(url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False) -> int:
+async def takeoff(
+    url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False
+) -> None:
     """Start the motors and climb to about 1.2 m; the aircraft hovers there.
 
     Args:
         url: Where the aircraft is.
         yes: Do not ask.
     """
-    place = options.place(url)
-    return run_async(_fly(place, yes, "take off", lambda control: control.take_off(progress=_tell)))
+    flight = in_control(options.place(url), "take off", is_sure=yes, begins="take off")
+    async with flight as (_, control):
+        await control.take_off(progress=_tell)
 
 
-def land(url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False) -> int:
+async def land(url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False) -> None:
     """Land in place and stop the motors.
 
     Nobody is asked, and whatever mission flies is stopped first. Ctrl-C ends the landing, and the
@@ -74,11 +75,12 @@ def land(url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = Fa
         url: Where the aircraft is.
         yes: Not needed: nobody is asked before a landing.
     """
-    place = options.place(url)
-    return run_async(_come_down(place, True, "land", lambda control: control.land(progress=_tell)))
+    async with in_control(options.place(url), "land", is_sure=True) as (aircraft, control):
+        await _end_mission(aircraft, control)
+        await control.land(progress=_tell)
 
 
-def home(url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False) -> int:
+async def home(url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False) -> None:
     """Fly to the home point and land there.
 
     Whatever mission flies is stopped first.
@@ -87,13 +89,13 @@ def home(url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = Fa
         url: Where the aircraft is.
         yes: Do not ask.
     """
-    place = options.place(url)
-    return run_async(
-        _come_down(place, yes, "go home", lambda control: control.go_home(progress=_tell))
-    )
+    flight = in_control(options.place(url), "go home", is_sure=yes, look=_mission_that_ends)
+    async with flight as (aircraft, control):
+        await _end_mission(aircraft, control)
+        await control.go_home(progress=_tell)
 
 
-def fly(
+async def fly(
     *place: Annotated[
         str, Parameter(name=["[URL] NORTH EAST UP"], allow_leading_hyphen=True), offered(places)
     ],
@@ -101,7 +103,7 @@ def fly(
     max_height: Annotated[float, Above0] = 50.0,
     max_radius: Annotated[float, Above0] = 150.0,
     yes: Yes = False,
-) -> int:
+) -> None:
     """Fly so many metres north, east and up from here, and hover there.
 
     Args:
@@ -126,14 +128,10 @@ def fly(
                 end="\r",
             )
 
-    flight = _fly(
-        where,
-        yes,
-        f"fly {north:g} m north, {east:g} m east, {up:g} m up",
-        lambda control: control.fly_to(north=north, east=east, up=up, progress=progress),
-        Guards(envelope=envelope),
-    )
-    return run_async(flight)
+    what = f"fly {north:g} m north, {east:g} m east, {up:g} m up"
+    flight = in_control(where, what, is_sure=yes, begins=what, guards=Guards(envelope=envelope))
+    async with flight as (_, control):
+        await control.fly_to(north=north, east=east, up=up, progress=progress)
 
 
 def _is_number(word: str) -> bool:
@@ -157,69 +155,90 @@ def _metres(words: Sequence[str]) -> tuple[float, float, float]:
     return north, east, up
 
 
-def release(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> int:
+async def release(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> None:
     """Give control authority back; the aircraft hovers and the pilot flies on.
 
     Args:
         url: Where the aircraft is.
     """
-    place = options.place(url)
-
-    async def run() -> None:
-        credentials = place.credentials()
-        async with connect(place.url, **place.arguments()) as aircraft:
-            await activate_app(aircraft, credentials)
-            if not await aircraft.release_authority():
-                raise NotObserved(
-                    "the aircraft did not say that it has control authority back",
-                    situation=aircraft.state.situation(),
-                    cause="the release or its answer was lost, or refused: see the log",
-                    remedy="it hovers, and the pilot takes it by the mode switch; try again",
-                )
-            out.print("released")
-
-    return run_async(run())
+    async with activated(options.place(url)) as aircraft:
+        if not await aircraft.release_authority():
+            raise NotObserved(
+                "the aircraft did not say that it has control authority back",
+                situation=aircraft.state.situation(),
+                cause="the release or its answer was lost, or refused: see the log",
+                remedy="it hovers, and the pilot takes it by the mode switch; try again",
+            )
+        out.print("released")
 
 
-async def _fly(
-    place: Place, yes: bool, what: str, flight: _Flight, guards: Guards | None = None
-) -> int:
-    credentials = place.credentials()  # what is wrong with them is told before a port is opened
-    async with connect(place.url, **place.arguments()) as aircraft:
-        if not yes and not place.is_virtual:
-            await confirm(aircraft, what)
-        await activate_app(aircraft, credentials)
-        await require_no_mission(aircraft, what)
-        async with aircraft.control(guards=guards) as control:
-            await flight(control)
-        _done(aircraft, what)
-    return 0
+Look = Callable[[Aircraft], Awaitable[str | None]]
 
 
-async def _come_down(place: Place, is_sure: bool, what: str, flight: _Flight) -> int:
-    """End whatever mission flies, and land, here or at home.
+@asynccontextmanager
+async def activated(
+    place: Place,
+    *,
+    credentials: Credentials | None = None,  # by default those of the place
+    ask: str | None = None,  # what a person is asked for before; nobody is for a virtual aircraft
+    # Raises what would be refused anyway, before anybody is asked; may tell what else is asked for.
+    look: Look | None = None,
+) -> AsyncIterator[Aircraft]:
+    """Connect and activate, and tell the terminal why that takes its time."""
 
-    A person in a hurry has one command to remember. One who is asked is told of the mission.
-    """
-    credentials = place.credentials()
-    async with connect(place.url, **place.arguments()) as aircraft:
-        if not is_sure and not place.is_virtual:
+    def tell(progress: ActivationProgress) -> None:
+        if progress.next_attempt_in is not None:
+            err.print(f"activation: {progress.code.meaning}; again in a moment")
+
+    # What is wrong with them is told before a port is opened.
+    credentials = credentials or place.credentials()
+    async with place.connect() as aircraft:
+        if ask is not None and not place.is_virtual:
+            also = None if look is None else await look(aircraft)
+            await confirm(aircraft, (also or "") + ask)
+        await aircraft.activate(credentials, progress=tell)
+        yield aircraft
+
+
+@asynccontextmanager
+async def in_control(
+    place: Place,
+    what: str | None = None,  # what a person is asked for, and told that it is done
+    *,
+    is_sure: bool = False,
+    look: Look | None = None,
+    begins: str | None = None,  # refused while a mission flies, before control is obtained
+    guards: Guards | None = None,
+    credentials: Credentials | None = None,
+    is_told: bool = True,
+) -> AsyncIterator[tuple[Aircraft, Control]]:
+    """Connect, ask, activate, obtain control."""
+    ask = None if is_sure else what
+    async with activated(place, credentials=credentials, ask=ask, look=look) as aircraft:
+        if begins is None:
             await hear_of_mission(aircraft)
-            mission = aircraft.mission
-            ends = f"end the {mission.kind.value} and " if mission.is_running else ""
-            await confirm(aircraft, ends + what)
-        await activate_app(aircraft, credentials)
-        await hear_of_mission(aircraft)
-        async with aircraft.control() as control:
-            if aircraft.mission.is_running:
-                await _end_mission(control)
-            await flight(control)
-        _done(aircraft, what)
-    return 0
+        else:
+            await require_no_mission(aircraft, begins)
+        async with aircraft.control(guards=guards) as control:
+            yield aircraft, control
+        if what is not None and is_told:
+            out.print(f"done: {what} ({describe_situation(aircraft.state.situation())})")
 
 
-async def _end_mission(control: Control) -> None:
-    """Stop it; if it cannot be stopped, say so and let the landing break it off."""
+async def _mission_that_ends(aircraft: Aircraft) -> str:
+    """What a person is asked for, too: one who is asked is told of the mission."""
+    await hear_of_mission(aircraft)
+    mission = aircraft.mission
+    return f"end the {mission.kind.value} and " if mission.is_running else ""
+
+
+async def _end_mission(aircraft: Aircraft, control: Control) -> None:
+    """Stop whatever flies: a person in a hurry has one command to remember.
+
+    If it cannot be stopped, say so and let the landing break it off.
+    """
+    if not aircraft.mission.is_running:
+        return
     try:
         kind = await control.stop_mission()
     except (MissionRefused, AckTimeout) as error:
@@ -227,20 +246,6 @@ async def _end_mission(control: Control) -> None:
         return
     if kind is not MissionKind.NONE:
         err.print(f"stopped: {kind.value}")
-
-
-def _done(aircraft: Aircraft, what: str) -> None:
-    out.print(f"done: {what} ({describe_situation(aircraft.state.situation())})")
-
-
-async def activate_app(aircraft: Aircraft, credentials: Credentials) -> None:
-    """Activate, and tell the terminal why that takes its time."""
-
-    def tell(progress: ActivationProgress) -> None:
-        if progress.next_attempt_in is not None:
-            err.print(f"activation: {progress.code.meaning}; again in a moment")
-
-    await aircraft.activate(credentials, progress=tell)
 
 
 async def hear_of_mission(aircraft: Aircraft) -> None:
@@ -302,7 +307,7 @@ _CAMERA = ("photo", "start-video", "stop-video")
 _WATCH_S = 2.2  # two packages of an item at 1 Hz
 
 
-def gimbal(
+async def gimbal(
     url: Url = None,
     /,
     *,
@@ -315,7 +320,7 @@ def gimbal(
     wait: bool = True,
     options: AircraftOptions = AS_SET,
     json: bool = False,
-) -> int:
+) -> None:
     """Point the gimbal, and show where it looks; without an angle it only shows that.
 
     Args:
@@ -339,23 +344,13 @@ def gimbal(
     elif angles:
         angles_command(**angles, seconds=seconds, relative=relative)
 
-    async def point(aircraft: Aircraft) -> None:
+    async with activated(place) if angles else place.connect() as aircraft:
         if rates:
             await aircraft.gimbal.set_angular_rates(**angles, seconds=seconds)
         elif angles:
             await aircraft.gimbal.set_angles(
                 **angles, seconds=seconds, relative=relative, wait=wait
             )
-
-    return run_async(_gimbal(place, point if angles else None, json or not sys.stdout.isatty()))
-
-
-async def _gimbal(place: Place, point: Any, as_json: bool) -> None:
-    credentials = place.credentials() if point else None
-    async with connect(place.url, **place.arguments()) as aircraft:
-        if credentials is not None:
-            await activate_app(aircraft, credentials)
-            await point(aircraft)
         state = aircraft.state
         await aircraft.wait_for(
             lambda _: state.fresh(Gimbal, within=1.5) is not None,
@@ -370,7 +365,7 @@ async def _gimbal(place: Place, point: Any, as_json: bool) -> None:
         "roll_deg": round(seen.roll_deg, 1),
         "limits": seen.limits,
     }
-    if as_json:
+    if json or not sys.stdout.isatty():
         print_json(described)
     else:
         out.print(
@@ -378,7 +373,7 @@ async def _gimbal(place: Place, point: Any, as_json: bool) -> None:
         )
 
 
-def camera(
+async def camera(
     *words: Annotated[
         str,
         Parameter(name=["[URL] photo|start-video|stop-video"]),
@@ -386,7 +381,7 @@ def camera(
     ],
     options: AircraftOptions = AS_SET,
     json: bool = False,
-) -> int:
+) -> None:
     """Take a photograph, start or stop video. It is sent; nobody confirms it.
 
     Args:
@@ -400,7 +395,18 @@ def camera(
             remedy=f"the aircraft, if it is named at all, then one of: {', '.join(_CAMERA)}",
         )
     place, _ = options.place_among(words, lambda word: word in _CAMERA)
-    return run_async(_camera(place, actions[0], json or not sys.stdout.isatty()))
+    [action] = actions
+    async with activated(place) as aircraft:
+        commands = {
+            "photo": aircraft.camera.take_photo,
+            "start-video": aircraft.camera.start_video,
+            "stop-video": aircraft.camera.stop_video,
+        }
+        await commands[action]()
+    if json or not sys.stdout.isatty():
+        print_json({"sent": action, "confirmed": None})
+    else:
+        out.print(f"sent: {action} (nobody confirms it: look at the card)")
 
 
 def _not_an_action(words: Sequence[str]) -> str:
@@ -414,23 +420,7 @@ def _not_an_action(words: Sequence[str]) -> str:
     return f"the camera has no action {strange[0]!r}" if strange else "no action was given"
 
 
-async def _camera(place: Place, action: str, as_json: bool) -> None:
-    credentials = place.credentials()
-    async with connect(place.url, **place.arguments()) as aircraft:
-        await activate_app(aircraft, credentials)
-        commands = {
-            "photo": aircraft.camera.take_photo,
-            "start-video": aircraft.camera.start_video,
-            "stop-video": aircraft.camera.stop_video,
-        }
-        await commands[action]()
-    if as_json:
-        print_json({"sent": action, "confirmed": None})
-    else:
-        out.print(f"sent: {action} (nobody confirms it: look at the card)")
-
-
-def rates(
+async def rates(
     *words: Annotated[
         str,
         Parameter(name=["[URL] ITEM=HZ..."]),
@@ -438,7 +428,7 @@ def rates(
     ],
     link: LinkOptions = BY_LINK,
     json: bool = False,
-) -> int:
+) -> None:
     """Set telemetry rates (firmware 3.1), and show how items arrive; without any only that.
 
     Args:
@@ -447,7 +437,26 @@ def rates(
         json: One JSON object; the default in a pipe.
     """
     place, asked = link.place_among(words, _is_rate)
-    return run_async(_rates(place, _pairs(asked), json or not sys.stdout.isatty()))
+    wanted = _pairs(asked)
+    async with place.connect() as aircraft:
+        if wanted:
+            await aircraft.set_telemetry_rates(**wanted)
+        state = aircraft.state
+        before = {record: state.statistics(record).count for record in BY_RECORD}
+        await asyncio.sleep(_WATCH_S)
+        seen = {
+            item.name: round((state.statistics(record).count - before[record]) / _WATCH_S, 1)
+            for record, item in BY_RECORD.items()
+        }
+    if json or not sys.stdout.isatty():
+        print_json({"rates_hz": seen})
+        return
+    table = Table(box=None, pad_edge=False)
+    table.add_column("item")
+    table.add_column("Hz", justify="right")
+    for name, rate in seen.items():
+        table.add_row(name, f"{rate:g}" if rate else "-")
+    out.print(table)
 
 
 def _is_rate(word: str) -> bool:
@@ -470,25 +479,3 @@ def _pairs(words: Sequence[str]) -> dict[str, int]:
     if found:  # what cannot be is refused before a port is opened
         rates_by_item(found)
     return found
-
-
-async def _rates(place: Place, wanted: dict[str, int], as_json: bool) -> None:
-    async with connect(place.url, **place.arguments()) as aircraft:
-        if wanted:
-            await aircraft.set_telemetry_rates(**wanted)
-        state = aircraft.state
-        before = {record: state.statistics(record).count for record in BY_RECORD}
-        await asyncio.sleep(_WATCH_S)
-        seen = {
-            item.name: round((state.statistics(record).count - before[record]) / _WATCH_S, 1)
-            for record, item in BY_RECORD.items()
-        }
-    if as_json:
-        print_json({"rates_hz": seen})
-        return
-    table = Table(box=None, pad_edge=False)
-    table.add_column("item")
-    table.add_column("Hz", justify="right")
-    for name, rate in seen.items():
-        table.add_row(name, f"{rate:g}" if rate else "-")
-    out.print(table)

@@ -17,8 +17,8 @@ from typing import IO, Annotated, Any
 
 from cyclopts import Parameter
 
-from m100link.aircraft import Aircraft, connect
-from m100link.apps.cli.common import BY_LINK, LinkOptions, Place, Url, err, out, run_async
+from m100link.aircraft import Aircraft
+from m100link.apps.cli.common import BY_LINK, LinkOptions, Url, err, out
 from m100link.apps.cli.display import items_named, reading, status
 from m100link.apps.cli.options import Above0, AsJson, Firmware, group, offered
 from m100link.apps.cli.terminal import ExitCode, complain, print_json, wants_json
@@ -395,7 +395,7 @@ app.command(compare_files, name="compare")
 _SPANS = ("phases", "control", "alarms")
 
 
-def record(
+async def record(
     url: Url = None,
     /,
     *,
@@ -416,10 +416,7 @@ def record(
             package are recorded whatever it is.
         duration: Seconds until it ends by itself.
     """
-    return run_async(_record(link.place(url), output, rate, duration))
-
-
-async def _record(place: Place, output: Path, rate: float, duration: float | None) -> int:
+    place = link.place(url)
     recorder = Recorder(output, rate_hz=rate)
     lost: LinkError | None = None
     ended = asyncio.Event()  # by whoever ends services, or closes the terminal
@@ -427,7 +424,7 @@ async def _record(place: Place, output: Path, rate: float, duration: float | Non
     for number in (signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, ended.set)
     try:
-        async with connect(place.url, record=recorder, **place.arguments()) as aircraft:
+        async with place.connect(recorder) as aircraft:
             err.print(f"recording {place.url} into {recorder.path}; Ctrl-C ends it")
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(duration):

@@ -5,20 +5,20 @@ from __future__ import annotations
 import asyncio
 import math
 import sys
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import asdict
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 from rich.console import Group
 from rich.live import Live
 from rich.text import Text
 
-from m100link.aircraft import Aircraft, connect
-from m100link.apps.cli.common import AS_SET, AircraftOptions, Place, Url, err, out, run_async
+from m100link.aircraft import Aircraft
+from m100link.apps.cli.common import AS_SET, AircraftOptions, Url, err, out
 from m100link.apps.cli.display import Point, track_plot
-from m100link.apps.cli.flight import activate_app, confirm, hear_of_mission, require_no_mission
+from m100link.apps.cli.flight import Yes, activated, in_control
 from m100link.apps.cli.options import Above0, Flag, group
 from m100link.apps.cli.plan import File, FileOptions, read_plan, require_free
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json
@@ -39,7 +39,6 @@ from m100link.flight.missions.waypoint import WaypointFlight
 from m100link.geodesy import LocalFrame
 from m100link.missions import document
 from m100link.missions.plan import AtEnd, WaypointPlan
-from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.commands.missions import MissionStatus
 from m100link.protocol.records import FlightPhase, Position
 from m100link.telemetry.subscription import Latest
@@ -66,8 +65,8 @@ def fly(
     allow_far: Flag = False,
     max_height: Annotated[float, Above0] = 50.0,
     max_radius: Annotated[float, Above0] = 150.0,
-    yes: Annotated[bool, Parameter(name=["--yes", "-y"], negative=())] = False,
-) -> int:
+    yes: Yes = False,
+) -> Coroutine[Any, Any, int]:
     """Upload a plan, let the aircraft fly it, and watch. Ctrl-C stops it, and the aircraft hovers.
 
     In a terminal with a map; otherwise one JSON object per event. On Linux, a guardian stops the
@@ -82,60 +81,58 @@ def fly(
         max_radius: Distance from here that is not exceeded, m.
         yes: Do not ask.
     """
-    found = read_plan(plan, file)  # first: it tells of arguments that are exchanged
+    # First, as it tells of arguments that are exchanged; and while Ctrl-C ends a wait for a pipe.
+    found = read_plan(plan, file)
     place = options.place(url)
     envelope = Envelope(max_height_m=max_height, max_radius_m=max_radius)
     check_envelope(envelope, found)  # before the aircraft is asked anything
     credentials = place.credentials()
 
-    left: list[Callable[[], str]] = []
-
-    async def flight(aircraft: Aircraft, control: Control) -> None:
-        show = _Show(found, aircraft)
-        mission = control.waypoint_mission(
-            found, take_off=take_off, allow_far=allow_far, progress=show.uploading
-        )
-        left.append(lambda: show.stopped(mission))
-        async with show.watching(), mission:
-            async for event in mission:
-                show.tell(event, mission)
-        show.end()
-
-    async def run() -> int:
-        what = _announcement(found, place, take_off=take_off)
-        try:
-            return await _with_control(
-                place,
-                credentials,
-                flight,
-                what=None if yes else what,
-                guards=Guards(envelope=envelope),
-                is_admitted=None if take_off else _require_airborne,
-                is_new=True,
-            )
-        except (asyncio.CancelledError, ReaderGone) as error:
-            # Told when the control block has ended: with Ctrl-C that is what stops the mission.
-            gone = "output closed: " if isinstance(error, ReaderGone) else ""
-            for words in left:
-                err.print(gone + words(), markup=False, soft_wrap=True)
-            raise
-
-    try:
-        return run_async(run())
-    except ReaderGone:  # elsewhere that is success; here it ended a flight
-        return ExitCode.FAILED
-
-
-def _announcement(plan: WaypointPlan, place: Place, *, take_off: bool) -> str:
-    """What will happen, told before it is asked for."""
     err.print(
-        f"{len(plan.waypoints)} waypoints, about {plan.estimate()}; at the end "
-        f"{plan.at_end.name.lower().replace('_', ' ')}, without RC "
-        f"{plan.on_rc_loss.name.lower()}. Ctrl-C stops it. On Linux, a guardian stops it "
+        f"{len(found.waypoints)} waypoints, about {found.estimate()}; at the end "
+        f"{found.at_end.name.lower().replace('_', ' ')}, without RC "
+        f"{found.on_rc_loss.name.lower()}. Ctrl-C stops it. On Linux, a guardian stops it "
         "when this program is killed.",
         markup=False,
     )
-    return f"{'take off and ' if take_off else ''}fly this mission"
+    flight = in_control(
+        place,
+        f"{'take off and ' if take_off else ''}fly this mission",
+        is_sure=yes,
+        is_told=False,
+        look=None if take_off else _require_airborne,
+        begins="a waypoint mission",
+        guards=Guards(envelope=envelope),
+        credentials=credentials,
+    )
+    return _fly(flight, found, take_off=take_off, allow_far=allow_far)
+
+
+_InControl = AbstractAsyncContextManager[tuple[Aircraft, Control]]
+
+
+async def _fly(flight: _InControl, plan: WaypointPlan, *, take_off: bool, allow_far: bool) -> int:
+    left: list[Callable[[], str]] = []
+    try:
+        async with flight as (aircraft, control):
+            show = _Show(plan, aircraft)
+            mission = control.waypoint_mission(
+                plan, take_off=take_off, allow_far=allow_far, progress=show.uploading
+            )
+            left.append(lambda: show.stopped(mission))
+            async with show.watching(), mission:
+                async for event in mission:
+                    show.tell(event, mission)
+            show.end()
+    except (asyncio.CancelledError, ReaderGone) as error:
+        # Told when the control block has ended: with Ctrl-C that is what stops the mission.
+        gone = "output closed: " if isinstance(error, ReaderGone) else ""
+        for words in left:
+            err.print(gone + words(), markup=False, soft_wrap=True)
+        if gone:  # elsewhere that is success; here it ended a flight
+            return ExitCode.FAILED
+        raise
+    return ExitCode.OK
 
 
 class _Show:
@@ -263,33 +260,6 @@ def event_words(event: MissionEvent) -> str:
     return words + (f" {index}" if index is not None else "") + (f": {reason}" if reason else "")
 
 
-async def _with_control(
-    place: Place,
-    credentials: Credentials,
-    flight: Callable[[Aircraft, Control], Awaitable[object]],
-    *,
-    what: str | None = None,  # what the person is asked for; None asks nothing
-    guards: Guards | None = None,
-    # Raises what would be refused anyway, before anybody is asked.
-    is_admitted: Callable[[Aircraft], Awaitable[None]] | None = None,
-    is_new: bool = False,  # refused while a mission flies, before control is obtained
-) -> int:
-    """Connect, ask, activate, obtain control."""
-    async with connect(place.url, **place.arguments()) as aircraft:
-        if what is not None and not place.is_virtual:
-            if is_admitted is not None:
-                await is_admitted(aircraft)
-            await confirm(aircraft, what)
-        await activate_app(aircraft, credentials)
-        if is_new:
-            await require_no_mission(aircraft, "a waypoint mission")
-        else:
-            await hear_of_mission(aircraft)
-        async with aircraft.control(guards=guards) as control:
-            await flight(aircraft, control)
-    return 0
-
-
 async def _require_airborne(aircraft: Aircraft) -> None:
     """Refuse a mission on the ground; when nobody knows, the control block asks again.
 
@@ -312,76 +282,61 @@ async def _require_airborne(aircraft: Aircraft) -> None:
 
 
 @app.command
-def stop(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> int:
+async def stop(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> None:
     """Stop whatever mission flies, whoever started it; the aircraft hovers.
 
     Args:
         url: See `m100link mission --help`.
     """
-    place = options.place(url)
-
-    async def flight(aircraft: Aircraft, control: Control) -> None:
+    async with in_control(options.place(url)) as (_, control):
         kind = await control.stop_mission()
         out.print("no mission flies" if kind is MissionKind.NONE else f"stopped: {kind.value}")
 
-    return run_async(_with_control(place, place.credentials(), flight))
 
-
-def _going_on(
-    place: Place,
-    act: Callable[[Control], Awaitable[MissionKind]],
-    told: str,
-    *,
-    what: str | None = None,
-) -> int:
+async def _going_on(
+    flight: _InControl, act: Callable[[Control], Awaitable[MissionKind]], told: str
+) -> None:
     """Act on a mission that goes on without this program."""
-
-    async def flight(_: Aircraft, control: Control) -> None:
+    async with flight as (_, control):
         kind = await act(control)
         control.detach_mission()  # giving authority back would break it off
         out.print(told.format(kind.value))
 
-    return run_async(_with_control(place, place.credentials(), flight, what=what))
-
 
 @app.command
-def pause(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> int:
+async def pause(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> None:
     """Pause whatever mission flies; the aircraft hovers in it, and authority is kept.
 
     Args:
         url: See `m100link mission --help`.
     """
-    return _going_on(options.place(url), Control.pause_mission, "paused: {}")
+    await _going_on(in_control(options.place(url)), Control.pause_mission, "paused: {}")
 
 
 @app.command
-def resume(
-    url: Url = None,
-    /,
-    *,
-    options: AircraftOptions = AS_SET,
-    yes: Annotated[bool, Parameter(name=["--yes", "-y"], negative=())] = False,
-) -> int:
+async def resume(
+    url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False
+) -> None:
     """Let a mission that is paused go on, by itself; authority is kept.
 
     Args:
         url: See `m100link mission --help`.
         yes: Do not ask.
     """
-    what = None if yes else "let the mission go on"
-    told = "resumed: {}; it flies on by itself"
-    return _going_on(options.place(url), Control.resume_mission, told, what=what)
+    ask = "let the mission go on"
+    flight = in_control(options.place(url), ask, is_sure=yes, is_told=False)
+    await _going_on(flight, Control.resume_mission, "resumed: {}; it flies on by itself")
 
 
 @app.command
-def download(
+async def download(
     url: Url = None,
     /,
     *,
     options: AircraftOptions = AS_SET,
     output: Annotated[File, Parameter(name=["--output", "-o"])] = "-",
     force: Flag = False,
-) -> int:
+) -> None:
     """Read back the plan that the aircraft has stored.
 
     Args:
@@ -394,16 +349,10 @@ def download(
     if output != "-":
         require_free(output, force=force)
 
-    async def run() -> int:
-        credentials = place.credentials()
-        async with connect(place.url, **place.arguments()) as aircraft:
-            await activate_app(aircraft, credentials)
-            plan = await aircraft.download_waypoint_plan()
-        text = plan.to_qgroundcontrol() if document.is_named_plan(output) else plan.to_json()
-        if output == "-":
-            sys.stdout.write(text)
-        else:
-            document.write(output, text)
-        return 0
-
-    return run_async(run())
+    async with activated(place) as aircraft:
+        plan = await aircraft.download_waypoint_plan()
+    text = plan.to_qgroundcontrol() if document.is_named_plan(output) else plan.to_json()
+    if output == "-":
+        sys.stdout.write(text)
+    else:
+        document.write(output, text)

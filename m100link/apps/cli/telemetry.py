@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import csv
 import math
 import sys
+from csv import DictReader, DictWriter
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,7 +16,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from m100link.aircraft import Aircraft, connect
+from m100link.aircraft import Aircraft
 from m100link.apps.cli.common import BY_LINK, LinkOptions, Place, Url, err, out, places, run_async
 from m100link.apps.cli.display import items_named, line_plot, row
 from m100link.apps.cli.options import Above0, Counted, offered
@@ -61,7 +61,7 @@ async def _until(seconds: float | None, work: Any) -> None:
             raise
 
 
-def echo(
+async def echo(
     url: Url = None,
     /,
     *items: Annotated[str, offered(BY_NAME)],
@@ -71,7 +71,7 @@ def echo(
     count: Annotated[int | None, Counted] = None,
     csv: bool = False,
     json: bool = False,
-) -> int:
+) -> None:
     """Print telemetry as it arrives: one JSON object, or one row of CSV, per package.
 
     Every column is named item.field; ``received_at`` is this computer's monotonic clock, s, and
@@ -87,29 +87,15 @@ def echo(
         json: JSON lines; the default.
     """
     if csv and json:
-        return complain(UsageError("--csv and --json exclude each other"))
+        raise UsageError("--csv and --json exclude each other")
     place, names = link.place_among([url or "", *items], _is_item)
-    return run_async(_echo(place, names, rate, duration, count, csv))
-
-
-def _is_item(word: str) -> bool:
-    return word.lower() in ITEM_NAMES
-
-
-async def _echo(
-    place: Place,
-    items: tuple[str, ...],
-    rate: float | None,
-    duration: float | None,
-    count: int | None,
-    as_csv: bool,
-) -> None:
-    records = items_named(items)
-    columns = ["received_at", "utc", *columns_of(records)]
-    writer = csv.DictWriter(sys.stdout, columns, lineterminator="\n")
+    records = items_named(names)
+    writer = DictWriter(
+        sys.stdout, ["received_at", "utc", *columns_of(records)], lineterminator="\n"
+    )
 
     def tell_silent(aircraft: Aircraft) -> None:
-        if items and aircraft.link.is_open:
+        if names and aircraft.link.is_open:
             _tell(_silent(aircraft, records))
 
     async def print_all(aircraft: Aircraft) -> None:
@@ -122,7 +108,7 @@ async def _echo(
                     "utc": round(sample.received_at + aircraft.utc_offset_s, 6),
                     **_values(sample, records),
                 }
-                if as_csv:
+                if csv:
                     writer.writerow(values)
                 else:
                     print_json(values)
@@ -130,11 +116,15 @@ async def _echo(
                 if printed == count:
                     return
 
-    async with connect(place.url, **place.arguments()) as aircraft:
-        if as_csv:
+    async with place.connect() as aircraft:
+        if csv:
             writer.writeheader()
         await _until(duration, print_all(aircraft))
     sys.stdout.flush()
+
+
+def _is_item(word: str) -> bool:
+    return word.lower() in ITEM_NAMES
 
 
 def _silent(aircraft: Aircraft, records: list[type[Any]]) -> list[str]:
@@ -162,14 +152,14 @@ def _values(sample: Sample, records: list[type[Any]]) -> dict[str, Any]:
     return values
 
 
-def hz(
+async def hz(
     url: Url = None,
     /,
     *,
     link: LinkOptions = BY_LINK,
     duration: Annotated[float, Above0] = 5.0,
     json: bool = False,
-) -> int:
+) -> None:
     """Measure how the items arrive: rate, jitter, longest gap, and the aircraft's clock.
 
     Args:
@@ -177,11 +167,9 @@ def hz(
         duration: Seconds to measure.
         json: One JSON object instead of the table; the default in a pipe.
     """
-    return run_async(_hz(link.place(url), duration, json or not sys.stdout.isatty()))
-
-
-async def _hz(place: Place, duration: float, as_json: bool) -> None:
-    async with connect(place.url, **place.arguments()) as aircraft:
+    as_json = json or not sys.stdout.isatty()
+    place = link.place(url)
+    async with place.connect() as aircraft:
         if as_json:
             await asyncio.sleep(duration)
         else:
@@ -305,7 +293,7 @@ def _plot_file(path: Path, fields: tuple[str, ...]) -> int:
     lines = 1
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            for values in csv.DictReader(file):
+            for values in DictReader(file):
                 lines += 1
                 for field in fields:
                     if values.get(field):
@@ -341,7 +329,7 @@ async def _plot_live(place: Place, fields: tuple[str, ...], duration: float) -> 
                     if isinstance(value, int | float):
                         points[field].append((sample.received_at, float(value)))
 
-    async with connect(place.url, **place.arguments()) as aircraft:
+    async with place.connect() as aircraft:
         shown = Live(console=out, refresh_per_second=5) if sys.stdout.isatty() else None
         with shown or contextlib.nullcontext():
             task = asyncio.ensure_future(_until(duration, collect(aircraft)))
@@ -383,14 +371,14 @@ _MONITOR_WIDE = 96
 """Columns of a terminal that has room for every value on a line, with rate and jitter beside it."""
 
 
-def monitor(
+async def monitor(
     url: Url = None,
     /,
     *,
     link: LinkOptions = BY_LINK,
     duration: Annotated[float | None, Above0] = None,
     json: bool = False,
-) -> int:
+) -> None:
     """Watch telemetry: every item with its value, age, measured rate and jitter.
 
     Needs no activation. Ends with Ctrl-C.
@@ -401,18 +389,12 @@ def monitor(
         json: One JSON object per second instead of the table; the default in a pipe.
     """
     as_json = json or not sys.stdout.isatty()
-    return run_async(_monitor(link.place(url), duration, as_json))
-
-
-async def _monitor(place: Place, duration: float | None, as_json: bool) -> int:
-    async with connect(place.url, **place.arguments()) as aircraft:
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(duration):
-                await (_print_lines(aircraft) if as_json else _show(aircraft))
+    place = link.place(url)
+    async with place.connect() as aircraft:
+        await _until(duration, _print_lines(aircraft) if as_json else _show(aircraft))
         failure = aircraft.link.failure
         if failure is not None:
             raise failure.again()
-    return 0
 
 
 async def _print_lines(aircraft: Aircraft) -> None:

@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.cli.flight import release
 from m100link.apps.cli.terminal import ExitCode
 from tests.apps.cli.conftest import CommandLine, Simulator, process
 
@@ -56,14 +55,15 @@ def test_release_is_always_possible(simulator: Simulator, app: list[str]) -> Non
 
 @pytest.mark.pty
 def test_a_release_that_is_not_confirmed_is_not_called_one(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def unheard(*_: object) -> bool:
         return False
 
     monkeypatch.setattr("m100link.aircraft.aircraft.release_authority", unheard)
-    assert release("sim://") == ExitCode.TIMEOUT
-    assert "did not say that it has control authority back" in capsys.readouterr().err
+    outcome = cli("release", "sim://")
+    assert outcome.status == ExitCode.TIMEOUT
+    assert "did not say that it has control authority back" in outcome.err
 
 
 @pytest.mark.pty
