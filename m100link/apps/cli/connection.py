@@ -50,7 +50,6 @@ async def info(
     """Show what is at the other end: version, firmware profile, telemetry items, line quality.
 
     Args:
-        url: Where the aircraft is.
         duration: Seconds to watch telemetry.
         json: One JSON object instead of tables.
     """
@@ -123,7 +122,6 @@ async def activate(
     """Activate the aircraft for an app; waits while the aircraft asks DJI's server.
 
     Args:
-        url: Where the aircraft is.
         wait: Seconds until it gives up.
         json: One JSON object instead of talk.
     """
@@ -178,7 +176,6 @@ async def link(
     It asks for the version again and again, and nothing else: nothing moves.
 
     Args:
-        url: Where the aircraft is.
         duration: Seconds to measure.
         rate: Questions per second; the next one waits for the answer.
         json: One JSON object instead of tables.
@@ -308,7 +305,6 @@ def doctor(
     Nothing moves. With app id and key the aircraft is activated, as by every program.
 
     Args:
-        url: Where the aircraft is; without one, the only serial port of this machine.
         authority: Obtain control authority for a moment, without asking at a terminal: only on
             the ground with its motors off, and given back at once.
         report: Write what was found into this file, to attach to a question; no secret is in it.

@@ -10,11 +10,13 @@ from difflib import get_close_matches
 from enum import Enum
 from itertools import pairwise
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Annotated, Any
 
+from cyclopts import Parameter
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from m100link.apps.cli.common import err
+from m100link.apps.cli.options import offered
 from m100link.apps.cli.terminal import ExitCode
 from m100link.errors import UsageError
 from m100link.log import FlightLog, read
@@ -227,6 +229,11 @@ def row(record: Any) -> dict[str, Any]:
         f"{item.name}.{field}": value.name if isinstance(value, Enum) else value
         for field, value in values.items()
     }
+
+
+Items = Annotated[
+    str, offered(BY_NAME), Parameter(help="Item names, such as position; all without one.")
+]
 
 
 def items_named(names: Iterable[str]) -> list[type[Any]]:

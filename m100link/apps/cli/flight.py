@@ -46,7 +46,8 @@ from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import Gimbal
 from m100link.telemetry.columns import ITEM_NAMES
 
-Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=())]
+Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=(), help="Do not ask.")]
+_NotAsked = Annotated[Yes, Parameter(help="Not needed: nobody is asked before a landing.")]
 
 _PUSHES_S = 1.0  # in which an aircraft that tells of its mission has done so
 
@@ -54,26 +55,19 @@ _PUSHES_S = 1.0  # in which an aircraft that tells of its mission has done so
 async def takeoff(
     url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False
 ) -> None:
-    """Start the motors and climb to about 1.2 m; the aircraft hovers there.
-
-    Args:
-        url: Where the aircraft is.
-        yes: Do not ask.
-    """
+    """Start the motors and climb to about 1.2 m; the aircraft hovers there."""
     flight = in_control(options.place(url), "take off", is_sure=yes, begins="take off")
     async with flight as (_, control):
         await control.take_off(progress=_tell)
 
 
-async def land(url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False) -> None:
+async def land(
+    url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: _NotAsked = False
+) -> None:
     """Land in place and stop the motors.
 
     Nobody is asked, and whatever mission flies is stopped first. Ctrl-C ends the landing, and the
     aircraft hovers.
-
-    Args:
-        url: Where the aircraft is.
-        yes: Not needed: nobody is asked before a landing.
     """
     async with in_control(options.place(url), "land", is_sure=True) as (aircraft, control):
         await _end_mission(aircraft, control)
@@ -84,10 +78,6 @@ async def home(url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Ye
     """Fly to the home point and land there.
 
     Whatever mission flies is stopped first.
-
-    Args:
-        url: Where the aircraft is.
-        yes: Do not ask.
     """
     flight = in_control(options.place(url), "go home", is_sure=yes, look=_mission_that_ends)
     async with flight as (aircraft, control):
@@ -111,7 +101,6 @@ async def fly(
             and up, such as: sim:// -5 0 1.5
         max_height: Height above the take-off point that is not exceeded, m.
         max_radius: Distance from here that is not exceeded, m.
-        yes: Do not ask.
     """
     has_place = bool(place) and not _is_number(place[0])
     north, east, up = _metres(place[1:] if has_place else place)
@@ -156,11 +145,7 @@ def _metres(words: Sequence[str]) -> tuple[float, float, float]:
 
 
 async def release(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> None:
-    """Give control authority back; the aircraft hovers and the pilot flies on.
-
-    Args:
-        url: Where the aircraft is.
-    """
+    """Give control authority back; the aircraft hovers and the pilot flies on."""
     async with activated(options.place(url)) as aircraft:
         if not await aircraft.release_authority():
             raise NotObserved(
@@ -324,7 +309,6 @@ async def gimbal(
     """Point the gimbal, and show where it looks; without an angle it only shows that.
 
     Args:
-        url: Where the aircraft is.
         yaw: Degrees clockwise from north, -320 to 320; an axis that is not named is left alone.
         pitch: Degrees, -90 (straight down) to 30.
         roll: Degrees, -35 to 35.

@@ -19,12 +19,12 @@ from cyclopts import Parameter
 
 from m100link.aircraft import Aircraft
 from m100link.apps.cli.common import BY_LINK, LinkOptions, Url, err, out
-from m100link.apps.cli.display import items_named, reading, status
-from m100link.apps.cli.options import Above0, AsJson, Firmware, group, offered
+from m100link.apps.cli.display import Items, items_named, reading, status
+from m100link.apps.cli.options import AsJson, AtMost, Firmware, group
 from m100link.apps.cli.terminal import ExitCode, complain, print_json, wants_json
 from m100link.errors import LinkError, UsageError
 from m100link.link.keyfile import read_key
-from m100link.log import FlightLog, Recorder, read, recover
+from m100link.log import Recorder, read, recover
 from m100link.log.channels import COMMAND, EVENT
 from m100link.log.channels import layout as layout_of_panels
 from m100link.log.parquet import write_parquet
@@ -32,11 +32,14 @@ from m100link.log.pcapng import dissector, read_frames, write_pcapng
 from m100link.log.picture import Comparison, clock, compare, facts
 from m100link.log.ros2 import write_bag
 from m100link.log.story import Story, read_story
-from m100link.protocol.items import BY_NAME
 from m100link.wire import Cipher
 
-Log = Path
+Log = Annotated[Path, Parameter(help="The log.")]
 """A file that ``m100link record`` or ``connect(record=…)`` wrote."""
+
+AsFlown = Annotated[
+    Firmware | None, Parameter(help="Profile to read it by; by default that of the flight.")
+]
 
 Output = Annotated[Path | None, Parameter(name=("--output", "-o"))]
 
@@ -44,13 +47,11 @@ Output = Annotated[Path | None, Parameter(name=("--output", "-o"))]
 # -- ``m100link log ros2`` and ``layout``: flights for the tools of others -------------------------
 
 
-def ros2(file: Path, /, *, output: Output = None, firmware: Firmware | None = None) -> int:
+def ros2(file: Log, /, *, output: Output = None, firmware: AsFlown = None) -> int:
     """Write a bag of ROS 2: MCAP with its messages in CDR, for ``ros2 bag``, rosbags, Foxglove.
 
     Args:
-        file: The log.
         output: A new file; by default FILE with ``-ros2`` before its suffix.
-        firmware: Profile to read it by; by default that of the flight.
     """
     target = output or file.with_stem(f"{file.stem}-ros2")
     with reading(file, passes=2) as flight, new_file(target) as stream:
@@ -79,22 +80,13 @@ def layout(*, output: Output = None) -> int:
 # -- ``m100link log csv`` and ``parquet``: telemetry as tables, a row per package ------------------
 
 
-def csv(
-    file: Path,
-    /,
-    *items: Annotated[str, offered(BY_NAME)],
-    output: Output = None,
-    firmware: Firmware | None = None,
-) -> int:
+def csv(file: Log, /, *items: Items, output: Output = None, firmware: AsFlown = None) -> int:
     """Print telemetry as CSV: every package, decoded from its bytes.
 
     Columns are those of ``m100link echo --csv``; what a package does not have is empty.
 
     Args:
-        file: The log.
-        items: Item names, such as position; all without one.
         output: A file instead of standard output.
-        firmware: Profile to read it by; by default that of the flight.
     """
     records = items_named(items)
     with reading(file) as flight, contextlib.ExitStack() as stack:
@@ -118,22 +110,13 @@ def _new_text(path: Path) -> Iterator[IO[str]]:
         text.detach()
 
 
-def parquet(
-    file: Path,
-    /,
-    *items: Annotated[str, offered(BY_NAME)],
-    output: Output = None,
-    firmware: Firmware | None = None,
-) -> int:
+def parquet(file: Log, /, *items: Items, output: Output = None, firmware: AsFlown = None) -> int:
     """Write telemetry as a Parquet file: every package, decoded from its bytes.
 
     Columns are those of ``m100link log csv``; what a package does not have is null.
 
     Args:
-        file: The log.
-        items: Item names, such as position; all without one.
         output: A new file; by default FILE with .parquet.
-        firmware: Profile to read it by; by default that of the flight.
     """
     records = items_named(items)
     target = output or file.with_suffix(".parquet")
@@ -207,7 +190,7 @@ _BODY = {"data", "command", "raw", "ciphertext"}
 
 
 def frames(
-    file: Path,
+    file: Log,
     /,
     *,
     key_file: Path | None = None,
@@ -219,7 +202,6 @@ def frames(
     Each is described as ``m100link decode`` does.
 
     Args:
-        file: The log.
         key_file: File with the AES key, to decrypt setpoints and tasks.
         firmware: Profile to read them by; by default that of the flight.
         json: JSON lines instead of lines for people; the default when output is not a terminal.
@@ -305,15 +287,13 @@ def _shown(value: float | None, sign: str = "") -> str:
 # -- ``m100link log plot``: a flight as a page or a picture ----------------------------------------
 
 
-def plot(file: Path, /, *, output: Output = None, firmware: Firmware | None = None) -> int:
+def plot(file: Log, /, *, output: Output = None, firmware: AsFlown = None) -> int:
     """Draw a flight: track, height, speeds, battery, line, phases, alarms, commands.
 
     A page (.html) needs nothing but a browser, and no network; a picture (.png) needs matplotlib.
 
     Args:
-        file: The log.
         output: A new file whose suffix, .html or .png, says which; by default FILE with .html.
-        firmware: Profile to read it by; by default that of the flight.
     """
     target = output or file.with_suffix(".html")
     if target.suffix.lower() not in (".html", ".htm", ".png"):
@@ -402,19 +382,17 @@ async def record(
     link: LinkOptions = BY_LINK,
     output: Annotated[Path, Parameter(name=("--output", "-o"))] = Path(),
     rate: float = 10.0,
-    duration: Annotated[float | None, Above0] = None,
+    duration: AtMost = None,
 ) -> int:
     """Record what goes over the line, until Ctrl-C: every byte, and what the bytes say.
 
     It asks for the version once, and sends nothing else.
 
     Args:
-        url: Where the aircraft is.
         output: A file that is not there yet, or a folder for one that is named by the time; by
             default a file in the folder where you are.
         rate: Decoded telemetry at most so often, Hz; 0 for every package. The bytes of every
             package are recorded whatever it is.
-        duration: Seconds until it ends by itself.
     """
     place = link.place(url)
     recorder = Recorder(output, rate_hz=rate)
@@ -454,14 +432,12 @@ async def _lost_or(aircraft: Aircraft, ended: asyncio.Event) -> LinkError | None
 
 
 @app.command
-def info(file: Log, /, *, firmware: Firmware | None = None, json: bool = False) -> int:
+def info(file: Log, /, *, firmware: AsFlown = None, json: bool = False) -> int:
     """Say what a log holds: when, how long, phases, who had control, alarms, maxima.
 
     The exit status is 0 whatever happened on the flight, and 1 for a file that is damaged.
 
     Args:
-        file: The log.
-        firmware: Profile to read it by; by default that of the flight.
         json: One JSON object.
     """
     with reading(file, passes=4) as flight:
@@ -497,20 +473,12 @@ def info(file: Log, /, *, firmware: Firmware | None = None, json: bool = False) 
 
 @app.command
 def events(file: Log, /) -> int:
-    """Print what happened, a JSON object on a line: commands, answers, authority, connection.
-
-    Args:
-        file: The log.
-    """
+    """Print what happened, a JSON object on a line: commands, answers, authority, connection."""
     flight = read(file)
-    for one in _told(flight):
-        print_json(one)
-    return status(flight)
-
-
-def _told(flight: FlightLog) -> Iterator[dict[str, Any]]:
     for message in flight.messages(COMMAND, EVENT):
-        yield {"utc": round(message.utc, 6), "at": round(message.at, 6), **message.content()}
+        times = {"utc": round(message.utc, 6), "at": round(message.at, 6)}
+        print_json(times | message.content())
+    return status(flight)
 
 
 @app.command(name="recover")
@@ -520,7 +488,6 @@ def recover_file(file: Log, /, *, output: Output = None) -> int:
     The exit status is 1 for a damaged file: what is missing there is missing in the new one.
 
     Args:
-        file: The log.
         output: The new file; by default FILE with ``-recovered`` before its suffix.
     """
     target = output or file.with_stem(f"{file.stem}-recovered")

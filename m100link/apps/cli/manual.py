@@ -104,7 +104,6 @@ def docs(
     """Read the manual: a page by its topic, or the list of topics. Needs no network.
 
     Args:
-        topic: Which page; or the code of an error, such as M100-LINK-LOST.
         find: List the lines that have this word instead, with their topics.
     """
     if topic is not None and topic.upper().startswith("M100-"):
@@ -299,7 +298,6 @@ def completion(
     """Print what completes verbs, options and aircraft in a shell, or install it there.
 
     Args:
-        shell: Which shell.
         install: Write it where the shell looks for it, and have bash and zsh load it: a line in
             ~/.bashrc or ~/.zshrc.
     """
@@ -349,16 +347,11 @@ _SHOWN = (
 _CALLED = {"baud_rate": "baud"}
 
 
-def _names() -> list[str]:
-    return list(read_configuration().aircraft)
-
-
 def config(
     aircraft: Annotated[
         str | None,
         Parameter(help="Its name or URL; without it, what M100LINK_URL or the file says"),
         offered(lambda: read_configuration().aircraft),
-        offered(_names),
     ] = None,
     /,
     *,
@@ -367,7 +360,6 @@ def config(
     """Show the configuration file: where it is, which aircraft it names, what is in force.
 
     Args:
-        aircraft: Which aircraft.
         json: One JSON object instead of tables; the default in a pipe.
     """
     configuration = read_configuration()

@@ -74,12 +74,10 @@ def fly(
 
     Args:
         plan: A file, JSON or .plan; - is standard input.
-        url: See `m100link mission --help`.
         take_off: Take off first, from the ground.
         allow_far: Let it begin more than 500 m from here.
         max_height: Height above the take-off point that is not exceeded, m.
         max_radius: Distance from here that is not exceeded, m.
-        yes: Do not ask.
     """
     # First, as it tells of arguments that are exchanged; and while Ctrl-C ends a wait for a pipe.
     found = read_plan(plan, file)
@@ -283,11 +281,7 @@ async def _require_airborne(aircraft: Aircraft) -> None:
 
 @app.command
 async def stop(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> None:
-    """Stop whatever mission flies, whoever started it; the aircraft hovers.
-
-    Args:
-        url: See `m100link mission --help`.
-    """
+    """Stop whatever mission flies, whoever started it; the aircraft hovers."""
     async with in_control(options.place(url)) as (_, control):
         kind = await control.stop_mission()
         out.print("no mission flies" if kind is MissionKind.NONE else f"stopped: {kind.value}")
@@ -305,11 +299,7 @@ async def _going_on(
 
 @app.command
 async def pause(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> None:
-    """Pause whatever mission flies; the aircraft hovers in it, and authority is kept.
-
-    Args:
-        url: See `m100link mission --help`.
-    """
+    """Pause whatever mission flies; the aircraft hovers in it, and authority is kept."""
     await _going_on(in_control(options.place(url)), Control.pause_mission, "paused: {}")
 
 
@@ -317,12 +307,7 @@ async def pause(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> Non
 async def resume(
     url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False
 ) -> None:
-    """Let a mission that is paused go on, by itself; authority is kept.
-
-    Args:
-        url: See `m100link mission --help`.
-        yes: Do not ask.
-    """
+    """Let a mission that is paused go on, by itself; authority is kept."""
     ask = "let the mission go on"
     flight = in_control(options.place(url), ask, is_sure=yes, is_told=False)
     await _going_on(flight, Control.resume_mission, "resumed: {}; it flies on by itself")
@@ -340,7 +325,6 @@ async def download(
     """Read back the plan that the aircraft has stored.
 
     Args:
-        url: See `m100link mission --help`.
         output: The file to write, for QGroundControl if its name ends in .plan; - is standard
             output, as JSON.
         force: Write over a file that is there.

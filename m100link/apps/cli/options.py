@@ -31,6 +31,8 @@ def _above_0(_: object, value: float | None) -> None:
 Above0 = Parameter(validator=_above_0)
 """Seconds and rates: 0, negative numbers, NaN and infinity are asked wrongly."""
 
+AtMost = Annotated[float | None, Above0, Parameter(help="Seconds until it ends by itself.")]
+
 Flag = Annotated[bool, Parameter(negative=())]
 """There is no --no-… of it."""
 

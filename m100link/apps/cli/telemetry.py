@@ -18,11 +18,11 @@ from rich.text import Text
 
 from m100link.aircraft import Aircraft
 from m100link.apps.cli.common import BY_LINK, LinkOptions, Place, Url, err, out, places, run_async
-from m100link.apps.cli.display import items_named, line_plot, row
-from m100link.apps.cli.options import Above0, Counted, offered
+from m100link.apps.cli.display import Items, items_named, line_plot, row
+from m100link.apps.cli.options import Above0, AtMost, Counted, offered
 from m100link.apps.cli.terminal import ExitCode, complain, print_json
 from m100link.errors import UsageError
-from m100link.protocol.items import BY_NAME, BY_RECORD
+from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
     Acceleration,
     AngularVelocity,
@@ -64,10 +64,10 @@ async def _until(seconds: float | None, work: Any) -> None:
 async def echo(
     url: Url = None,
     /,
-    *items: Annotated[str, offered(BY_NAME)],
+    *items: Items,
     link: LinkOptions = BY_LINK,
     rate: Annotated[float | None, Above0] = None,
-    duration: Annotated[float | None, Above0] = None,
+    duration: AtMost = None,
     count: Annotated[int | None, Counted] = None,
     csv: bool = False,
     json: bool = False,
@@ -78,10 +78,7 @@ async def echo(
     ``utc`` the same as POSIX time.
 
     Args:
-        url: Where the aircraft is.
-        items: Item names, such as position; all without one.
         rate: At most so many packages per second.
-        duration: Seconds until it ends by itself.
         count: Packages until it ends by itself.
         csv: CSV with a header line.
         json: JSON lines; the default.
@@ -163,7 +160,6 @@ async def hz(
     """Measure how the items arrive: rate, jitter, longest gap, and the aircraft's clock.
 
     Args:
-        url: Where the aircraft is.
         duration: Seconds to measure.
         json: One JSON object instead of the table; the default in a pipe.
     """
@@ -255,7 +251,6 @@ def plot(
     """Plot columns over time: live from an aircraft, or of a recorded span.
 
     Args:
-        source: A URL, or a CSV file.
         fields: Columns, such as position.height_m; that one without any.
         duration: Seconds to plot live.
     """
@@ -376,7 +371,7 @@ async def monitor(
     /,
     *,
     link: LinkOptions = BY_LINK,
-    duration: Annotated[float | None, Above0] = None,
+    duration: AtMost = None,
     json: bool = False,
 ) -> None:
     """Watch telemetry: every item with its value, age, measured rate and jitter.
@@ -384,8 +379,6 @@ async def monitor(
     Needs no activation. Ends with Ctrl-C.
 
     Args:
-        url: Where the aircraft is.
-        duration: Seconds until it ends by itself.
         json: One JSON object per second instead of the table; the default in a pipe.
     """
     as_json = json or not sys.stdout.isatty()
