@@ -24,7 +24,7 @@ from m100link.errors import (
     NotActivated,
     UsageError,
 )
-from m100link.link.url import ConnectionString, parse_url
+from m100link.link.url import parse_url
 from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.commands.activation import Credentials, GetVersion, Version
 from m100link.protocol.firmware import PROFILES, FirmwareProfile
@@ -39,10 +39,6 @@ from m100link.protocol.records import (
 )
 
 
-def ignore(_: Finding) -> None:
-    """Nobody wants to know before the end."""
-
-
 async def diagnose(
     url: str,
     *,
@@ -50,7 +46,7 @@ async def diagnose(
     firmware: str | FirmwareProfile | None = None,
     baud_rate: int | None = None,
     authority: bool = False,
-    tell: Callable[[Finding], None] = ignore,
+    tell: Callable[[Finding], object] = lambda _: None,
     machine: Machine | None = None,
 ) -> Report:
     """Find out why a line is silent, stage by stage; the first that fails ends it.
@@ -72,49 +68,35 @@ async def diagnose(
         BadURL: Not a connection string.
     """
     address = parse_url(url, baud_rate=baud_rate)
+    is_serial = address.scheme == "serial"
+
+    async def look() -> AsyncGenerator[Finding, None]:
+        if is_serial:
+            here = machine or Machine()
+            for finding in look_at_port(address.target, here):
+                yield finding
+            yield look_at_latency(address.target, here)
+        for finding in await look_at_line(address):
+            yield finding
+        talk = look_at_aircraft(
+            url,
+            baud_rate=address.number if is_serial else None,
+            firmware=firmware,
+            credentials=credentials,
+            authority=authority,
+        )
+        async with aclosing(talk):
+            async for finding in talk:
+                yield finding
+
     findings = []
-    stages = _stages(
-        url,
-        address,
-        machine or Machine(),
-        credentials=credentials,
-        firmware=firmware,
-        authority=authority,
-    )
-    async with aclosing(stages):
+    async with aclosing(look()) as stages:
         async for finding in stages:
             findings.append(finding)
             tell(finding)
             if finding.verdict is Verdict.FAILED:
                 break
     return Report(str(address), tuple(findings))
-
-
-async def _stages(
-    url: str,
-    address: ConnectionString,
-    machine: Machine,
-    *,
-    credentials: Credentials | None,
-    firmware: str | FirmwareProfile | None,
-    authority: bool,
-) -> AsyncGenerator[Finding, None]:
-    if address.scheme == "serial":
-        for finding in look_at_port(address.target, machine):
-            yield finding
-        yield look_at_latency(address.target, machine)
-    for finding in await look_at_line(address):
-        yield finding
-    talk = look_at_aircraft(
-        url,
-        baud_rate=address.number if address.scheme == "serial" else None,
-        firmware=firmware,
-        credentials=credentials,
-        authority=authority,
-    )
-    async with aclosing(talk):
-        async for finding in talk:
-            yield finding
 
 
 # -- the stages at which the aircraft is spoken to: version, activation, key, switch, authority ----

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import re
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -80,11 +80,12 @@ class Machine:
         Raises:
             OSError: There is no such device.
         """
-        state = Path(path).stat()
-        group = _group_name(state.st_gid)
+        place = Path(path)
+        state = place.stat()
+        group = _named(place.group, state.st_gid)
         return Permission(
             mode=stat.filemode(state.st_mode),
-            owner=_user_name(state.st_uid),
+            owner=_named(place.owner, state.st_uid),
             group=group,
             is_granted=os.access(path, os.R_OK | os.W_OK),
             is_member=_is_member(group, state.st_gid),
@@ -212,21 +213,10 @@ def _text(path: Path) -> str:
         return ""
 
 
-def _user_name(number: int) -> str:
+def _named(name: Callable[[], str], number: int) -> str:
     try:
-        import pwd
-
-        return pwd.getpwuid(number).pw_name
-    except (ImportError, KeyError):  # Windows, or a number without a name
-        return str(number)
-
-
-def _group_name(number: int) -> str:
-    try:
-        import grp
-
-        return grp.getgrgid(number).gr_name
-    except (ImportError, KeyError):
+        return name()
+    except (KeyError, NotImplementedError):  # a number without a name, or Windows
         return str(number)
 
 
