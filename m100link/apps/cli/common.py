@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-from collections.abc import Callable, Coroutine, Iterable
+from collections.abc import Callable, Coroutine, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -51,17 +51,18 @@ Url = Annotated[
 ]
 
 
-_OfTheApp: Any = options_of(
-    Settings,
-    ("app_id", "key_file", "key", "level", "app_version", "bundle_id"),
-    environment=ENVIRONMENT,
-    is_layer=True,
-)
+def layer_of_settings(names: Iterable[str], called: Mapping[str, str] | None = None) -> Any:
+    """Options that are one source of the station's settings."""
+    return options_of(Settings, names, environment=ENVIRONMENT, called=called, is_layer=True)
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class AppOptions(_OfTheApp):  # type: ignore[misc] # a class that is made has no type
+class AppOptions(
+    layer_of_settings(  # type: ignore[misc] # a class that is made
+        ("app_id", "key_file", "key", "level", "app_version", "bundle_id")
+    )
+):
     """The app that is registered with DJI: fields of the station's settings."""
 
 

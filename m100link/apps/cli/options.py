@@ -76,7 +76,7 @@ def attribute_texts(source: type) -> dict[str, str]:
 
 def options_of(
     source: type,
-    names: Iterable[str],
+    names: Iterable[str] | Mapping[str, str],  # a mapping says what they are called as options
     *,
     environment: Mapping[str, str] | None = None,
     called: Mapping[str, str] | None = None,
@@ -86,8 +86,10 @@ def options_of(
     """A dataclass with an option for each of these fields.
 
     As a layer the options are one source of several: what was not given is None or empty, and
-    somebody else reads the environment.
+    somebody else reads the environment, whose variables the texts name.
     """
+    if isinstance(names, Mapping):
+        called = {name: f"--{option}" for name, option in names.items()}
     texts, hints = attribute_texts(source), get_type_hints(source)
     fields = {field.name: field for field in dataclasses.fields(source)}
     made = []
@@ -100,8 +102,6 @@ def options_of(
             kind, default = (kind, ()) if is_tuple else (kind | None, None)
             if variable is not None:
                 text = f"{text.removesuffix('.')} ({variable})."
-        parameter = Parameter(
-            name=(called or {}).get(name), help=text, env_var=None if is_layer else variable
-        )
+        parameter = Parameter(name=(called or {}).get(name), help=text)
         made.append((name, Annotated[kind, parameter], dataclasses.field(default=default)))
     return dataclasses.make_dataclass(f"{source.__name__}Options", made, frozen=True)

@@ -10,19 +10,21 @@ import os
 import re
 import webbrowser
 from collections.abc import AsyncIterator, Callable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 from cyclopts import Parameter
 
-from m100link.apps.cli.common import Told, err, out, places, run_async
+from m100link.apps.cli.common import Told, err, layer_of_settings, out, places, run_async
 from m100link.apps.cli.configuration import read_configuration
-from m100link.apps.cli.options import offered, options_of
+from m100link.apps.cli.options import offered
 from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, print_json
 from m100link.apps.station.config import ENVIRONMENT, ONLY_NAME, Settings, namespace_of, resolve
 from m100link.apps.station.log_output import Teller, log_of, tell_elsewhere
+from m100link.apps.station.config import ONLY_NAME, Settings, namespace_of, resolve
+from m100link.apps.station.log_output import log_of, tell_elsewhere
 from m100link.errors import UsageError
 
 if TYPE_CHECKING:
@@ -80,7 +82,7 @@ def run_station(
         return ExitCode.OK
     if with_rosbridge or with_console:
         require_packages()
-    served = _Served(with_console, with_rosbridge)
+    served = {"with_console": with_console, "with_rosbridge": with_rosbridge}
     return run_async(_serve(aircraft, options, served, open_browser, keys))
 
 
@@ -100,14 +102,6 @@ Keys = Callable[[Any, asyncio.Event], contextlib.AbstractContextManager[None]]
 """With the station that runs, and what ends it."""
 
 
-@dataclass(frozen=True)
-class _Served:
-    """What is served beside MAVLink."""
-
-    with_console: bool
-    with_rosbridge: bool
-
-
 def show(settings: Settings) -> None:
     """Print the settings and where each came from."""
     for name in settings.__dataclass_fields__:
@@ -123,7 +117,7 @@ def show(settings: Settings) -> None:
 async def _serve(
     aircraft: dict[str, Settings],
     options: RunOptions,
-    served: _Served,
+    served: dict[str, Any],  # beside MAVLink
     open_browser: bool,
     keys: Keys | None,
 ) -> int:
@@ -158,7 +152,7 @@ async def _serve(
 async def _running(
     aircraft: dict[str, Settings],
     options: RunOptions,
-    served: _Served,
+    served: dict[str, Any],
     tell: Callable[[str, Event], None],
 ) -> AsyncIterator[tuple[_Station, Child | None]]:
     """The station, and the process of its fronts."""
@@ -167,12 +161,12 @@ async def _running(
     if len(aircraft) > 1:
         if options.single_process:
             raise UsageError("one process has one aircraft", remedy="leave out --single-process")
-        async with running_several(aircraft, **asdict(served), tell=tell) as several:
+        async with running_several(aircraft, **served, tell=tell) as several:
             yield several, several.front
         return
     ((name, settings),) = aircraft.items()
     run = running if options.single_process else running_apart
-    async with run(settings, **asdict(served)) as one:
+    async with run(settings, **served) as one:
         for event in one.agent.journal.events:
             tell(name, event)
         one.agent.journal.on_event.append(partial(tell, name))
@@ -210,34 +204,37 @@ def _console_url(settings: Settings, running: _Station) -> str:
 
 def _announce(aircraft: dict[str, Settings], running: _Station, *, as_json: bool) -> None:
     settings, sockets = next(iter(aircraft.values())), running.sockets
-    http, scheme = ("http", "ws") if settings.tls_cert is None else ("https", "wss")
-    addresses = [f"{scheme}://{settings.authority(port)}" for port in sockets.ports("rosbridge")]
-    console_url = _console_url(settings, running) if sockets.ports("console") else None
-    metrics_url = None
-    for port in sockets.ports("metrics"):
-        metrics_url = f"{http}://{settings.authority(port)}/metrics"
-    viewers = [f"{scheme}://{settings.authority(port)}" for port in sockets.ports("foxglove")]
+    secure = "" if settings.tls_cert is None else "s"
+
+    def addresses(scheme: str, front: str, path: str = "") -> list[str]:
+        ports = sockets.ports(front)
+        return [f"{scheme}{secure}://{settings.authority(port)}{path}" for port in ports]
+
+    rosbridge, viewers = addresses("ws", "rosbridge"), addresses("ws", "foxglove")
+    metrics = addresses("http", "metrics", "/metrics")[-1:]
+    console = [_console_url(settings, running)] if sockets.ports("console") else []
     mavlink = sockets.datagram_urls("mavlink")
-    if as_json:
-        told: dict[str, Any] = {"sim": settings.sim}
-        if addresses:
-            told = {"rosbridge": addresses, "console": console_url} | told
-        if mavlink:
-            told |= {"mavlink": mavlink}
-        told |= {"ros2": _nodes(aircraft)} if settings.ros2 else {}
-        told |= {} if metrics_url is None else {"metrics": metrics_url}
-        told |= {"foxglove": viewers[0]} if viewers else {}
-        print_json(told | ({"aircraft": list(aircraft)} if len(aircraft) > 1 else {}))
-    else:
-        all_served = {"rosbridge": addresses, "mavlink": mavlink, "foxglove": viewers}
-        all_served["ros2"] = _nodes(aircraft) if settings.ros2 else []
-        for name, served in all_served.items():
+    nodes = _nodes(aircraft) if settings.ros2 else []
+    if not as_json:
+        for name, served in {
+            **{"rosbridge": rosbridge, "mavlink": mavlink, "foxglove": viewers},
+            **{"ros2": nodes, "console": console, "metrics": metrics},
+        }.items():
             if served:
                 out.print(f"{name + ':':10} {', '.join(served)}", markup=False, soft_wrap=True)
-        if console_url is not None:
-            out.print(f"console:   {console_url}", markup=False, soft_wrap=True)
-        if metrics_url is not None:
-            out.print(f"metrics:   {metrics_url}", markup=False, soft_wrap=True)
+        return
+    told: dict[str, Any] = {"sim": settings.sim}
+    if rosbridge:
+        told = {"rosbridge": rosbridge, "console": console[0] if console else None} | told
+    if mavlink:
+        told["mavlink"] = mavlink
+    if settings.ros2:
+        told["ros2"] = nodes
+    if metrics:
+        told["metrics"] = metrics[0]
+    if viewers:
+        told["foxglove"] = viewers[0]
+    print_json(told | ({"aircraft": list(aircraft)} if len(aircraft) > 1 else {}))
 
 
 def _nodes(aircraft: dict[str, Settings]) -> list[str]:
@@ -277,18 +274,15 @@ def warn_of(settings: Settings) -> None:
 _ELSEWHERE = ("url", "key", "token", "console_port", "tiles", "no_record", "origins", "unused")
 """Settings that are not options of both commands, or not of the command line at all."""
 
-_FromSettings: Any = options_of(
-    Settings,
+_FromSettings: Any = layer_of_settings(
     [one.name for one in fields(Settings) if one.name not in _ELSEWHERE],
-    environment=ENVIRONMENT,
-    called={
+    {
         "also_ports": "--also-port",
         "baud_rate": "--baud",
         "metrics_port": "--metrics",
         "foxglove_port": "--foxglove",
         "ros2": "--ros2",
     },
-    is_layer=True,
 )
 
 
@@ -456,22 +450,23 @@ def console(
 USUAL = ("udp://127.0.0.1:14550", "udp://127.0.0.1:14540")
 """Where ground stations and programs listen for a vehicle, as PX4's simulator knows them."""
 
-_MavlinkFromSettings: Any = options_of(
-    Settings,
-    (
-        *("baud_rate", "firmware", "timeout", "app_id", "key", "key_file", "level"),
-        *("app_version", "bundle_id", "max_height", "max_radius", "keep_authority"),
-        *("mavlink", "mavlink_to", "sysid", "autopilot", "signing_key_file"),
-    ),
-    environment=ENVIRONMENT,
-    called={"baud_rate": "--baud", "mavlink": "--listen", "mavlink_to": "--to"},
-    is_layer=True,
+_OF_THE_AIRCRAFT = (
+    *("baud_rate", "firmware", "timeout", "app_id", "key", "key_file", "level"),
+    *("app_version", "bundle_id", "max_height", "max_radius", "keep_authority"),
 )
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class MavlinkOptions(_MavlinkFromSettings):  # type: ignore[misc] # a class that is made has no type
+class MavlinkOptions(
+    layer_of_settings(  # type: ignore[misc] # a class that is made
+        (
+            *_OF_THE_AIRCRAFT,
+            *("mavlink", "mavlink_to", "sysid", "autopilot", "signing_key_file"),
+        ),
+        {"baud_rate": "--baud", "mavlink": "--listen", "mavlink_to": "--to"},
+    )
+):
     """Where the aircraft is, who may fly it and how far.
 
     Attributes:
@@ -503,29 +498,20 @@ def mavlink(
 # -- ``m100link ros2``: aircraft as nodes of ROS 2, for RViz, Nav2, rosbag2 and every program ------
 
 
-_Ros2FromSettings: Any = options_of(
-    Settings,
-    (
-        *("baud_rate", "firmware", "timeout", "app_id", "key", "key_file", "level"),
-        *("app_version", "bundle_id", "max_height", "max_radius", "keep_authority"),
-        *("ros2_namespace", "ros2_node", "ros2_domain", "ros2_remap", "ros2_dji_names"),
-    ),
-    environment=ENVIRONMENT,
-    called={
-        "baud_rate": "--baud",
-        "ros2_namespace": "--namespace",
-        "ros2_node": "--node",
-        "ros2_domain": "--domain",
-        "ros2_remap": "--remap",
-        "ros2_dji_names": "--dji-names",
-    },
-    is_layer=True,
-)
+_OF_THE_NODE = ("ros2_namespace", "ros2_node", "ros2_domain", "ros2_remap", "ros2_dji_names")
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Ros2Options(_Ros2FromSettings):  # type: ignore[misc] # a class that is made has no type
+class Ros2Options(
+    layer_of_settings(  # type: ignore[misc] # a class that is made
+        (*_OF_THE_AIRCRAFT, *_OF_THE_NODE),
+        {
+            "baud_rate": "--baud",
+            **{name: f"--{name[5:].replace('_', '-')}" for name in _OF_THE_NODE},
+        },
+    )
+):
     """Where the aircraft is, what it is called in the graph, and how far it may fly.
 
     Attributes:

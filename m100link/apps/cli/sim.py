@@ -50,16 +50,11 @@ if TYPE_CHECKING:
 app = group("sim", "A virtual Matrice 100, for people and other programs.")
 
 
-_OfTheLine: Any = options_of(
-    LineFaults,
-    LINE_OPTIONS,
-    called={field: f"--{option}" for field, option in LINE_OPTIONS.items()},
-)
-
-
 @Parameter(name="*", group="Line faults")
 @dataclass(frozen=True)
-class FaultOptions(_OfTheLine):  # type: ignore[misc] # a class that is made has no type
+class FaultOptions(
+    options_of(LineFaults, LINE_OPTIONS)  # type: ignore[misc] # a class that is made
+):
     """What is wrong with the line, in both directions: every fault that there is."""
 
     def faults(self) -> LineFaults:
@@ -67,17 +62,11 @@ class FaultOptions(_OfTheLine):  # type: ignore[misc] # a class that is made has
         return LineFaults(**asdict(self))
 
 
-_OfTheSite: Any = options_of(
-    AircraftSettings,
-    SITE_OPTIONS,
-    called={field: f"--{option}" for field, option in SITE_OPTIONS.items()},
-    defaults={"noise": 1.0},
-)
-
-
 @Parameter(name="*", group="Site and sensors")
 @dataclass(frozen=True)
-class SiteOptions(_OfTheSite):  # type: ignore[misc] # a class that is made has no type
+class SiteOptions(
+    options_of(AircraftSettings, SITE_OPTIONS, defaults={"noise": 1.0})  # type: ignore[misc] # a class that is made
+):
     """Where it stands, and how good its sensors are."""
 
     def settings(self, missions: MissionSettings) -> AircraftSettings:
@@ -85,16 +74,11 @@ class SiteOptions(_OfTheSite):  # type: ignore[misc] # a class that is made has 
         return AircraftSettings(**asdict(self), missions=missions)
 
 
-_OfMissions: Any = options_of(
-    MissionSettings,
-    MISSION_OPTIONS,
-    called={field: f"--{option}" for field, option in MISSION_OPTIONS.items()},
-)
-
-
 @Parameter(name="*", group="Missions")
 @dataclass(frozen=True)
-class MissionOptions(_OfMissions):  # type: ignore[misc] # a class that is made has no type
+class MissionOptions(
+    options_of(MissionSettings, MISSION_OPTIONS)  # type: ignore[misc] # a class that is made
+):
     """How firmware 3.1 takes missions, where sources are silent or disagree."""
 
     def settings(self) -> MissionSettings:
@@ -102,12 +86,11 @@ class MissionOptions(_OfMissions):  # type: ignore[misc] # a class that is made 
         return MissionSettings(**asdict(self))
 
 
-_OfTheAssistant: Any = options_of(AssistantSettings, ("baud_rate",), called={"baud_rate": "--baud"})
-
-
 @Parameter(name="*")
 @dataclass(frozen=True)
-class AssistantOptions(_OfTheAssistant):  # type: ignore[misc] # a class that is made has no type
+class AssistantOptions(
+    options_of(AssistantSettings, {"baud_rate": "baud"})  # type: ignore[misc] # a class that is made
+):
     """What the PC assistant sets.
 
     Attributes:

@@ -446,44 +446,29 @@ def _table(aircraft: Aircraft) -> Table:
     return table
 
 
+_WORDED = {
+    Time: "tick {0.tick} = {0.seconds:.2f} s",
+    Attitude: "roll {0.roll_deg:6.1f}°  pitch {0.pitch_deg:6.1f}°  yaw {0.yaw_deg:6.1f}°",
+    Acceleration: "north {0.north_m_s2:6.2f}  east {0.east_m_s2:6.2f}  up {0.up_m_s2:6.2f} m/s²",
+    Velocity: "north {0.north_m_s:6.2f}  east {0.east_m_s:6.2f}  up {0.up_m_s:6.2f} m/s",
+    AngularVelocity: "roll {0.roll_rate_deg_s:6.1f}  pitch {0.pitch_rate_deg_s:6.1f}  "
+    "yaw {0.yaw_rate_deg_s:6.1f} °/s",
+    Position: "{0.latitude_deg:.7f}° {0.longitude_deg:.7f}°  height {0.height_m:.2f} m  "
+    "GPS {0.gps_health}",
+    Magnetometer: "{0.x:6.0f} {0.y:6.0f} {0.z:6.0f}",
+    RemoteControl: "{0.mode_switch.name}  roll {0.roll}  pitch {0.pitch}  yaw {0.yaw}  "
+    "throttle {0.throttle}",
+    Gimbal: "roll {0.roll_deg:6.1f}°  pitch {0.pitch_deg:6.1f}°  yaw {0.yaw_deg:6.1f}°",
+    Battery: "{0.percent} %",
+}
+
+
 def describe(value: Any) -> str:
     """A record in words, with units."""
     match value:
-        case Time():
-            return f"tick {value.tick} = {value.seconds:.2f} s"
-        case Attitude():
-            return (
-                f"roll {value.roll_deg:6.1f}°  pitch {value.pitch_deg:6.1f}°  "
-                f"yaw {value.yaw_deg:6.1f}°"
-            )
-        case Acceleration():
-            return "north {:6.2f}  east {:6.2f}  up {:6.2f} m/s²".format(*value)
-        case Velocity():
-            return "north {:6.2f}  east {:6.2f}  up {:6.2f} m/s".format(*value[:3])
-        case AngularVelocity():
-            return (
-                f"roll {value.roll_rate_deg_s:6.1f}  pitch {value.pitch_rate_deg_s:6.1f}  "
-                f"yaw {value.yaw_rate_deg_s:6.1f} °/s"
-            )
-        case Position():
-            return (
-                f"{value.latitude_deg:.7f}° {value.longitude_deg:.7f}°  height "
-                f"{value.height_m:.2f} m  GPS {value.gps_health}"
-            )
-        case Magnetometer():
-            return "{:6.0f} {:6.0f} {:6.0f}".format(*value)
-        case RemoteControl():
-            return (
-                f"{value.mode_switch.name}  roll {value.roll}  pitch {value.pitch}  "
-                f"yaw {value.yaw}  throttle {value.throttle}"
-            )
-        case Gimbal():
-            return "roll {:6.1f}°  pitch {:6.1f}°  yaw {:6.1f}°".format(*value[:3])
         case FlightStatus():
             return value.phase.name.lower().replace("_", " ") if value.phase else str(value.status)
-        case Battery():
-            return f"{value.percent} %"
         case ControlDevice():
             return value.device.name if value.device is not None else f"0x{value.control:02X}"
         case _:
-            return str(value)
+            return _WORDED.get(type(value), "{0}").format(value)
