@@ -45,8 +45,8 @@ def named(module: str) -> frozenset[str]:
         elif isinstance(node, ast.ImportFrom) and node.module:
             found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            text, colon, _ = node.value.partition(":")
-            is_verb = colon and module.startswith("m100link.apps.cli.")
+            text = node.value.partition(":")[0]
+            is_verb = module == "m100link.apps.cli.app"
             is_program = text == "m100link" or "from m100link.apps.cli import" in text
             found.add(f"m100link.apps.cli.{text}" if is_verb else text)
             if is_program and module.startswith("tests."):

@@ -162,10 +162,7 @@ ITEM = Recipe(
         ),
         Part(
             "the name that the package exports",
-            (
-                Edit("m100link/__init__.py", "        Magnetometer,\n", "        OutsideAir,\n"),
-                Edit("m100link/__init__.py", '    "Magnetometer",\n', '    "OutsideAir",\n'),
-            ),
+            (Edit("m100link/__init__.py", '    "Magnetometer",\n', '    "OutsideAir",\n'),),
             noticed_by=test_of(_PUBLIC),
             named="OutsideAir",
         ),
@@ -265,12 +262,10 @@ VERB = Recipe(
             named="greeting",
         ),
         Part(
-            "its place and sentence",
+            "its place",
             (
                 Edit(
-                    "m100link/apps/cli/app.py",
-                    "VERBS = {\n",
-                    '    "greet": ("greeting:greet", "Say hello."),\n',
+                    "m100link/apps/cli/app.py", "_MODULES = (\n", '    ("greeting", ("greet",)),\n'
                 ),
             ),
             noticed_by=("-m", "m100link", "greet"),

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import inspect
+import re
 import signal
 import sys
+from importlib.abc import InspectLoader
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
+from typing import cast
 
 from cyclopts import App, CycloptsError, CycloptsPanel, UnusedCliTokensError
 
@@ -20,128 +25,33 @@ from m100link.apps.cli.terminal import (
 )
 from m100link.errors import M100Error, UsageError
 
-# Verb → where it is, and the first sentence of its help. A module is loaded when its verb is used,
-# and none for the list of verbs.
+# Modules and verbs, in the order of the manual. A module is loaded when its verb is used.
+_MODULES = (
+    ("demo", ("demo",)),
+    ("connection", ("info", "link", "doctor", "ports", "udev", "activate")),
+    ("telemetry", ("monitor", "echo", "hz", "plot")),
+    ("flight", ("takeoff", "land", "home", "fly", "release", "gimbal", "camera", "rates")),
+    ("plan", ("plan",)),
+    ("mission", ("mission",)),
+    ("log", ("record",)),
+    ("replay", ("replay",)),
+    ("log", ("log",)),
+    ("decode", ("decode",)),
+    ("manual", ("config", "completion", "docs")),
+    ("sim", ("sim",)),
+    ("serve", ("serve", "mavlink", "ros2")),
+    ("fleet_verbs", ("fleet",)),
+    ("serve", ("console",)),
+)
+_WITH_VERBS = ("plan", "mission", "log", "sim", "fleet")
+"""These have verbs of their own: their place is the application of the module."""
+
 VERBS = {
-    "demo": (
-        "demo:demo",
-        "Fly the virtual aircraft over a real pseudo-terminal: a square, from take-off to landing.",
-    ),
-    "info": (
-        "connection:info",
-        "Show what is at the other end: version, firmware profile, telemetry items, line quality.",
-    ),
-    "link": (
-        "connection:link",
-        "Measure the line: damage and its causes, how long answers take, rates of telemetry.",
-    ),
-    "doctor": (
-        "connection:doctor",
-        "Find out why the line is silent: stage by stage, the first that fails with its cause.",
-    ),
-    "ports": ("connection:ports", "List serial ports: adapter, who may open it, who has it open."),
-    "udev": (
-        "connection:udev",
-        "Print a udev rule for the adapter: a stable name, its group, no ModemManager, no delay.",
-    ),
-    "activate": (
-        "connection:activate",
-        "Activate the aircraft for an app; waits while the aircraft asks DJI's server.",
-    ),
-    "monitor": (
-        "telemetry:monitor",
-        "Watch telemetry: every item with its value, age, measured rate and jitter.",
-    ),
-    "echo": (
-        "telemetry:echo",
-        "Print telemetry as it arrives: one JSON object, or one row of CSV, per package.",
-    ),
-    "hz": (
-        "telemetry:hz",
-        "Measure how the items arrive: rate, jitter, longest gap, and the aircraft's clock.",
-    ),
-    "plot": (
-        "telemetry:plot",
-        "Plot columns over time: live from an aircraft, or of a recorded span.",
-    ),
-    "takeoff": (
-        "flight:takeoff",
-        "Start the motors and climb to about 1.2 m; the aircraft hovers there.",
-    ),
-    "land": ("flight:land", "Land in place and stop the motors."),
-    "home": ("flight:home", "Fly to the home point and land there."),
-    "fly": ("flight:fly", "Fly so many metres north, east and up from here, and hover there."),
-    "release": (
-        "flight:release",
-        "Give control authority back; the aircraft hovers and the pilot flies on.",
-    ),
-    "gimbal": (
-        "flight:gimbal",
-        "Point the gimbal, and show where it looks; without an angle it only shows that.",
-    ),
-    "camera": (
-        "flight:camera",
-        "Take a photograph, start or stop video. It is sent; nobody confirms it.",
-    ),
-    "rates": (
-        "flight:rates",
-        "Set telemetry rates (firmware 3.1), and show how items arrive; without any only that.",
-    ),
-    "plan": (
-        "plan:app",
-        "Look at plans of waypoints, check and convert them; no aircraft is needed.",
-    ),
-    "mission": (
-        "mission:app",
-        "Let the aircraft fly a plan by itself, and act on a mission that flies (firmware 3.1).",
-    ),
-    "record": (
-        "log:record",
-        "Record what goes over the line, until Ctrl-C: every byte, and what the bytes say.",
-    ),
-    "replay": (
-        "replay:replay",
-        "Show a recorded flight in the console, as it was: pause, move, change its speed.",
-    ),
-    "log": (
-        "log:app",
-        "Look at flight logs, make tables of them, mend damaged ones; no aircraft is needed.",
-    ),
-    "decode": (
-        "decode:decode",
-        "Decode frames from hex: one stream per argument, or per line of standard input.",
-    ),
-    "config": (
-        "manual:config",
-        "Show the configuration file: where it is, which aircraft it names, what is in force.",
-    ),
-    "completion": (
-        "manual:completion",
-        "Print what completes verbs, options and aircraft in a shell, or install it there.",
-    ),
-    "docs": (
-        "manual:docs",
-        "Read the manual: a page by its topic, or the list of topics. Needs no network.",
-    ),
-    "sim": ("sim:app", "A virtual Matrice 100, for people and other programs."),
-    "serve": (
-        "serve:serve",
-        "Own the serial port and share the aircraft: rosbridge v2 for any number of clients.",
-    ),
-    "mavlink": (
-        "serve:mavlink",
-        "Let MAVSDK, QGroundControl and other MAVLink programs see and fly the aircraft.",
-    ),
-    "ros2": ("serve:ros2", "Be a node of ROS 2, without a ROS installation, until Ctrl-C."),
-    "fleet": (
-        "fleet_verbs:app",
-        "Many aircraft on many machines: a router, agents on board, pilots, formations.",
-    ),
-    "console": (
-        "serve:console",
-        "Serve the console for browsers, beside everything that `serve` serves, and open it.",
-    ),
+    verb: f"m100link.apps.cli.{module}:{'app' if verb in _WITH_VERBS else verb}"
+    for module, verbs in _MODULES
+    for verb in verbs
 }
+"""Where each verb is."""
 
 # Options by former name, for scripts that were written with it: the help has today's only.
 _FORMER = {
@@ -161,11 +71,20 @@ def application(*, overview: bool = False) -> App:
         # To load what reads Markdown takes a fifth of the time of the whole list, which has none.
         help_format="plaintext" if overview else None,
     )
-    for verb, (place, sentence) in VERBS.items():
-        plain = sentence.replace("`", "")
+    for verb, place in VERBS.items():
         # What is given here takes the place of the verb's own help.
-        made.command(f"m100link.apps.cli.{place}", name=verb, help=plain if overview else None)
+        made.command(place, name=verb, help=_sentence(verb, place) if overview else None)
     return made
+
+
+def _sentence(verb: str, place: str) -> str:
+    """The first sentence of a verb's help, from its file: to load all of them takes long."""
+    module, _, name = place.partition(":")
+    loader = cast(InspectLoader, cast(ModuleSpec, find_spec(module)).loader)
+    begin = rf'group\(\s*"{verb}",\s*"' if name == "app" else rf'\ndef {name}\(.*?\n    """'
+    source = (loader.get_source(module) or "").replace("\nasync def", "\ndef")
+    found = re.search(rf'{begin}(.*?)["\n]', source, re.DOTALL)
+    return "" if found is None else found[1].replace("`", "")
 
 
 app = application()

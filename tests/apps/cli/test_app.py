@@ -78,8 +78,9 @@ def test_help_and_version(cli: CommandLine) -> None:
 
 def test_each_verb_is_listed_with_the_first_sentence_of_its_own_help(cli: CommandLine) -> None:
     overview = cli("--help").out
-    for verb, (_, sentence) in VERBS.items():
-        assert (app[verb].help or "").split("\n\n")[0] == sentence
+    for verb in VERBS:
+        sentence = (app[verb].help or "").split("\n\n")[0]
+        assert sentence
         assert sentence.replace("`", "") in overview
     assert application(overview=True)["sim"].name == ("sim",)
     assert "hex" in cli("decode", "--help").out
