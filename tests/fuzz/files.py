@@ -586,7 +586,7 @@ def machine(data: bytes) -> None:
 
 def read_plot(data: bytes) -> None:
     """A file of columns to be plotted."""
-    with patch("m100link.apps.cli.telemetry._draw"), patch("m100link.apps.cli.telemetry.complain"):
+    with patch("m100link.apps.cli.telemetry._draw"):
         of_file(lambda path: _plot_file(path, ("height",)))(data)
 
 

@@ -137,7 +137,7 @@ def _status_of(words: list[str]) -> int:
         return ExitCode.USAGE
     except M100Error as error:
         return complain(error)
-    except KeyboardInterrupt:  # of a verb that flies nothing
+    except KeyboardInterrupt:
         sys.stderr.write("interrupted\n")
         return ExitCode.INTERRUPTED
     return status if isinstance(status, int) else ExitCode.OK

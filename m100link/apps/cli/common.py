@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 from rich.console import Console
 
-from m100link import errors
 from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.cli.options import Above0, Counted, offered, options_of
-from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, complain
+from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions
 from m100link.apps.station.config import ENVIRONMENT, Settings, resolve
 from m100link.apps.station.log_output import log_of
 from m100link.errors import UsageError
@@ -210,16 +209,11 @@ def _shown(url: str) -> str:
 
 
 def run_async(work: Coroutine[Any, Any, int | None]) -> int:
-    """Run a command's coroutine; errors become a message and an exit status."""
+    """Run a command's coroutine; who runs the command tells errors and Ctrl-C."""
     try:
         return asyncio.run(work) or ExitCode.OK
-    except errors.M100Error as error:
-        return complain(error)
     except asyncio.CancelledError:  # told to end before it ran
         return ExitCode.OK
-    except KeyboardInterrupt:
-        err.print("interrupted")
-        return ExitCode.INTERRUPTED
 
 
 class Told(asyncio.Event):

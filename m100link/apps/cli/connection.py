@@ -312,11 +312,7 @@ def doctor(
     """
     place = options.place(url or _only_port(options.link))
     as_json = json or not sys.stdout.isatty()
-    try:
-        found = _diagnosed(place, authority=authority, as_json=as_json)
-    except KeyboardInterrupt:
-        err.print("interrupted")
-        return ExitCode.INTERRUPTED
+    found = _diagnosed(place, authority=authority, as_json=as_json)
     status = exit_status(found)
     described = {**found.to_json(), "exit_status": status}
     if as_json:

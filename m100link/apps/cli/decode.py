@@ -9,7 +9,7 @@ from typing import Any
 
 from m100link.apps.cli.options import AsJson, Firmware
 from m100link.apps.cli.terminal import ExitCode, complain, print_json, wants_json
-from m100link.errors import M100Error, UsageError
+from m100link.errors import UsageError
 from m100link.protocol.describing import Describer
 from m100link.protocol.firmware import FirmwareProfile, profile
 from m100link.wire import Cipher
@@ -29,10 +29,7 @@ def decode(
         firmware: Firmware profile by which telemetry and movement are read.
         json: JSON lines instead of tables; the default when output is not a terminal.
     """
-    try:
-        cipher = Cipher(key) if key else None
-    except M100Error as error:
-        return complain(error)
+    cipher = Cipher(key) if key else None
     as_json = wants_json(json)
     status = ExitCode.OK
     for text in streams or _lines():

@@ -153,9 +153,6 @@ def demo(
             runner.run(_fly(flight, side, firmware, seed, factor, shows=not json))
         except M100Error as error:
             failure = error
-        except KeyboardInterrupt:
-            err.print("interrupted")
-            return ExitCode.INTERRUPTED
     summary = _summary(flight, speed, seed, time.monotonic() - began_at, failure)
     if json:
         print_json(summary)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import csv as csv_module
-import io
 import json
 import signal
 import sys
 import time
+from codecs import StreamWriter, getwriter
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import IO, Annotated, Any
+from typing import IO, Annotated, Any, TextIO
 
 from cyclopts import Parameter
 
@@ -21,7 +21,7 @@ from m100link.aircraft import Aircraft
 from m100link.apps.cli.common import BY_LINK, LinkOptions, Url, err, out
 from m100link.apps.cli.display import Items, items_named, reading, status
 from m100link.apps.cli.options import AsJson, AtMost, Firmware, group
-from m100link.apps.cli.terminal import ExitCode, complain, print_json, wants_json
+from m100link.apps.cli.terminal import ExitCode, print_json, wants_json
 from m100link.errors import LinkError, UsageError
 from m100link.link.keyfile import read_key
 from m100link.log import Recorder, read, recover
@@ -91,23 +91,14 @@ def csv(file: Log, /, *items: Items, output: Output = None, firmware: AsFlown = 
     records = items_named(items)
     with reading(file) as flight, contextlib.ExitStack() as stack:
         names, rows = flight.rows(*records, firmware=firmware)
-        stream: IO[str] = sys.stdout
+        stream: TextIO | StreamWriter = sys.stdout
         if output is not None:
-            stream = stack.enter_context(_new_text(output))
+            stream = getwriter("utf-8")(stack.enter_context(new_file(output)))
         writer = csv_module.writer(stream, lineterminator="\n")
         writer.writerow(names)
         for row in rows:
             writer.writerow("" if value != value else round(value, 9) for value in row)
     return status(flight)
-
-
-@contextlib.contextmanager
-def _new_text(path: Path) -> Iterator[IO[str]]:
-    with new_file(path) as stream:
-        text = io.TextIOWrapper(stream, encoding="utf-8", newline="")
-        yield text
-        text.flush()
-        text.detach()
 
 
 def parquet(file: Log, /, *items: Items, output: Output = None, firmware: AsFlown = None) -> int:
@@ -383,7 +374,7 @@ async def record(
     output: Annotated[Path, Parameter(name=("--output", "-o"))] = Path(),
     rate: float = 10.0,
     duration: AtMost = None,
-) -> int:
+) -> None:
     """Record what goes over the line, until Ctrl-C: every byte, and what the bytes say.
 
     It asks for the version once, and sends nothing else.
@@ -412,10 +403,9 @@ async def record(
         if recorder.path.exists():  # where nothing was heard, nothing is left
             err.print(f"{recorder.path}: {recorder.path.stat().st_size:,} bytes")
     if recorder.failure is not None:
-        return complain(UsageError(f"recording ended early: {recorder.failure}"))
+        raise UsageError(f"recording ended early: {recorder.failure}")
     if lost is not None:
-        return complain(lost)
-    return ExitCode.OK
+        raise lost
 
 
 async def _lost_or(aircraft: Aircraft, ended: asyncio.Event) -> LinkError | None:

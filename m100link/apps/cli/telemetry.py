@@ -20,7 +20,7 @@ from m100link.aircraft import Aircraft
 from m100link.apps.cli.common import BY_LINK, LinkOptions, Place, Url, err, out, places, run_async
 from m100link.apps.cli.display import Items, items_named, line_plot, row
 from m100link.apps.cli.options import Above0, AtMost, Counted, offered
-from m100link.apps.cli.terminal import ExitCode, complain, print_json
+from m100link.apps.cli.terminal import ExitCode, print_json
 from m100link.errors import UsageError
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
@@ -260,7 +260,7 @@ def plot(
     for field in fields or ("position.height_m",):
         column = column_named(field)
         if column is None:
-            return complain(_unknown_column(field))
+            raise _unknown_column(field)
         wanted.append(column)
     if source is not None and source.endswith(".csv"):
         return _plot_file(Path(source), tuple(wanted))
@@ -294,19 +294,14 @@ def _plot_file(path: Path, fields: tuple[str, ...]) -> int:
                     if values.get(field):
                         points[field].append((float(values["received_at"]), float(values[field])))
     except OSError as error:
-        return complain(
-            UsageError(
-                f"{path} cannot be read: {error.strerror}",
-                remedy="check its name, and who may read it",
-            )
-        )
+        raise UsageError(
+            f"{path} cannot be read: {error.strerror}", remedy="check its name, and who may read it"
+        ) from error
     except (KeyError, ValueError) as error:
-        return complain(
-            UsageError(
-                f"{path} cannot be plotted, line {lines}: {error}",
-                cause="not a file of `m100link echo --csv`, or a column without numbers",
-            )
-        )
+        raise UsageError(
+            f"{path} cannot be plotted, line {lines}: {error}",
+            cause="not a file of `m100link echo --csv`, or a column without numbers",
+        ) from error
     _draw(points)
     return ExitCode.OK if any(points.values()) else ExitCode.FAILED
 

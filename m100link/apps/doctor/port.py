@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Final, cast
 
 from m100link.apps.doctor.findings import Finding, Stage, Verdict
@@ -168,12 +169,12 @@ class Ear(asyncio.Protocol):
         self.lost: Exception | None = None  # why the line ended; None while it has not
         self.transport: asyncio.Transport | None = None
         self._ended = asyncio.Event()
-        self._made = asyncio.Event()
+        self.made = asyncio.Event()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """The line is open."""
         self.transport = cast(asyncio.Transport, transport)  # it is a stream, whatever its class
-        self._made.set()
+        self.made.set()
 
     def data_received(self, data: bytes) -> None:
         """More of it."""
@@ -184,34 +185,23 @@ class Ear(asyncio.Protocol):
         self.is_lost, self.lost = True, exc
         self._ended.set()
 
-    async def listen(self, seconds: float) -> bytes:
-        """What is new after so many seconds, or when the line ends."""
-        before = len(self.data)
-        try:
+    async def listen(self, seconds: float) -> None:
+        """Keep what comes in so many seconds, or until the line ends."""
+        with suppress(TimeoutError):
             async with asyncio.timeout(seconds):
                 await self._ended.wait()
-        except TimeoutError:
-            pass
-        return bytes(self.data[before:])
 
     def say(self, data: bytes) -> None:
         """Send something."""
         if self.transport is not None and not self.is_lost:
             self.transport.write(data)
 
-    async def open(self) -> None:
-        """Wait until the line is open: an opener may return before it is."""
-        await self._made.wait()
-
     async def close(self) -> None:
         """Give the line back."""
         if self.transport is not None:
             self.transport.abort()
-            try:
-                async with asyncio.timeout(1.0):
-                    await self._ended.wait()
-            except TimeoutError:
-                pass  # it ends by itself; whoever opens it next finds it busy, and says so
+            # What lasts longer ends by itself; whoever opens it next finds it busy, and says so.
+            await self.listen(1.0)
 
 
 async def open_ear(address: ConnectionString) -> Ear:
@@ -222,5 +212,5 @@ async def open_ear(address: ConnectionString) -> Ear:
     """
     ear = Ear()
     await open_transport(address, ear)
-    await ear.open()
+    await ear.made.wait()  # an opener may return before the line is open
     return ear
