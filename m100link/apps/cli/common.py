@@ -216,6 +216,16 @@ def run_async(work: Coroutine[Any, Any, int | None]) -> int:
         return ExitCode.OK
 
 
+async def until(seconds: float | None, work: Any) -> None:
+    """Run for so long; whatever ends it earlier is raised."""
+    try:
+        async with asyncio.timeout(seconds) as limit:
+            await work
+    except TimeoutError:
+        if not limit.expired():
+            raise
+
+
 class Told(asyncio.Event):
     """Set by Ctrl-C and SIGTERM.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -60,16 +60,7 @@ class EstimateOptions:
     @property
     def place(self) -> tuple[float, float] | None:
         """Home in degrees. Raises UsageError: these are not two."""
-        if self.home is None:
-            return None
-        try:
-            latitude, longitude = map(float, self.home.split(","))
-            LocalFrame(latitude, longitude)
-        except ValueError:
-            raise UsageError(
-                f"home is {self.home!r}", remedy="LATITUDE,LONGITUDE in degrees: 52.1,4.31"
-            ) from None
-        return latitude, longitude
+        return None if self.home is None else _degrees("home", self.home, LocalFrame)
 
     def of(self, plan: WaypointPlan) -> PlanEstimate:
         """The estimate."""
@@ -356,7 +347,7 @@ def survey(
         force: Write over a file that is there.
     """
     plan = lines_over(
-        [_corner(word) for word in area],
+        [_degrees("a corner", word) for word in area],
         height=height,
         spacing=spacing,
         angle_deg=angle,
@@ -366,11 +357,16 @@ def survey(
     return _write(plan, target, to, force=force)
 
 
-def _corner(word: str) -> tuple[float, float]:
+def _degrees(
+    what: str, word: str, check: Callable[[float, float], object] | None = None
+) -> tuple[float, float]:
+    """A place. Raises UsageError: these are not two numbers, or ``check`` takes them for none."""
     try:
         latitude, longitude = map(float, word.split(","))
+        if check is not None:
+            check(latitude, longitude)
     except ValueError:
         raise UsageError(
-            f"a corner is {word!r}", remedy="LATITUDE,LONGITUDE in degrees: 52.1,4.31"
+            f"{what} is {word!r}", remedy="LATITUDE,LONGITUDE in degrees: 52.1,4.31"
         ) from None
     return latitude, longitude

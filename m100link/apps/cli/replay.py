@@ -36,7 +36,7 @@ _AS_THEY_ARE = StationOptions()
 _HELP = "keys: space pauses, ← → 10 s, < > a minute, + - speed, 1 as it was, 0 begin, q ends"
 
 
-def replay(
+async def replay(
     *file: Path,
     speed: Annotated[float | Literal["max"], Parameter()] = 1.0,
     from_: Annotated[float, Parameter(name="--from")] = 0.0,
@@ -71,7 +71,9 @@ def replay(
     more: dict[str, Any] = {"console_port": console_port, "tiles": tiles, "no_record": True}
     aircraft = aircraft_of(options, words, launch=options.launch, **more)
     how = options.run
-    return run_station(aircraft, how, with_console=True, open_browser=open_browser, keys=_keys)
+    return await run_station(
+        aircraft, how, with_console=True, open_browser=open_browser, keys=_keys
+    )
 
 
 def _names(files: tuple[Path, ...]) -> list[str]:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 from cyclopts import Parameter
 
-from m100link.apps.cli.common import Told, err, layer_of_settings, out, places, run_async
+from m100link.apps.cli.common import Told, err, layer_of_settings, out, places
 from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.cli.options import offered
 from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, print_json
@@ -61,7 +61,7 @@ class RunOptions:
 AS_USUAL = RunOptions()
 
 
-def run_station(
+async def run_station(
     aircraft: dict[str, Settings],
     options: RunOptions,
     *,
@@ -83,7 +83,31 @@ def run_station(
     if with_rosbridge or with_console:
         require_packages()
     served = {"with_console": with_console, "with_rosbridge": with_rosbridge}
-    return run_async(_serve(aircraft, options, served, open_browser, keys))
+    from m100link.apps.agent.journal import JOURNAL_LOG
+    from m100link.apps.station.supervisor import leave_what_stays
+
+    ended = Told()
+    tell_elsewhere(JOURNAL_LOG)
+    log_of(next(iter(aircraft)) if len(aircraft) == 1 else "")
+    with Teller("talk", MOST_UNTOLD) as teller:
+        tell = partial(tell_event, teller, options.log, is_named=len(aircraft) > 1)
+        async with _running(aircraft, options, served, tell) as (station, front):
+            announce = partial(_announce, aircraft, station, as_json=options.json_output)
+            announce()
+            leave_what_stays()
+            settings = next(iter(aircraft.values()))
+            warn_of(settings)
+            if front is not None:
+                # The code in the console's address works once; a front that is new has another.
+                front.on_restart.append(lambda: teller.do(announce))
+            if station.sockets.ports("console") and open_browser:
+                await asyncio.to_thread(webbrowser.open, _console_url(settings, station))
+            with contextlib.nullcontext() if keys is None else keys(station, ended):
+                await ended.wait()
+            end = "ending: control authority goes back, an aircraft that flies hovers"
+            told = end if station.has_authority else "ending"
+            teller.do(lambda: err.print(told))
+    return ExitCode.OK
 
 
 def require_packages() -> None:
@@ -112,40 +136,6 @@ def show(settings: Settings) -> None:
         source = settings.origins.get(name, "default")
         out.print(f"{name:14} {shown!s:40} {source}", markup=False, soft_wrap=True)
     _tell_unused(settings)
-
-
-async def _serve(
-    aircraft: dict[str, Settings],
-    options: RunOptions,
-    served: dict[str, Any],  # beside MAVLink
-    open_browser: bool,
-    keys: Keys | None,
-) -> int:
-    from m100link.apps.agent.journal import JOURNAL_LOG
-    from m100link.apps.station.supervisor import leave_what_stays
-
-    ended = Told()
-    tell_elsewhere(JOURNAL_LOG)
-    log_of(next(iter(aircraft)) if len(aircraft) == 1 else "")
-    with Teller("talk", MOST_UNTOLD) as teller:
-        tell = partial(tell_event, teller, options.log, is_named=len(aircraft) > 1)
-        async with _running(aircraft, options, served, tell) as (station, front):
-            announce = partial(_announce, aircraft, station, as_json=options.json_output)
-            announce()
-            leave_what_stays()
-            settings = next(iter(aircraft.values()))
-            warn_of(settings)
-            if front is not None:
-                # The code in the console's address works once; a front that is new has another.
-                front.on_restart.append(lambda: teller.do(announce))
-            if station.sockets.ports("console") and open_browser:
-                await asyncio.to_thread(webbrowser.open, _console_url(settings, station))
-            with contextlib.nullcontext() if keys is None else keys(station, ended):
-                await ended.wait()
-            end = "ending: control authority goes back, an aircraft that flies hovers"
-            told = end if station.has_authority else "ending"
-            teller.do(lambda: err.print(told))
-    return ExitCode.OK
 
 
 @contextlib.asynccontextmanager
@@ -409,7 +399,7 @@ def _check_other(name: str, settings: Settings, found: dict[str, Settings]) -> N
 _Url = Annotated[str, offered(places)]
 
 
-def serve(*url: _Url, options: StationOptions = StationOptions()) -> int:
+async def serve(*url: _Url, options: StationOptions = StationOptions()) -> int:
     """Own the serial port and share the aircraft: rosbridge v2 for any number of clients.
 
     Telemetry for all of them, control for one at a time. DJI's web page of 2015 and roslib programs
@@ -420,10 +410,10 @@ def serve(*url: _Url, options: StationOptions = StationOptions()) -> int:
             with several.
     """
     aircraft = aircraft_of(options, url, is_sim=options.sim, launch=options.launch)
-    return run_station(aircraft, options.run, with_console=False)
+    return await run_station(aircraft, options.run, with_console=False)
 
 
-def console(
+async def console(
     *url: _Url,
     console_port: int | None = None,
     tiles: Path | None = None,
@@ -441,7 +431,7 @@ def console(
     """
     more: dict[str, Any] = {"console_port": console_port, "tiles": tiles, "launch": options.launch}
     aircraft = aircraft_of(options, url, is_sim=options.sim, **more)
-    return run_station(aircraft, options.run, with_console=True, open_browser=open_browser)
+    return await run_station(aircraft, options.run, with_console=True, open_browser=open_browser)
 
 
 # -- ``m100link mavlink``: aircraft as vehicles for MAVSDK, QGroundControl and every other prog ----
@@ -476,9 +466,7 @@ class MavlinkOptions(
     run: RunOptions = AS_USUAL
 
 
-def mavlink(
-    *url: Annotated[str, offered(places)], options: MavlinkOptions = MavlinkOptions()
-) -> int:
+async def mavlink(*url: _Url, options: MavlinkOptions = MavlinkOptions()) -> int:
     """Let MAVSDK, QGroundControl and other MAVLink programs see and fly the aircraft.
 
     They take each for a vehicle with PX4's modes, until Ctrl-C. Without --listen and --to those
@@ -492,7 +480,7 @@ def mavlink(
     first = next(iter(aircraft.values()))
     if not first.mavlink and not first.mavlink_to:
         aircraft = aircraft_of(options, url, mavlink_to=USUAL)
-    return run_station(aircraft, options.run, with_rosbridge=False)
+    return await run_station(aircraft, options.run, with_rosbridge=False)
 
 
 # -- ``m100link ros2``: aircraft as nodes of ROS 2, for RViz, Nav2, rosbag2 and every program ------
@@ -521,7 +509,7 @@ class Ros2Options(
     run: RunOptions = AS_USUAL
 
 
-def ros2(*url: Annotated[str, offered(places)], options: Ros2Options = Ros2Options()) -> int:
+async def ros2(*url: _Url, options: Ros2Options = Ros2Options()) -> int:
     """Be a node of ROS 2, without a ROS installation, until Ctrl-C.
 
     Programs that run with RMW_IMPLEMENTATION=rmw_zenoh_cpp see and fly the aircraft, by the router
@@ -531,4 +519,6 @@ def ros2(*url: Annotated[str, offered(places)], options: Ros2Options = Ros2Optio
     Args:
         url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for several.
     """
-    return run_station(aircraft_of(options, url, ros2=True), options.run, with_rosbridge=False)
+    return await run_station(
+        aircraft_of(options, url, ros2=True), options.run, with_rosbridge=False
+    )

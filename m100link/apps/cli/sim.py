@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import os
 import secrets
 import signal
@@ -18,7 +17,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from m100link.apps.cli.common import out
+from m100link.apps.cli.common import out, until
 from m100link.apps.cli.options import Above0, Firmware, group, options_of
 from m100link.apps.cli.terminal import AS_IT_IS, LogOptions, keys_pressed, print_json
 from m100link.errors import UsageError
@@ -242,7 +241,7 @@ async def _serve(plan: _Plan) -> int:
         await control.start()
         if plan.as_json:
             print_json(_announcement(plan, ports, control))
-            await _wait(ended, plan.duration)
+            await until(plan.duration, ended.wait())
         else:
             await _show(plan, ports, ended)
     finally:
@@ -293,12 +292,6 @@ def _announcement(plan: _Plan, ports: list[str], control: CtlServer) -> dict[str
     return line
 
 
-async def _wait(ended: asyncio.Event, duration: float | None) -> None:
-    with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(duration):
-            await ended.wait()
-
-
 async def _show(plan: _Plan, ports: list[str], ended: asyncio.Event) -> None:
     """The live view, until it ends."""
     from rich.live import Live
@@ -309,7 +302,7 @@ async def _show(plan: _Plan, ports: list[str], ended: asyncio.Event) -> None:
     with keys_pressed(view.press), Live(view.render(), auto_refresh=False, screen=True) as live:
         while not ended.is_set() and (deadline is None or loop.time() < deadline):
             live.update(view.render(), refresh=True)
-            await _wait(ended, 0.1)
+            await until(0.1, ended.wait())
 
 
 @app.command
@@ -424,39 +417,28 @@ class LiveView:
         control = state["control"].upper()
         if state["authority_obstacle"]:
             control += f"  (API: {state['authority_obstacle']})"
-        rows = [
-            (
-                "flight",
-                f"{state['flight_status']}, {state['maneuver']}",
-                "height",
-                f"{state['height']:.2f} m",
-            ),
-            (
-                "attitude",
-                f"roll {_degrees(motion.roll)} pitch {_degrees(motion.pitch)} yaw {heading:.0f}°",
-                "velocity",
-                f"N {north:+.1f} E {east:+.1f} up {up:+.1f} m/s",
-            ),
-            ("control", control, "place", f"N {state['north']:+.1f} E {state['east']:+.1f} m"),
-            (
-                "RC",
-                f"{state['rc_mode']}" + ("" if state["rc_is_on"] else ", off"),
-                "battery, GPS",
-                f"{state['battery_percent']:.0f} %, {state['gps_health']}",
-            ),
-            (
-                "app",
-                _app(state["app_connected"], state["app_has_internet"], state["activated_app"]),
-                "line",
-                f"{state['frames_sent']} out, {state['commands']} in, {state['frames_lost']} lost",
-            ),
-        ]
+        app = _app(state["app_connected"], state["app_has_internet"], state["activated_app"])
+        sent, lost = state["frames_sent"], state["frames_lost"]
+        told = {
+            "flight": f"{state['flight_status']}, {state['maneuver']}",
+            "height": f"{state['height']:.2f} m",
+            "attitude": f"roll {_degrees(motion.roll)} pitch {_degrees(motion.pitch)} "
+            f"yaw {heading:.0f}°",
+            "velocity": f"N {north:+.1f} E {east:+.1f} up {up:+.1f} m/s",
+            "control": control,
+            "place": f"N {state['north']:+.1f} E {state['east']:+.1f} m",
+            "RC": state["rc_mode"] + ("" if state["rc_is_on"] else ", off"),
+            "battery, GPS": f"{state['battery_percent']:.0f} %, {state['gps_health']}",
+            "app": app,
+            "line": f"{sent} out, {state['commands']} in, {lost} lost",
+        }
         if state["mission"] is not None:
             ended = self._aircraft.vehicle.missions.running is None
-            rows.append(("last mission" if ended else "mission", *_mission(state["mission"])))
+            doing, what, how_far = _mission(state["mission"])
+            told |= {"last mission" if ended else "mission": doing, what: how_far}
         table = Table.grid(padding=(0, 2))
-        for row in rows:
-            left, right = ((Text(title, style="bold"), told) for title, told in (row[:2], row[2:]))
+        cells = [(Text(name, style="bold"), value) for name, value in told.items()]
+        for left, right in zip(cells[::2], cells[1::2], strict=True):
             if out.width >= _WIDE:
                 table.add_row(*left, *right)
             else:

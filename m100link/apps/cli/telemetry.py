@@ -17,7 +17,17 @@ from rich.table import Table
 from rich.text import Text
 
 from m100link.aircraft import Aircraft
-from m100link.apps.cli.common import BY_LINK, LinkOptions, Place, Url, err, out, places, run_async
+from m100link.apps.cli.common import (
+    BY_LINK,
+    LinkOptions,
+    Place,
+    Url,
+    err,
+    out,
+    places,
+    run_async,
+    until,
+)
 from m100link.apps.cli.display import Items, items_named, line_plot, row
 from m100link.apps.cli.options import Above0, AtMost, Counted, offered
 from m100link.apps.cli.terminal import ExitCode, print_json
@@ -49,16 +59,6 @@ _SCALE_COLUMNS = 14
 
 _WIDE = 64
 """Columns of a terminal that has room for everything that is measured."""
-
-
-async def _until(seconds: float | None, work: Any) -> None:
-    """Run for so long; whatever ends it earlier is raised."""
-    try:
-        async with asyncio.timeout(seconds) as limit:
-            await work
-    except TimeoutError:
-        if not limit.expired():
-            raise
 
 
 async def echo(
@@ -116,7 +116,7 @@ async def echo(
     async with place.connect() as aircraft:
         if csv:
             writer.writeheader()
-        await _until(duration, print_all(aircraft))
+        await until(duration, print_all(aircraft))
     sys.stdout.flush()
 
 
@@ -322,7 +322,7 @@ async def _plot_live(place: Place, fields: tuple[str, ...], duration: float) -> 
     async with place.connect() as aircraft:
         shown = Live(console=out, refresh_per_second=5) if sys.stdout.isatty() else None
         with shown or contextlib.nullcontext():
-            task = asyncio.ensure_future(_until(duration, collect(aircraft)))
+            task = asyncio.ensure_future(until(duration, collect(aircraft)))
             try:
                 while not task.done():
                     await asyncio.wait([task], timeout=0.2)
@@ -379,7 +379,7 @@ async def monitor(
     as_json = json or not sys.stdout.isatty()
     place = link.place(url)
     async with place.connect() as aircraft:
-        await _until(duration, _print_lines(aircraft) if as_json else _show(aircraft))
+        await until(duration, _print_lines(aircraft) if as_json else _show(aircraft))
         failure = aircraft.link.failure
         if failure is not None:
             raise failure.again()

@@ -112,7 +112,7 @@ class Machine:
         for process in self._processes():
             files = self._open_files(process)
             if wanted in files and not (wanted.startswith("/dev/pts/") and _TTY_MASTER in files):
-                found.append(Process(int(process.name), self._name(process)))
+                found.append(_described(process))
         return tuple(one for one in found if one.pid != os.getpid())
 
     def login_programs(self, path: str) -> tuple[Process, ...]:
@@ -122,7 +122,7 @@ class Machine:
         for process in self._processes():
             words = self._words(process)
             if words and "getty" in Path(words[0]).name and wanted in words[1:]:
-                found.append(Process(int(process.name), self._name(process)))
+                found.append(_described(process))
         return tuple(found)
 
     def is_kernel_console(self, path: str) -> bool:
@@ -136,10 +136,8 @@ class Machine:
 
     def modem_manager(self) -> Process | None:
         """ModemManager, if it runs: it speaks to every new serial port to see whether it is one."""
-        for process in self._processes():
-            if self._name(process) == "ModemManager":
-                return Process(int(process.name), "ModemManager")
-        return None
+        running = map(_described, self._processes())
+        return next((one for one in running if one.name == "ModemManager"), None)
 
     def is_left_alone(self, path: str) -> bool:
         """Whether a rule keeps ModemManager away from the device."""
@@ -159,9 +157,6 @@ class Machine:
             return {os.path.realpath(name) for name in (process / "fd").iterdir()}
         except OSError:
             return set()  # gone meanwhile, or not ours to look into
-
-    def _name(self, process: Path) -> str:
-        return _text(process / "comm")
 
     def _words(self, process: Path) -> list[str]:
         try:
@@ -204,6 +199,10 @@ class Machine:
             return tuple(sorted(str(name) for name in folder.iterdir() if name.resolve() == wanted))
         except OSError:
             return ()
+
+
+def _described(process: Path) -> Process:
+    return Process(int(process.name), _text(process / "comm"))
 
 
 def _text(path: Path) -> str:
