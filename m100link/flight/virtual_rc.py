@@ -27,7 +27,14 @@ from m100link.errors import (
 from m100link.flight.cancellation import SIGNALS, Errand, ProgramTask
 from m100link.flight.guardian import Guardian, GuardianPlan, patience_of, virtual_rc_plan
 from m100link.flight.guards import FIRST_VALUES_S, GuardKeeper, Guards, known
-from m100link.flight.lifecycle import BlockClaim, BlockInput, BlockState, Lifecycle, StopCause
+from m100link.flight.lifecycle import (
+    STOP_PLANS,
+    BlockClaim,
+    BlockInput,
+    BlockState,
+    Lifecycle,
+    StopCause,
+)
 from m100link.flight.reserves import free, reserve
 from m100link.flight.tasks import CENTRED, GESTURE, Commander, SettingsPace, Sticks, is_on_ground
 from m100link.flight.watchdog import TelemetryWatchdog
@@ -48,13 +55,15 @@ _AIRCRAFT_WAITS_S = 0.9  # after a second without channels the aircraft has ende
 _SHOWN_S = 1.2
 _GESTURE_S = 2.3  # the aircraft wants 2 s (facts V4)
 
-_SILENT = frozenset({StopCause.AUTHORITY_LOST, StopCause.LINK_LOST, StopCause.GUARDIAN})
-"""Where no centred sticks are sent any more: the pilot has the aircraft, nobody hears them, or the
-guardian sends them."""
+
+def is_hopeless(cause: StopCause | None) -> bool:
+    """Where it is not switched off here: nobody hears it, or the guardian does it."""
+    return cause is not None and not STOP_PLANS[cause].release
 
 
-_HOPELESS = frozenset({StopCause.LINK_LOST, StopCause.GUARDIAN})
-"""Where it is not switched off here: nobody hears it, or the guardian does it."""
+def is_silent(cause: StopCause | None) -> bool:
+    """Where no centred sticks are sent: there, and where somebody else has the aircraft."""
+    return is_hopeless(cause) or (cause is not None and STOP_PLANS[cause].explain)
 
 
 class VirtualRc:
@@ -257,7 +266,7 @@ class VirtualRc:
 
     def _say_neutral(self) -> None:
         """Centred sticks, where they can help; not after the pilot has ended it."""
-        if not self._is_on or self._life.cause in _SILENT:
+        if not self._is_on or is_silent(self._life.cause):
             return
         try:
             self._requests.push(CENTRED.encoded())
@@ -266,7 +275,7 @@ class VirtualRc:
 
     def _is_to_end(self) -> bool:
         """Whether the guardian would have to end it if this program ended now."""
-        return self._is_on and self._life.cause not in _SILENT
+        return self._is_on and not is_silent(self._life.cause)
 
     def _guardian_plan(self, is_to_end: bool) -> GuardianPlan:
         if not is_to_end:
@@ -283,7 +292,7 @@ class VirtualRc:
     async def _centre_and_switch_off(self) -> None:
         """Centred sticks until it may be switched off, then off."""
         settle_until = self._clock() + _NEUTRAL_S
-        while self._is_on and self._life.cause not in _HOPELESS:
+        while self._is_on and not is_hopeless(self._life.cause):
             if self._clock() >= max(settle_until, self._pace.free_at):
                 self._switch_off()
                 return

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from m100link.errors import AuthorityLost, LinkLost
-from m100link.flight import lifecycle
+from m100link.flight import lifecycle, virtual_rc
 from m100link.flight.lifecycle import (
     STOP_PLANS,
     TRANSITIONS,
@@ -248,6 +248,16 @@ PLANS: dict[StopCause, tuple[tuple[bool, bool, bool, bool, bool], str]] = {
 def test_each_cause_has_the_plan_that_it_leaves_possible(cause: StopCause) -> None:
     plan, why = PLANS[cause]
     assert STOP_PLANS[cause] == StopPlan(*plan), why
+
+
+def test_a_virtual_rc_centres_and_switches_off_unless_the_cause_is_named() -> None:
+    """A cause that nobody thought of sends all that can be sent."""
+    not_centred = {C.AUTHORITY_LOST, C.LINK_LOST, C.GUARDIAN}
+    not_switched_off = {C.LINK_LOST, C.GUARDIAN}
+    row = "the row of this cause in STOP_PLANS makes a virtual RC silent"
+    assert {one for one in C if virtual_rc.is_silent(one)} == not_centred, row
+    assert {one for one in C if virtual_rc.is_hopeless(one)} == not_switched_off, row
+    assert not virtual_rc.is_silent(None)
 
 
 def test_authority_is_kept_only_where_nobody_hears_or_another_gives_it_back() -> None:
