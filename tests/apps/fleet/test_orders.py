@@ -16,37 +16,60 @@ from tests.apps.fleet.conftest import OnBoard, Rig
 pytestmark = pytest.mark.anyio
 
 
-# What lands, revokes, moves, and takes, acquires or renews a lease: l, r, m, t, a, n.
+DOES = {
+    "lands": lands,
+    "revokes": revokes,
+    "moves": moves,
+    "takes": takes,
+    "acquires": acquires,
+    "renews": renews,
+    "is_kept": is_kept,
+}
+
+
+def does(message: Message, *asked: str) -> set[str]:
+    """Which of these `m100link/apps/fleet/orders.py` says of it."""
+    return {name for name in asked if DOES[name](message)}
+
+
 @pytest.mark.parametrize(
-    ("message", "does"),
+    ("message", "expected"),
     [
-        (Ask(1, Action.LAND), "lr"),
-        (Ask(1, Action.STOP), "r"),
-        (Ask(1, Action.HALT), "r"),
-        (Ask(1, Action.TAKE_OFF), "m"),
-        (Ask(1, Action.GO_HOME), "m"),
-        (Ask(1, Action.MISSION_START), "m"),
-        (FlyTo(52.0, 4.3, 10.0), "m"),
-        (LeaseAsk(1, LeaseAction.ACQUIRE), "ma"),
-        (LeaseAsk(1, LeaseAction.TAKE_OVER), "m"),
-        (LeaseAsk(1, LeaseAction.CONFIRM), "mt"),
-        (LeaseAsk(1, LeaseAction.RENEW), "n"),
-        (LeaseAsk(1, LeaseAction.RELEASE), ""),
+        (Ask(1, Action.LAND), {"lands", "revokes"}),
+        (Ask(1, Action.STOP), {"revokes"}),
+        (Ask(1, Action.HALT), {"revokes"}),
+        (Ask(1, Action.TAKE_OFF), {"moves"}),
+        (Ask(1, Action.GO_HOME), {"moves"}),
+        (Ask(1, Action.MISSION_START), {"moves"}),
+        (FlyTo(52.0, 4.3, 10.0), {"moves"}),
+        (LeaseAsk(1, LeaseAction.ACQUIRE), {"moves", "acquires"}),
+        (LeaseAsk(1, LeaseAction.TAKE_OVER), {"moves"}),
+        (LeaseAsk(1, LeaseAction.CONFIRM), {"moves", "takes"}),
+        (LeaseAsk(1, LeaseAction.RENEW), {"renews"}),
+        (LeaseAsk(1, LeaseAction.RELEASE), set()),
     ],
 )
-def test_what_a_message_does(message: Message, does: str) -> None:
-    asked = {"l": lands, "r": revokes, "m": moves, "t": takes, "a": acquires, "n": renews}
-    assert "".join(one for one, is_so in asked.items() if is_so(message)) == does
+def test_what_a_message_does(message: Message, expected: set[str]) -> None:
+    asked = ("lands", "revokes", "moves", "takes", "acquires", "renews")
+    assert does(message, *asked) == expected
+
+
+# What m100link/apps/fleet/orders.py says of an order that needs no lease.
+WITHOUT_LEASE = {
+    Action.STOP: {"revokes"},
+    Action.HALT: {"revokes"},
+    Action.LAND: {"lands", "revokes"},
+    Action.VERSION: set[str](),
+}
 
 
 @pytest.mark.parametrize("action", Action, ids=lambda one: one.name)
 def test_an_action_moves_and_is_done_once_unless_it_is_named(action: Action) -> None:
     """By hand: what nobody thought of is treated as the most dangerous order."""
-    named = {Action.STOP: "r", Action.HALT: "r", Action.LAND: "lr", Action.VERSION: ""}
-    ask = Ask(1, action)
-    asked = {"l": lands, "r": revokes, "m": moves, "k": is_kept}
-    does = "".join(one for one, is_so in asked.items() if is_so(ask))
-    assert does == named.get(action, "mk")
+    found = does(Ask(1, action), "lands", "revokes", "moves", "is_kept")
+    assert found == WITHOUT_LEASE.get(action, {"moves", "is_kept"}), (
+        f"orders.py says that {action.name} {sorted(found)}: WITHOUT_LEASE of this file says not"
+    )
 
 
 async def take_off(pilot: Fleet, outcomes: list[Outcome]) -> None:
