@@ -23,7 +23,6 @@ from m100link.apps.cli.terminal import (
     ExitCode,
     ReaderGone,
     complain,
-    exit_code,
     print_json,
     read_line,
     speak_to_anybody,
@@ -234,44 +233,6 @@ def test_ctrl_c_that_interrupts_no_wait_ends_a_question_all_the_same(
 
 
 # -- how a command ends: its exit status by what went wrong, and JSON that every reader takes ------
-
-
-@pytest.mark.parametrize(
-    ("error", "status"),
-    [
-        (errors.UsageError("x"), 2),
-        (errors.BadURL("x"), 2),
-        (errors.BadKey("x"), 2),
-        (errors.PortNotFound("x"), 3),
-        (errors.PortPermissionDenied("x"), 3),
-        (errors.PortBusy("x"), 3),
-        (errors.PortFailed("x"), 3),
-        (errors.SilentLine("x"), 4),
-        (errors.NoValidFrame("x"), 4),
-        (errors.NoAnswer("x"), 4),
-        (errors.LinkLost("x"), 4),
-        (errors.ActivationRefused("x"), 5),
-        (errors.NotActivated("x"), 5),
-        (errors.LevelTooLow("x"), 5),
-        (errors.KeyRejected("x"), 5),
-        (errors.AuthorityRefused("x"), 6),
-        (errors.AuthorityLost("x"), 6),
-        (errors.NoAuthority("x"), 6),
-        (errors.TaskRefused("x"), 7),
-        (errors.TaskFailed("x"), 7),
-        (errors.GuardRefused("x"), 7),
-        (errors.CommandNotSupported("x"), 7),
-        (errors.AckTimeout("x"), 8),
-        (errors.NotObserved("x"), 8),
-        (errors.TelemetryStalled("x"), 8),
-        (errors.BadAck("x"), 1),
-        (errors.TelemetryOverflow("x"), 1),
-    ],
-    ids=lambda value: type(value).__name__ if isinstance(value, Exception) else "",
-)
-def test_each_class_of_error_has_its_exit_status(error: Exception, status: int) -> None:
-    """2 usage, 3 port, 4 no link, 5 activation, 6 authority, 7 refused, 8 time, 1 the rest."""
-    assert exit_code(error) == status
 
 
 def test_an_error_is_told_on_standard_error_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
