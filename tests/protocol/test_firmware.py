@@ -19,25 +19,37 @@ from m100link.protocol.firmware import FlagBit0, names_hardware, reads_unknown, 
 from m100link.protocol.items import ItemLayout
 from m100link.protocol.packet import telemetry_size
 
-# Bytes per item on the wire, in flag-bit order, and their sum with the flag word.
-SIZES = {
-    "1.0": ([4, 16, 12, 12, 12, 25, 6, 12, 12, 1, 1, 1], 116),
-    "2.3": ([4, 16, 12, 13, 12, 25, 6, 12, 12, 1, 1, 1], 117),
-    "3.1": ([9, 16, 12, 13, 12, 25, 6, 12, 13, 1, 1, 2], 124),
-    "1.0-document": ([4, 16, 12, 12, 12, 24, 12, 10, 12, 1, 1, 1], 119),
+# Bytes of each item on the wire, in flag-bit order; nothing where a firmware has it not.
+FIRMWARES = ("1.0", "2.3", "3.1", "1.0-document")
+SIZES: dict[str, tuple[int | None, ...]] = {
+    "time": (4, 4, 9, 4),
+    "quaternion": (16, 16, 16, 16),
+    "acceleration": (12, 12, 12, 12),
+    "velocity": (12, 13, 13, 12),
+    "angular_velocity": (12, 12, 12, 12),
+    "position": (25, 25, 25, 24),
+    "magnetometer": (6, 6, 6, 12),
+    "rc": (12, 12, 12, 10),
+    "gimbal": (12, 12, 13, 12),
+    "flight_status": (1, 1, 1, 1),
+    "battery": (1, 1, 1, 1),
+    "control_device": (1, 1, 2, 1),
 }
+TOTALS = dict(zip(FIRMWARES, (116, 117, 124, 119), strict=True))
+"""Their sum, with the flag word."""
 
 
 def test_there_are_four_profiles() -> None:
-    assert set(PROFILES) == set(SIZES)
+    assert tuple(PROFILES) == FIRMWARES
 
 
-@pytest.mark.parametrize("name", SIZES)
+@pytest.mark.parametrize("name", FIRMWARES)
 def test_items_have_the_sizes_of_their_firmware(name: str) -> None:
-    sizes, total = SIZES[name]
-    items = PROFILES[name].items.values()
-    assert [item.size for item in items] == sizes
-    assert 2 + sum(item.size for item in items) == total
+    column = {item: row[FIRMWARES.index(name)] for item, row in SIZES.items()}
+    sizes = {item: layout.size for item, layout in PROFILES[name].items.items()}
+    assert sizes == {item: size for item, size in column.items() if size is not None}
+    assert list(sizes) == [item for item in SIZES if item in sizes]
+    assert 2 + sum(sizes.values()) == TOTALS[name], "the sum in TOTALS is another one"
 
 
 def test_activation_words_and_acks_differ_by_firmware() -> None:

@@ -18,6 +18,7 @@ from m100link.sim import DEFAULT_RATES_HZ, AssistantSettings, VirtualAircraft
 from m100link.sim.autopilot import Autopilot
 from m100link.sim.line import is_telemetry
 from m100link.wire import FrameDecoder, encode_frame
+from tests.protocol.test_firmware import TOTALS
 
 from .host import Host, aircraft
 
@@ -91,11 +92,12 @@ def test_rates_command_of_3_1_code_0() -> None:
 
 
 def test_r1_5_keeps_a_rate_and_the_next_package_has_the_others() -> None:
-    """K2, K3: bytes 12 to 15 mean nothing, and it works before activation."""
+    """K2, K3: bytes without an item mean nothing, and it works before activation."""
     host = Host(firmware="3.1")
     host.wait(0.1)
     asked_at = host.now
-    ack = host.ask_raw(b"\x00\x10" + bytes((0, 5, *[0] * 10)) + b"\xff\x07\x06\xaa")
+    without_item = b"\xff\x07\x06\xaa"[: 16 - len(ITEMS)]
+    ack = host.ask_raw(b"\x00\x10" + bytes((0, 5)).ljust(len(ITEMS), b"\0") + without_item)
     assert ack is not None
     assert ack.data == b"\x00\x00"
     host.wait(0.5)
@@ -166,9 +168,7 @@ def test_tick_rate(firmware: str, tick_hz: int) -> None:
 # --- layouts --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("firmware", "size"), [("1.0", 116), ("2.3", 117), ("3.1", 124), ("1.0-document", 119)]
-)
+@pytest.mark.parametrize(("firmware", "size"), TOTALS.items())
 def test_size_with_all_items(firmware: str, size: int) -> None:
     host = Host(aircraft(firmware=firmware, assistant={"rates_hz": ALL}))
     host.wait(0.01)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from m100link import AircraftState
-from m100link.protocol.items import ITEMS
+from m100link.protocol.items import BY_NAME, ITEMS
 from m100link.telemetry.columns import ITEM_NAMES, column_named, columns_of, snake
 
 COLUMNS = columns_of(item.record for item in ITEMS)
@@ -30,7 +30,7 @@ def test_an_item_that_the_document_does_not_have_is_known_by_its_own_names(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A table of the document's names is no second list of items: an item is declared once."""
-    another = replace(ITEMS[-1], bit=15, name="nobody_has")
+    another = replace(BY_NAME["control_device"], bit=15, name="nobody_has")
     monkeypatch.setattr("m100link.protocol.items.ITEMS", (*ITEMS, another))
     spec = find_spec("m100link.telemetry.columns")
     assert spec is not None
@@ -83,6 +83,10 @@ def test_what_is_ambiguous_or_unknown_has_no_column(name: str) -> None:
 def test_the_manual_lists_the_names_of_the_document() -> None:
     page = (Path(__file__).parents[2] / "docs/reference/telemetry.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \| `(\w+)` \| (?:`(\w+)`|none) \|", page, re.MULTILINE)
+    missing = [
+        item.name for item in ITEMS if item.name not in dict.fromkeys(row[0] for row in rows)
+    ]
+    assert not missing, f"the names in docs/reference/telemetry.md have no row for {missing}"
     assert [ITEM_NAMES[row[0]] for row in rows] == list(ITEMS)
     for names in rows:
         assert len({ITEM_NAMES[name.lower()].name for name in filter(None, names)}) == 1

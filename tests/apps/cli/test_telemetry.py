@@ -13,7 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from m100link.apps.cli.telemetry import describe
 from m100link.protocol.items import BY_NAME
+from tests import known
 from tests.apps.cli.conftest import NEARLY_100, CommandLine, Simulator, process
 from tests.waiting import PATIENCE
 
@@ -75,6 +77,14 @@ def test_an_item_at_0_hz_is_named(cli: CommandLine, arguments: tuple[str, ...]) 
     told = cli(*arguments, "--duration", "2.5").err
     assert "magnetometer is at 0 Hz: nothing of it arrives" in told
     assert told.count("0 Hz") == 1
+
+
+@pytest.mark.parametrize("record", known.EVERYTHING, ids=lambda one: type(one).__name__)
+def test_each_record_has_its_words(record: object) -> None:
+    kind = type(record).__name__
+    told = describe(record)
+    assert told, kind
+    assert kind not in told, f"describe() of m100link/apps/cli/telemetry.py has no case {kind}()"
 
 
 # -- ``m100link monitor`` over a real pseudo-terminal. Real time -----------------------------------

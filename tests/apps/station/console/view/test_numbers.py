@@ -395,7 +395,8 @@ def test_each_curve_is_called_by_its_unit(name: str) -> None:
     imperial = Speaker(Language.ENGLISH, Units(LengthUnit.FOOT, SpeedUnit.KNOT))
     for speaker, told in ((METRIC, unit), (imperial, (feet | knots).get(unit or "", unit))):
         said = speaker(label(name))
-        assert (said.rpartition(", ")[2] if ", " in said else None) == told
+        found = said.rpartition(", ")[2] if ", " in said else None
+        assert found == told, f"_UNITS of view/data.py and UNITS of this file differ in {name}"
 
 
 def test_curves_are_drawn_in_the_units_that_were_chosen() -> None:
