@@ -1,11 +1,15 @@
-"""Texts that stand on a page are said again when another language is chosen."""
+"""Texts that stand on a page follow its language, and each component stands on the page."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import ast
+from dataclasses import fields, replace
+from pathlib import Path
 
+from m100link.apps.station.console.components import component
 from m100link.apps.station.console.components.component import Wording
 from m100link.apps.station.console.view.texts import Language, LengthUnit, Quantity, Settings, tr
+from m100link.apps.station.console.view.view import View
 
 
 def test_what_stands_on_the_page_follows_the_settings() -> None:
@@ -23,3 +27,48 @@ def test_what_is_said_once_is_said_as_it_was_chosen() -> None:
     near = tr("alarms.guard_near.height", value=Quantity.length(40), limit=Quantity.length(50))
     wording.choose(replace(wording.settings, length=LengthUnit.FOOT))
     assert wording(near) == "Near the limit: 131 ft high of 164 ft"
+
+
+# -- each part of the page is on it ----------------------------------------------------------------
+
+PLACE = Path(component.__file__).parent
+PROGRAMS = {
+    str(path.relative_to(PLACE.parent)): ast.parse(path.read_text("utf-8"))
+    for path in (*PLACE.glob("*.py"), PLACE.parent / "page.py")
+}
+
+
+def test_each_component_has_a_place_on_the_page() -> None:
+    """One that is written and stands in no view would be missed by nobody."""
+    made = {
+        node.name: path
+        for path, program in PROGRAMS.items()
+        for node in ast.walk(program)
+        if isinstance(node, ast.ClassDef)
+        and {"build", "update"} <= {getattr(one, "name", "") for one in node.body}
+    }
+    del made["Component"]
+    assert len(made) > 8
+    used = {
+        node.id
+        for program in PROGRAMS.values()
+        for node in ast.walk(program)
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)
+    }
+    homeless = {name: path for name, path in made.items() if name not in used}
+    assert not homeless, f"VIEWS of console/page.py has no {homeless}"
+
+
+def test_components_show_each_value_of_the_view_and_no_other() -> None:
+    shown = {
+        node.attr
+        for program in PROGRAMS.values()
+        for node in ast.walk(program)
+        if isinstance(node, ast.Attribute)
+        and isinstance(node.value, ast.Name)
+        and node.value.id == "view"
+    }
+    values = {one.name for one in fields(View)}
+    assert shown <= values, f"View of console/view/view.py has no {sorted(shown - values)}"
+    unshown = values - shown
+    assert not unshown, f"no component shows {sorted(unshown)} of View"
