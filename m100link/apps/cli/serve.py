@@ -187,44 +187,42 @@ class _Station(Protocol):
 
 
 def _console_url(settings: Settings, running: _Station) -> str:
-    scheme = "http" if settings.tls_cert is None else "https"
-    (port,) = running.sockets.ports("console")
-    return f"{scheme}://{settings.authority(port)}{running.console_path()}"
+    (url,) = _urls(settings, running.sockets, "console")
+    return url + running.console_path()
+
+
+def _urls(settings: Settings, sockets: Sockets, name: str) -> list[str]:
+    """Addresses of a front's TCP ports."""
+    from m100link.apps.station.listeners import FRONTS
+
+    front = FRONTS[name]
+    is_secure = settings.tls_cert is not None and front.scheme != "tcp"
+    scheme = front.scheme + ("s" if is_secure else "")
+    ports = sockets.ports(name)
+    return [f"{scheme}://{settings.authority(port)}{front.path}" for port in ports]
+
+
+_ALONE = ("console", "metrics", "foxglove")
+"""In JSON they are an address and no list of them."""
 
 
 def _announce(aircraft: dict[str, Settings], running: _Station, *, as_json: bool) -> None:
     settings, sockets = next(iter(aircraft.values())), running.sockets
-    secure = "" if settings.tls_cert is None else "s"
-
-    def addresses(scheme: str, front: str, path: str = "") -> list[str]:
-        ports = sockets.ports(front)
-        return [f"{scheme}{secure}://{settings.authority(port)}{path}" for port in ports]
-
-    rosbridge, viewers = addresses("ws", "rosbridge"), addresses("ws", "foxglove")
-    metrics = addresses("http", "metrics", "/metrics")[-1:]
-    console = [_console_url(settings, running)] if sockets.ports("console") else []
-    mavlink = sockets.datagram_urls("mavlink")
-    nodes = _nodes(aircraft) if settings.ros2 else []
-    if not as_json:
-        for name, served in {
-            **{"rosbridge": rosbridge, "mavlink": mavlink, "foxglove": viewers},
-            **{"ros2": nodes, "console": console, "metrics": metrics},
-        }.items():
-            if served:
-                out.print(f"{name + ':':10} {', '.join(served)}", markup=False, soft_wrap=True)
+    served = {name: _urls(settings, sockets, name) for name in sockets.of}
+    served |= {"mavlink": sockets.datagram_urls("mavlink")}
+    served |= {"ros2": _nodes(aircraft)} if settings.ros2 else {}
+    served |= {"console": [_console_url(settings, running)]} if "console" in served else {}
+    if as_json:
+        told: dict[str, Any] = {"console": None} if "rosbridge" in served else {}
+        for name, urls in served.items():
+            if urls:
+                told[name] = urls[0] if name in _ALONE else urls
+        told["sim"] = settings.sim
+        print_json(told | ({"aircraft": list(aircraft)} if len(aircraft) > 1 else {}))
         return
-    told: dict[str, Any] = {"sim": settings.sim}
-    if rosbridge:
-        told = {"rosbridge": rosbridge, "console": console[0] if console else None} | told
-    if mavlink:
-        told["mavlink"] = mavlink
-    if settings.ros2:
-        told["ros2"] = nodes
-    if metrics:
-        told["metrics"] = metrics[0]
-    if viewers:
-        told["foxglove"] = viewers[0]
-    print_json(told | ({"aircraft": list(aircraft)} if len(aircraft) > 1 else {}))
+    for name, urls in served.items():
+        if urls:
+            out.print(f"{name + ':':10} {', '.join(urls)}", markup=False, soft_wrap=True)
 
 
 def _nodes(aircraft: dict[str, Settings]) -> list[str]:

@@ -58,6 +58,8 @@ class FrontSpec:
     is_asked_for: bool = False  # whether it is served where a command says so, too
     beside: str = ""  # another front, without which there is nothing that it could serve
     prepares: bool = False  # whether its module has ``prepare``
+    scheme: str = "tcp"  # of the addresses that are told; ``http`` and ``ws`` become those of TLS
+    path: str = ""  # behind the port
 
     def load(self) -> Any:
         """Its module.
@@ -80,8 +82,16 @@ def _one(port: int | None) -> Sequence[int] | None:
 FRONTS = {
     one.name: one
     for one in (
-        FrontSpec("rosbridge", "web.server", lambda s: (s.port, *s.also_ports), is_asked_for=True),
-        FrontSpec("console", "console.app", lambda s: (s.console_port,), is_asked_for=True),
+        FrontSpec(
+            "rosbridge",
+            "web.server",
+            lambda s: (s.port, *s.also_ports),
+            is_asked_for=True,
+            scheme="ws",
+        ),
+        FrontSpec(
+            "console", "console.app", lambda s: (s.console_port,), is_asked_for=True, scheme="http"
+        ),
         FrontSpec(
             "mavlink",
             "mavlink",
@@ -89,8 +99,15 @@ FRONTS = {
             prepares=True,
         ),
         FrontSpec("ros2", "ros2", lambda s: () if s.ros2 else None, prepares=True),
-        FrontSpec("metrics", "web.metrics", lambda s: _one(s.metrics_port), beside="rosbridge"),
-        FrontSpec("foxglove", "foxglove", lambda s: _one(s.foxglove_port)),
+        FrontSpec(
+            "metrics",
+            "web.metrics",
+            lambda s: _one(s.metrics_port),
+            beside="rosbridge",
+            scheme="http",
+            path="/metrics",
+        ),
+        FrontSpec("foxglove", "foxglove", lambda s: _one(s.foxglove_port), scheme="ws"),
     )
 }
 """By name, in the order in which they begin to serve."""

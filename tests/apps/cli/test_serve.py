@@ -15,8 +15,10 @@ import sys
 import threading
 import time
 import urllib.request
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -25,9 +27,11 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
-from m100link.apps.cli.serve import StationOptions, aircraft_of
+from m100link.apps.cli.serve import StationOptions, _announce, aircraft_of
 from m100link.apps.mavlink.translator.codec import Message, read_datagram, write_frame
 from m100link.apps.station import log_output
+from m100link.apps.station.config import Settings
+from m100link.apps.station.listeners import FRONTS, Sockets, listen
 from m100link.apps.station.log_output import Teller
 from m100link.errors import M100Error
 from tests.apps.cli.conftest import CommandLine
@@ -489,3 +493,21 @@ def test_a_session_sees_the_node_and_sigterm_ends_it() -> None:
         node.send_signal(signal.SIGTERM)
         assert node.wait(PATIENCE) == 0
         assert next(iter(tokens)).kind == zenoh.SampleKind.DELETE
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_each_socket_that_is_opened_is_told(
+    as_json: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also of a front that this file does not know."""
+    with ExitStack() as stack:
+        by_tcp = FRONTS.keys() - {"mavlink", "ros2"}
+        made = {name: [listen("127.0.0.1", 0)] for name in by_tcp}
+        for row in made.values():
+            stack.callback(row[0].close)
+        running: Any = SimpleNamespace(sockets=Sockets(made), console_path=lambda: "/?code=1")
+        _announce({"one": Settings()}, running, as_json=as_json)
+        told = capsys.readouterr().out
+        for name in made:
+            assert f"://127.0.0.1:{running.sockets.port(name)}" in told, name
+            assert name in told
