@@ -11,7 +11,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,10 +57,10 @@ class Recipe:
 
 def copied(folder: Path) -> None:
     """What a trial needs of the project."""
-    ignored = shutil.ignore_patterns("__pycache__", "*.pyc")
-    for name in ("m100link", "tests"):
-        shutil.copytree(ROOT / name, folder / name, ignore=ignored)
-    for name in ("pyproject.toml", "README.md"):
+    for name in ("m100link", "tests"):  # with what was compiled: that is most of the time
+        shutil.copytree(ROOT / name, folder / name)
+    for name in ("pyproject.toml", "README.md", "docs/reference/telemetry.md"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, folder / name)
 
 
@@ -71,20 +71,28 @@ def carried_out(folder: Path, parts: tuple[Part, ...]) -> None:
             path = folder / edit.place
             before = path.read_text("utf-8") if edit.after else ""
             path.write_text(edit.of(before), "utf-8")
+            forget_compiled(path)
 
 
 def undone(folder: Path, parts: tuple[Part, ...]) -> None:
     """The files of these parts as they are in the project."""
     for place in {edit.place for part in parts for edit in part.edits}:
+        forget_compiled(folder / place)
         if (ROOT / place).exists():
             shutil.copy(ROOT / place, folder / place)
         else:
             (folder / place).unlink(missing_ok=True)
 
 
+def forget_compiled(path: Path) -> None:
+    """Else a file that changes twice a second, to the same size, is taken for the one before."""
+    for compiled in path.parent.glob(f"__pycache__/{path.stem}.*.pyc"):
+        compiled.unlink()
+
+
 def said(folder: Path, call: Call) -> tuple[bool, str]:
     """Whether it went well, and all that it printed."""
-    environment = os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": ""}
     done = subprocess.run(
         [sys.executable, *call],
         cwd=folder,
@@ -102,7 +110,7 @@ def faults(recipe: Recipe, folder: Path) -> Iterator[str]:
     is_well, text = said(folder, recipe.works)
     if not is_well:
         yield f"{recipe.name}: all parts are there, and it does not work:\n{text}"
-    for call in dict.fromkeys(part.noticed_by for part in recipe.parts if part.noticed_by):
+    for call in together(part.noticed_by for part in recipe.parts if part.noticed_by):
         is_well, text = said(folder, call)
         if not is_well:  # else it would notice whatever is done
             yield f"{recipe.name}: all parts are there, and {call} fails:\n{text}"
@@ -119,16 +127,38 @@ def faults(recipe: Recipe, folder: Path) -> Iterator[str]:
     undone(folder, recipe.parts)
 
 
+# In one process, and without what would cost time in each: caches, the slow list.
+_PYTEST = ("-m", "pytest", "-q", "-n0", "-x", "-p", "no:cacheprovider")
+
+
 def test_of(place: str) -> Call:
-    # In one process, and without what would cost time in each: plugins, caches, the slow list.
-    return ("-m", "pytest", "-q", "-n0", "-x", "-p", "no:cacheprovider", place)
+    return (*_PYTEST, place)
+
+
+def together(calls: Iterable[Call]) -> list[Call]:
+    """The same, with all tests in one process."""
+    rows = list(dict.fromkeys(calls))
+    tests = [call for call in rows if call[: len(_PYTEST)] == _PYTEST]
+    places = [place for call in tests for place in call[len(_PYTEST) :]]
+    return [
+        *(call for call in rows if call not in tests),
+        *([(*_PYTEST, *places)] if tests else []),
+    ]
 
 
 # -- the recipes -----------------------------------------------------------------------------------
 
 _RECORDS, _ITEMS = "m100link/protocol/records.py", "m100link/protocol/items.py"
 _TEST_ITEMS = "tests/protocol/test_items.py"
+_TEST_NUMBERS = "tests/apps/station/console/view/test_numbers.py"
 _PUBLIC = f"{_TEST_ITEMS}::test_the_public_records_are_those_of_the_table"
+_UNIT_SHOWN = test_of(f"{_TEST_NUMBERS}::test_each_curve_is_called_by_its_unit")
+_SHOWN = test_of(f"{_TEST_NUMBERS}::test_the_history_has_each_value_in_its_column")
+_TEXTS = "m100link/apps/station/console/texts"
+_SAID_IN_EACH = test_of(
+    "tests/apps/station/console/view/test_texts.py::"
+    "test_each_language_has_each_key_in_the_same_order_and_with_the_same_braces"
+)
 
 _READ = """
 import m100link
@@ -137,9 +167,249 @@ from m100link.sim import VirtualAircraft
 
 VirtualAircraft(firmware="3.1")
 profile = PROFILES["3.1"]
-packet = TelemetryPacket(encode_telemetry({"outside_air": [215]}, profile), profile)
-assert packet.outside_air == m100link.OutsideAir(215), packet.outside_air
+packet = TelemetryPacket(encode_telemetry({"outside_air": [1013.25]}, profile), profile)
+assert packet.outside_air == m100link.OutsideAir(1013.25), packet.outside_air
 """
+
+_IN_THE_LIBRARY = (
+    Part(
+        "the record, with its name",
+        (
+            Edit(
+                _RECORDS,
+                "        return self.percent <= 100\n",
+                "\n\n@quick\nclass OutsideAir(NamedTuple):\n"
+                '    """Pressure of the air."""\n\n'
+                "    pressure_hpa: float\n",
+            ),
+            Edit(_RECORDS, '    "Magnetometer",\n', '    "OutsideAir",\n'),
+        ),
+        noticed_by=("-c", "import m100link.protocol.items"),
+        named="OutsideAir",
+    ),
+    Part(
+        "the name that the package exports",
+        (
+            Edit("m100link/__init__.py", "        Magnetometer,\n", "        OutsideAir,\n"),
+            Edit("m100link/__init__.py", '    "Magnetometer",\n', '    "OutsideAir",\n'),
+        ),
+        noticed_by=test_of(_PUBLIC),
+        named="OutsideAir",
+    ),
+    Part(
+        "the row of the table",
+        (
+            Edit(_ITEMS, "    Magnetometer,\n", "    OutsideAir,\n"),
+            Edit(
+                _ITEMS,
+                '        views=("device",),\n    ),\n',
+                '    Item(\n        bit=12,\n        name="outside_air",\n'
+                "        record=OutsideAir,\n        rate_hz=1,\n"
+                '        fields=("pressure",),\n'
+                '        layouts={"3.1": _layout("f", "pressure")},\n    ),\n',
+            ),
+        ),
+        noticed_by=test_of(_PUBLIC),
+        named="OutsideAir",
+    ),
+    Part(
+        "its place in Record",
+        (Edit(_ITEMS, "    | Battery\n    | ControlDevice\n", "    | OutsideAir\n"),),
+        noticed_by=test_of(f"{_TEST_ITEMS}::test_any_record_means_every_record_of_the_table"),
+        named="OutsideAir",
+    ),
+    Part(
+        "its view in RecordViews",
+        (
+            Edit(
+                _ITEMS,
+                "        return self.get(ControlDevice)\n",
+                "\n    @property\n    def outside_air(self) -> OutsideAir | None:\n"
+                '        """Pressure of the air."""\n        return self.get(OutsideAir)\n',
+            ),
+        ),
+        noticed_by=test_of(f"{_TEST_ITEMS}::test_every_record_has_its_view_of_packages_and_state"),
+        named="outside_air",
+    ),
+    Part(
+        "its reading in the virtual aircraft",
+        (
+            Edit(
+                "m100link/sim/vehicle/sensors.py",
+                "        return (math.ceil(self._flight.battery_percent),)\n",
+                "\n    def _read_outside_air(self) -> Values:\n        return (1013.25,)\n",
+            ),
+        ),
+        noticed_by=(
+            "-c",
+            "from m100link.sim import VirtualAircraft; VirtualAircraft(firmware='3.1')",
+        ),
+        named="outside_air",
+    ),
+    Part(
+        "the names that DJI's document has for it, where it has any",
+        (
+            Edit(
+                "m100link/telemetry/columns.py",
+                '    "control_device": ("ctrl_device", "status"),\n',
+                '    "outside_air": ("air", "pressure"),\n',
+            ),
+        ),
+    ),
+)
+
+_IN_THE_APPLICATIONS = (
+    Part(
+        "its words in English",
+        (
+            Edit(
+                f"{_TEXTS}/en.toml", '"item.battery" = "battery"\n', '"item.outside_air" = "air"\n'
+            ),
+            Edit(
+                f"{_TEXTS}/en.toml",
+                '"field.percent" = "charge"\n',
+                '"field.pressure" = "pressure"\n',
+            ),
+        ),
+        noticed_by=_UNIT_SHOWN,
+        named="item.outside_air",
+    ),
+    Part(
+        "its words in German",
+        (
+            Edit(
+                f"{_TEXTS}/de.toml",
+                '"item.battery" = "Batterie"\n',
+                '"item.outside_air" = "Luft"\n',
+            ),
+            Edit(
+                f"{_TEXTS}/de.toml", '"field.percent" = "Ladung"\n', '"field.pressure" = "Druck"\n'
+            ),
+        ),
+        noticed_by=_SAID_IN_EACH,
+        named="outside_air",
+    ),
+    Part(
+        "its unit",
+        (
+            Edit(
+                "m100link/apps/station/console/view/data.py",
+                '    ("_hz", "Hz"),\n',
+                '    ("_hpa", "hPa"),\n',
+            ),
+        ),
+        noticed_by=_UNIT_SHOWN,
+        named="field.pressure_hpa",
+    ),
+    Part(
+        "how monitor words it",
+        (
+            Edit("m100link/apps/cli/telemetry.py", "    Magnetometer,\n", "    OutsideAir,\n"),
+            Edit(
+                "m100link/apps/cli/telemetry.py",
+                '            return f"{value.percent} %"\n',
+                '        case OutsideAir():\n            return f"{value.pressure_hpa} hPa"\n',
+            ),
+        ),
+        noticed_by=test_of("tests/apps/cli/test_telemetry.py::test_each_record_has_its_words"),
+        named="case OutsideAir()",
+    ),
+    Part(
+        "its row in the reference",
+        (
+            Edit(
+                "docs/reference/telemetry.md",
+                "`ctrl_device.status` is `control_device.control` |\n",
+                "| `outside_air` | `outside_air` | `air` | `air.pressure` |\n",
+            ),
+        ),
+        noticed_by=test_of(
+            "tests/telemetry/test_names.py::test_the_manual_lists_the_names_of_the_document"
+        ),
+        named="outside_air",
+    ),
+)
+
+_BY_HAND = (
+    Part(
+        "its bit and its rate",
+        (Edit(_TEST_ITEMS, '    ("control_device", 0),\n', '    ("outside_air", 1),\n'),),
+        noticed_by=test_of(f"{_TEST_ITEMS}::test_bits_names_and_rates_are_those_of_the_document"),
+        named="outside_air",
+    ),
+    Part(
+        "its size",
+        (
+            Edit(
+                "tests/protocol/test_firmware.py",
+                '    "control_device": (1, 1, 2, 1),\n',
+                '    "outside_air": (None, None, 4, None),\n',
+            ),
+            Edit("tests/protocol/test_firmware.py", "(116, 117, 124", " + 4"),
+        ),
+        noticed_by=test_of(
+            "tests/protocol/test_firmware.py::test_items_have_the_sizes_of_their_firmware"
+        ),
+        named="outside_air",
+    ),
+    Part(
+        "what the known aircraft imports",
+        (Edit("tests/known.py", "    Magnetometer,\n", "    OutsideAir,\n"),),
+    ),
+    Part(
+        "its value in the known aircraft",
+        (Edit("tests/known.py", "    ControlDevice(0x1A, 6),\n", "    OutsideAir(987.5),\n"),),
+        noticed_by=_SHOWN,
+        named="outside_air.pressure_hpa",
+    ),
+    Part(
+        "its bytes in the known aircraft",
+        (Edit("tests/known.py", '    Battery: {"": "B"},\n', '    OutsideAir: {"3.1": "f"},\n'),),
+        noticed_by=_SHOWN,
+        named="OutsideAir",
+    ),
+    Part(
+        "its column",
+        (
+            Edit(
+                "tests/known_columns.py",
+                '    "control_device.device": 2,\n',
+                '    "outside_air.pressure_hpa": 987.5,\n',
+            ),
+            Edit(
+                "tests/known_columns.py",
+                '_NEW = {"time.nanoseconds", ',
+                '"outside_air.pressure_hpa", ',
+            ),
+        ),
+        noticed_by=test_of("tests/log/test_values.py::test_a_table_has_each_value_in_its_column"),
+        named="outside_air.pressure_hpa",
+    ),
+    Part(
+        "its name on the wire",
+        (
+            Edit(
+                "tests/known_columns.py",
+                '    "control_device.control": "",\n',
+                '    "outside_air.pressure": "outside_air.pressure_hpa",\n',
+            ),
+        ),
+        noticed_by=test_of("tests/log/test_values.py::test_rows_and_places_in_the_file"),
+        named="outside_air.pressure",
+    ),
+    Part(
+        "the unit of its curve",
+        (
+            Edit(
+                _TEST_NUMBERS,
+                '    **{"time.tick_hz": "Hz", ',
+                '"outside_air.pressure_hpa": "hPa", ',
+            ),
+        ),
+        noticed_by=_UNIT_SHOWN,
+        named="outside_air.pressure_hpa",
+    ),
+)
 
 ITEM = Recipe(
     "a telemetry item",
@@ -237,6 +507,9 @@ ITEM = Recipe(
             named="outside_air",
         ),
     ),
+
+
+    parts=(*_IN_THE_LIBRARY, *_IN_THE_APPLICATIONS, *_BY_HAND),
 )
 
 _LISTED = "test_each_verb_is_listed_with_the_first_sentence_of_its_own_help"
@@ -277,14 +550,18 @@ VERB = Recipe(
 _OPENED = """
 import asyncio
 from contextlib import AsyncExitStack
+from m100link.apps.cli.serve import StationOptions, _urls
 from m100link.apps.station.config import Settings
 from m100link.apps.station.listeners import Fronts, open_sockets
+
+assert "greeting_port" in StationOptions.__dataclass_fields__
 
 async def main():
     async with AsyncExitStack() as stack:
         settings = Settings(host="127.0.0.1", greeting_port=0)
         sockets = open_sockets(stack, settings, with_console=False, with_rosbridge=False)
-        assert sockets.ports("greeting")
+        url = f"tcp://127.0.0.1:{sockets.port('greeting')}"
+        assert _urls(settings, sockets, "greeting") == [url]
         fronts = Fronts(stack, settings, sockets, {}, {}, is_kept=False)
         fronts.agents = {"one": None}
         await fronts.serve()
@@ -316,7 +593,7 @@ FRONT = Recipe(
             (
                 Edit(
                     "m100link/apps/station/listeners.py",
-                    '        FrontSpec("foxglove", "foxglove", lambda s: _one(s.foxglove_port)),\n',
+                    's: _one(s.foxglove_port), scheme="ws"),\n',
                     '        FrontSpec("greeting", "greeting", lambda s: _one(s.greeting_port)),\n',
                 ),
             ),
@@ -343,4 +620,96 @@ FRONT = Recipe(
     ),
 )
 
-RECIPES = (ITEM, VERB, FRONT)
+_LIFECYCLE, _TEST_LIFECYCLE = "m100link/flight/lifecycle.py", "tests/flight/test_lifecycle.py"
+_STOPPED = """
+from m100link.flight.lifecycle import BlockInput, BlockState, Lifecycle, StopCause
+from m100link.flight.virtual_rc import is_hopeless, is_silent
+
+life = Lifecycle()
+for what in (BlockInput.ENTER, BlockInput.OBTAINED, StopCause.TOO_HOT):
+    assert life.feed(what)
+assert life.state is BlockState.STOPPING
+assert life.plan.release
+assert not is_silent(StopCause.TOO_HOT)
+assert not is_hopeless(StopCause.TOO_HOT)
+"""
+_IN_EACH_STATE = "".join(
+    f"    (S.{before}, C.TOO_HOT): (S.{after}, {why}),\n"
+    for before, after, why in (
+        ("NEW", "NEW", "NOT_ENTERED"),
+        ("ENTERING", "STOPPING", "ENDS"),
+        ("FLYING", "STOPPING", "ENDS"),
+        ("PAUSED", "STOPPING", "ENDS"),
+        ("STOPPING", "STOPPING", "FIRST_CAUSE"),
+        ("OVER", "OVER", "NEVER_AGAIN"),
+    )
+)
+
+STOP_CAUSE = Recipe(
+    "a stop cause",
+    works=("-c", _STOPPED),
+    parts=(
+        Part(
+            "its member",
+            (
+                Edit(
+                    _LIFECYCLE,
+                    '    LINK_LOST = "the line is gone"\n',
+                    '    TOO_HOT = "the computer is too hot to fly on"\n',
+                ),
+            ),
+            noticed_by=("-c", "import m100link.flight.lifecycle"),
+            named="TOO_HOT",
+        ),
+        Part(
+            "its plan",
+            (Edit(_LIFECYCLE, "    _C.GUARD_REFUSED: _OURS,\n", "    _C.TOO_HOT: _OURS,\n"),),
+            noticed_by=("-c", "import m100link.flight.lifecycle"),
+            named="TOO_HOT",
+        ),
+        Part(
+            "where it is noticed",
+            (
+                Edit(
+                    "m100link/flight/watchdog.py",
+                    "        slept = self._suspended.slept_s()\n",
+                    "        if slept > 1e9:\n            self._end(StopCause.TOO_HOT, "
+                    '_usual(ComputerSuspended, "x"))\n',
+                ),
+            ),
+            noticed_by=test_of(f"{_TEST_LIFECYCLE}::test_each_cause_ends_a_block_somewhere"),
+            named="TOO_HOT",
+        ),
+        Part(
+            "where it leads from each state, by hand",
+            (
+                Edit(
+                    _TEST_LIFECYCLE,
+                    '    (S.NEW, I.ENTER): (S.ENTERING, "the way in"),\n',
+                    _IN_EACH_STATE,
+                ),
+            ),
+            noticed_by=test_of(
+                f"{_TEST_LIFECYCLE}::"
+                "test_each_input_and_cause_in_each_state_leads_where_the_reasons_say"
+            ),
+            named="TOO_HOT",
+        ),
+        Part(
+            "its plan, by hand",
+            (
+                Edit(
+                    _TEST_LIFECYCLE,
+                    '    C.LINK_LOST: ((False, False, False, False, False), "nobody is there"),\n',
+                    '    C.TOO_HOT: ((True, False, True, True, True), "it hears us"),\n',
+                ),
+            ),
+            noticed_by=test_of(
+                f"{_TEST_LIFECYCLE}::test_each_cause_has_the_plan_that_it_leaves_possible"
+            ),
+            named="TOO_HOT",
+        ),
+    ),
+)
+
+RECIPES = (ITEM, VERB, FRONT, STOP_CAUSE)
