@@ -593,7 +593,7 @@ FRONT = Recipe(
             (
                 Edit(
                     "m100link/apps/station/listeners.py",
-                    's: _one(s.foxglove_port), scheme="ws"),\n',
+                    's: _one(s.foxglove_port), "ws"),\n',
                     '        FrontSpec("greeting", "greeting", lambda s: _one(s.greeting_port)),\n',
                 ),
             ),

@@ -55,10 +55,10 @@ class FrontSpec:
     name: str  # of its sockets
     module: str  # loaded in the process that serves it
     ports: Callable[[Settings], Sequence[int] | None]  # its TCP ports; None: it is not served
+    scheme: str = "tcp"  # of the addresses that are told; ``http`` and ``ws`` become those of TLS
     is_asked_for: bool = False  # whether it is served where a command says so, too
     beside: str = ""  # another front, without which there is nothing that it could serve
     prepares: bool = False  # whether its module has ``prepare``
-    scheme: str = "tcp"  # of the addresses that are told; ``http`` and ``ws`` become those of TLS
     path: str = ""  # behind the port
 
     def load(self) -> Any:
@@ -83,15 +83,9 @@ FRONTS = {
     one.name: one
     for one in (
         FrontSpec(
-            "rosbridge",
-            "web.server",
-            lambda s: (s.port, *s.also_ports),
-            is_asked_for=True,
-            scheme="ws",
+            "rosbridge", "web.server", lambda s: (s.port, *s.also_ports), "ws", is_asked_for=True
         ),
-        FrontSpec(
-            "console", "console.app", lambda s: (s.console_port,), is_asked_for=True, scheme="http"
-        ),
+        FrontSpec("console", "console.app", lambda s: (s.console_port,), "http", is_asked_for=True),
         FrontSpec(
             "mavlink",
             "mavlink",
@@ -103,11 +97,11 @@ FRONTS = {
             "metrics",
             "web.metrics",
             lambda s: _one(s.metrics_port),
+            "http",
             beside="rosbridge",
-            scheme="http",
             path="/metrics",
         ),
-        FrontSpec("foxglove", "foxglove", lambda s: _one(s.foxglove_port), scheme="ws"),
+        FrontSpec("foxglove", "foxglove", lambda s: _one(s.foxglove_port), "ws"),
     )
 }
 """By name, in the order in which they begin to serve."""
