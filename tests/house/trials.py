@@ -608,14 +608,21 @@ FRONT = Recipe(
                     "    foxglove_port: int | None = None\n",
                     "    greeting_port: int | None = None\n",
                 ),
+            ),
+            noticed_by=test_of(_TEST_FRONTS),
+            named="greeting_port",
+        ),
+        Part(
+            "the help of its flag",
+            (
                 Edit(
                     "m100link/apps/station/config.py",
                     "(8765 is usual).\n",
                     "        greeting_port: Serve greetings on this port.\n",
                 ),
             ),
-            noticed_by=test_of(_TEST_FRONTS),
-            named="greeting_port",
+            noticed_by=("-c", "import m100link.apps.cli.serve"),
+            named="Settings has no line for greeting_port",
         ),
     ),
 )

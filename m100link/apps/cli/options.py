@@ -95,7 +95,9 @@ def options_of(
     made = []
     for name in names:
         variable = (environment or {}).get(name)
-        text = texts[name]
+        text = texts.get(name)
+        if text is None:
+            raise LookupError(f"Attributes of {source.__name__} has no line for {name}")
         kind, default = hints[name], (defaults or {}).get(name, fields[name].default)
         if is_layer:
             is_tuple = isinstance(default, tuple)
