@@ -272,3 +272,29 @@ def test_each_cause_ends_a_block_somewhere() -> None:
     given = set(re.findall(r"(?:end\(|_end, |else )\s*StopCause\.(\w+)", text))
     assert set(re.findall(r"StopCause\.([A-Z_]+)", text)) <= set(C.__members__)
     assert set(C.__members__) - given == set()
+
+
+# What the page on safety names a failure by, in its table by hand. The rest ends as the program
+# says, or before anything flew.
+FAILURES: dict[StopCause, str] = {
+    C.AUTHORITY_LOST: "AuthorityLost",
+    C.TELEMETRY_STALLED: "TelemetryStalled",
+    C.NAVIGATION_LOST: "NavigationLost",
+    C.SETPOINTS_IGNORED: "SetpointsIgnored",
+    C.SUSPENDED: "ComputerSuspended",
+    C.GUARD_REFUSED: "GuardRefused",
+    C.LINE_BLOCKED: "LineBlocked",
+    C.LINK_LOST: "LinkLost",
+    C.GUARDIAN: "the guardian ends the flight",
+}
+NO_FAILURES = {C.LEFT, C.NOT_ENTERED, C.SIGNALLED, C.CLOSED, C.SENDING_FAILED}
+
+
+@pytest.mark.parametrize(
+    "cause", [one for one in C if one not in NO_FAILURES], ids=lambda c: c.name
+)
+def test_the_page_on_safety_has_each_failure_in_its_table(cause: StopCause) -> None:
+    page = (Path(__file__).parents[2] / "docs/explanation/safety.md").read_text(encoding="utf-8")
+    rows = [line for line in page.splitlines() if line.startswith("| ")]
+    assert cause in FAILURES, f"FAILURES of this file has no row for {cause.name}"
+    assert any(FAILURES[cause] in row for row in rows), f"safety.md has no row for {cause.name}"

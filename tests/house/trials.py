@@ -55,11 +55,14 @@ class Recipe:
     parts: tuple[Part, ...]
 
 
+_PAGES = ("docs/reference/telemetry.md", "docs/explanation/safety.md")  # with tables by hand
+
+
 def copied(folder: Path) -> None:
     """What a trial needs of the project."""
     for name in ("m100link", "tests"):  # with what was compiled: that is most of the time
         shutil.copytree(ROOT / name, folder / name)
-    for name in ("pyproject.toml", "README.md", "docs/reference/telemetry.md"):
+    for name in ("pyproject.toml", "README.md", *_PAGES):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, folder / name)
 
@@ -628,6 +631,7 @@ FRONT = Recipe(
 )
 
 _LIFECYCLE, _TEST_LIFECYCLE = "m100link/flight/lifecycle.py", "tests/flight/test_lifecycle.py"
+_ON_THE_PAGE = test_of(f"{_TEST_LIFECYCLE}::test_the_page_on_safety_has_each_failure_in_its_table")
 _STOPPED = """
 from m100link.flight.lifecycle import BlockInput, BlockState, Lifecycle, StopCause
 from m100link.flight.virtual_rc import is_hopeless, is_silent
@@ -714,6 +718,30 @@ STOP_CAUSE = Recipe(
             noticed_by=test_of(
                 f"{_TEST_LIFECYCLE}::test_each_cause_has_the_plan_that_it_leaves_possible"
             ),
+            named="TOO_HOT",
+        ),
+        Part(
+            "its failure, by hand",
+            (
+                Edit(
+                    _TEST_LIFECYCLE,
+                    '    C.LINK_LOST: "LinkLost",\n',
+                    '    C.TOO_HOT: "TooHot",\n',
+                ),
+            ),
+            noticed_by=_ON_THE_PAGE,
+            named="TOO_HOT",
+        ),
+        Part(
+            "its row in the page on safety",
+            (
+                Edit(
+                    "docs/explanation/safety.md",
+                    "does | What the aircraft does |\n|---|---|---|\n",
+                    "| It is too hot | ends the block with `TooHot` | hovers or lands |\n",
+                ),
+            ),
+            noticed_by=_ON_THE_PAGE,
             named="TOO_HOT",
         ),
     ),
