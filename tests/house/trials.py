@@ -341,6 +341,21 @@ _BY_HAND = (
         named="outside_air",
     ),
     Part(
+        "the rate at which it arrives",
+        (
+            Edit(
+                "tests/telemetry/test_subscription.py",
+                "            FlightStatus: 10,\n",
+                "            m100link.OutsideAir: 1,\n",
+            ),
+            Edit("tests/telemetry/test_subscription.py", "import pytest\n\n", "import m100link\n"),
+        ),
+        noticed_by=test_of(
+            "tests/telemetry/test_subscription.py::test_every_item_arrives_with_its_rate_and_age"
+        ),
+        named="OutsideAir",
+    ),
+    Part(
         "its size",
         (
             Edit(
