@@ -55,15 +55,11 @@ _AIRCRAFT_WAITS_S = 0.9  # after a second without channels the aircraft has ende
 _SHOWN_S = 1.2
 _GESTURE_S = 2.3  # the aircraft wants 2 s (facts V4)
 
+_HOPELESS = frozenset(cause for cause, plan in STOP_PLANS.items() if not plan.release)
+"""Where it is not switched off here: nobody hears it, or the guardian does it."""
 
-def is_hopeless(cause: StopCause | None) -> bool:
-    """Where it is not switched off here: nobody hears it, or the guardian does it."""
-    return cause is not None and not STOP_PLANS[cause].release
-
-
-def is_silent(cause: StopCause | None) -> bool:
-    """Where no centred sticks are sent: there, and where somebody else has the aircraft."""
-    return is_hopeless(cause) or (cause is not None and STOP_PLANS[cause].explain)
+_SILENT = _HOPELESS | {cause for cause, plan in STOP_PLANS.items() if plan.explain}
+"""Where no centred sticks are sent any more: there, and where somebody else has the aircraft."""
 
 
 class VirtualRc:
@@ -266,7 +262,7 @@ class VirtualRc:
 
     def _say_neutral(self) -> None:
         """Centred sticks, where they can help; not after the pilot has ended it."""
-        if not self._is_on or is_silent(self._life.cause):
+        if not self._is_on or self._life.cause in _SILENT:
             return
         try:
             self._requests.push(CENTRED.encoded())
@@ -275,7 +271,7 @@ class VirtualRc:
 
     def _is_to_end(self) -> bool:
         """Whether the guardian would have to end it if this program ended now."""
-        return self._is_on and not is_silent(self._life.cause)
+        return self._is_on and self._life.cause not in _SILENT
 
     def _guardian_plan(self, is_to_end: bool) -> GuardianPlan:
         if not is_to_end:
@@ -292,7 +288,7 @@ class VirtualRc:
     async def _centre_and_switch_off(self) -> None:
         """Centred sticks until it may be switched off, then off."""
         settle_until = self._clock() + _NEUTRAL_S
-        while self._is_on and not is_hopeless(self._life.cause):
+        while self._is_on and self._life.cause not in _HOPELESS:
             if self._clock() >= max(settle_until, self._pace.free_at):
                 self._switch_off()
                 return

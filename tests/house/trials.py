@@ -432,101 +432,6 @@ _BY_HAND = (
 ITEM = Recipe(
     "a telemetry item",
     works=("-c", _READ),
-    parts=(
-        Part(
-            "the record, with its name",
-            (
-                Edit(
-                    _RECORDS,
-                    "        return self.percent <= 100\n",
-                    "\n\n@quick\nclass OutsideAir(NamedTuple):\n"
-                    '    """Temperature of the air."""\n\n'
-                    "    tenths: int\n",
-                ),
-                Edit(_RECORDS, '    "Magnetometer",\n', '    "OutsideAir",\n'),
-            ),
-            noticed_by=("-c", "import m100link.protocol.items"),
-            named="OutsideAir",
-        ),
-        Part(
-            "the name that the package exports",
-            (Edit("m100link/__init__.py", '    "Magnetometer",\n', '    "OutsideAir",\n'),),
-            noticed_by=test_of(_PUBLIC),
-            named="OutsideAir",
-        ),
-        Part(
-            "the row of the table",
-            (
-                Edit(_ITEMS, "    Magnetometer,\n", "    OutsideAir,\n"),
-                Edit(
-                    _ITEMS,
-                    '        views=("device",),\n    ),\n',
-                    '    Item(\n        bit=12,\n        name="outside_air",\n'
-                    "        record=OutsideAir,\n        rate_hz=1,\n"
-                    '        fields=("tenths",),\n'
-                    '        layouts={"3.1": _layout("h", "tenths")},\n    ),\n',
-                ),
-            ),
-            noticed_by=test_of(_PUBLIC),
-            named="OutsideAir",
-        ),
-        Part(
-            "its place in Record",
-            (Edit(_ITEMS, "    | Battery\n    | ControlDevice\n", "    | OutsideAir\n"),),
-            noticed_by=test_of(f"{_TEST_ITEMS}::test_any_record_means_every_record_of_the_table"),
-            named="OutsideAir",
-        ),
-        Part(
-            "its view in RecordViews",
-            (
-                Edit(
-                    _ITEMS,
-                    "        return self.get(ControlDevice)\n",
-                    "\n    @property\n    def outside_air(self) -> OutsideAir | None:\n"
-                    '        """Temperature of the air."""\n        return self.get(OutsideAir)\n',
-                ),
-            ),
-            noticed_by=test_of(
-                f"{_TEST_ITEMS}::test_every_record_has_its_view_of_packages_and_state"
-            ),
-            named="outside_air",
-        ),
-        Part(
-            "its reading in the virtual aircraft",
-            (
-                Edit(
-                    "m100link/sim/vehicle/sensors.py",
-                    "        return (math.ceil(self._flight.battery_percent),)\n",
-                    "\n    def _read_outside_air(self) -> Values:\n        return (215,)\n",
-                ),
-            ),
-            noticed_by=(
-                "-c",
-                "from m100link.sim import VirtualAircraft; VirtualAircraft(firmware='3.1')",
-            ),
-            named="outside_air",
-        ),
-        Part(
-            "the names that DJI's document has for it, where it has any",
-            (
-                Edit(
-                    "m100link/telemetry/columns.py",
-                    '    "control_device": ("ctrl_device", "status"),\n',
-                    '    "outside_air": ("air", "tenths"),\n',
-                ),
-            ),
-        ),
-        Part(
-            "its row in the table that the test has by hand",
-            (Edit(_TEST_ITEMS, '    ("control_device", 0),\n', '    ("outside_air", 1),\n'),),
-            noticed_by=test_of(
-                f"{_TEST_ITEMS}::test_bits_names_and_rates_are_those_of_the_document"
-            ),
-            named="outside_air",
-        ),
-    ),
-
-
     parts=(*_IN_THE_LIBRARY, *_IN_THE_APPLICATIONS, *_BY_HAND),
 )
 
@@ -553,10 +458,12 @@ VERB = Recipe(
             named="greeting",
         ),
         Part(
-            "its place",
+            "its place and sentence",
             (
                 Edit(
-                    "m100link/apps/cli/app.py", "_MODULES = (\n", '    ("greeting", ("greet",)),\n'
+                    "m100link/apps/cli/app.py",
+                    "VERBS = {\n",
+                    '    "greet": ("greeting:greet", "Say hello."),\n',
                 ),
             ),
             noticed_by=("-m", "m100link", "greet"),
@@ -649,15 +556,14 @@ _LIFECYCLE, _TEST_LIFECYCLE = "m100link/flight/lifecycle.py", "tests/flight/test
 _ON_THE_PAGE = test_of(f"{_TEST_LIFECYCLE}::test_the_page_on_safety_has_each_failure_in_its_table")
 _STOPPED = """
 from m100link.flight.lifecycle import BlockInput, BlockState, Lifecycle, StopCause
-from m100link.flight.virtual_rc import is_hopeless, is_silent
+from m100link.flight.virtual_rc import _SILENT
 
 life = Lifecycle()
 for what in (BlockInput.ENTER, BlockInput.OBTAINED, StopCause.TOO_HOT):
     assert life.feed(what)
 assert life.state is BlockState.STOPPING
 assert life.plan.release
-assert not is_silent(StopCause.TOO_HOT)
-assert not is_hopeless(StopCause.TOO_HOT)
+assert StopCause.TOO_HOT not in _SILENT
 """
 _IN_EACH_STATE = "".join(
     f"    (S.{before}, C.TOO_HOT): (S.{after}, {why}),\n"

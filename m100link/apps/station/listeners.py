@@ -56,10 +56,10 @@ class FrontSpec:
     module: str  # loaded in the process that serves it
     ports: Callable[[Settings], Sequence[int] | None]  # its TCP ports; None: it is not served
     scheme: str = "tcp"  # of the addresses that are told; ``http`` and ``ws`` become those of TLS
-    is_asked_for: bool = False  # whether it is served where a command says so, too
-    beside: str = ""  # another front, without which there is nothing that it could serve
-    prepares: bool = False  # whether its module has ``prepare``
     path: str = ""  # behind the port
+    beside: str = ""  # another front, without which there is nothing that it could serve
+    is_asked_for: bool = False  # whether it is served where a command says so, too
+    prepares: bool = False  # whether its module has ``prepare``
 
     def load(self) -> Any:
         """Its module.
@@ -87,19 +87,16 @@ FRONTS = {
         ),
         FrontSpec("console", "console.app", lambda s: (s.console_port,), "http", is_asked_for=True),
         FrontSpec(
-            "mavlink",
-            "mavlink",
-            lambda s: () if s.mavlink or s.mavlink_to else None,
-            prepares=True,
+            "mavlink", "mavlink", lambda s: () if s.mavlink or s.mavlink_to else None, prepares=True
         ),
         FrontSpec("ros2", "ros2", lambda s: () if s.ros2 else None, prepares=True),
         FrontSpec(
             "metrics",
             "web.metrics",
             lambda s: _one(s.metrics_port),
-            "http",
-            beside="rosbridge",
+            scheme="http",
             path="/metrics",
+            beside="rosbridge",
         ),
         FrontSpec("foxglove", "foxglove", lambda s: _one(s.foxglove_port), "ws"),
     )
