@@ -21,10 +21,8 @@ from m100link.apps.cli.common import Told, err, layer_of_settings, out, places
 from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.cli.options import offered
 from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, print_json
-from m100link.apps.station.config import ENVIRONMENT, ONLY_NAME, Settings, namespace_of, resolve
-from m100link.apps.station.log_output import Teller, log_of, tell_elsewhere
 from m100link.apps.station.config import ONLY_NAME, Settings, namespace_of, resolve
-from m100link.apps.station.log_output import log_of, tell_elsewhere
+from m100link.apps.station.log_output import Teller, log_of, tell_elsewhere
 from m100link.errors import UsageError
 
 if TYPE_CHECKING:
