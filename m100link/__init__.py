@@ -62,7 +62,10 @@ if TYPE_CHECKING:
     )
     from m100link.apps import doctor as doctor
     from m100link.apps import fleet as fleet
-    from m100link.errors import *
+    from m100link.errors.aircraft import *
+    from m100link.errors.base import *
+    from m100link.errors.line import *
+    from m100link.errors.usage import *
     from m100link.flight.authority import Authority, AuthorityState
     from m100link.flight.control import Control, Hold
     from m100link.flight.guards import Envelope, Guards

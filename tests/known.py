@@ -12,15 +12,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, cast
 
+from m100link.apps.agent import orders
+from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import (
     VERSION,
-    Action,
     Ask,
     Hello,
-    LeaseAction,
-    LeaseAsk,
     LeaseChanged,
-    LeaseGranted,
     Limits,
     Message,
     Outcome,
@@ -28,8 +26,9 @@ from m100link.apps.agent.messages import (
     State,
     Telemetry,
 )
+from m100link.apps.agent.orders import LeaseOrder
 from m100link.apps.agent.transports import MemoryChannel
-from m100link.protocol.firmware import PROFILES
+from m100link.protocol.firmware import FIRMWARE_3_1, PROFILES
 from m100link.protocol.records import (
     Acceleration,
     AngularVelocity,
@@ -239,7 +238,19 @@ def _wire(record: Any, firmware: str) -> bytes:
 MISSION, POINT, HOTPOINT = "<BffBBBBBBddf16x", "<BddffhhB8xBHB16B16h", "<BddddfBBB11x"
 """Values of 0x03/0x10, 0x11 and 0x20 by DJI's document of ground stations; places in radians."""
 
-GIMBAL_SPEED, GIMBAL_ANGLE = "<3hB", "<3hBB"
+
+def rates(ask: Ask) -> tuple[int, ...]:
+    """What an order to turn the gimbal sends: tenths of a degree per second, and flags."""
+    assert isinstance(ask.order, orders.TurnGimbal)
+    return struct.unpack("<3hB", ask.order.rates.value(FIRMWARE_3_1))
+
+
+def angles(ask: Ask) -> tuple[int, ...]:
+    """What an order to point the gimbal sends: tenths of a degree, mode, tenths of a second."""
+    assert isinstance(ask.order, orders.PointGimbal)
+    return struct.unpack("<3hBB", ask.order.angles.value(FIRMWARE_3_1))
+
+
 """Of 0x01/0x1A and 0x1B: yaw, roll, pitch in 0.1 °; flags, or mode and 0.1 s."""
 
 
@@ -278,20 +289,24 @@ class KnownAgent:
         self.tell(Telemetry(package(firmware, **options), firmware, at))
 
     def asked(self, kind: type[Any]) -> list[Any]:
-        """All of that kind that the front sent."""
-        return [one for one in self.heard if isinstance(one, kind)]
+        """All of that kind that the front sent; questions but for those about the lease."""
+        if issubclass(kind, orders.Order):
+            asks = [one for one in self.heard if isinstance(one, Ask)]
+            return [one.order for one in asks if isinstance(one.order, kind)]
+        found = [one for one in self.heard if isinstance(one, kind)]
+        return [one for one in found if not isinstance(getattr(one, "order", None), LeaseOrder)]
 
     def _hear(self, message: Message) -> None:
         self.heard.append(message)
         identity = getattr(message, "id", 0)
-        if isinstance(message, LeaseAsk):
-            is_over = message.action is LeaseAction.RELEASE
-            self.tell(LeaseChanged(0, "") if is_over else LeaseChanged(7, message.name))
-            self.tell(LeaseGranted(identity, message.name, "token", 7))
+        order = message.order if isinstance(message, Ask) else None
+        if isinstance(order, LeaseOrder):
+            is_over, name = isinstance(order, orders.ReleaseLease), getattr(order, "name", "")
+            self.tell(LeaseChanged(0, "") if is_over else LeaseChanged(7, name))
+            self.tell(Outcome(identity, Stage.DONE, lease=Lease(name, "token", 7)))
             return
-        if isinstance(message, Ask) and message.action in (Action.OBTAIN, Action.RELEASE):
-            has_authority = message.action is Action.OBTAIN
-            self.tell(replace(self.state, has_authority=has_authority))
+        if isinstance(order, orders.Obtain | orders.Release):
+            self.tell(replace(self.state, has_authority=isinstance(order, orders.Obtain)))
         if identity and not self.is_slow:
-            number = message.number if isinstance(message, Ask) else 0
+            number = round(1000 * getattr(order, "speed", 0.0))
             self.tell(Outcome(identity, Stage.DONE, text=self.version, number=number))

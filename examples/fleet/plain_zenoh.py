@@ -9,7 +9,7 @@ from typing import Any
 
 import zenoh
 
-STOP = {"kind": "Ask", "id": 0, "action": "stop", "fence": 0, "number": 0, "data": "", "text": ""}
+STOP = {"kind": "Stop"}
 
 
 def ask(session: zenoh.Session, key: str, payload: bytes | None = None) -> list[Any]:

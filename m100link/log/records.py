@@ -206,7 +206,8 @@ class _Reader:
                 search = place + 1
                 stated = place + _HEAD.size + _head(self._head_at(place))[1]
                 place += _HEAD.size + len(part)
-                ends = [end for end in (stated, place) if end >= search and self._goes_on(end)]
+                inside = range(search, self._size + 1)
+                ends = [end for end in (stated, place) if end in inside and self._goes_on(end)]
                 if ends:
                     at = min(ends)
                     continue

@@ -253,13 +253,13 @@ def item_of(record: type[Any]) -> Item:
 
     Raises ``UsageError``: not a telemetry record.
     """
-    item = BY_RECORD.get(record)
-    if item is None:
-        raise UsageError(
-            f"{record!r} is not a telemetry record",
-            remedy="use m100link.Attitude, m100link.Position, …",
-        )
-    return item
+    for item in ITEMS:
+        if item.record is record:
+            return item
+    raise UsageError(
+        f"{record!r} is not a telemetry record",
+        remedy="use m100link.Attitude, m100link.Position, …",
+    )
 
 
 def layouts(*firmwares: str) -> dict[str, ItemLayout]:

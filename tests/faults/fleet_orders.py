@@ -19,10 +19,10 @@ from collections.abc import Iterable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.messages import Action, Ask
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.server import Service
 from m100link.apps.agent.transports import memory_channels
@@ -96,7 +96,7 @@ class Ordering:
                 if self._lease is None:
                     lease, _ = await asker.take_lease(asker.lease_request())
                     if self._activates:
-                        activate = Ask(0, Action.ACTIVATE)
+                        activate = orders.Activate()
                         await asker.ask(activate, fence=lease.number, token=lease.token)
                     self._lease = lease
                 await asyncio.sleep(0.3)
@@ -110,7 +110,7 @@ class Ordering:
         for number in self._numbers:
             while not await self._may_order(asker, number):  # noqa: ASYNC110 - others do that
                 await asyncio.sleep(0.1)
-            ask = Ask(0, Action.SEND_TO_MOBILE, data=b"%d" % number)
+            ask = orders.SendToMobile(b"%d" % number)
             lease = self._lease
             assert lease is not None
             try:
@@ -171,7 +171,7 @@ class Run:
             async with asyncio.timeout(60.0):
                 while not client.is_connected:  # noqa: ASYNC110 - virtual time
                     await asyncio.sleep(0.1)
-            await agent.activate()
+            await agent.ask(orders.Activate())
             agent_task = agent.background.spawn(self._agents(client), "agents")
             fleet = Fleet(self.network.session(), site=_KEYS.site)
             await asyncio.sleep(0.1)

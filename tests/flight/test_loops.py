@@ -203,8 +203,8 @@ async def test_a_target_outside_the_envelope_is_refused_before_anything_moves(
         with pytest.raises(GuardRefused) as caught:
             await loop(control)
         assert target in caught.value.seen
-        unit = "m/s" if "speed" in target else "m"
-        assert caught.value.seen.endswith(f"ends at {caught.value.limit:g} {unit}")
+        ends, unit = ("allows", "m/s") if "speed" in target else ("ends at", "m")
+        assert caught.value.seen.endswith(f"the envelope {ends} {caught.value.limit:g} {unit}")
         assert option in caught.value.remedy
         assert len(flown.moves) == 0
 

@@ -25,8 +25,9 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from mcap.writer import CompressionType, Writer
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.codec import encode as encode_message
-from m100link.apps.agent.messages import Action, Ask, Steer
+from m100link.apps.agent.messages import Steer
 from m100link.apps.agent.remote_error import Fault, MessageError
 from m100link.apps.bus.network import Answer
 from m100link.apps.cli.decode import _from_hex
@@ -433,7 +434,7 @@ def value_seeds() -> list[bytes]:
     fault = Fault.of(UsageError("seen", remedy="do"))
     reply = Reply("0" * 32, "a1", "boot", Progress.DONE, fault=fault, text=json.dumps(stage))
     values: list[Any] = [
-        Order("0" * 32, "a1", "anna", 1, _UTC, encode_message(Ask(0, Action.LAND))),
+        Order("0" * 32, "a1", "anna", 1, _UTC, encode_message(orders.Land())),
         reply,
         Card("a1", "boot", _UTC, height_m=3.0),
         MissionCard("a1", "boot"),

@@ -23,23 +23,25 @@ from typing import Any
 import cbor2
 import crcmod
 
-from m100link.apps.agent.codec import decode as decode_message
+from m100link.apps.agent import orders
+from m100link.apps.agent.codec import decode_order
 from m100link.apps.agent.codec import encode as encode_message
-from m100link.apps.agent.guided import ChangeHeading, ChangeHeight, FlyAround, FlyTo
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import VERSION as MESSAGES_VERSION
 from m100link.apps.agent.messages import (
-    Action,
     Ask,
     Event,
     Hello,
-    LeaseAction,
-    LeaseAsk,
     LeaseChanged,
     Note,
     State,
     Steer,
     Telemetry,
+)
+from m100link.apps.agent.orders import (
+    AskVersion,
+    LeaseOrder,
+    Right,
 )
 from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.agent.server.server import Service
@@ -72,10 +74,10 @@ from m100link.apps.ros2.graph import Attachment, data_key
 from m100link.apps.ros2.topics import INPUTS, SERVICES
 from m100link.errors import M100Error
 from m100link.log.cdr import encode as encode_cdr
-from m100link.protocol.commands.control import Task
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim.clock import VirtualClockEventLoop
 from m100link.sim.virtual import VirtualAircraft
+from tests.apps.agent.examples import EXAMPLES as ORDERS
 from tests.apps.fleet.conftest import SITE
 from tests.apps.fleet.conftest import Rig as FleetRig
 from tests.apps.fleet.logs.conftest import AtOnce
@@ -302,12 +304,7 @@ def agent_seeds() -> list[bytes]:
     messages: list[Any] = [
         Steer(1, 12.0, 0.3, _NORTH),
         Note("warning", "a note"),
-        *(Ask(5, action, 1, 1, b"seek 3", "why") for action in Action),
-        *(LeaseAsk(7, action, "b", "0" * 32) for action in LeaseAction),
-        FlyTo(52.1, 4.3, 10.0, fence=1),
-        FlyAround(52.1, 4.3, 10.0, 5.0, fence=1),
-        ChangeHeight(5.0, fence=1),
-        ChangeHeading(90.0, fence=1),
+        *(Ask(5, order, 1) for order in ORDERS),
     ]
     bodies = [encode_message(one) for one in messages]
     return [_framed(one) for one in bodies] + [_framed(*bodies[:6])]
@@ -341,8 +338,8 @@ async def _held(rig: StationRig) -> Lease:
     """Control of the aircraft, kept as long as the world is."""
     front = rig.front
     lease = await front.acquire("the pilot")
-    await front.activate(lease)
-    await front.obtain(lease)
+    await front.ask(orders.Activate(), lease)
+    await front.ask(orders.Obtain(), lease)
 
     async def keep() -> None:
         while True:
@@ -365,7 +362,7 @@ async def on_socket() -> AsyncIterator[Take]:
     ours, theirs = socket.socketpair()
     async with _station() as rig:
         lease = await _held(rig)
-        await rig.front.fly(lease, Task.TAKE_OFF)
+        await rig.front.ask(orders.TakeOff(), lease)
         await rig.until(lambda: rig.agent.holding.task is None)
         still = _Still(rig.aircraft)
         service = Service(rig.agent)
@@ -575,10 +572,9 @@ def _order(message: bytes) -> bytes:
 
 def fleet_seeds() -> list[bytes]:
     """A key by its number, and what is asked or told under it."""
-    asks = [Ask(0, action, number=1) for action in Action]
-    seeds = [b"\0" + _order(encode_message(one)) for one in asks]
-    seeds += [
-        b"\1" + _order(encode_message(LeaseAsk(0, action, "b", "offer"))) for action in LeaseAction
+    seeds = [
+        (b"\1" if isinstance(one, LeaseOrder) else b"\0") + _order(encode_message(one))
+        for one in ORDERS
     ]
     flown = track("a1", (0, 0, 0, 4), (8, 12, 0, 5))
     shown: list[dict[str, Any]] = [
@@ -656,10 +652,9 @@ async def on_board() -> AsyncIterator[Take]:
 def _is_for_anybody(payload: bytes) -> bool:
     """Whether it is an order that needs no lease: to stop and to land."""
     try:
-        message = decode_message(unpack(Order, payload).message)
+        return decode_order(unpack(Order, payload).message).right is Right.STOP
     except MessageError:
         return False
-    return isinstance(message, Ask) and message.action in (Action.LAND, Action.STOP, Action.HALT)
 
 
 # -- a pilot of a fleet ---------------------------------------------------------------------------
@@ -722,7 +717,7 @@ async def on_pilot() -> AsyncIterator[Take]:
             with suppress(M100Error):
                 repr(await fleet["a1"].mission())
             with suppress(M100Error):
-                await Asker(bus, _KEYS, "anna", patience=0.5).ask(Ask(0, Action.VERSION))
+                await Asker(bus, _KEYS, "anna", patience=0.5).ask(AskVersion())
             channel.close()
 
         yield take

@@ -11,25 +11,20 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.background import BackgroundTasks
-from m100link.apps.agent.codec import plan_of
-from m100link.apps.agent.guided import SETPOINT_LIFETIME, GuidedOrder
 from m100link.apps.agent.lease import Lease, TakeOver, not_in_force
 from m100link.apps.agent.messages import (
     VERSION,
-    Action,
     Activating,
     Ask,
     AuthorityTaken,
     Event,
     FromMobile,
     Hello,
-    LeaseAction,
-    LeaseAsk,
     LeaseChanged,
-    LeaseGranted,
     LinkCounted,
     Message,
     MissionTold,
@@ -40,16 +35,15 @@ from m100link.apps.agent.messages import (
     State,
     Steer,
     SteerRefused,
-    TakeOverOffered,
     Telemetry,
 )
-from m100link.apps.agent.remote_error import Fault, agent_gone, agent_lost
+from m100link.apps.agent.orders import SETPOINT_LIFETIME
+from m100link.apps.agent.remote_error import Fault, MessageError, agent_gone, agent_lost
 from m100link.apps.agent.transports import Channel
-from m100link.errors import AuthorityLost, LayoutMismatch, M100Error
+from m100link.errors import AuthorityLost, BadPlan, LayoutMismatch, M100Error
 from m100link.link.gate import require_loop
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.codes import ActivationCode
-from m100link.protocol.commands.control import Task
 from m100link.protocol.firmware import PROFILES
 from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.sample import Sample
@@ -60,6 +54,8 @@ MAX_SILENCE = 2.0
 """Seconds without a word after which the agent counts as silent; it tells its state at 4 Hz."""
 
 _MAX_EVENTS = 200
+
+T = TypeVar("T")
 
 
 class AgentClient:
@@ -114,8 +110,6 @@ class AgentClient:
             Event: self._on_event,
             LinkCounted: self._on_link_counted,
             LeaseChanged: self._on_lease_changed,
-            LeaseGranted: self._answers.granted,
-            TakeOverOffered: self._answers.offered,
             Outcome: self._answers.outcome,
             Activating: self._on_activating,
             AuthorityTaken: self._on_authority_taken,
@@ -266,34 +260,31 @@ class AgentClient:
             callback(message)
 
     def _on_plan_told(self, message: PlanTold) -> None:
-        self.plan, self.plan_by = plan_of(message), message.name
-        self.unread += self.plan is None and message.mission != b""
+        self.plan, self.plan_by = None, message.name
+        if message.plan is not None:
+            try:
+                self.plan = message.plan.plan()
+            except (ValueError, BadPlan):
+                self.unread += 1
 
     # -- what goes out ---------------------------------------------------------------------------
 
     async def ask(
         self,
-        action: Action,
+        order: orders.Order,
         lease: Lease | None = None,
-        *,
-        number: int = 0,
-        data: bytes = b"",
         accepted: Callable[[], None] | None = None,
     ) -> Outcome:
         """Ask for something to be done, and wait for what becomes of it.
 
+        ``accepted`` is called when the aircraft has begun, where it takes a while.
+
         Raises:
-            M100Error: What the agent tells.
+            M100Error: What the agent tells; see :meth:`m100link.apps.agent.server.agent.Agent.ask`.
             LinkError: It has gone.
         """
         fence = lease.number if lease is not None else 0
-        outcome: Outcome = await self._answers.question(
-            lambda identity: Ask(identity, action, fence, number, data), accepted
-        )
-        return outcome
-
-    async def _ask_lease(self, action: LeaseAction, name: str = "", token: str = "") -> Any:
-        return await self._answers.question(lambda number: LeaseAsk(number, action, name, token))
+        return await self._answers.question(order, fence, accepted)
 
     # -- telemetry -------------------------------------------------------------------------------
 
@@ -328,18 +319,7 @@ class AgentClient:
             LeaseHeld: It is not; the holder's name is in the error.
             LinkError: The agent has gone.
         """
-        lease: Lease = await self._ask_lease(LeaseAction.ACQUIRE, name=name)
-        return lease
-
-    async def renew(self, token: str) -> Lease:
-        """Let the lease last another lifetime from now.
-
-        Raises:
-            LeaseRefused: The token is not in force.
-            LinkError: The agent has gone.
-        """
-        lease: Lease = await self._ask_lease(LeaseAction.RENEW, token=token)
-        return lease
+        return given((await self.ask(orders.AcquireLease(name))).lease)
 
     async def release_lease(self, token: str) -> None:
         """Give the lease back; motion stops and authority goes back.
@@ -348,7 +328,7 @@ class AgentClient:
             LeaseRefused: The token is not in force.
             LinkError: The agent has gone.
         """
-        await self._ask_lease(LeaseAction.RELEASE, token=token)
+        await self.ask(orders.ReleaseLease(token))
 
     async def ask_take_over(self, name: str) -> TakeOver:
         """First step of a take-over: learn who would lose control.
@@ -357,8 +337,7 @@ class AgentClient:
             LeaseRefused: Nobody holds the lease; it can simply be acquired.
             LinkError: The agent has gone.
         """
-        offer: TakeOver = await self._ask_lease(LeaseAction.TAKE_OVER, name=name)
-        return offer
+        return given((await self.ask(orders.AskTakeOver(name))).offer)
 
     async def confirm(self, token: str) -> Lease:
         """Second step: take the lease from the client that the first step named.
@@ -367,16 +346,15 @@ class AgentClient:
             LeaseRefused: There is nothing to confirm any more.
             LinkError: The agent has gone.
         """
-        lease: Lease = await self._ask_lease(LeaseAction.CONFIRM, token=token)
-        return lease
+        return given((await self.ask(orders.ConfirmTakeOver(token))).lease)
 
     def keep(self, lease: Lease) -> None:
         """Renew a lease without waiting for the answer."""
-        self._channel.send(LeaseAsk(0, LeaseAction.RENEW, token=lease.token))
+        self._channel.send(Ask(0, orders.RenewLease(lease.token)))
 
     def let_go(self, lease: Lease) -> None:
         """Give a lease back without waiting for the answer: motion stops at once."""
-        self._channel.send(LeaseAsk(0, LeaseAction.RELEASE, token=lease.token))
+        self._channel.send(Ask(0, orders.ReleaseLease(lease.token)))
 
     # -- flying ----------------------------------------------------------------------------------
 
@@ -386,84 +364,11 @@ class AgentClient:
 
     def halt(self, why: str = "", lease: Lease | None = None) -> None:
         """Stop moving; anybody may. With the lease: it was let go, which begins anew after STOP."""
-        self._channel.send(Ask(0, Action.HALT, lease.number if lease else 0, text=why))
+        self._channel.send(Ask(0, orders.Halt(why), lease.number if lease else 0))
 
     async def stop(self) -> None:
         """Stop whatever happens: motion, program, and the task that the aircraft flies."""
-        await self.ask(Action.STOP)
-
-    async def activate(self, lease: Lease | None = None) -> None:
-        """Activate the aircraft. Needs the lease, or that nobody holds it.
-
-        Raises: as :meth:`m100link.apps.agent.server.agent.Agent.activate`.
-        """
-        await self.ask(Action.ACTIVATE, lease)
-
-    async def obtain(self, lease: Lease | None) -> None:
-        """Obtain control authority for the holder of the lease.
-
-        Raises: as :meth:`m100link.apps.agent.server.agent.Agent.obtain`.
-        """
-        await self.ask(Action.OBTAIN, lease)
-
-    async def release(self, lease: Lease | None) -> None:
-        """Give control authority back; the lease stays.
-
-        Raises: as :meth:`m100link.apps.agent.server.agent.Agent.release`.
-        """
-        await self.ask(Action.RELEASE, lease)
-
-    async def fly(
-        self, lease: Lease | None, task: Task, accepted: Callable[[], None] | None = None
-    ) -> None:
-        """Take off, land or go home; done when seen to be done.
-
-        ``accepted`` is called when the aircraft has begun.
-
-        Raises: as :meth:`m100link.apps.agent.server.agent.Agent.fly`, and LinkError.
-        """
-        await self.ask(Action[task.name], lease, accepted=accepted)
-
-    async def guide(
-        self, lease: Lease | None, order: GuidedOrder, accepted: Callable[[], None] | None = None
-    ) -> None:
-        """Fly to where somebody points; done when it is there. :meth:`halt` ends it.
-
-        The newest order of :mod:`m100link.apps.agent.guided` wins; ``accepted`` is called when it
-        has begun.
-
-        Raises: as :meth:`m100link.apps.agent.server.agent.Agent.guide`, and LinkError.
-        """
-        fence = lease.number if lease is not None else 0
-        await self._answers.question(lambda n: replace(order, id=n, fence=fence), accepted)
-
-    async def start_pattern(self, lease: Lease | None, number: int) -> None:
-        """Let the simple task of that number fly, until it ends or anything stops it.
-
-        Raises:
-            UsageError: There is no such task.
-            LeaseRefused, NoAuthority, LinkError: See each class.
-        """
-        await self.ask(Action.PATTERN, lease, number=number)
-
-    # -- everything else -------------------------------------------------------------------------
-
-    async def version(self) -> tuple[str, int]:
-        """Name and CRC of the aircraft's version, asked for lately.
-
-        Raises:
-            AckTimeout, LinkError: See each class.
-        """
-        outcome = await self.ask(Action.VERSION)
-        return outcome.text, outcome.number
-
-    async def send_to_mobile(self, lease: Lease | None, data: bytes) -> None:
-        """Send up to 100 bytes to the app on the pilot's phone.
-
-        Raises:
-            LeaseRefused, PayloadTooLarge, CommandRefused, AckTimeout, LinkError: See each class.
-        """
-        await self.ask(Action.SEND_TO_MOBILE, lease, data=data)
+        await self.ask(orders.Stop())
 
     def note(self, text: str, level: str = "info") -> None:
         """Add an event to the agent's journal; many at once are dropped."""
@@ -480,15 +385,15 @@ class Answers:
         self._send = send
         self._create_future = asyncio.get_running_loop().create_future
         self._count = 0
-        self._waiting: dict[int, asyncio.Future[Any]] = {}
+        self._waiting: dict[int, asyncio.Future[Outcome]] = {}
         self._accepted: dict[int, Callable[[], None]] = {}
         # Why the agent will answer no more, once it has gone; None before.
         self.gone: str | None = None
 
     async def question(
-        self, ask: Callable[[int], Message], accepted: Callable[[], None] | None = None
-    ) -> Any:
-        """Send what ``ask`` makes of a number, and wait for the answer to that number.
+        self, order: orders.Order, fence: int, accepted: Callable[[], None] | None
+    ) -> Outcome:
+        """Ask for something, and wait for the answer.
 
         Raises:
             M100Error: What the agent tells.
@@ -503,8 +408,9 @@ class Answers:
         if accepted is not None:
             self._accepted[number] = accepted
         try:
-            self._send(ask(number))
-            return await answer
+            self._send(Ask(number, order, fence))
+            outcome: Outcome = await answer
+            return outcome
         finally:
             self._waiting.pop(number, None)
             self._accepted.pop(number, None)
@@ -523,17 +429,6 @@ class Answers:
 
     # -- what comes in ---------------------------------------------------------------------------
 
-    def granted(self, message: LeaseGranted) -> None:
-        """The lease that was asked for."""
-        self._resolve(message.id, Lease(message.name, message.token, message.number))
-
-    def offered(self, message: TakeOverOffered) -> None:
-        """Who would lose the lease."""
-        offer = TakeOver(
-            message.name, message.from_name, message.token, message.number, message.expires_at
-        )
-        self._resolve(message.id, offer)
-
     def outcome(self, outcome: Outcome) -> None:
         """What became of a question."""
         if outcome.stage is Stage.ACCEPTED:
@@ -542,15 +437,19 @@ class Answers:
                 accepted()
             return
         answer = self._waiting.get(outcome.id)
+        if answer is None or answer.done():
+            return
         if outcome.fault is None:
-            self._resolve(outcome.id, outcome)
-        elif answer is not None and not answer.done():
+            answer.set_result(outcome)
+        else:
             answer.set_exception(outcome.fault.error())
 
-    def _resolve(self, number: int, value: object) -> None:
-        answer = self._waiting.get(number)
-        if answer is not None and not answer.done():
-            answer.set_result(value)
+
+def given(value: T | None) -> T:
+    """What an answer brings. Raises MessageError: it brings nothing."""
+    if value is None:
+        raise MessageError("the agent answered without what was asked for")
+    return value
 
 
 # -- A channel that only the event loop in which it was made may use -------------------------------

@@ -12,7 +12,7 @@ import json
 import math
 import struct
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from enum import Enum
 from itertools import product
 from typing import Any, get_args, get_origin, get_type_hints
@@ -24,18 +24,14 @@ from m100link.apps.agent.messages import (
     Hello,
     LinkCounted,
     Message,
-    PlanTold,
     State,
     Steer,
     Telemetry,
 )
+from m100link.apps.agent.orders import ORDERS, Order
 from m100link.apps.agent.remote_error import MessageError
-from m100link.errors import BadPlan
 from m100link.errors.texts import read_json
-from m100link.missions.plan import WaypointPlan
 from m100link.protocol.codes import ActivationCode
-from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
-from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.setpoint import (
     ControlMode,
     Horizontal,
@@ -190,6 +186,9 @@ def _choice(kind: type[Enum]) -> _Codec:
 def _codec(kind: Any) -> _Codec:
     if kind in _PLAIN:
         return _PLAIN[kind]
+    if kind is Order:
+        kinds = Kinds(ORDERS.values())
+        return kinds.write, kinds.read
     if isinstance(kind, types.UnionType):
         (one,) = (part for part in get_args(kind) if part is not type(None))
         return _optional(_codec(one))
@@ -240,6 +239,29 @@ class Fields:
             except BadValue as error:
                 raise BadValue(f"{name}: {error}") from None
         return self._kind(**found)
+
+
+class Kinds:
+    """Objects of several dataclasses: each names its own in the field ``kind``."""
+
+    def __init__(self, kinds: Iterable[type[Any]]) -> None:
+        self._fields = {kind.__name__: Fields(kind) for kind in kinds}
+
+    def write(self, value: Any) -> dict[str, Any]:
+        """As :meth:`Fields.write`, with the name of its class."""
+        name = type(value).__name__
+        return {"kind": name, **self._fields[name].write(value)}
+
+    def read(self, value: Any) -> Any:
+        """The object. Raises BadValue: it is of none of these classes; as :meth:`Fields.read`."""
+        name = value.pop("kind", None) if type(value) is dict else None
+        fields = self._fields.get(name) if type(name) is str else None
+        if fields is None:
+            raise BadValue("it names no kind that this version knows")
+        try:
+            return fields.read(value)
+        except BadValue as error:
+            raise BadValue(f"{name}: {error}") from None
 
 
 # -- the bytes of messages between an agent and its fronts, for carriers that take bytes -----------
@@ -320,12 +342,11 @@ _UNPACK: dict[int, tuple[type[Any], Callable[[bytes], Message]]] = {
     _IS_STEER: (Steer, _unpack_steer),
     _IS_TELEMETRY: (Telemetry, _unpack_telemetry),
 }
-_FIELDS = {kind: Fields(kind) for kind in Message.__args__ if kind not in _PACK}
-_KINDS: dict[str, type[Any]] = {kind.__name__: kind for kind in _FIELDS}
+_KINDS = Kinds(kind for kind in (*Message.__args__, *ORDERS.values()) if kind not in _PACK)
 
 
-def encode(message: Message) -> bytes:
-    """The bytes of a message, at most :data:`MAX_SIZE`.
+def encode(message: Message | Order) -> bytes:
+    """The bytes of a message, or of an order alone, at most :data:`MAX_SIZE`.
 
     Raises:
         MessageError: A number in it is not finite or out of range, or it is too long. Long texts
@@ -336,9 +357,7 @@ def encode(message: Message) -> bytes:
     try:
         if pack is not None:
             return pack(message)
-        text = json.dumps(
-            {"kind": kind.__name__, **_FIELDS[kind].write(message)}, separators=(",", ":")
-        )
+        text = json.dumps(_KINDS.write(message), separators=(",", ":"))
     except (BadValue, struct.error) as error:
         raise MessageError(f"{kind.__name__} cannot be sent: {error}") from None
     data = text.encode("ascii")
@@ -353,8 +372,6 @@ def decode(data: bytes) -> Message:
     Raises:
         MessageError: They are none.
     """
-    if len(data) > MAX_SIZE:
-        raise MessageError(f"{len(data)} bytes are not a message: at most {MAX_SIZE} are")
     packed = _UNPACK.get(data[0]) if data else None
     if packed is not None:
         kind, unpack = packed
@@ -362,23 +379,32 @@ def decode(data: bytes) -> Message:
             return unpack(data)
         except (ValueError, struct.error) as error:  # a setpoint out of range is a ValueError, too
             raise MessageError(f"not a message: {kind.__name__}: {str(error)[:200]}") from None
-    return _from_json(data)
+    message: Message = _from_json(data)
+    if isinstance(message, Order):
+        raise MessageError("not a message: an order comes in an Ask")
+    return message
 
 
-def _from_json(data: bytes) -> Message:
+def decode_order(data: bytes) -> Order:
+    """The order of these bytes. Raises MessageError: they are none."""
+    order = _from_json(data)
+    if not isinstance(order, Order):
+        raise MessageError(f"{type(order).__name__} is no order")
+    return order
+
+
+def _from_json(data: bytes) -> Any:
+    if len(data) > MAX_SIZE:
+        raise MessageError(f"{len(data)} bytes are not a message: at most {MAX_SIZE} are")
     try:
         value = read_json(data, constant=_refuse)
     except ValueError:
         raise MessageError("not a message: this is not JSON") from None
-    name = value.pop("kind", None) if isinstance(value, dict) else None
-    kind = _KINDS.get(name) if isinstance(name, str) else None
-    if kind is None:
-        raise MessageError("not a message: it names no kind that this version knows")
     try:
-        message: Message = _FIELDS[kind].read(value)
+        message = _KINDS.read(value)
         require_possible(message)
     except BadValue as error:
-        raise MessageError(f"not a message: {kind.__name__}: {error}") from None
+        raise MessageError(f"not a message: {error}") from None
     return message
 
 
@@ -458,26 +484,3 @@ def require_possible(message: Message) -> None:
     why = "" if why_not is None else why_not(message)
     if why:
         raise BadValue(why)
-
-
-# -- A plan on its way between an agent and its fronts ---------------------------------------------
-
-
-def told_of(plan: WaypointPlan, name: str) -> PlanTold:
-    """What fronts are told of a plan that somebody of that name has uploaded."""
-    mission, points = plan.to_wire()
-    return PlanTold(
-        name, mission.value(FIRMWARE_3_1), tuple(point.value(FIRMWARE_3_1) for point in points)
-    )
-
-
-def plan_of(message: PlanTold) -> WaypointPlan | None:
-    """The plan again; None where there is none, or none that this version can read."""
-    if not message.mission:
-        return None
-    try:
-        mission = WaypointMission.parse(message.mission, FIRMWARE_3_1)
-        points = [WaypointPoint.parse(one, FIRMWARE_3_1) for one in message.points]
-        return WaypointPlan.from_wire(mission, points)
-    except (ValueError, BadPlan):
-        return None

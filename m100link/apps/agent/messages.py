@@ -6,10 +6,8 @@ knows comes in these messages, what it wants goes out in them (``m100link.apps.a
 ==================  ========================================================================
 Both ways           Hello, Goodbye
 From the agent      Telemetry, FromMobile, Event, State, LinkCounted, LeaseChanged,
-                    LeaseGranted, TakeOverOffered, Activating, AuthorityTaken, MissionTold,
-                    PlanTold, SteerRefused, Outcome
-From a front        LeaseAsk, Steer, Ask, Note; FlyTo, FlyAround, ChangeHeight,
-                    ChangeHeading (``m100link.apps.agent.guided``)
+                    Activating, AuthorityTaken, MissionTold, PlanTold, SteerRefused, Outcome
+From a front        Ask (around an order of ``m100link.apps.agent.orders``), Steer, Note
 ==================  ========================================================================
 
 What a carrier makes of them is in ``m100link.apps.agent.codec``.
@@ -22,12 +20,12 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-from m100link.apps.agent.guided import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedFlight
-from m100link.apps.agent.lease import Flown, LeaseChange
+from m100link.apps.agent.lease import Flown, Lease, LeaseChange, TakeOver
+from m100link.apps.agent.orders import GuidedFlight, Order, UploadPlan
 from m100link.apps.agent.remote_error import Fault
 from m100link.protocol.setpoint import Setpoint
 
-VERSION = 10
+VERSION = 11
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
 
 LEVELS = ("info", "warning", "error")
@@ -171,28 +169,6 @@ class LeaseChanged:
 
 
 @dataclass(frozen=True, slots=True)
-class LeaseGranted:
-    """Answer to :class:`LeaseAsk`: the lease."""
-
-    id: int  #: of the question
-    name: str  #: who holds it, as others see it
-    token: str = field(repr=False)  #: proof of it, for whoever holds it and nobody else
-    number: int  #: fence of its setpoints; a later lease has a greater one
-
-
-@dataclass(frozen=True, slots=True)
-class TakeOverOffered:
-    """Answer to the first step of a take-over."""
-
-    id: int  #: of the question
-    name: str  #: who wants the lease
-    from_name: str  #: who would lose it
-    token: str = field(repr=False)  #: what the second step takes
-    number: int  #: number of the lease that would end
-    expires_at: float  #: time after which it is void, s
-
-
-@dataclass(frozen=True, slots=True)
 class Activating:
     """An answer of the aircraft to an activation."""
 
@@ -219,8 +195,7 @@ class PlanTold:
     """The plan that waits to be started, or flies: told when it is whole, and when it is void."""
 
     name: str = ""  #: who uploaded it, for people; empty for none
-    mission: bytes = b""  #: the command 0x03/0x10, as on the wire; empty for none
-    points: tuple[bytes, ...] = ()  #: the commands 0x03/0x11, in order
+    plan: UploadPlan | None = None  #: as it came; None for none
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,27 +208,18 @@ class SteerRefused:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of an :class:`Ask` or a :class:`LeaseAsk`."""
+    """What became of an :class:`Ask`."""
 
     id: int  #: of the question
     stage: Stage  #: how far it came
     fault: Fault | None = None  #: why it failed
     text: str = ""  #: what was asked for, where that is a text
     number: int = 0  #: what was asked for, where that is a number
+    lease: Lease | None = None  #: the lease that was asked for, for its holder and nobody else
+    offer: TakeOver | None = None  #: who would lose the lease, and what takes it
 
 
 # -- from a front ---------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class LeaseAsk:
-    """Something about the lease."""
-
-    id: int  #: comes back in the answer; 0 asks for none
-    action: LeaseAction  #: what is wanted
-    name: str = ""  #: who wants it, for people (acquire, take over)
-    #: Proof of the lease, or of the take-over that is confirmed.
-    token: str = field(default="", repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,17 +234,11 @@ class Steer:
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """Something to be done, with an :class:`Outcome`."""
+    """An order, which has an :class:`Outcome`."""
 
     id: int  #: comes back in each outcome; 0 asks for none
-    action: Action  #: what
+    order: Order  #: what is to be done
     fence: int = 0  #: number of the lease it is asked under; 0 for none
-    #: Of the simple task; how a mission is to start (``actions``); a speed in mm/s, a radius in mm,
-    #: a rate in thousandths of a degree per second (clockwise positive).
-    number: int = 0
-    #: For the app on the pilot's phone; else the value of a command, as on the wire.
-    data: bytes = b""
-    text: str = ""  #: why, for people (halt)
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,77 +258,20 @@ Message = (
     | State
     | LinkCounted
     | LeaseChanged
-    | LeaseGranted
-    | TakeOverOffered
     | Activating
     | AuthorityTaken
     | MissionTold
     | PlanTold
     | SteerRefused
     | Outcome
-    | LeaseAsk
     | Steer
     | Ask
-    | FlyTo
-    | FlyAround
-    | ChangeHeight
-    | ChangeHeading
     | Note
 )
 """Any of them."""
 
 
-# -- what a front can ask for, and how far it came: the words of messages --------------------------
-
-
-TAKE_OFF_FIRST, UNTIL_OVER = 1, 2
-"""Bits of the number with which a mission is started: take off before it; the question is accepted
-when the mission has begun, and done when it is over."""
-
-
-class Action(Enum):
-    """What the agent can be asked to do."""
-
-    ACTIVATE = "activate"
-    OBTAIN = "obtain"  # control authority
-    RELEASE = "release"
-    TAKE_OFF = "take_off"
-    LAND = "land"
-    GO_HOME = "go_home"
-    PATTERN = "pattern"  # the simple task of that number
-    HALT = "halt"  # no motion, no guided flight; a task goes on
-    STOP = "stop"  # no motion, and no task
-    GIMBAL_ANGLES = "gimbal_angles"
-    GIMBAL_RATES = "gimbal_rates"
-    TAKE_PHOTO = "take_photo"
-    START_VIDEO = "start_video"
-    STOP_VIDEO = "stop_video"
-    ARM = "arm"
-    DISARM = "disarm"
-    MISSION_PLAN = "mission_plan"  # a new plan, of which the points follow
-    MISSION_POINT = "mission_point"
-    MISSION_START = "mission_start"
-    HOTPOINT_START = "hotpoint_start"
-    HOTPOINT_RADIUS = "hotpoint_radius"
-    HOTPOINT_RATE = "hotpoint_rate"
-    HOTPOINT_HEADING = "hotpoint_heading"  # back to where it is to point
-    MISSION_STOP = "mission_stop"  # of whatever kind, like the next two
-    MISSION_PAUSE = "mission_pause"
-    MISSION_RESUME = "mission_resume"
-    MISSION_SPEED = "mission_speed"
-    VERSION = "version"
-    SEND_TO_MOBILE = "send_to_mobile"
-    REPLAY = "replay"  # an order to a recording; the data says which, in words
-
-
-class LeaseAction(Enum):
-    """What a front may want of the lease."""
-
-    ACQUIRE = "acquire"
-    RENEW = "renew"
-    RELEASE = "release"
-    TAKE_OVER = "take_over"  # first step: who would lose it?
-    CONFIRM = "confirm"  # second step: take it from exactly that one
+# -- how far an order came, and where a replay is -------------------------------------------------
 
 
 class Stage(Enum):
@@ -377,9 +280,6 @@ class Stage(Enum):
     ACCEPTED = "accepted"  # the aircraft has begun; another outcome follows
     DONE = "done"
     FAILED = "failed"
-
-
-# -- what fronts are told of a replay --------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from m100link.apps.agent.guided import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedOrder
 from m100link.apps.agent.messages import Limits
+from m100link.apps.agent.orders import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedOrder
 from m100link.errors import GuardRefused, LinkError
 from m100link.flight.foresight import (
     Foresight,

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from m100link.apps.agent.messages import Action, Ask, Message
+from m100link.apps.agent.orders import AskVersion, Order
 from m100link.apps.cli.common import err, out, run_async
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
@@ -190,10 +190,10 @@ def _ordering(
         async with options.open() as fleet:
             aircraft = fleet[name]
             asker = aircraft.asker
-            await asker.ask(Ask(0, Action.VERSION))  # its clock says how old an order is
+            await asker.ask(AskVersion())  # its clock says how old an order is
 
-            async def ask(message: Message) -> Reply:
-                return await asker.ask(message, fence=fence, token=token)
+            async def ask(order: Order) -> Reply:
+                return await asker.ask(order, fence=fence, token=token)
 
             with told_when_interrupted(name, left):
                 told = await do(MissionOrders(ask), aircraft) or done

@@ -17,6 +17,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from m100link.apps.agent.journal import JOURNAL_LOG
+from m100link.apps.agent.orders import Right
 from m100link.apps.cli.common import Told, err, places, run_async
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
@@ -43,7 +44,7 @@ from m100link.apps.cli.serve import (
 )
 from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, wants_json
 from m100link.apps.fleet.client import open_fleet
-from m100link.apps.fleet.identity import BadRights, Right, Rights, nobody
+from m100link.apps.fleet.identity import BadRights, Rights, nobody
 from m100link.apps.fleet.keys import DEFAULT_SITE
 from m100link.apps.fleet.logs.service import RATE
 from m100link.apps.fleet.lost_link import LostAction, LostPlan

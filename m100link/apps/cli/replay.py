@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from m100link.apps.agent.messages import Action
+from m100link.apps.agent import orders
 from m100link.apps.cli.common import err
 from m100link.apps.cli.serve import StationOptions, aircraft_of, run_station
 from m100link.apps.cli.terminal import keys_pressed
@@ -114,11 +114,11 @@ async def _order(station: Any, text: str) -> None:
     agents = getattr(station, "agents", None)
     try:
         if agents is None:
-            await station.agent.order_replay(text)
+            await station.agent.ask(orders.OrderReplay(text))
             told = station.agent.replay.told()
         else:
             for agent in agents.values():
-                await agent.ask(Action.REPLAY, data=text.encode())
+                await agent.ask(orders.OrderReplay(text))
             told = next(iter(agents.values())).state.replay
     except M100Error as error:
         err.print(error.seen, style="yellow", markup=False)

@@ -20,9 +20,11 @@ from dataclasses import replace
 from functools import partial
 
 import m100link
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.codec import decode
-from m100link.apps.agent.messages import Event, Message, Telemetry
+from m100link.apps.agent.codec import decode_order
+from m100link.apps.agent.messages import Event, Telemetry
+from m100link.apps.agent.orders import Age, Right
 from m100link.apps.agent.remote_error import MessageError, fault_of
 from m100link.apps.bus.network import Bus, Held, Question
 from m100link.apps.fleet.expiry import Dropped, OrderAges, SetpointStream, broken, require_young
@@ -31,17 +33,7 @@ from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.lost_link import Aloft, Lost, LostPlan
 from m100link.apps.fleet.missions.board import Missions
 from m100link.apps.fleet.order_log import Ledger, OrderBook
-from m100link.apps.fleet.orders import (
-    Done,
-    Orders,
-    acquires,
-    is_kept,
-    lands,
-    moves,
-    renews,
-    revokes,
-    takes,
-)
+from m100link.apps.fleet.orders import Done, Orders
 from m100link.apps.fleet.payloads import (
     Card,
     Order,
@@ -338,7 +330,7 @@ class FleetAgent:
             raise MessageError("the id of an order is 32 hexadecimal digits")
         admit(order, self._keys.name, self._verify)
         try:
-            message = self._admitted(order)
+            asked = self._admitted(order)
         except M100Error as error:
             if self._verify is None:
                 raise
@@ -349,45 +341,41 @@ class FleetAgent:
             return
         self._book.begin(order.id, order.digest(), self.client.now)
         self._ended[order.id] = asyncio.Event()
-        self.client.background.spawn(self._carry_out(order, message), "order of the fleet")
+        self.client.background.spawn(self._carry_out(order, asked), "order of the fleet")
 
-    def _admitted(self, order: Order) -> Message:
+    def _admitted(self, order: Order) -> orders.Order:
         """What an order asks for, if it may begin now."""
-        message = decode(order.message)
-        if moves(message):
-            self.namesakes.require_none(self.client.now)
-        if self._may_have_begun(order, message):
-            pass  # whatever it comes under now, it may have been done
-        elif is_kept(message):
+        asked, now = decode_order(order.message), self.client.now
+        if asked.moves:
+            self.namesakes.require_none(now)
+        if self._may_have_begun(order, asked):
+            return asked  # whatever it comes under now, it may have been done
+        if asked.is_kept:
             # Looked at before a stranger's words are worth a disk's time.
-            if self._orders.lease_for(order, message) is not None:
-                self._ages.hear(order.fence, order.clock, self.client.now)
-        elif takes(message) or renews(message) or (acquires(message) and order.clock):
-            # Who never heard this clock cannot say when, and takes nothing from anybody. A renewal
-            # that was recorded is of no use when its id has been forgotten.
-            require_young(order.clock, self.client.now)
-        elif revokes(message):
-            if lands(message):
-                require_young(order.clock, self.client.now)
-            self._ages.revoke(self.client.now)
-        return message
+            if self._orders.lease_for(order, asked) is not None:
+                self._ages.hear(order.fence, order.clock, now)
+        elif asked.age is Age.YOUNG or (asked.age is Age.YOUNG_IF_KNOWN and order.clock):
+            require_young(order.clock, now)
+        if asked.right is Right.STOP:
+            self._ages.revoke(now)
+        return asked
 
-    def _may_have_begun(self, order: Order, message: Message) -> bool:
+    def _may_have_begun(self, order: Order, asked: orders.Order) -> bool:
         """Whether an agent before began it, or may have where its ledger is damaged."""
-        is_of_before = order.fence and is_kept(message) and self._book.is_unsure(order.clock)
+        is_of_before = order.fence and asked.is_kept and self._book.is_unsure(order.clock)
         return bool(is_of_before) or self._book.was_begun_before(order.id)
 
-    async def _carry_out(self, order: Order, message: Message) -> None:
+    async def _carry_out(self, order: Order, asked: orders.Order) -> None:
         failed = OutcomeUnknown("the agent failed while it did this", remedy="see its log")
         reply = self._reply(order.id, failed)
         try:
-            if self._may_have_begun(order, message):
+            if self._may_have_begun(order, asked):
                 reply = self._reply(order.id, _begun_before())
                 return
-            if is_kept(message):
+            if asked.is_kept:
                 await self._ledger.begin(order.id)
                 self._ages.check(order.clock, self.client.now)
-            reply = self._reply(order.id, None, await self._orders.carry_out(order, message))
+            reply = self._reply(order.id, None, await self._orders.carry_out(order, asked))
         except M100Error as error:
             reply = self._reply(order.id, error)
         finally:

@@ -14,9 +14,9 @@ from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 from typing import Self
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.codec import encode
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.messages import LeaseAction, LeaseAsk, Message
 from m100link.apps.agent.remote_error import Fault, MessageError
 from m100link.apps.bus.network import Answer, Bus
 from m100link.apps.fleet.expiry import ClockEstimate
@@ -100,7 +100,7 @@ class Asker:
 
     async def ask(
         self,
-        message: Message,  # what: a question of the agent's messages
+        asked: orders.Order,  # what
         *,
         fence: int = 0,  # number of the lease it is asked under; 0 for none
         token: str = "",  # secret of that lease; it is proved, and not sent
@@ -123,17 +123,15 @@ class Asker:
         """
         if not await self.is_there():
             raise nobody_there(self.keys.name)
-        order = self.around(encode(message), fence, token, clock, identity)
-        key = self.keys.lease if isinstance(message, LeaseAsk) else self.keys.command
+        order = self.around(encode(asked), fence, token, clock, identity)
+        key = self.keys.lease if isinstance(asked, orders.LeaseOrder) else self.keys.command
         return _raised(await self._answered(key, order, patience or self.patience))
 
-    def lease_request(
-        self, action: LeaseAction = LeaseAction.ACQUIRE, offer: str = ""
-    ) -> LeaseRequest:
-        """A request for the lease, for :meth:`take_lease`."""
+    def lease_request(self, offer: str = "") -> LeaseRequest:
+        """A request for the lease, for :meth:`take_lease`; an offer confirms a take-over."""
         half = Half()
-        ask = encode(LeaseAsk(0, action, self._name, offer))
-        return LeaseRequest(self.around(ask, key=half.public), half)
+        asked = orders.ConfirmTakeOver(offer) if offer else orders.AcquireLease(self._name)
+        return LeaseRequest(self.around(encode(asked), key=half.public), half)
 
     async def take_lease(self, request: LeaseRequest) -> tuple[Lease, float]:
         """Ask for the lease, whose secret this side and the agent then know and nobody else.
@@ -153,7 +151,7 @@ class Asker:
 
         ``within``: seconds.
         """
-        renewal, asked_at = encode(LeaseAsk(0, LeaseAction.RENEW)), self._clock()
+        renewal, asked_at = encode(orders.RenewLease()), self._clock()
         order = self.around(renewal, lease.number, lease.token)
         answers = await self.bus.ask(self.keys.lease, pack(order), timeout=within)
         reply = self._read(answers, order, asked_at)

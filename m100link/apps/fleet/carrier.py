@@ -12,22 +12,18 @@ import asyncio
 import logging
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.background import BackgroundTasks
 from m100link.apps.agent.client import MAX_SILENCE
-from m100link.apps.agent.guided import GuidedOrder
-from m100link.apps.agent.lease import TAKE_OVER_LIFETIME, Lease, LeaseRefused
+from m100link.apps.agent.lease import TAKE_OVER_LIFETIME, Lease, LeaseRefused, TakeOver
 from m100link.apps.agent.messages import (
     VERSION,
     Ask,
     Event,
     Goodbye,
     Hello,
-    LeaseAction,
-    LeaseAsk,
     LeaseChanged,
-    LeaseGranted,
     LinkCounted,
     Message,
     Note,
@@ -36,14 +32,13 @@ from m100link.apps.agent.messages import (
     State,
     Steer,
     SteerRefused,
-    TakeOverOffered,
     Telemetry,
 )
+from m100link.apps.agent.orders import Right
 from m100link.apps.agent.remote_error import Fault, MessageError, agent_gone
 from m100link.apps.bus.network import Held
 from m100link.apps.fleet.asking import Asker
 from m100link.apps.fleet.control import SetpointSender
-from m100link.apps.fleet.orders import revokes
 from m100link.apps.fleet.payloads import Reply, unpack_message
 from m100link.errors import M100Error, UsageError
 
@@ -101,12 +96,6 @@ class FleetChannel:
         # Messages that this version cannot read, that were too long on their way to say anything,
         # and that this side failed over.
         self.unread = self.old = self.untaken = 0
-        self._sending: dict[type[Any], Callable[[Any], None]] = {
-            LeaseAsk: self._send_lease_ask,
-            Ask: self._send_ask,
-            Steer: self._steer,
-            **dict.fromkeys(GuidedOrder.__args__, self._send_ask),
-        }
 
     # -- the channel -----------------------------------------------------------------------------
 
@@ -130,10 +119,12 @@ class FleetChannel:
         if isinstance(message, Note):  # the journal on board takes none from the network
             _logger.info("%s: %s", self._keys.name, message.text)
             return
-        sending = self._sending.get(type(message))
-        if sending is None:
+        if isinstance(message, Ask):
+            self._send_ask(message)
+        elif isinstance(message, Steer):
+            self._steer(message)
+        else:
             raise MessageError(f"a front does not send {type(message).__name__}")
-        sending(message)
 
     def close(self, reason: str = "") -> None:
         """Close it. Leases that were granted here end by silence; see :meth:`let_go`."""
@@ -157,7 +148,7 @@ class FleetChannel:
         if lease is not None and not self._is_closed:
             try:
                 await self._asker.ask(
-                    LeaseAsk(0, LeaseAction.RELEASE),
+                    orders.ReleaseLease(),
                     fence=lease.number,
                     token=lease.token,
                     patience=_LET_GO_S,
@@ -285,36 +276,37 @@ class FleetChannel:
         elif reply is not None:
             self._deliver(Outcome(identity, Stage.DONE, None, reply.text, reply.number))
 
-    def _spawn(self, message: Any, doing: Callable[[], Any], name: str) -> None:
-        # What ends a movement is never refused here, however much waits for answers.
-        if self._asks >= _MOST_ASKS and not revokes(message):
-            error = UsageError(f"{self._asks} questions of this front wait already")
-            self._answer(message.id, None, error)
+    def _send_ask(self, ask: Ask) -> None:
+        order = ask.order
+        if isinstance(order, orders.RenewLease) and not ask.id:
+            lease = self._lease_of(order.token)
+            if lease is not None:
+                self._keep(lease)
             return
-
+        # What ends a movement is never refused here, however much waits for answers.
+        if self._asks >= _MOST_ASKS and order.right is not Right.STOP:
+            error = UsageError(f"{self._asks} questions of this front wait already")
+            self._answer(ask.id, None, error)
+            return
         self._asks += 1
+        # Stamped as it is said, not as its turn comes.
+        clock = self._asker.its_now()
 
         async def carry_out() -> None:
             try:
-                await doing()
+                if isinstance(order, orders.LeaseOrder):
+                    await self._ask_lease(ask.id, order)
+                else:
+                    lease = self._leases.get(ask.fence)
+                    token = "" if lease is None else lease.token
+                    asking = self._asker.ask(order, fence=ask.fence, token=token, clock=clock)
+                    self._answer(ask.id, await asking)
             except M100Error as error:
-                self._answer(message.id, None, error)
+                self._answer(ask.id, None, error)
             finally:
                 self._asks -= 1
 
-        self._background.spawn(carry_out(), f"{name} of {self._keys.name}")
-
-    def _send_ask(self, message: Ask | GuidedOrder) -> None:
-        # Stamped as it is said, not as its turn comes.
-        asker, fence, clock = self._asker, message.fence, self._asker.its_now()
-
-        async def ask() -> None:
-            lease = self._leases.get(fence)
-            token = "" if lease is None else lease.token
-            plain = replace(message, id=0)
-            self._answer(message.id, await asker.ask(plain, fence=fence, token=token, clock=clock))
-
-        self._spawn(message, ask, type(message).__name__)
+        self._background.spawn(carry_out(), f"{order.label} of {self._keys.name}")
 
     def _steer(self, steer: Steer) -> None:
         try:
@@ -346,17 +338,9 @@ class FleetChannel:
 
     # -- the lease -------------------------------------------------------------------------------
 
-    def _send_lease_ask(self, ask: LeaseAsk) -> None:
-        if ask.action is LeaseAction.RENEW and not ask.id:
-            lease = self._lease_of(ask)
-            if lease is not None:
-                self._keep(lease)
-            return
-        self._spawn(ask, lambda: self._ask_lease(ask), f"{ask.action.value} lease")
-
-    def _lease_of(self, ask: LeaseAsk) -> Lease | None:
+    def _lease_of(self, token: str) -> Lease | None:
         """The lease that a front means, which was granted here."""
-        return next((one for one in self._leases.values() if one.token == ask.token), None)
+        return next((one for one in self._leases.values() if one.token == token), None)
 
     def _keep(self, lease: Lease) -> None:
         if self._clock() - self._renewed_at < _RENEWAL_S:
@@ -376,11 +360,12 @@ class FleetChannel:
             if reply.fault is not None:
                 self._deliver(SteerRefused(fence, reply.fault))
 
-    async def _ask_lease(self, ask: LeaseAsk) -> None:
-        asker = self._asker_of(ask.name)
+    async def _ask_lease(self, identity: int, order: orders.LeaseOrder) -> None:
+        name, token = getattr(order, "name", ""), getattr(order, "token", "")
+        asker = self._asker_of(name)
         asker.its_clock = self._its_clock
-        if ask.action in (LeaseAction.ACQUIRE, LeaseAction.CONFIRM):
-            request = asker.lease_request(ask.action, ask.token)
+        if isinstance(order, orders.AcquireLease | orders.ConfirmTakeOver):
+            request = asker.lease_request(token)
             lease, its = await asker.take_lease(request)
             # By what is told none of them ends: that may be old, lost on the way, or of a stranger,
             # and who believes to have control has to be able to steer, and to give it back.
@@ -388,17 +373,18 @@ class FleetChannel:
             self._leases = dict(kept[-_MOST_LEASES:])
             self._granted_at = self._told_at = its
             self._lease_changed(LeaseChanged(lease.number, lease.name))
-            self._deliver(LeaseGranted(ask.id, lease.name, lease.token, lease.number))
+            self._deliver(Outcome(identity, Stage.DONE, lease=lease))
             return
-        held = self._lease_of(ask)
-        fence, token = (0, "") if held is None else (held.number, held.token)
-        plain = replace(ask, id=0, token="")
-        reply = await asker.ask(plain, fence=fence, token=token)
-        if ask.action is LeaseAction.TAKE_OVER:
+        held = self._lease_of(token)
+        fence, secret = (0, "") if held is None else (held.number, held.token)
+        plain = type(order)() if token else order
+        reply = await asker.ask(plain, fence=fence, token=secret)
+        if isinstance(order, orders.AskTakeOver):
             until = self._clock() + TAKE_OVER_LIFETIME
-            offer = (ask.id, ask.name, reply.text, reply.offer, reply.number, until)
-            self._deliver(TakeOverOffered(*offer))
-        elif ask.action is LeaseAction.RELEASE:
-            self._answer(ask.id, reply)
+            offer = TakeOver(name, reply.text, reply.offer, reply.number, until)
+            self._deliver(Outcome(identity, Stage.DONE, offer=offer))
+        elif isinstance(order, orders.ReleaseLease):
+            self._answer(identity, reply)
         else:
-            self._deliver(LeaseGranted(ask.id, reply.text, ask.token, reply.number))
+            lease = Lease(reply.text, token, reply.number)
+            self._deliver(Outcome(identity, Stage.DONE, lease=lease))

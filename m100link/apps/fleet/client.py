@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from m100link.apps.agent.messages import Action, Ask
+from m100link.apps.agent.orders import AskVersion, Land, Stop
 from m100link.apps.agent.remote_error import MessageError, fault_of
 from m100link.apps.bus.network import Bus, Held
 from m100link.apps.bus.session import LARGEST, Opening, ZenohBus, open_session
@@ -96,7 +96,7 @@ class FleetAircraft:
         self.asker.doubtful_clocks = []
         for left in reversed(range(_LANDINGS_ASKED)):
             try:
-                await self.asker.ask(Ask(0, Action.LAND))
+                await self.asker.ask(Land())
             except GuardRefused as error:
                 # It was not begun, and the answer told what time it is there: that is known now.
                 if error.guard != ORDER_AGE or not left:
@@ -109,7 +109,7 @@ class FleetAircraft:
 
     async def _land_each(self, clocks: list[float]) -> None:
         """Where nobody knows which of them is the aircraft, each is asked by its own time."""
-        asked = (self.asker.ask(Ask(0, Action.LAND), clock=one) for one in clocks[:_MOST_DOUBTFUL])
+        asked = (self.asker.ask(Land(), clock=one) for one in clocks[:_MOST_DOUBTFUL])
         await asyncio.gather(*asked, return_exceptions=True)
 
     async def stop(self) -> None:
@@ -118,7 +118,7 @@ class FleetAircraft:
         Raises:
             FleetError: Unreachable, not allowed, or nobody knows.
         """
-        await self.asker.ask(Ask(0, Action.STOP))
+        await self.asker.ask(Stop())
 
     async def logs(self) -> list[LogEntry]:
         """The flight logs on board, the newest first.
@@ -167,7 +167,7 @@ class FleetAircraft:
         """
         found = await cards(self.bus, self.keys)
         if self.name not in found:
-            await self.asker.ask(Ask(0, Action.VERSION))  # which says why
+            await self.asker.ask(AskVersion())  # which says why
             found = await cards(self.bus, self.keys)
         return found[self.name]
 

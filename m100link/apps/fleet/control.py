@@ -11,13 +11,13 @@ import logging
 import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import replace
 from typing import Literal, Self
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.background import BackgroundTasks
-from m100link.apps.agent.guided import SETPOINT_LIFETIME, FlyTo
 from m100link.apps.agent.lease import Lease, LeaseHeld
-from m100link.apps.agent.messages import Action, Ask, LeaseAction, LeaseAsk, Message, Steer
+from m100link.apps.agent.messages import Steer
+from m100link.apps.agent.orders import SETPOINT_LIFETIME, Order
 from m100link.apps.fleet.asking import STEP_S, Asker
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
 from m100link.apps.fleet.payloads import LeaseRequest, Progress, Reply, pack_steer
@@ -101,8 +101,8 @@ class FleetControl:
         self._owner = asyncio.current_task()
         self._renewing = asyncio.create_task(self._renew(), name="m100link: lease of a fleet")
         try:
-            await self._do(Action.ACTIVATE)
-            await self._do(Action.OBTAIN)
+            await self.ask(orders.Activate())
+            await self.ask(orders.Obtain())
         except BaseException as error:
             await self._leave()
             self._raise_lost(error)
@@ -135,27 +135,26 @@ class FleetControl:
         lease, self._lease = self._lease, None
         if lease is None or self._lost is not None:
             return
-        await self._try(LeaseAsk(0, LeaseAction.RELEASE), lease)
+        await self._try(orders.ReleaseLease(), lease)
 
-    async def _try(self, message: Message, lease: Lease | None = None) -> None:
+    async def _try(self, order: Order, lease: Lease | None = None) -> None:
         """Ask for what happens by itself as well, only later: expiry ends setpoint and lease."""
         fence, token = (0, "") if lease is None else (lease.number, lease.token)
         try:
-            await self._asker.ask(message, fence=fence, token=token, patience=_LEASE_S)
+            await self._asker.ask(order, fence=fence, token=token, patience=_LEASE_S)
         except FleetError as error:
             _logger.warning("%s is left to silence: %s", self._keys.name, error.seen)
 
     # -- the lease -------------------------------------------------------------------------------
 
     async def _take_lease(self, offer: str = "") -> Lease:
-        action = LeaseAction.CONFIRM if offer else LeaseAction.ACQUIRE
-        request = self._asker.lease_request(action, offer)
+        request = self._asker.lease_request(offer)
         try:
             lease, _ = await self._asker.take_lease(request)
         except LeaseHeld:
             if not self._is_take_over or offer:
                 raise
-            found = await self._asker.ask(LeaseAsk(0, LeaseAction.TAKE_OVER, self._name))
+            found = await self._asker.ask(orders.AskTakeOver(self._name))
             return await self._take_lease(found.offer)
         except (OutcomeUnknown, asyncio.CancelledError):
             await self._give_back(request)
@@ -174,7 +173,7 @@ class FleetControl:
             if found is not None and found.progress is Progress.DONE:
                 if found.key:
                     lease = request.lease(found)
-                    await self._try(LeaseAsk(0, LeaseAction.RELEASE), lease)
+                    await self._try(orders.ReleaseLease(), lease)
                 return
             await asyncio.sleep(_AGAIN_S)
 
@@ -237,13 +236,10 @@ class FleetControl:
 
     # -- orders ----------------------------------------------------------------------------------
 
-    async def ask(self, message: Message) -> Reply:
+    async def ask(self, order: Order) -> Reply:
         """Ask for something under this lease; see :meth:`m100link.apps.fleet.asking.Asker.ask`."""
         lease = self._held()
-        return await self._asker.ask(message, fence=lease.number, token=lease.token)
-
-    async def _do(self, action: Action, *, number: int = 0, data: bytes = b"") -> Reply:
-        return await self.ask(Ask(0, action, self.fence, number, data))
+        return await self._asker.ask(order, fence=lease.number, token=lease.token)
 
     async def take_off(self) -> None:
         """Start the motors and climb to about 1.2 m; done when it is seen to be done.
@@ -251,15 +247,15 @@ class FleetControl:
         Raises:
             M100Error: As :meth:`m100link.Control.take_off`, and :class:`FleetError`.
         """
-        await self._do(Action.TAKE_OFF)
+        await self.ask(orders.TakeOff())
 
     async def land(self) -> None:
         """Land in place and stop the motors. Raises: see :meth:`take_off`."""
-        await self._do(Action.LAND)
+        await self.ask(orders.Land())
 
     async def go_home(self) -> None:
         """Fly to the home point and land. Raises: see :meth:`take_off`."""
-        await self._do(Action.GO_HOME)
+        await self.ask(orders.GoHome())
 
     async def fly_to(
         self,
@@ -282,8 +278,7 @@ class FleetControl:
         Raises:
             M100Error: As :meth:`m100link.Control.fly_to`, and :class:`FleetError`.
         """
-        place = FlyTo(latitude_deg, longitude_deg, height, speed, yaw_deg)
-        await self.ask(replace(place, fence=self.fence))
+        await self.ask(orders.FlyTo(latitude_deg, longitude_deg, height, speed, yaw_deg))
 
     # -- missions --------------------------------------------------------------------------------
 
@@ -320,7 +315,7 @@ class FleetControl:
 
     async def stop(self) -> None:
         """Stop whatever happens; needs no lease."""
-        await self._asker.ask(Ask(0, Action.STOP))
+        await self._asker.ask(orders.Stop())
 
     # -- setpoints -------------------------------------------------------------------------------
 
@@ -385,7 +380,7 @@ class FleetControl:
             keeping.cancel()
             await asyncio.gather(keeping, return_exceptions=True)
             if self._lost is None:
-                await self._try(Ask(0, Action.HALT, text=f"{self._name} ended a hold"))
+                await self._try(orders.Halt(f"{self._name} ended a hold"))
 
 
 class FleetHold:

@@ -13,7 +13,7 @@ import re
 import struct
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
-from enum import Enum, IntEnum
+from enum import Enum
 from pathlib import Path
 from typing import Any, Self
 
@@ -26,6 +26,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import (
 )
 from cryptography.hazmat.primitives.hashes import SHA256
 
+from m100link.apps.agent.orders import Right
 from m100link.apps.fleet.keys import NAME
 from m100link.errors import NotAllowed, UsageError
 from m100link.errors.texts import read_json, read_toml
@@ -54,14 +55,6 @@ class BadRights(
     remedy="`m100link fleet acl check FILE` says what each identity may do",
 ):
     """A file of rights that says what cannot be."""
-
-
-class Right(IntEnum):
-    """What one may do; each includes those before it."""
-
-    WATCH = 1
-    STOP = 2
-    FLY = 3
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,9 +20,9 @@ from typing import Literal, get_args
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import LeaseChange, LeaseHeld
 from m100link.apps.agent.messages import Event, LeaseChanged, Topic
+from m100link.apps.agent.orders import GoHome, Land, Order
 from m100link.apps.fleet.order_log import Ledger, LeftAloft
 from m100link.errors import AuthorityLost, LossReason, M100Error, UsageError
-from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightPhase, FlightStatus, RemoteControl
 
 INHERITED_S = 300.0
@@ -31,8 +31,8 @@ whoever has the remote control may have flown it since, and nobody here saw him.
 
 LostAction = Literal["hover", "land", "home"]
 
-_TASKS: dict[LostAction, Task] = {"land": Task.LAND, "home": Task.GO_HOME}
-_WHAT = {Task.LAND: "lands", Task.GO_HOME: "goes home"}
+_TASKS: dict[LostAction, Order] = {"land": Land(), "home": GoHome()}
+_WHAT: dict[Order, str] = {Land(): "lands", GoHome(): "goes home"}
 _GROUND = (FlightPhase.STANDBY, FlightPhase.FINISHING_LANDING)
 _LOST = (LeaseChange.EXPIRED, LeaseChange.FRONT_LOST)
 _AGAIN_S = 5.0
@@ -72,7 +72,7 @@ class Lost:
         client: AgentClient,  # what knows the agent
         plan: LostPlan,  # what to do
         # Brings it down, for a reason, and takes the lease from nobody.
-        descend: Callable[[Task, str], Awaitable[None]],
+        descend: Callable[[Order, str], Awaitable[None]],
         aloft: Aloft,  # keeps who flies for the agent after this one
     ) -> None:
         self._client = client
@@ -184,7 +184,7 @@ class Lost:
 
     # -- down ------------------------------------------------------------------------------------
 
-    async def _bring_down(self, task: Task) -> None:
+    async def _bring_down(self, task: Order) -> None:
         after = self._plan.after_s
         text = f"the pilot is lost: it hovers, and {_WHAT[task]} in {after:g} s"
         self._client.note(text, "warning")

@@ -7,29 +7,25 @@ comes under the lease in force, and with the proof of it.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.guided import GuidedOrder
 from m100link.apps.agent.lease import Flown, Lease, LeaseHeld
-from m100link.apps.agent.messages import Action, Ask, LeaseAction, LeaseAsk, Message, PlanTold
-from m100link.apps.agent.remote_error import Fault, MessageError, fault_of
+from m100link.apps.agent.remote_error import Fault, fault_of
 from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.missions.board import Missions
 from m100link.apps.fleet.order_log import Ledger
 from m100link.apps.fleet.payloads import Order, agree
 from m100link.errors import M100Error, MissionRunning, NotAllowed, StaleLease, TaskRefused
-from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightPhase, FlightStatus
 
 _RENEWAL_S = 0.5
 _STATUS_S = 2.5
 _LOOK_S = 0.1
 _REFUSED_S = 5.0
-_UNKEPT = (Action.STOP, Action.HALT, Action.LAND, Action.VERSION)
-"""What is begun without a word to the ledger: it must not wait for a disk, or moves nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,45 +48,6 @@ class Granted:
     signer: str  # who signed for it, who may be revoked meanwhile; empty when nobody did
 
 
-def is_kept(message: Message) -> bool:
-    """Whether the ledger has to know before it begins: twice would be once too often."""
-    if isinstance(message, Ask):
-        return message.action not in _UNKEPT
-    return isinstance(message, GuidedOrder)
-
-
-def revokes(message: Message) -> bool:
-    """Whether what was asked for before, and comes later, is not wanted any more."""
-    return isinstance(message, Ask) and message.action in (Action.STOP, Action.HALT, Action.LAND)
-
-
-def moves(message: Message) -> bool:
-    """Whether it moves the aircraft, or lets somebody move it; what ends movement does not."""
-    if isinstance(message, LeaseAsk):
-        return message.action not in (LeaseAction.RENEW, LeaseAction.RELEASE)
-    return is_kept(message)
-
-
-def takes(message: Message) -> bool:
-    """Whether it takes the lease from who has it: nobody loses it to who waits for it no more."""
-    return isinstance(message, LeaseAsk) and message.action is LeaseAction.CONFIRM
-
-
-def acquires(message: Message) -> bool:
-    """Whether it takes a lease that is free: granted to nobody, nobody has it for three seconds."""
-    return isinstance(message, LeaseAsk) and message.action is LeaseAction.ACQUIRE
-
-
-def renews(message: Message) -> bool:
-    """Whether it lets a lease last, which nobody who recorded it may do later."""
-    return isinstance(message, LeaseAsk) and message.action is LeaseAction.RENEW
-
-
-def lands(message: Message) -> bool:
-    """Whether it brings the aircraft down: that nobody may be surprised by, minutes later."""
-    return isinstance(message, Ask) and message.action is Action.LAND
-
-
 class Orders:
     """Carries orders out."""
 
@@ -107,16 +64,9 @@ class Orders:
         self.refused: M100Error | None = None
         # A landing that nobody has to hold a lease for, and that all who ask for it wait for.
         self._descent: asyncio.Task[None] | None = None
-        self._descends_by = Task.LAND
+        self._descends_by: orders.Order = orders.Land()
         # Orders under a lease that have begun: the aircraft may be about to leave the ground.
         self._underway = 0
-        self._doing: dict[LeaseAction, Callable[[Order, LeaseAsk], Awaitable[Done]]] = {
-            LeaseAction.ACQUIRE: self._acquire,
-            LeaseAction.RENEW: self._renew,
-            LeaseAction.RELEASE: self._release,
-            LeaseAction.TAKE_OVER: self._take_over,
-            LeaseAction.CONFIRM: self._confirm,
-        }
         client.on_lease.append(lambda _: self._forget())
 
     def _forget(self) -> None:
@@ -143,52 +93,43 @@ class Orders:
                 found = granted.signer
         return found
 
-    async def carry_out(self, order: Order, message: Message) -> Done:
+    async def carry_out(self, order: Order, asked: orders.Order) -> Done:
         """Do what is asked for.
 
         Raises:
             StaleLease: It needs the lease, and came without.
-            MessageError: That is nothing to be asked for.
             M100Error: As the agent tells.
         """
         client = self._client
-        if isinstance(message, LeaseAsk):
-            return await self._doing[message.action](order, message)
-        if isinstance(message, GuidedOrder):
-            await client.guide(self.require_lease(order), message)
-            return Done()
-        if isinstance(message, PlanTold):
-            digest = await self.missions.upload(self.require_lease(order), message, order.by)
-            return Done(digest)
-        if not isinstance(message, Ask):
-            raise MessageError(f"{type(message).__name__} is no order")
-        if message.action is Action.STOP:
+        if isinstance(asked, orders.LeaseOrder):
+            return await self._lease(order, asked)
+        if isinstance(asked, orders.Stop):
             await client.stop()
             return Done()
-        if message.action is Action.HALT:
-            client.halt(message.text or f"{order.by}: hover", self._lease_if_any(order))
+        if isinstance(asked, orders.Halt):
+            client.halt(asked.why or f"{order.by}: hover", self._lease_if_any(order))
             return Done()
-        if message.action is Action.LAND and not order.fence:
-            await self.descend(Task.LAND, f"landing for {order.by}", signer=order.signer)
+        if isinstance(asked, orders.Land) and not order.fence:
+            await self.descend(asked, f"landing for {order.by}", signer=order.signer)
             return Done()
-        lease = None if message.action is Action.VERSION else self.lease_for(order, message)
-        if message.action is Action.ACTIVATE and client.state.is_activated:
+        if isinstance(asked, orders.UploadPlan):
+            return Done(await self.missions.upload(self.require_lease(order), asked, order.by))
+        lease = self.lease_for(order, asked)
+        if isinstance(asked, orders.Activate) and client.state.is_activated:
             return Done()
         self._underway += 1
         try:
-            return await self._do(message, lease)
+            return await self._do(asked, lease)
         finally:
             self._underway -= 1
 
-    async def _do(self, ask: Ask, lease: Lease | None) -> Done:
-        if ask.action is Action.MISSION_START and lease is not None:
-            await self.missions.start(lease, ask)
+    async def _do(self, asked: orders.Order, lease: Lease | None) -> Done:
+        if isinstance(asked, orders.StartMission) and lease is not None:
+            await self.missions.start(lease, asked)
             return Done()
-        if ask.action in (Action.MISSION_PLAN, Action.MISSION_POINT):
-            self.missions.void()  # by pieces comes a plan without a name
-        outcome = await self._client.ask(ask.action, lease, number=ask.number, data=ask.data)
-        if ask.action in (Action.MISSION_PAUSE, Action.MISSION_RESUME):
-            self.missions.paused(ask.action)
+        outcome = await self._client.ask(asked, lease)
+        if isinstance(asked, orders.PauseMission | orders.ResumeMission):
+            self.missions.paused(is_paused=isinstance(asked, orders.PauseMission))
         return Done(outcome.text, outcome.number)
 
     # -- the lease -------------------------------------------------------------------------------
@@ -199,13 +140,15 @@ class Orders:
             return None
         return granted.lease if order.proves(granted.secret) else None
 
-    def lease_for(self, order: Order, message: Message) -> Lease | None:
+    def lease_for(self, order: Order, asked: orders.Order) -> Lease | None:
         """The lease that something is asked under; None for an activation that nobody minds.
 
         Raises:
             StaleLease: It needs the lease, and came without.
         """
-        is_activation = isinstance(message, Ask) and message.action is Action.ACTIVATE
+        if not asked.is_kept and asked.needs is orders.Needs.NOTHING:
+            return None
+        is_activation = isinstance(asked, orders.Activate)
         if is_activation and not order.fence and not self._client.holder.number:
             return None
         return self.require_lease(order)
@@ -233,26 +176,24 @@ class Orders:
         await self._ledger.granted(lease.number)
         return Done(lease.name, lease.number, key=key)
 
-    async def _acquire(self, order: Order, ask: LeaseAsk) -> Done:
-        key, secret = agree(order)  # before anything is taken from anybody
-        return await self._grant(order, self._client.acquire(order.by), key, secret)
-
-    async def _renew(self, order: Order, ask: LeaseAsk) -> Done:
-        lease = await self._client.renew(self.require_lease(order).token)
+    async def _lease(self, order: Order, asked: orders.LeaseOrder) -> Done:
+        client = self._client
+        if isinstance(asked, orders.AcquireLease):
+            key, secret = agree(order)  # before anything is taken from anybody
+            return await self._grant(order, client.acquire(order.by), key, secret)
+        if isinstance(asked, orders.ConfirmTakeOver):
+            key, secret = agree(order)
+            return await self._grant(order, client.confirm(asked.token), key, secret)
+        if isinstance(asked, orders.AskTakeOver):
+            offer = await client.ask_take_over(order.by)
+            return Done(offer.from_name, offer.number, offer.token)
+        lease = self.require_lease(order)
+        if isinstance(asked, orders.ReleaseLease):
+            await client.release_lease(lease.token)
+            return Done()
+        await client.ask(orders.RenewLease(lease.token))
         refused, self.refused = self.refused, None
         return Done(lease.name, lease.number, fault=fault_of(refused))
-
-    async def _release(self, order: Order, ask: LeaseAsk) -> Done:
-        await self._client.release_lease(self.require_lease(order).token)
-        return Done()
-
-    async def _take_over(self, order: Order, ask: LeaseAsk) -> Done:
-        offer = await self._client.ask_take_over(order.by)
-        return Done(offer.from_name, offer.number, offer.token)
-
-    async def _confirm(self, order: Order, ask: LeaseAsk) -> Done:
-        key, secret = agree(order)
-        return await self._grant(order, self._client.confirm(ask.token), key, secret)
 
     # -- down ------------------------------------------------------------------------------------
 
@@ -264,7 +205,7 @@ class Orders:
         return None if status is None else status.phase
 
     async def descend(
-        self, task: Task, who: str, *, take_over: bool = True, signer: str = ""
+        self, task: orders.Order, who: str, *, take_over: bool = True, signer: str = ""
     ) -> None:
         """Land, here or at home, whoever has the lease: it is taken over for that long.
 
@@ -272,12 +213,12 @@ class Orders:
 
         Raises:
             LeaseHeld: Somebody has the lease, and it is not to be taken over.
-            M100Error: As :meth:`m100link.apps.agent.client.AgentClient.fly`.
+            M100Error: As the agent tells.
         """
         if self.phase is FlightPhase.STANDBY and not self._underway:
             return  # it is where it is wanted
         is_under_way = self._descent is not None and not self._descent.done()
-        if self._descent is None or not is_under_way or task is not self._descends_by:
+        if self._descent is None or not is_under_way or task != self._descends_by:
             self._descends_by = task
             self._descent_signers.clear()
             self._descent = self._client.background.spawn(
@@ -286,14 +227,14 @@ class Orders:
         self._descent_signers.add(signer)
         await asyncio.shield(self._descent)
 
-    async def _descended(self, task: Task, who: str, *, take_over: bool) -> None:
+    async def _descended(self, task: orders.Order, who: str, *, take_over: bool) -> None:
         client = self._client
         lease = await self._seize(who, take_over=take_over)
         async with self._kept(lease):
             if not client.state.is_activated:
-                await client.activate(lease)
+                await client.ask(orders.Activate(), lease)
             await self._end_task()
-            await client.obtain(lease)
+            await client.ask(orders.Obtain(), lease)
             await self._fly_down(lease, task)
 
     async def _end_task(self) -> None:
@@ -304,11 +245,11 @@ class Orders:
         if client.state.task:
             await client.stop()  # nothing else ends a task
 
-    async def _fly_down(self, lease: Lease, task: Task) -> None:
+    async def _fly_down(self, lease: Lease, task: orders.Order) -> None:
         until = self._client.now + _REFUSED_S
         while self.phase is not FlightPhase.STANDBY:
             try:
-                await self._client.fly(lease, task)
+                await self._client.ask(task, lease)
             except (TaskRefused, MissionRunning):
                 # What was broken off takes its time to end, in the air or on the ground.
                 if self._client.now > until:

@@ -27,7 +27,8 @@ from cryptography.hazmat.primitives.serialization import (
 )
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from m100link.apps.fleet.identity import Identity, Revoked, Right, Rights, Signer, sign_revoked
+from m100link.apps.agent.orders import Right
+from m100link.apps.fleet.identity import Identity, Revoked, Rights, Signer, sign_revoked
 from m100link.apps.fleet.keys import LIVE, NAME
 from m100link.apps.fleet.revocations import AUTHORITY, LIST, Revocations
 from m100link.errors import UsageError

@@ -16,7 +16,6 @@ from functools import cache
 from typing import TypeVar
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.codec import told_of
 from m100link.apps.agent.messages import (
     VERSION,
     Activating,
@@ -27,6 +26,7 @@ from m100link.apps.agent.messages import (
     PlanTold,
     Telemetry,
 )
+from m100link.apps.agent.orders import UploadPlan
 from m100link.apps.agent.remote_error import Fault, MessageError
 from m100link.apps.bus.network import Bus, Question
 from m100link.apps.fleet.keys import Keys, name_in
@@ -97,7 +97,7 @@ class AgentTold:
                 self._put(client.link)
         if client.plan is not self._plan or turn % _PLAN == 0:
             plan = self._plan = client.plan
-            self._put(PlanTold() if plan is None else told_of(plan, client.plan_by))
+            self._put(PlanTold(client.plan_by, None if plan is None else UploadPlan.of(plan)))
 
     def _lease_changed(self, change: LeaseChanged) -> None:
         self._put(self._hello())  # whose time says how new the word on the lease is

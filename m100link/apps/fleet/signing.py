@@ -7,35 +7,24 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from m100link.apps.agent.codec import decode
-from m100link.apps.agent.messages import Action, Ask, Message
+from m100link.apps.agent.codec import decode_order
+from m100link.apps.agent.orders import Right
 from m100link.apps.fleet.agent import Verify
 from m100link.apps.fleet.asking import Sign
-from m100link.apps.fleet.identity import Claim, Gate, Right, Rights, Signer, Since, nobody
+from m100link.apps.fleet.identity import Claim, Gate, Rights, Signer, Since, nobody
 from m100link.apps.fleet.logs.words import LOG
 from m100link.apps.fleet.payloads import SHOW, Order
 from m100link.link.keyfile import read_key
 
 _BESIDE = {SHOW: Right.FLY, LOG: Right.WATCH}
-_STOPS = (Action.STOP, Action.HALT, Action.LAND)
-
-
-def right_for(message: Message) -> Right:
-    """What somebody needs who asks for this: to stop, to watch, and for everything else to fly."""
-    if isinstance(message, Ask):
-        if message.action in _STOPS:
-            return Right.STOP
-        if message.action is Action.VERSION:
-            return Right.WATCH
-    return Right.FLY
 
 
 def _needed(order: Order) -> Right:
-    """What an order needs that is none of the agent's messages, or is one."""
+    """What somebody needs who asks for it."""
     for begin, right in _BESIDE.items():
         if order.message.startswith(begin):
             return right
-    return right_for(decode(order.message))
+    return decode_order(order.message).right
 
 
 def _claim(order: Order) -> Claim:

@@ -7,11 +7,11 @@ from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from typing import Any
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.codec import told_of
-from m100link.apps.agent.guided import ChangeHeight, GuidedOrder
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.messages import UNTIL_OVER, Action, MissionTold
+from m100link.apps.agent.messages import MissionTold
+from m100link.apps.agent.orders import ChangeHeight, GuidedOrder
 from m100link.apps.agent.preview import preview_plan
 from m100link.apps.mavlink.translator.deck import Deck
 from m100link.apps.mavlink.translator.missions import Missions
@@ -23,14 +23,11 @@ from m100link.apps.mavlink.translator.orders import (
     Disarm,
     Do,
     Drop,
-    Errand,
     Flight,
     GoHome,
     Halt,
     Land,
     Order,
-    Pause,
-    Resume,
     Steer,
     TakeOff,
     Wish,
@@ -55,7 +52,6 @@ from m100link.errors import (
     UsageError,
 )
 from m100link.missions.plan import WaypointPlan
-from m100link.protocol.commands.control import Task
 
 _RENEWAL_S = 0.5
 _TAKES_OFF_WITHIN_S = 2.5
@@ -101,12 +97,12 @@ class Crew:
 
     def advance(self) -> None:
         """Carry out what was ordered, and keep the lease."""
-        orders, self._deck.orders = self._deck.orders, []
-        for order in orders:
+        wanted, self._deck.orders = self._deck.orders, []
+        for order in wanted:
             if isinstance(order, Steer):
                 self._steer(order)
-            elif isinstance(order, Pause | Resume | Do):
-                self._agent.background.spawn(self._tell(order), type(order).__name__)
+            elif isinstance(order, Do):
+                self._agent.background.spawn(self._tell(order), order.order.label)
             elif isinstance(order, Drop):
                 self._drop()
             elif isinstance(order, Arm):
@@ -134,16 +130,12 @@ class Crew:
         if self._work is not None and not self._is_disarming:
             self._work.cancel()
 
-    async def _tell(self, errand: Errand) -> None:
-        actions = {Pause: Action.MISSION_PAUSE, Resume: Action.MISSION_RESUME}
+    async def _tell(self, errand: Do) -> None:
         async with self._telling:
             if not self._flights.is_due(errand):
                 return
             try:
-                if isinstance(errand, Do):
-                    await self._agent.ask(errand.action, self._world.lease, number=errand.number)
-                else:
-                    await self._agent.ask(actions[type(errand)], self._world.lease)
+                await self._agent.ask(errand.order, self._world.lease)
             except M100Error as error:
                 self._flights.failed(errand, error)
 
@@ -171,9 +163,9 @@ class Crew:
             if not self._world.has_lease:
                 self._world.lease = await self._agent.acquire(order.name)
             if not self._agent.state.is_activated:
-                await self._agent.activate(self._world.lease)
+                await self._agent.ask(orders.Activate(), self._world.lease)
             self._check_wanted()
-            await self._agent.obtain(self._world.lease)
+            await self._agent.ask(orders.Obtain(), self._world.lease)
             self._check_wanted()
         except M100Error as met:
             error = met
@@ -194,11 +186,11 @@ class Crew:
     async def _call_off(self, order: CallOff) -> None:
         self._world.may_take_off = True
         try:
-            await self._agent.release(self._world.lease)
+            await self._agent.ask(orders.Release(), self._world.lease)
             # It may have been taking off until now: what counts is what it does after a while.
             await asyncio.sleep(_TAKES_OFF_WITHIN_S)
             if self._world.is_on_ground is not True:
-                await self._agent.obtain(self._world.lease)
+                await self._agent.ask(orders.Obtain(), self._world.lease)
                 await self._land_at_last()
         finally:
             self._world.may_take_off = False
@@ -209,7 +201,7 @@ class Crew:
         until = self._agent.now + _LANDS_WITHIN_S
         while True:
             try:
-                await self._agent.fly(self._world.lease, Task.LAND)
+                await self._agent.ask(orders.Land(), self._world.lease)
             except TaskRefused:
                 if self._world.is_on_ground:
                     return
@@ -243,31 +235,32 @@ class Crew:
         """
         if is_interrupting:
             await self._agent.stop()
-            await self._agent.release(self._world.lease)  # a stop keeps it where no task is known
-            await self._agent.obtain(self._world.lease)
+            # A stop keeps it where no task is known.
+            await self._agent.ask(orders.Release(), self._world.lease)
+            await self._agent.ask(orders.Obtain(), self._world.lease)
         elif self._owes_a_stop or self._world.flies_mission:
-            await self._agent.ask(Action.MISSION_STOP, self._world.lease)
+            await self._agent.ask(orders.StopMission(), self._world.lease)
         self._owes_a_stop = False
 
     async def _take_off(self, order: TakeOff) -> None:
-        await self._agent.fly(self._world.lease, Task.TAKE_OFF)
+        await self._agent.ask(orders.TakeOff(), self._world.lease)
         self._deck.took_off(order, self._agent.now)
         height = self._world.height
         if order.height is None or (height is not None and abs(height - order.height) < _CLOSE_M):
             return
-        await self._agent.guide(self._world.lease, ChangeHeight(order.height))
+        await self._agent.ask(ChangeHeight(order.height), self._world.lease)
 
     async def _land(self, order: Land) -> None:
         with suppress(AckTimeout, MissionRefused):
             # Told by the agent; and a landing breaks off what a stop did not end.
             await self._make_way(order.is_interrupting)
         self._agent.halt("landing", self._world.lease)
-        await self._agent.fly(self._world.lease, Task.LAND)
+        await self._agent.ask(orders.Land(), self._world.lease)
 
     async def _go_home(self, order: GoHome) -> None:
         await self._make_way(order.is_interrupting)
         self._agent.halt("going home", self._world.lease)
-        await self._agent.fly(self._world.lease, Task.GO_HOME)
+        await self._agent.ask(orders.GoHome(), self._world.lease)
 
     async def _halt(self, order: Halt) -> None:
         await self._make_way(order.is_interrupting)
@@ -277,11 +270,11 @@ class Crew:
         lease = self._world.lease  # of this flight: it does not go on under a later one
         await self._make_way()
         if order.takes_off:
-            await self._agent.fly(lease, Task.TAKE_OFF)
+            await self._agent.ask(orders.TakeOff(), lease)
             self._deck.took_off(order, self._agent.now)
         for number, leg in enumerate(order.legs[: order.by_agent]):
             self._flights.leg(order, number, False)
-            await self._agent.guide(lease, leg)
+            await self._agent.ask(leg, lease)
             if number < len(order.waits):
                 await asyncio.sleep(order.waits[number])
             self._flights.leg(order, number, True)
@@ -291,18 +284,11 @@ class Crew:
     async def _fly_plan(self, order: Flight, plan: WaypointPlan, lease: Lease | None) -> None:
         """Let the aircraft fly it by itself; done when that is over."""
         agent = self._agent
-        told = told_of(plan, "")
-        await agent.ask(Action.MISSION_PLAN, lease, data=told.mission)
-        for point in told.points:
-            await agent.ask(Action.MISSION_POINT, lease, data=point)
+        await agent.ask(orders.UploadPlan.of(plan), lease)
         self._owes_a_stop = True
         try:
-            await agent.ask(
-                Action.MISSION_START,
-                lease,
-                number=UNTIL_OVER,
-                accepted=lambda: self._flights.begun(order),
-            )
+            start = orders.StartMission(until_over=True)
+            await agent.ask(start, lease, lambda: self._flights.begun(order))
         except M100Error:
             self._owes_a_stop = False  # the agent has stopped it, or told what came of that
             raise
@@ -371,16 +357,16 @@ class MissionFlights:
         missions = self._missions
         legs = [leg for leg in route.legs if leg.item >= missions.current]
         plan, why = self._plan(legs, route.then)
-        orders: list[GuidedOrder] = [leg.order for leg in legs]
+        flown: list[GuidedOrder] = [leg.order for leg in legs]
         waits, items = [leg.wait for leg in legs], [leg.item for leg in legs]
         takes_off = self._world.is_on_ground is not False
         climb: list[None] = []
         if takes_off and legs:
             # Up first, in place: what stands between the ground and the first leg is not known.
             height = legs[0].order.height if route.height is None else route.height
-            orders, waits, climb = [ChangeHeight(height), *orders], [0.0, *waits], [None]
+            flown, waits, climb = [ChangeHeight(height), *flown], [0.0, *waits], [None]
         return Flight(
-            tuple(orders),
+            tuple(flown),
             tuple(waits),
             takes_off,
             _WAYS_DOWN.get(route.then),
@@ -429,18 +415,19 @@ class MissionFlights:
             self._tell(Severity.NOTICE, "mission: the aircraft flies it by itself")
             self.leg(flight, flight.by_agent, False)
 
-    def is_due(self, errand: Errand) -> bool:
+    def is_due(self, errand: Do) -> bool:
         """Whether something that is told to a mission on its way is still wanted."""
-        if isinstance(errand, Do):
+        if errand.flight is None:
             return self._deck.is_flown_by_aircraft
-        wanted = Running.PAUSED if isinstance(errand, Pause) else Running.MISSION
+        is_pause = isinstance(errand.order, orders.PauseMission)
+        wanted = Running.PAUSED if is_pause else Running.MISSION
         return errand.flight is self._deck.flight and self._deck.running is wanted
 
-    def failed(self, errand: Errand, error: M100Error) -> None:
+    def failed(self, errand: Do, error: M100Error) -> None:
         """It was not taken: nobody knows what an aircraft flies that does not pause or go on."""
         if self.is_due(errand):
             self._tell(Severity.ERROR, f"mission: {error.seen}")
-            if not isinstance(errand, Do):
+            if errand.flight is not None:
                 self._deck.interrupt("hold: the mission is stopped")
 
     def told(self, told: MissionTold) -> None:
@@ -467,4 +454,4 @@ class MissionFlights:
                 self.leg(flight, number + 1, False)
                 speed = flight.speed_of(number + 1)
                 if speed != flight.speed_of(number):
-                    self._deck.orders.append(Do(Action.MISSION_SPEED, round(speed * 1000)))
+                    self._deck.orders.append(Do(orders.SetMissionSpeed(speed)))

@@ -14,15 +14,15 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, Protocol
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.guided import ChangeHeight, FlyTo, GuidedOrder
 from m100link.apps.agent.messages import Event
 from m100link.apps.agent.messages import Topic as EventTopic
+from m100link.apps.agent.orders import ChangeHeight, FlyTo, GuidedOrder
 from m100link.apps.ros2.control import Helm
 from m100link.apps.ros2.endpoints import Ends, Heartbeat, Topic
 from m100link.apps.ros2.graph import Names, Presence, Qos, Seen
 from m100link.errors import M100Error, UsageError
-from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
 
 FEEDBACK_S = 0.5  # seconds between two messages of feedback
@@ -303,7 +303,7 @@ class _Guided:
     async def guide(self, order: GuidedOrder) -> None:
         """Fly one order, unless it was ended."""
         if not self.is_ended:
-            await self._agent.guide(self._lease, order)
+            await self._agent.ask(order, self._lease)
 
     async def wait(self, seconds: float) -> None:
         """Hover for a while."""
@@ -329,7 +329,7 @@ class _TakeOff(_Guided):
             raise UsageError("a height below the take-off point")
 
     async def run(self) -> None:
-        await self._agent.fly(self._lease, Task.TAKE_OFF)
+        await self._agent.ask(orders.TakeOff(), self._lease)
         if self._height and abs(self._now() - self._height) >= _CLOSE_M:
             await self.guide(ChangeHeight(self._height))
 

@@ -14,10 +14,11 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.latency import MAX_LATE, WayTime
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.messages import Action, Event, Topic
+from m100link.apps.agent.messages import Event, Topic
 from m100link.errors import (
     BadSetpoint,
     GuardRefused,
@@ -26,7 +27,6 @@ from m100link.errors import (
     NoAuthority,
     UsageError,
 )
-from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightStatus
 from m100link.protocol.setpoint import Setpoint
 
@@ -276,7 +276,7 @@ class Helm:
 
         Raises:
             LeaseHeld: Somebody else has control.
-            M100Error: As :meth:`m100link.apps.agent.client.AgentClient.obtain`.
+            M100Error: As :meth:`m100link.apps.agent.client.AgentClient.ask`.
         """
         agent = self._agent
         async with self._changing:
@@ -284,8 +284,8 @@ class Helm:
                 self._lease = await agent.acquire(who)
             try:
                 if not agent.state.is_activated:
-                    await agent.activate(self._lease)
-                await agent.obtain(self._lease)
+                    await agent.ask(orders.Activate(), self._lease)
+                await agent.ask(orders.Obtain(), self._lease)
             except BaseException:
                 self._let_go()
                 raise
@@ -309,52 +309,52 @@ class Helm:
 
     # -- orders ----------------------------------------------------------------------------------
 
-    async def fly(self, task: Task) -> None:
+    async def fly(self, task: orders.Order) -> None:
         """Let the autopilot take off, land or go home; returns when it has begun.
 
         After a landing control is given back. What fails later is in the events.
 
         Raises:
-            M100Error: As :meth:`m100link.apps.agent.client.AgentClient.fly`.
+            M100Error: As :meth:`m100link.apps.agent.client.AgentClient.ask`.
         """
         lease = self.held()
-        if task is Task.TAKE_OFF:
+        if isinstance(task, orders.TakeOff):
             self.require_free("take-off")
         else:
-            self._agent.halt(f"{task.name.lower()} was asked for")
+            self._agent.halt(f"{task.label} was asked for")
         self._ordered_at = self._agent.now
         begun = asyncio.Event()
-        flying = self._agent.background.spawn(self._flown(lease, task, begun), task.name)
+        flying = self._agent.background.spawn(self._flown(lease, task, begun), task.label)
         waiting = asyncio.ensure_future(begun.wait())
         await asyncio.wait((flying, waiting), return_when=asyncio.FIRST_COMPLETED)
         waiting.cancel()
         if flying.done():
             flying.result()
 
-    async def _begin(self, lease: Lease, task: Task, begun: asyncio.Event) -> None:
+    async def _begin(self, lease: Lease, task: orders.Order, begun: asyncio.Event) -> None:
         """Fly a task. A mission of the aircraft's own has to be over before a landing."""
         try:
-            await self._agent.fly(lease, task, begun.set)
+            await self._agent.ask(task, lease, begun.set)
         except MissionRunning:
-            if task is Task.TAKE_OFF:
+            if isinstance(task, orders.TakeOff):
                 raise
         else:
             return
         try:
-            await self._agent.ask(Action.MISSION_STOP, lease)
+            await self._agent.ask(orders.StopMission(), lease)
         except M100Error as error:  # it may be over by now, and landing matters more
-            self._agent.note(f"the mission before {task.name.lower()}: {error.seen}")
-        await self._agent.fly(lease, task, begun.set)
+            self._agent.note(f"the mission before {task.label}: {error.seen}")
+        await self._agent.ask(task, lease, begun.set)
 
-    async def _flown(self, lease: Lease, task: Task, begun: asyncio.Event) -> None:
+    async def _flown(self, lease: Lease, task: orders.Order, begun: asyncio.Event) -> None:
         try:
             await self._begin(lease, task, begun)
         except M100Error as error:
             if not begun.is_set():
                 raise
-            self._agent.note(f"{task.name.lower()}: {error.seen}", "error")
+            self._agent.note(f"{task.label}: {error.seen}", "error")
             return
-        if task is not Task.TAKE_OFF and not self.is_airborne:
+        if not isinstance(task, orders.TakeOff) and not self.is_airborne:
             await self.release()
         self._ordered_at = self._agent.now
 
@@ -367,7 +367,7 @@ class Helm:
         if self.goal:
             raise UsageError(f"{what}: {self.goal} flies", remedy="cancel that goal first")
 
-    async def do(self, action: Action, *, number: int = 0, data: bytes = b"") -> None:
+    async def do(self, order: orders.Order) -> None:
         """Something that needs the lease and is done when it is answered.
 
         Raises:
@@ -375,7 +375,7 @@ class Helm:
         """
         lease = self.held()
         self._ordered_at = self._agent.now
-        await self._agent.ask(action, lease, number=number, data=data)
+        await self._agent.ask(order, lease)
 
     async def stop(self) -> None:
         """Stop whatever happens; anybody may. Setpoints fly after the next ~/obtain_control."""

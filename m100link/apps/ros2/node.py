@@ -9,8 +9,9 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractAsyncContextManager
 from typing import Any
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.messages import Action
+from m100link.apps.agent.orders import CameraUse, SwitchMotors, UseCamera
 from m100link.apps.bus.network import PolledBus
 from m100link.apps.bus.session import LARGEST, Opening, ZenohBus, open_session
 from m100link.apps.ros2.actions import Actions
@@ -30,7 +31,6 @@ from m100link.apps.ros2.publishers import ALL_OUTPUTS, Teller
 from m100link.apps.ros2.services import Missions, Payload
 from m100link.apps.ros2.topics import DJI_OUTPUTS, INPUTS, SERVICES
 from m100link.errors import M100Error, UsageError
-from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.sample import Sample
@@ -178,15 +178,15 @@ class Node:
         return {
             "~/obtain_control": trigger(self._obtain, "ROS has control"),
             "~/release_control": trigger(helm.release, "control is given back"),
-            "~/takeoff": trigger(lambda: helm.fly(Task.TAKE_OFF), "it takes off"),
-            "~/land": trigger(lambda: self._end(Task.LAND), "it lands"),
-            "~/go_home": trigger(lambda: self._end(Task.GO_HOME), "it flies home"),
-            "~/arm": trigger(lambda: helm.do(Action.ARM), "the motors run"),
-            "~/disarm": trigger(lambda: helm.do(Action.DISARM), "the motors stand"),
+            "~/takeoff": trigger(lambda: helm.fly(orders.TakeOff()), "it takes off"),
+            "~/land": trigger(lambda: self._end(orders.Land()), "it lands"),
+            "~/go_home": trigger(lambda: self._end(orders.GoHome()), "it flies home"),
+            "~/arm": trigger(lambda: helm.do(SwitchMotors(on=True)), "the motors run"),
+            "~/disarm": trigger(lambda: helm.do(SwitchMotors(on=False)), "the motors stand"),
             "~/stop": trigger(helm.stop, "stopped"),
-            "~/take_photo": trigger(lambda: helm.do(Action.TAKE_PHOTO), "sent"),
-            "~/start_video": trigger(lambda: helm.do(Action.START_VIDEO), "sent"),
-            "~/stop_video": trigger(lambda: helm.do(Action.STOP_VIDEO), "sent"),
+            "~/take_photo": trigger(lambda: helm.do(UseCamera(CameraUse.PHOTO)), "sent"),
+            "~/start_video": trigger(lambda: helm.do(UseCamera(CameraUse.START_VIDEO)), "sent"),
+            "~/stop_video": trigger(lambda: helm.do(UseCamera(CameraUse.STOP_VIDEO)), "sent"),
             "~/point_gimbal": answering(self._payload.point, "sent"),
         }
 
@@ -199,11 +199,11 @@ class Node:
             )
         await self.helm.obtain("ROS 2")
 
-    async def _end(self, task: Task) -> None:
+    async def _end(self, order: orders.Order) -> None:
         """A way to the ground ends what flies."""
         self.helm.held()
-        self.actions.end(f"{task.name.lower()} was asked for")
-        await self.helm.fly(task)
+        self.actions.end(f"{order.label} was asked for")
+        await self.helm.fly(order)
 
     # -- time passes -----------------------------------------------------------------------------
 

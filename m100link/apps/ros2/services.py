@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from enum import IntEnum
 from typing import Any, TypeVar
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.messages import TAKE_OFF_FIRST, Action
 from m100link.apps.ros2.control import Helm
 from m100link.apps.ros2.endpoints import Call, Input, answering, trigger
 from m100link.errors import M100Error, UsageError
@@ -32,7 +32,6 @@ from m100link.missions.waypoint import (
     WaypointAction,
 )
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
-from m100link.protocol.firmware import FIRMWARE_3_1
 
 E = TypeVar("E", bound=IntEnum)
 
@@ -60,26 +59,22 @@ class Missions:
         return {
             "~/mission/upload": answering(self._upload, "it waits for its start"),
             "~/mission/start": answering(self._start, "it flies"),
-            "~/mission/pause": self._order(Action.MISSION_PAUSE, "it hovers"),
-            "~/mission/resume": self._order(Action.MISSION_RESUME, "it flies on"),
-            "~/mission/stop": self._order(Action.MISSION_STOP, "it is over: the aircraft hovers"),
+            "~/mission/pause": self._order(orders.PauseMission(), "it hovers"),
+            "~/mission/resume": self._order(orders.ResumeMission(), "it flies on"),
+            "~/mission/stop": self._order(orders.StopMission(), "it is over: the aircraft hovers"),
         }
 
-    def _order(self, action: Action, done: str) -> Call:
-        return trigger(lambda: self._helm.do(action), done)
+    def _order(self, order: orders.Order, done: str) -> Call:
+        return trigger(lambda: self._helm.do(order), done)
 
     async def _upload(self, request: Mapping[str, Any]) -> None:
         self._helm.held()
-        mission, points = plan_of(request).to_wire()
-        await self._helm.do(Action.MISSION_PLAN, data=mission.value(FIRMWARE_3_1))
-        for point in points:
-            await self._helm.do(Action.MISSION_POINT, data=point.value(FIRMWARE_3_1))
+        await self._helm.do(orders.UploadPlan.of(plan_of(request)))
 
     async def _start(self, request: Mapping[str, Any]) -> None:
         self._helm.held()
         self._helm.require_free("a mission")
-        how = TAKE_OFF_FIRST if request["take_off"] else 0
-        await self._helm.do(Action.MISSION_START, number=how)
+        await self._helm.do(orders.StartMission(request["take_off"]))
 
 
 def plan_of(request: Mapping[str, Any]) -> WaypointPlan:
@@ -151,13 +146,12 @@ class Payload:
         self._is_busy = False
 
     async def point(self, request: Mapping[str, Any]) -> None:
-        """m100_msgs/srv/PointGimbal.
+        """m100_msgs/srv/orders.PointGimbal.
 
         Raises:
             M100Error: An angle that it does not have, or nothing may be sent.
         """
-        data = angles_of(request).value(FIRMWARE_3_1)
-        await self._helm.do(Action.GIMBAL_ANGLES, data=data)
+        await self._helm.do(orders.PointGimbal(angles_of(request)))
 
     def advance(self, *, is_deaf: bool) -> None:
         """Send the newest rates; to the deaf what comes now is old."""
@@ -170,8 +164,7 @@ class Payload:
 
     async def _turn(self, message: Mapping[str, Any]) -> None:
         try:
-            data = rates_of(message["vector"]).value(FIRMWARE_3_1)
-            await self._helm.do(Action.GIMBAL_RATES, data=data)
+            await self._helm.do(orders.TurnGimbal(rates_of(message["vector"])))
         except M100Error as error:
             self._tell(f"~/gimbal_speed: {error.seen}", "warning")
         finally:
@@ -179,7 +172,7 @@ class Payload:
 
 
 def angles_of(request: Mapping[str, Any]) -> GimbalAngle:
-    """The command of m100_msgs/srv/PointGimbal."""
+    """The command of m100_msgs/srv/orders.PointGimbal."""
     mode = GimbalAngleMode(0) if request["is_relative"] else GimbalAngleMode.ABSOLUTE
     for axis in ("yaw", "roll", "pitch"):
         if request[f"keep_{axis}"]:

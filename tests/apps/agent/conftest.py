@@ -9,10 +9,13 @@ from typing import Any
 import anyio
 import pytest
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.authority import HoldingState
 from m100link.apps.agent.server.connection import ConnectionState
+from m100link.apps.agent.server.flight import ignore
+from m100link.missions.plan import WaypointPlan
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft
@@ -39,7 +42,7 @@ class Rig:
     async def running(self) -> AsyncIterator[Rig]:
         async with self.agent:
             await self.until(lambda: self.agent.connection.state is ConnectionState.CONNECTED)
-            await self.agent.activate()
+            await self.agent.ask(orders.Activate())
             self.token = self.agent.desk.acquire("client", self.agent.now).token
             self.renewing = self.agent.background.spawn(self._renew(), "renewal")
             yield self
@@ -55,6 +58,18 @@ class Rig:
         with anyio.fail_after(within):
             while not predicate():  # noqa: ASYNC110 - virtual time: it costs nothing
                 await anyio.sleep(0.01)
+
+
+async def airborne(rig: Rig) -> None:
+    await rig.agent.ask(orders.Obtain(), rig.token)
+    await rig.agent.ask(orders.TakeOff(), rig.token)
+
+
+async def mission(rig: Rig, plan: WaypointPlan, *, begun: Callable[[], None] | None = None) -> None:
+    """Upload a plan and let it fly; until it is over where somebody wants to know its begin."""
+    await rig.agent.ask(orders.UploadPlan.of(plan), rig.token)
+    start = orders.StartMission(until_over=begun is not None)
+    await rig.agent.ask(start, rig.token, begun or ignore)
 
 
 @pytest.fixture

@@ -11,13 +11,12 @@ from typing import Any
 import anyio
 import pytest
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient, OwnLoop
 from m100link.apps.agent.connect import by_driver
-from m100link.apps.agent.guided import ChangeHeight
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused
 from m100link.apps.agent.messages import (
     VERSION,
-    Action,
     Hello,
     Message,
     Note,
@@ -25,13 +24,12 @@ from m100link.apps.agent.messages import (
     State,
     Telemetry,
 )
+from m100link.apps.agent.orders import ChangeHeight
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.server import Service
 from m100link.apps.agent.transports import MemoryChannel, memory_channels
 from m100link.errors import GuardRefused, LinkError, M100Error, NoAuthority, TaskRefused
 from m100link.missions.plan import Waypoint, WaypointPlan
-from m100link.protocol.commands.control import Task
-from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import Attitude
 from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.sample import Sample
@@ -87,7 +85,7 @@ async def test_leases_are_seen_by_all(rig: Rig, clients: list[AgentClient]) -> N
     with pytest.raises(LeaseRefused, match="second has control"):
         first.check(lease)
     with pytest.raises(LeaseRefused):
-        await first.renew(lease.token)
+        await first.ask(orders.RenewLease(lease.token))
     await second.release_lease(taken.token)
     assert first.holder.number == 0
 
@@ -95,11 +93,11 @@ async def test_leases_are_seen_by_all(rig: Rig, clients: list[AgentClient]) -> N
 async def test_errors_are_those_of_the_agent(rig: Rig, clients: list[AgentClient]) -> None:
     first, second = clients
     with pytest.raises(LeaseRefused):
-        await first.fly(None, Task.TAKE_OFF)
+        await first.ask(orders.TakeOff(), None)
     lease = await first.acquire("first")
     with pytest.raises(NoAuthority):
-        await first.fly(lease, Task.TAKE_OFF)
-    await first.obtain(lease)
+        await first.ask(orders.TakeOff(), lease)
+    await first.ask(orders.Obtain(), lease)
     begun = anyio.Event()
     async with anyio.create_task_group() as group:
 
@@ -110,14 +108,14 @@ async def test_errors_are_those_of_the_agent(rig: Rig, clients: list[AgentClient
 
         group.start_soon(alive)
         async with anyio.create_task_group() as flight:
-            flight.start_soon(first.fly, lease, Task.TAKE_OFF, begun.set)
+            flight.start_soon(first.ask, orders.TakeOff(), lease, begun.set)
             await begun.wait()
             with pytest.raises(TaskRefused, match="during take off"):
-                await first.fly(lease, Task.LAND)
+                await first.ask(orders.Land(), lease)
             assert second.state.task == "take off"
         group.cancel_scope.cancel()
     with pytest.raises(M100Error, match="no simple task"):
-        await first.start_pattern(lease, 77)
+        await first.ask(orders.FlyPattern(77), lease)
 
 
 async def test_a_refused_setpoint_is_told(rig: Rig, clients: list[AgentClient]) -> None:
@@ -134,7 +132,7 @@ async def test_a_refused_setpoint_is_told(rig: Rig, clients: list[AgentClient]) 
 async def test_letting_go_stops_at_once(rig: Rig, clients: list[AgentClient]) -> None:
     client = clients[0]
     lease = await client.acquire("first")
-    await client.obtain(lease)
+    await client.ask(orders.Obtain(), lease)
     client.let_go(lease)
     assert not client.holds(lease)
     await rig.until(lambda: client.state.holding == "none", within=1.0)
@@ -145,7 +143,7 @@ async def test_a_pilot_who_takes_over_is_told(rig: Rig, clients: list[AgentClien
     lost: list[str] = []
     client.on_authority_taken.append(lambda error: lost.append(error.reason))
     lease = await client.acquire("first")
-    await client.obtain(lease)
+    await client.ask(orders.Obtain(), lease)
     rig.aircraft.leave_f()
     await rig.until(lambda: bool(lost), within=1.0)
     assert lost == ["mode_switch"]
@@ -160,7 +158,7 @@ async def test_a_lost_line_takes_the_values_with_it(rig: Rig, clients: list[Agen
     assert client.telemetry is None
     assert client.state.connection_fault is not None
     with pytest.raises(LinkError):
-        await client.version()
+        await client.ask(orders.AskVersion())
     rig.aircraft.replug()
     await rig.until(lambda: client.is_connected)
     assert client.telemetry is not None
@@ -182,7 +180,7 @@ async def test_an_agent_that_has_gone_is_told_and_everything_grows_old(
 
             async def ask() -> None:
                 with pytest.raises(LinkError, match="has gone: killed"):
-                    await client.version()
+                    await client.ask(orders.AskVersion())
 
             group.start_soon(ask)
             await anyio.sleep(0.1)
@@ -267,22 +265,19 @@ async def test_where_somebody_points_and_the_plan_are_known_to_all(
     first, second = clients
     lease = await first.acquire("first")
     rig.agent.background.spawn(_keeping(first, lease), "keeping")
-    await first.obtain(lease)
-    await first.fly(lease, Task.TAKE_OFF)
+    await first.ask(orders.Obtain(), lease)
+    await first.ask(orders.TakeOff(), lease)
     began: list[bool] = []
-    await first.guide(lease, ChangeHeight(6.0), lambda: began.append(True))
+    await first.ask(ChangeHeight(6.0), lease, lambda: began.append(True))
     assert began == [True]
     assert rig.aircraft.height == pytest.approx(6.0, abs=0.5)
     with pytest.raises(GuardRefused, match="the envelope ends at 50 m"):
-        await first.guide(lease, ChangeHeight(60.0))
+        await first.ask(ChangeHeight(60.0), lease)
     with pytest.raises(LeaseRefused):
-        await second.guide(None, ChangeHeight(5.0))
+        await second.ask(ChangeHeight(5.0), None)
     plan = WaypointPlan([Waypoint(52.1, 4.31, height=20), Waypoint(52.1003, 4.31, height=25)])
-    mission, points = plan.to_wire()
-    await first.ask(Action.MISSION_PLAN, lease, data=mission.value(FIRMWARE_3_1))
-    for point in points:
-        await first.ask(Action.MISSION_POINT, lease, data=point.value(FIRMWARE_3_1))
-    assert second.plan == WaypointPlan.from_wire(mission, points)
+    await first.ask(orders.UploadPlan.of(plan), lease)
+    assert second.plan == orders.UploadPlan.of(plan).plan()
     assert second.plan_by == "first"
     await first.release_lease(lease.token)
     assert [second.plan, second.plan_by] == [None, ""]
@@ -298,31 +293,25 @@ async def test_a_plan_that_cannot_be_read_is_counted(rig: Rig) -> None:
     ours, its = memory_channels()
     async with AgentClient(ours, "front") as client:
         its.open(lambda _: None, lambda _: None)
-        its.send(PlanTold("somebody", b"\x02", (b"\xff",)))
+        its.send(PlanTold("somebody", orders.UploadPlan(b"\x02", (b"\xff",))))
         assert (client.plan, client.unread) == (None, 1)
 
 
 CALLS: dict[str, Callable[[AgentClient, Lease], Awaitable[object]]] = {
     "acquire": lambda c, lease: c.acquire("other"),
-    "activate": lambda c, lease: c.activate(lease),
+    "ask": lambda c, lease: c.ask(orders.Land(), lease),
     "confirm": lambda c, lease: c.confirm("code"),
     "enter": lambda c, lease: entered(c),
-    "fly": lambda c, lease: c.fly(lease, Task.LAND),
     "from_mobile": lambda c, lease: first_of(c.from_mobile(Newest(1))),
-    "guide": lambda c, lease: c.guide(lease, ChangeHeight(9.0)),
     "halt": lambda c, lease: plainly(lambda: c.halt("other", lease)),
     "keep": lambda c, lease: plainly(lambda: c.keep(lease)),
     "leave": lambda c, lease: c.__aexit__(None, None, None),
     "let_go": lambda c, lease: plainly(lambda: c.let_go(lease)),
     "note": lambda c, lease: plainly(lambda: c.note("other")),
-    "obtain": lambda c, lease: c.obtain(lease),
-    "release": lambda c, lease: c.release(lease),
     "reopen": lambda c, lease: plainly(lambda: c.reopen(memory_channels()[0])),
     "samples": lambda c, lease: first_of(c.samples(Newest(1))),
-    "start_pattern": lambda c, lease: c.start_pattern(lease, 1),
     "steer": lambda c, lease: plainly(lambda: c.steer(lease, NORTH.neutral())),
     "stop": lambda c, lease: c.stop(),
-    "version": lambda c, lease: c.version(),
 }
 
 
@@ -343,8 +332,8 @@ async def test_another_event_loop_is_refused_and_the_owner_flies_on(
             await anyio.sleep(0.5)
 
     client.background.spawn(keep(), "lease")
-    await client.obtain(lease)
-    await client.fly(lease, Task.TAKE_OFF)
+    await client.ask(orders.Obtain(), lease)
+    await client.ask(orders.TakeOff(), lease)
     for name, call in CALLS.items():
         client.steer(lease, NORTH)
         told, before = len(rig.agent.journal.events), asyncio.all_tasks()
@@ -354,7 +343,7 @@ async def test_another_event_loop_is_refused_and_the_owner_flies_on(
         assert rig.aircraft.autopilot.received_movements[-1].roll_or_x == NORTH.x, name
         assert client.holds(lease), name
         assert len(rig.agent.journal.events) == told, name
-    await client.release(lease)
+    await client.ask(orders.Release(), lease)
 
 
 async def test_an_agent_that_is_started_again_is_heard_from_then_on(

@@ -7,23 +7,21 @@ import math
 import anyio
 import pytest
 
-from m100link.apps.agent.guided import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedOrder
 from m100link.apps.agent.messages import Limits
+from m100link.apps.agent.orders import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedOrder
 from m100link.apps.agent.preview import preview, preview_plan
 from m100link.errors import GuardRefused
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import Waypoint, WaypointPlan
-from m100link.protocol.commands.control import Task
 from m100link.telemetry.state import AircraftState
-from tests.apps.agent.conftest import Rig
+from tests.apps.agent.conftest import Rig, airborne
 
 pytestmark = pytest.mark.anyio
 
 
 async def hovering(rig: Rig) -> tuple[AircraftState, LocalFrame]:
-    await rig.agent.obtain(rig.token)
-    await rig.agent.fly(rig.token, Task.TAKE_OFF)
-    await rig.agent.guide(rig.token, ChangeHeight(10.0))
+    await airborne(rig)
+    await rig.agent.ask(ChangeHeight(10.0), rig.token)
     state = rig.agent.connection.require_aircraft().state
     assert state.position is not None
     return state, LocalFrame(state.position.latitude_deg, state.position.longitude_deg)

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.agent.messages import Action, Ask
+from m100link.apps.agent import orders
 from m100link.apps.fleet.asking import Asker
 from m100link.apps.fleet.client import open_fleet
 from m100link.apps.fleet.keys import Keys
@@ -33,7 +33,7 @@ pytest.importorskip("zenoh", reason="the extra fleet is not installed")
 
 pytestmark = pytest.mark.pty
 
-STOP = Ask(0, Action.STOP)
+STOP = orders.Stop()
 OLD = "m100link-20260101-000000.mcap"
 SIZE = 1_000_000
 

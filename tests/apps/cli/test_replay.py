@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from m100link.apps.agent.orders import OrderReplay
 from m100link.apps.cli.replay import KEYS, _names, _order
 from m100link.errors import UsageError
 from tests.apps.cli.conftest import CommandLine
@@ -53,9 +54,9 @@ async def test_keys_are_orders_that_a_replay_knows(capsys: pytest.CaptureFixture
             self.orders: list[str] = []
             self.replay = Replays()
 
-        async def order_replay(self, text: str) -> None:
-            self.orders.append(text)
-            if text == "seek 0":
+        async def ask(self, order: OrderReplay) -> None:
+            self.orders.append(order.text)
+            if order.text == "seek 0":
                 raise UsageError("it does not play")
 
     class Station:

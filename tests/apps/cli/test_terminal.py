@@ -27,6 +27,7 @@ from m100link.apps.cli.terminal import (
     read_line,
     speak_to_anybody,
 )
+from m100link.flight.guards import Envelope
 from tests.apps.cli.conftest import ROOT, CommandLine, Simulator
 from tests.apps.cli.terminal import terminal
 from tests.test_house import MODULES, programs, tree
@@ -251,8 +252,12 @@ def test_a_remedy_for_programs_is_told_as_what_is_typed(
 
 @pytest.mark.parametrize("written", _TYPED)
 def test_what_is_told_otherwise_is_what_the_library_says(written: str) -> None:
-    sources = "".join(path.read_text() for path in programs("m100link") if "cli" not in path.parts)
-    assert written in sources
+    said = "".join(path.read_text() for path in programs("m100link") if "cli" not in path.parts)
+    for beyond in ({"height": 1e6}, {"far": 1e6}, {"speed": 1e6}):
+        with pytest.raises(errors.GuardRefused) as caught:
+            Envelope().check("a flight", **beyond)
+        said += caught.value.remedy
+    assert written in said
 
 
 def test_json_has_no_number_that_json_does_not_know(capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,19 +10,11 @@ from itertools import pairwise
 import anyio
 import pytest
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.codec import encode
-from m100link.apps.agent.guided import FlyTo
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.messages import (
-    Action,
-    Ask,
-    Event,
-    LeaseAction,
-    LeaseAsk,
-    Message,
-    Steer,
-    Telemetry,
-)
+from m100link.apps.agent.messages import Event, Steer, Telemetry
+from m100link.apps.agent.orders import FlyTo
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.expiry import Dropped
 from m100link.apps.fleet.keys import Keys
@@ -51,7 +43,7 @@ KEYS = Keys(SITE, "a1")
 NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 
 
-def order(message: Message, fence: int = 0, token: str = "", key: bytes = b"") -> Order:
+def order(message: orders.Order, fence: int = 0, token: str = "", key: bytes = b"") -> Order:
     """Made now: agents on virtual time go by the clock of the loop."""
     now = anyio.current_time()
     made = Order(uuid.uuid4().hex, "a1", "by hand", fence, 1.8e9, encode(message), now, key=key)
@@ -69,9 +61,9 @@ async def send(rig: Rig, what: Order, key: str = KEYS.command) -> Reply:
     return reply
 
 
-def request(action: LeaseAction = LeaseAction.ACQUIRE, offer: str = "") -> LeaseRequest:
-    half = Half()
-    return LeaseRequest(order(LeaseAsk(0, action, token=offer), key=half.public), half)
+def request(offer: str = "") -> LeaseRequest:
+    half, asked = Half(), orders.ConfirmTakeOver(offer) if offer else orders.AcquireLease()
+    return LeaseRequest(order(asked, key=half.public), half)
 
 
 async def lease(rig: Rig, asked: LeaseRequest | None = None) -> Lease:
@@ -88,14 +80,14 @@ async def in_the_air(rig: Rig, one: OnBoard) -> Lease:
             await anyio.sleep(0.5)
 
     one.agent.background.spawn(keeping(), "a pilot")
-    for action in (Action.ACTIVATE, Action.OBTAIN, Action.TAKE_OFF):
-        reply = await send(rig, order(Ask(0, action), got.number, got.token))
+    for action in (orders.Activate(), orders.Obtain(), orders.TakeOff()):
+        reply = await send(rig, order(action, got.number, got.token))
         assert reply.outcome is Outcome.OK
     return got
 
 
 async def keep(rig: Rig, got: Lease) -> Reply:
-    renewal = order(LeaseAsk(0, LeaseAction.RENEW), got.number, got.token)
+    renewal = order(orders.RenewLease(), got.number, got.token)
     return await send(rig, renewal, KEYS.lease)
 
 
@@ -164,9 +156,9 @@ async def test_each_tells_where_it_stands_once_a_second_at_one_of_twenty_moments
 
 async def test_an_order_that_comes_twice_is_carried_out_once(rig: Rig) -> None:
     one = await rig.aircraft("a1", virtual=with_camera())
-    await one.agent.activate()
+    await one.agent.ask(orders.Activate())
     got = await lease(rig)
-    photo = order(Ask(0, Action.TAKE_PHOTO), got.number, got.token)
+    photo = order(orders.UseCamera(orders.CameraUse.PHOTO), got.number, got.token)
     first = await send(rig, photo)
     await anyio.sleep(1.0)
     second = await send(rig, photo)
@@ -174,13 +166,13 @@ async def test_an_order_that_comes_twice_is_carried_out_once(rig: Rig) -> None:
     assert (first.outcome, second.outcome) == (Outcome.OK, Outcome.OK)
     assert (first.is_repeated, second.is_repeated) == (False, True)
     assert one.aircraft.vehicle.camera.photos == 1
-    await send(rig, order(Ask(0, Action.TAKE_PHOTO), got.number, got.token))
+    await send(rig, order(orders.UseCamera(orders.CameraUse.PHOTO), got.number, got.token))
     assert one.aircraft.vehicle.camera.photos == 2
 
 
 async def test_after_a_restart_what_had_begun_is_unknown_and_not_done_again(rig: Rig) -> None:
     ledger = MemoryLedger()
-    task = order(Ask(0, Action.TAKE_OFF))
+    task = order(orders.TakeOff())
     await ledger.begin(task.id)
     await rig.aircraft("a1", ledger=MemoryLedger(ledger))
     reply = await send(rig, task)
@@ -193,7 +185,7 @@ async def test_where_words_of_the_ledger_are_lost_orders_of_before_are_unknown_a
     rig: Rig,
 ) -> None:
     """Each of them may be one of those that were begun."""
-    before = order(Ask(0, Action.TAKE_OFF), 7, "of the agent before")
+    before = order(orders.TakeOff(), 7, "of the agent before")
     await anyio.sleep(1.0)
     damaged = MemoryLedger()
     damaged.damaged = 2
@@ -204,30 +196,30 @@ async def test_where_words_of_the_ledger_are_lost_orders_of_before_are_unknown_a
     [answer] = await rig.network.session().ask(KEYS.status(before.id), timeout=1.0)
     assert unpack(Reply, answer.payload).progress is Progress.NEVER, "it may be sent again"
     assert (await send(rig, before)).outcome is Outcome.UNKNOWN
-    await one.agent.activate()
+    await one.agent.ask(orders.Activate())
     got = await lease(rig)
-    photo = order(Ask(0, Action.TAKE_PHOTO), got.number, got.token)
+    photo = order(orders.UseCamera(orders.CameraUse.PHOTO), got.number, got.token)
     assert (await send(rig, photo)).outcome is Outcome.OK, "it was made after"
     old = replace(photo, id=uuid.uuid4().hex, clock=before.clock).under(got.token)
     assert (await send(rig, old)).outcome is Outcome.UNKNOWN
     assert one.aircraft.vehicle.camera.photos == 1
-    assert (await send(rig, order(Ask(0, Action.STOP)))).outcome is Outcome.OK
+    assert (await send(rig, order(orders.Stop()))).outcome is Outcome.OK
 
 
 async def test_what_the_owner_of_the_aircraft_takes_with_it_is_unknown(rig: Rig) -> None:
     """Not refused: the take-off had begun, and the aircraft goes on with it."""
     one = await rig.aircraft("a1")
     got = await lease(rig)
-    for action in (Action.ACTIVATE, Action.OBTAIN):
-        assert (await send(rig, order(Ask(0, action), got.number, got.token))).outcome is Outcome.OK
-    take_off = order(Ask(0, Action.TAKE_OFF), got.number, got.token)
+    for action in (orders.Activate(), orders.Obtain()):
+        assert (await send(rig, order(action, got.number, got.token))).outcome is Outcome.OK
+    take_off = order(orders.TakeOff(), got.number, got.token)
     await rig.network.session().ask(KEYS.command, pack(take_off), timeout=2.0)
     one.service.close()
     reply = await send(rig, take_off)
     assert reply.outcome is Outcome.UNKNOWN
     assert reply.fault is not None
     assert "may have done it" in reply.fault.seen
-    after = await send(rig, order(Ask(0, Action.STOP)))
+    after = await send(rig, order(orders.Stop()))
     assert after.outcome is Outcome.REFUSED, "nothing was asked any more"
 
 
@@ -239,13 +231,13 @@ async def test_what_was_never_heard_is_told_as_that(rig: Rig) -> None:
 
 async def test_movement_needs_the_lease_and_its_proof(rig: Rig) -> None:
     await rig.aircraft("a1")
-    assert (await send(rig, order(Ask(0, Action.TAKE_OFF)))).outcome is Outcome.STALE_LEASE
+    assert (await send(rig, order(orders.TakeOff()))).outcome is Outcome.STALE_LEASE
     got = await lease(rig)
     for fence, token in ((got.number, "guessed"), (got.number, ""), (got.number + 1, got.token)):
-        reply = await send(rig, order(Ask(0, Action.OBTAIN), fence, token))
+        reply = await send(rig, order(orders.Obtain(), fence, token))
         assert reply.outcome is Outcome.STALE_LEASE
     changed = replace(
-        order(Ask(0, Action.GO_HOME), got.number, got.token), message=encode(Ask(0, Action.OBTAIN))
+        order(orders.GoHome(), got.number, got.token), message=encode(orders.Obtain())
     )
     assert (await send(rig, changed)).outcome is Outcome.STALE_LEASE
 
@@ -253,11 +245,11 @@ async def test_movement_needs_the_lease_and_its_proof(rig: Rig) -> None:
 async def test_stop_and_landing_need_no_lease_and_a_landing_is_shared(rig: Rig) -> None:
     one = await rig.aircraft("a1")
     got = await in_the_air(rig, one)
-    assert (await send(rig, order(Ask(0, Action.STOP)))).outcome is Outcome.OK
+    assert (await send(rig, order(orders.Stop()))).outcome is Outcome.OK
     replies: list[Outcome] = []
 
     async def land() -> None:
-        replies.append((await send(rig, order(Ask(0, Action.LAND)))).outcome)
+        replies.append((await send(rig, order(orders.Land()))).outcome)
 
     async with anyio.create_task_group() as group:
         group.start_soon(land)
@@ -266,7 +258,7 @@ async def test_stop_and_landing_need_no_lease_and_a_landing_is_shared(rig: Rig) 
         assert (await keep(rig, got)).outcome is Outcome.STALE_LEASE
     assert replies == [Outcome.OK, Outcome.OK]
     assert one.height < 0.1
-    assert (await send(rig, order(Ask(0, Action.LAND)))).outcome is Outcome.OK, "it is down"
+    assert (await send(rig, order(orders.Land()))).outcome is Outcome.OK, "it is down"
 
 
 async def far_away(rig: Rig) -> FlyTo:
@@ -278,19 +270,19 @@ async def far_away(rig: Rig) -> FlyTo:
     return FlyTo(latitude_deg=latitude, longitude_deg=longitude, height=3.0, speed=5.0)
 
 
-@pytest.mark.parametrize("revoked_by", [Action.STOP, Action.HALT, "its asker", "time"])
+@pytest.mark.parametrize("revoked_by", [orders.Stop(), orders.Halt(), "its asker", "time"])
 async def test_an_order_that_was_overtaken_is_not_carried_out(
-    rig: Rig, revoked_by: Action | str
+    rig: Rig, revoked_by: orders.Order | str
 ) -> None:
     """It waited in the network, under a lease that is in force all the time."""
     one = await rig.aircraft("a1")
     got = await in_the_air(rig, one)
-    late = order(replace(await far_away(rig), fence=got.number), got.number, got.token)
+    late = order(await far_away(rig), got.number, got.token)
     await anyio.sleep(0.5)
-    if isinstance(revoked_by, Action):
-        assert (await send(rig, order(Ask(0, revoked_by)))).outcome is Outcome.OK
+    if isinstance(revoked_by, orders.Order):
+        assert (await send(rig, order(revoked_by))).outcome is Outcome.OK
     elif revoked_by == "its asker":
-        assert (await send(rig, order(Ask(0, Action.OBTAIN), got.number, got.token))).number == 0
+        assert (await send(rig, order(orders.Obtain(), got.number, got.token))).number == 0
     else:
         await anyio.sleep(5.0)
     reply = await send(rig, late)
@@ -300,7 +292,7 @@ async def test_an_order_that_was_overtaken_is_not_carried_out(
     for _ in range(40):
         await anyio.sleep(0.1)
         assert one.speed < 0.3
-    again = order(replace(await far_away(rig), fence=got.number), got.number, got.token)
+    again = order(await far_away(rig), got.number, got.token)
     await rig.network.session().ask(KEYS.command, pack(again), timeout=2.0)
     await anyio.sleep(2.0)
     assert one.speed > 1.0, "what is asked for now flies"
@@ -309,11 +301,11 @@ async def test_an_order_that_was_overtaken_is_not_carried_out(
 async def test_a_landing_that_nobody_waits_for_is_not_begun_but_any_stop_is_done(rig: Rig) -> None:
     """Both waited before a frozen agent; meanwhile another pilot flies."""
     one = await rig.aircraft("a1")
-    late = {action: order(Ask(0, action)) for action in (Action.LAND, Action.STOP, Action.HALT)}
-    unknown = replace(order(Ask(0, Action.LAND)), clock=0.0)
+    late = {action: order(action) for action in (orders.Land(), orders.Stop(), orders.Halt())}
+    unknown = replace(order(orders.Land()), clock=0.0)
     await anyio.sleep(120.0)
     got = await in_the_air(rig, one)
-    for landing in (late[Action.LAND], unknown):
+    for landing in (late[orders.Land()], unknown):
         reply = await send(rig, landing)
         assert reply.outcome is Outcome.REFUSED
         assert reply.fault is not None
@@ -321,14 +313,14 @@ async def test_a_landing_that_nobody_waits_for_is_not_begun_but_any_stop_is_done
     flying = one.agent.background.spawn(fly(one, got, 6.0), "setpoints")
     await anyio.sleep(5.0)
     assert one.speed > 2.5, "what is refused revokes nothing"
-    for action in (Action.HALT, Action.STOP):
+    for action in (orders.Halt(), orders.Stop()):
         assert (await send(rig, late[action])).outcome is Outcome.OK
     await flying
     await anyio.sleep(3.0)
     assert one.speed < 0.3
     assert one.height > 1.0
     assert one.client.holder.number == got.number
-    assert (await send(rig, order(Ask(0, Action.LAND)))).outcome is Outcome.OK
+    assert (await send(rig, order(orders.Land()))).outcome is Outcome.OK
     assert one.height < 0.1
 
 
@@ -338,12 +330,12 @@ async def test_a_take_off_that_waits_for_the_disk_is_revoked_by_a_landing(rig: R
             await anyio.sleep(1.0)
 
     one = await rig.aircraft("a1", ledger=Slow())
-    await one.agent.activate()
+    await one.agent.ask(orders.Activate())
     got = await lease(rig)
-    await send(rig, order(Ask(0, Action.OBTAIN), got.number, got.token))
-    take_off = order(Ask(0, Action.TAKE_OFF), got.number, got.token)
+    await send(rig, order(orders.Obtain(), got.number, got.token))
+    take_off = order(orders.TakeOff(), got.number, got.token)
     await rig.network.session().ask(KEYS.command, pack(take_off), timeout=2.0)
-    assert (await send(rig, order(Ask(0, Action.LAND)))).outcome is Outcome.OK
+    assert (await send(rig, order(orders.Land()))).outcome is Outcome.OK
     assert (await send(rig, take_off)).outcome is not Outcome.OK
     await anyio.sleep(10.0)
     assert one.height < 0.1
@@ -352,10 +344,10 @@ async def test_a_take_off_that_waits_for_the_disk_is_revoked_by_a_landing(rig: R
 async def test_strangers_reach_neither_disk_nor_memory(rig: Rig) -> None:
     one = await rig.aircraft("a1")
     for identity in ("", "x" * 4000, "ab" * 15 + "/*", "AB" * 16):
-        bad = replace(order(Ask(0, Action.STOP)), id=identity)
+        bad = replace(order(orders.Stop()), id=identity)
         [answer] = await rig.network.session().ask(KEYS.command, pack(bad), timeout=2.0)
         assert unpack(Reply, answer.payload).outcome is Outcome.REFUSED
-    assert (await send(rig, order(Ask(0, Action.TAKE_OFF)))).outcome is Outcome.STALE_LEASE
+    assert (await send(rig, order(orders.TakeOff()))).outcome is Outcome.STALE_LEASE
     assert one.ledger.begun == {}
 
 
@@ -431,17 +423,17 @@ async def test_an_order_for_another_aircraft_and_one_that_is_not_admitted(rig: R
 
     await rig.aircraft("a1", verify=verify)
     for what in (
-        replace(order(Ask(0, Action.STOP)), aircraft="a2"),
-        replace(order(Ask(0, Action.STOP)), by="stranger"),
+        replace(order(orders.Stop()), aircraft="a2"),
+        replace(order(orders.Stop()), by="stranger"),
     ):
         reply = await send(rig, what)
         assert reply.outcome is Outcome.NOT_ALLOWED
-    assert (await send(rig, order(Ask(0, Action.STOP)))).outcome is Outcome.OK
+    assert (await send(rig, order(orders.Stop()))).outcome is Outcome.OK
 
 
 async def test_what_cannot_be_read_is_answered(rig: Rig) -> None:
     await rig.aircraft("a1")
-    for payload in (b"", b"\x02{}", b"\x01" + pack(order(Ask(0, Action.STOP)))[1:]):
+    for payload in (b"", b"\x02{}", b"\x01" + pack(order(orders.Stop()))[1:]):
         [answer] = await rig.network.session().ask(KEYS.command, payload, timeout=1.0)
         reply: Reply = unpack(Reply, answer.payload)
         assert reply.outcome is Outcome.REFUSED
@@ -463,14 +455,14 @@ async def test_stop_is_not_kept_waiting_by_long_orders(rig: Rig) -> None:
     bus = rig.network.session()
     async with anyio.create_task_group() as group:
         for _ in range(1000):
-            long = pack(replace(order(Ask(0, Action.STOP)), by="x" * 60_000))
+            long = pack(replace(order(orders.Stop()), by="x" * 60_000))
             group.start_soon(partial(bus.ask, KEYS.command, long, timeout=1.0))
         await anyio.sleep(0.0)
-        assert (await send(rig, order(Ask(0, Action.STOP)))).outcome is Outcome.OK
+        assert (await send(rig, order(orders.Stop()))).outcome is Outcome.OK
         assert read.index("by hand") <= 1
     await anyio.sleep(2.0)
     assert len(read) < 30, "most of a flood is not read at all"
-    last = replace(order(Ask(0, Action.STOP)), by="x" * 60_000)
+    last = replace(order(orders.Stop()), by="x" * 60_000)
     assert (await send(rig, last)).outcome is Outcome.OK, "one alone is"
 
 
@@ -478,13 +470,13 @@ async def test_a_take_over_that_nobody_waits_for_takes_the_lease_from_nobody(rig
     """It was confirmed, and waited in a network: who confirmed it has given up, and renews none."""
     one = await rig.aircraft("a1")
     got = await in_the_air(rig, one)
-    offer = await send(rig, order(LeaseAsk(0, LeaseAction.TAKE_OVER)), KEYS.lease)
-    late = request(LeaseAction.CONFIRM, offer.offer).order
+    offer = await send(rig, order(orders.AskTakeOver()), KEYS.lease)
+    late = request(offer.offer).order
     await anyio.sleep(6.0)
     reply = await send(rig, late, KEYS.lease)
     assert reply.outcome is Outcome.REFUSED
     assert one.client.holder.number == got.number
-    assert (await lease(rig, request(LeaseAction.CONFIRM, offer.offer))).number > got.number
+    assert (await lease(rig, request(offer.offer))).number > got.number
 
 
 async def test_why_a_setpoint_was_not_flown_is_told_to_no_later_pilot(rig: Rig) -> None:
@@ -493,6 +485,6 @@ async def test_why_a_setpoint_was_not_flown_is_told_to_no_later_pilot(rig: Rig) 
     on = Steer(got.number, anyio.current_time(), 0.2, NORTH)
     rig.network.session().publish(KEYS.setpoint).put(pack_steer(on, got.token, begins=False))
     await rig.until(lambda: one.fleet_agent.dropped[Dropped.BROKEN])
-    offer = await send(rig, order(LeaseAsk(0, LeaseAction.TAKE_OVER)), KEYS.lease)
-    other = await lease(rig, request(LeaseAction.CONFIRM, offer.offer))
+    offer = await send(rig, order(orders.AskTakeOver()), KEYS.lease)
+    other = await lease(rig, request(offer.offer))
     assert (await keep(rig, other)).fault is None

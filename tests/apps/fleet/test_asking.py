@@ -10,8 +10,8 @@ from typing import cast
 import anyio
 import pytest
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.messages import Action, Ask, Message
 from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.bus.network import Answer, Bus, Question
 from m100link.apps.fleet.asking import PATIENCE_S, STEP_S, Asker, Questions, believed, clocks_told
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.anyio
 NOT_DONE = (Outcome.REFUSED, Outcome.STALE_LEASE, Outcome.NOT_ALLOWED, Outcome.UNREACHABLE)
 
 
-async def asked(one: Asker, message: Message, lease: Lease) -> Outcome:
+async def asked(one: Asker, message: orders.Order, lease: Lease) -> Outcome:
     try:
         await one.ask(message, fence=lease.number, token=lease.token)
     except M100Error as error:
@@ -40,7 +40,7 @@ async def asked(one: Asker, message: Message, lease: Lease) -> Outcome:
 async def test_at_most_once_and_never_a_false_ok(rig: Rig, seed: int) -> None:
     """Forty orders; the aircraft itself counts what was done."""
     one, pilot = await rig.aircraft("a1", virtual=with_camera()), await rig.pilot(patience=2.0)
-    await one.agent.activate()
+    await one.agent.ask(orders.Activate())
     camera, outcomes, wrong = one.aircraft.vehicle.camera, Counter[Outcome](), []
     asker = pilot["a1"].asker
     rig.network.seed(seed)
@@ -50,7 +50,7 @@ async def test_at_most_once_and_never_a_false_ok(rig: Rig, seed: int) -> None:
         lease, _ = await asker.take_lease(asker.lease_request())
         before = camera.photos
         rig.network.weather = Weather(loss=0.2, repeat=0.3, delay_s=0.01, jitter_s=0.3)
-        outcome = await asked(asker, Ask(0, Action.TAKE_PHOTO), lease)
+        outcome = await asked(asker, orders.UseCamera(orders.CameraUse.PHOTO), lease)
         rig.network.weather = Weather()
         await anyio.sleep(2.0)
         done = camera.photos - before
@@ -117,12 +117,12 @@ async def test_an_order_that_never_arrives_is_not_sent_for_ever(rig: Rig) -> Non
 async def test_an_answer_that_cannot_be_read_is_no_refusal(rig: Rig) -> None:
     """The one who gives it may have done what was asked, as here."""
     one, pilot = await rig.aircraft("a1", virtual=with_camera()), await rig.pilot()
-    await one.agent.activate()
+    await one.agent.ask(orders.Activate())
     asker = pilot["a1"].asker
     lease, _ = await asker.take_lease(asker.lease_request())
     other = rig.network.session()
     other.serve("m100/*/a1/cmd", lambda question: question.answer("m100/x/a1/cmd", b"\x09{}"))
-    photo = Ask(0, Action.TAKE_PHOTO)
+    photo = orders.UseCamera(orders.CameraUse.PHOTO)
     assert await asked(pilot["a1"].asker, photo, lease) is Outcome.OK, "one of two can be read"
     for outlet in list(rig.network.takers("serve", "m100/*/a1/cmd")):
         if outlet.session is one.bus:
@@ -252,7 +252,7 @@ async def test_over_zenoh_a_strangers_word_is_no_outcome(anyio_backend: str) -> 
         await until(lambda: "a1" in fleet.present)
 
         async def asked() -> Outcome:
-            return (await fleet.each(lambda one: one.asker.ask(Ask(0, Action.STOP)), ["a1"]))[
+            return (await fleet.each(lambda one: one.asker.ask(orders.Stop()), ["a1"]))[
                 "a1"
             ].outcome
 

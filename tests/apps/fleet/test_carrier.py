@@ -8,15 +8,15 @@ from contextlib import asynccontextmanager
 import anyio
 import pytest
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.guided import FlyTo
 from m100link.apps.agent.lease import Lease, LeaseHeld
 from m100link.apps.agent.messages import LeaseChanged, State, Topic
+from m100link.apps.agent.orders import FlyTo
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.payloads import pack
 from m100link.errors import LinkError, M100Error, StaleLease
-from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.fleet.conftest import SITE, Rig
@@ -57,14 +57,14 @@ async def test_it_takes_off_flies_to_a_place_and_lands(rig: Rig) -> None:
         assert far.holds(lease)
         assert one.client.holder.name == "anna: console 1"
         far.background.spawn(kept(far, lease), "page")
-        await far.activate(lease)
-        await far.obtain(lease)
-        await far.fly(lease, Task.TAKE_OFF)
+        await far.ask(orders.Activate(), lease)
+        await far.ask(orders.Obtain(), lease)
+        await far.ask(orders.TakeOff(), lease)
         assert one.height > 1.0
         here = place(far)
-        await far.guide(lease, FlyTo(here.latitude_deg, here.longitude_deg, 6.0))
+        await far.ask(FlyTo(here.latitude_deg, here.longitude_deg, 6.0), lease)
         assert one.height == pytest.approx(6.0, abs=0.5)
-        await far.fly(lease, Task.LAND)
+        await far.ask(orders.Land(), lease)
         assert one.height < 0.1
         await far.release_lease(lease.token)
         await rig.until(lambda: far.holder.number == 0, within=3.0)
@@ -80,9 +80,9 @@ async def kept(far: AgentClient, lease: Lease) -> None:
 async def flying(far: AgentClient, *, is_kept: bool = True) -> Lease:
     lease = await far.acquire("console 1")
     page = far.background.spawn(kept(far, lease), "page")
-    await far.activate(lease)
-    await far.obtain(lease)
-    await far.fly(lease, Task.TAKE_OFF)
+    await far.ask(orders.Activate(), lease)
+    await far.ask(orders.Obtain(), lease)
+    await far.ask(orders.TakeOff(), lease)
     if not is_kept:
         page.cancel()
     return lease
@@ -91,12 +91,12 @@ async def flying(far: AgentClient, *, is_kept: bool = True) -> Lease:
 async def test_it_is_activated_by_anybody_while_nobody_has_control(rig: Rig) -> None:
     one = await rig.served("a1")
     async with front(rig, await rig.pilot("anna")) as far:
-        await far.activate()
+        await far.ask(orders.Activate())
         assert one.client.state.is_activated
         lease = await one.client.acquire("who is on board")
         await rig.until(lambda: far.holder.number == lease.number)
         with pytest.raises(StaleLease):
-            await far.activate()
+            await far.ask(orders.Activate())
 
 
 async def test_setpoints_fly_and_expire_when_they_stop(rig: Rig) -> None:
@@ -188,7 +188,7 @@ async def test_stop_and_landing_need_no_lease(rig: Rig) -> None:
             with pytest.raises(LeaseHeld):
                 await other.acquire("console 1")
             with pytest.raises(StaleLease):
-                await other.fly(None, Task.TAKE_OFF)
+                await other.ask(orders.TakeOff(), None)
             await other.stop()
             offer = await other.ask_take_over("console 1")
             assert offer.from_name == "anna: console 1"
@@ -260,7 +260,7 @@ async def test_however_much_waits_for_answers_stop_goes_out(rig: Rig) -> None:
 
 async def wasted(far: AgentClient, lease: Lease, here: Position) -> None:
     with pytest.raises(M100Error):
-        await far.guide(lease, FlyTo(here.latitude_deg, here.longitude_deg, 6.0))
+        await far.ask(FlyTo(here.latitude_deg, here.longitude_deg, 6.0), lease)
 
 
 async def test_what_a_stranger_tells_of_the_lease_does_not_cost_its_holder_the_proof(
@@ -275,7 +275,7 @@ async def test_what_a_stranger_tells_of_the_lease_does_not_cost_its_holder_the_p
         await rig.until(lambda: far.holds(lease), within=2.0)
         await steered(far, lease, 3.0)
         assert one.speed > 2.0
-        await far.fly(lease, Task.LAND)
+        await far.ask(orders.Land(), lease)
         assert one.height < 0.1
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.messages import Action, Ask
+from m100link.apps.agent import orders
 from m100link.apps.fleet.client import Change, FleetAircraft
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.payloads import Card, Outcome, pack
@@ -174,7 +174,7 @@ async def test_what_became_of_an_order_is_told_when_the_way_is_there_again(
 ) -> None:
     """What answers is lost for longer than three questions wait."""
     one, pilot = await rig.aircraft("a1", virtual=with_camera()), await rig.pilot()
-    await one.agent.activate()
+    await one.agent.ask(orders.Activate())
     asker = pilot["a1"].asker
     lease, _ = await asker.take_lease(asker.lease_request())
 
@@ -186,7 +186,9 @@ async def test_what_became_of_an_order_is_told_when_the_way_is_there_again(
 
     async with anyio.create_task_group() as group:
         group.start_soon(break_off)
-        await asker.ask(Ask(0, Action.TAKE_PHOTO), fence=lease.number, token=lease.token)
+        await asker.ask(
+            orders.UseCamera(orders.CameraUse.PHOTO), fence=lease.number, token=lease.token
+        )
     assert one.aircraft.vehicle.camera.photos == 1
 
 

@@ -7,9 +7,9 @@ import asyncio
 import anyio
 import pytest
 
-from m100link.apps.agent.guided import FlyTo
+from m100link.apps.agent import orders
 from m100link.apps.agent.lease import LeaseHeld
-from m100link.apps.agent.messages import Action, Ask, Message
+from m100link.apps.agent.orders import FlyTo
 from m100link.errors import GuardRefused, M100Error, OutcomeUnknown, StaleLease, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.setpoint import Setpoint
@@ -105,7 +105,7 @@ async def test_a_lease_that_is_lost_before_the_block_begins_is_told(rig: Rig) ->
 async def test_a_lease_that_nobody_waits_for_any_more_is_not_granted(rig: Rig) -> None:
     one, pilot, other = await rig.aircraft("a1"), await rig.pilot(patience=1.0), await rig.pilot()
     asker = pilot["a1"].asker
-    await asker.ask(Ask(0, Action.VERSION))  # its clock is known now
+    await asker.ask(orders.AskVersion())  # its clock is known now
     rig.network.weather = Weather(delay_s=5.5)
     with pytest.raises(OutcomeUnknown):
         await asker.take_lease(asker.lease_request())
@@ -190,13 +190,13 @@ async def test_each_verb_asks_for_what_it_says_under_its_lease(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """None of them is answered here: what was asked is looked at."""
-    asked: list[Message] = []
+    asked: list[orders.Order] = []
     await rig.aircraft("a1")
     pilot = await rig.pilot()
     async with pilot["a1"].control() as control:
         fence = control.fence
 
-        async def ask(message: Message, *_: object, **__: object) -> None:
+        async def ask(message: orders.Order, *_: object, **__: object) -> None:
             asked.append(message)
 
         with monkeypatch.context() as patch:
@@ -210,9 +210,9 @@ async def test_each_verb_asks_for_what_it_says_under_its_lease(
             await control.stop()
     assert fence > 0
     assert asked == [
-        Ask(0, Action.TAKE_OFF, fence),
-        Ask(0, Action.LAND, fence),
-        Ask(0, Action.GO_HOME, fence),
-        FlyTo(52.1, -4.3, height=7.5, speed=3.25, yaw_deg=-120.0, fence=fence),
-        Ask(0, Action.STOP),
+        orders.TakeOff(),
+        orders.Land(),
+        orders.GoHome(),
+        FlyTo(52.1, -4.3, height=7.5, speed=3.25, yaw_deg=-120.0),
+        orders.Stop(),
     ]

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from m100link.apps.agent.orders import Right
 from m100link.apps.fleet.identity import (
     STOP_WINDOW_S,
     WINDOW_S,
@@ -19,7 +20,6 @@ from m100link.apps.fleet.identity import (
     Gate,
     OrderRefused,
     Reason,
-    Right,
     Rights,
     Signer,
 )

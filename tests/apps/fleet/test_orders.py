@@ -5,71 +5,13 @@ from __future__ import annotations
 import anyio
 import pytest
 
-from m100link.apps.agent.guided import FlyTo
-from m100link.apps.agent.messages import Action, Ask, LeaseAction, LeaseAsk, Message
+from m100link.apps.agent import orders
 from m100link.apps.fleet.client import Fleet, FleetAircraft
-from m100link.apps.fleet.orders import acquires, is_kept, lands, moves, renews, revokes, takes
 from m100link.apps.fleet.payloads import Outcome
 from m100link.errors import M100Error
 from tests.apps.fleet.conftest import OnBoard, Rig
 
 pytestmark = pytest.mark.anyio
-
-
-DOES = {
-    "lands": lands,
-    "revokes": revokes,
-    "moves": moves,
-    "takes": takes,
-    "acquires": acquires,
-    "renews": renews,
-    "is_kept": is_kept,
-}
-
-
-def does(message: Message, *asked: str) -> set[str]:
-    """Which of these `m100link/apps/fleet/orders.py` says of it."""
-    return {name for name in asked if DOES[name](message)}
-
-
-@pytest.mark.parametrize(
-    ("message", "expected"),
-    [
-        (Ask(1, Action.LAND), {"lands", "revokes"}),
-        (Ask(1, Action.STOP), {"revokes"}),
-        (Ask(1, Action.HALT), {"revokes"}),
-        (Ask(1, Action.TAKE_OFF), {"moves"}),
-        (Ask(1, Action.GO_HOME), {"moves"}),
-        (Ask(1, Action.MISSION_START), {"moves"}),
-        (FlyTo(52.0, 4.3, 10.0), {"moves"}),
-        (LeaseAsk(1, LeaseAction.ACQUIRE), {"moves", "acquires"}),
-        (LeaseAsk(1, LeaseAction.TAKE_OVER), {"moves"}),
-        (LeaseAsk(1, LeaseAction.CONFIRM), {"moves", "takes"}),
-        (LeaseAsk(1, LeaseAction.RENEW), {"renews"}),
-        (LeaseAsk(1, LeaseAction.RELEASE), set()),
-    ],
-)
-def test_what_a_message_does(message: Message, expected: set[str]) -> None:
-    asked = ("lands", "revokes", "moves", "takes", "acquires", "renews")
-    assert does(message, *asked) == expected
-
-
-# What m100link/apps/fleet/orders.py says of an order that needs no lease.
-WITHOUT_LEASE = {
-    Action.STOP: {"revokes"},
-    Action.HALT: {"revokes"},
-    Action.LAND: {"lands", "revokes"},
-    Action.VERSION: set[str](),
-}
-
-
-@pytest.mark.parametrize("action", Action, ids=lambda one: one.name)
-def test_an_action_moves_and_is_done_once_unless_it_is_named(action: Action) -> None:
-    """By hand: what nobody thought of is treated as the most dangerous order."""
-    found = does(Ask(1, action), "lands", "revokes", "moves", "is_kept")
-    assert found == WITHOUT_LEASE.get(action, {"moves", "is_kept"}), (
-        f"orders.py says that {action.name} {sorted(found)}: WITHOUT_LEASE of this file says not"
-    )
 
 
 async def take_off(pilot: Fleet, outcomes: list[Outcome]) -> None:
@@ -81,7 +23,7 @@ async def take_off(pilot: Fleet, outcomes: list[Outcome]) -> None:
 async def test_who_takes_off_is_landed(rig: Rig, after: float) -> None:
     """As the order is heard, as the motors start, and in the climb."""
     one, pilot, other = await rig.aircraft("a1"), await rig.pilot(), await rig.pilot("other")
-    await one.agent.activate()
+    await one.agent.ask(orders.Activate())
     await anyio.sleep(1.0)
     outcomes: list[Outcome] = []
     async with anyio.create_task_group() as group:

@@ -25,7 +25,8 @@ from cryptography.x509.verification import (
     VerificationError,
 )
 
-from m100link.apps.fleet.identity import BadRevoked, Right, Rights, Signer
+from m100link.apps.agent.orders import Right
+from m100link.apps.fleet.identity import BadRevoked, Rights, Signer
 from m100link.apps.fleet.pki import (
     AUTHORITY_DAYS,
     ISSUED_DAYS,

@@ -12,8 +12,9 @@ import anyio
 import pytest
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
-from m100link.apps.agent.codec import decode, encode
-from m100link.apps.agent.messages import Action, Ask, LeaseAction, LeaseAsk, Steer
+from m100link.apps.agent import orders
+from m100link.apps.agent.codec import decode_order, encode
+from m100link.apps.agent.messages import Steer
 from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.bus.network import Answer, Question
 from m100link.apps.fleet.agent import FleetAgent
@@ -126,9 +127,10 @@ async def test_a_listener_is_told_no_secret_and_flies_nothing_with_what_it_hears
             await anyio.sleep(1.0)
         await rig.until(lambda: one.speed < 0.2)
         heard = list(listener.heard)
-        orders = listener.orders()
-        assert {LeaseAction.ACQUIRE, LeaseAction.RENEW} <= lease_actions(orders)
-        for key, order in orders:
+        sent = listener.orders()
+        said = {type(decode_order(order.message)) for _, order in sent}
+        assert {orders.AcquireLease, orders.RenewLease} <= said
+        for key, order in sent:
             await listener.ask(KEYS.status(order.id))
             await listener.ask(key, pack(order))
         moves = one.aircraft.vehicle.flight.dynamics
@@ -154,16 +156,11 @@ async def test_a_listener_is_told_no_secret_and_flies_nothing_with_what_it_hears
         assert one.client.holder.number == number
 
 
-def lease_actions(orders: list[tuple[str, Order]]) -> set[LeaseAction]:
-    found = [decode(order.message) for _, order in orders]
-    return {one.action for one in found if isinstance(one, LeaseAsk)}
-
-
 async def test_renewals_that_were_heard_renew_nothing_when_the_pilot_is_gone(rig: Rig) -> None:
     one = await rig.aircraft("a1")
     got, said = await lease(rig), []
     for _ in range(6):
-        said.append(order(LeaseAsk(0, LeaseAction.RENEW), got.number, got.token))
+        said.append(order(orders.RenewLease(), got.number, got.token))
         assert (await send(rig, said[-1], KEYS.lease)).outcome is Outcome.OK
         await anyio.sleep(0.5)
     gone_at = anyio.current_time()
@@ -177,7 +174,7 @@ async def test_renewals_that_were_heard_renew_nothing_when_the_pilot_is_gone(rig
 async def test_a_renewal_of_long_ago_renews_nothing_when_its_id_is_forgotten(rig: Rig) -> None:
     one = await rig.aircraft("a1")
     got = await lease(rig)
-    old = order(LeaseAsk(0, LeaseAction.RENEW), got.number, got.token)
+    old = order(orders.RenewLease(), got.number, got.token)
     for _ in range(12):
         await anyio.sleep(0.5)
         assert (await keep(rig, got)).outcome is Outcome.OK
@@ -189,13 +186,12 @@ async def test_a_renewal_of_long_ago_renews_nothing_when_its_id_is_forgotten(rig
 async def test_renewal_and_release_need_the_proof(rig: Rig) -> None:
     one = await rig.aircraft("a1")
     got = await lease(rig)
-    for action in (LeaseAction.RENEW, LeaseAction.RELEASE):
+    for ask in (orders.RenewLease(got.token), orders.ReleaseLease(got.token)):
         for fence, token in (
             (got.number, ""),
             (got.number, "guessed"),
             (got.number + 1, got.token),
         ):
-            ask = LeaseAsk(0, action, token=got.token)
             reply = await send(rig, order(ask, fence, token), KEYS.lease)
             assert reply.outcome is Outcome.STALE_LEASE
     assert one.client.holder.number == got.number
@@ -262,7 +258,7 @@ async def test_another_order_of_the_same_id_gives_no_outcome(rig: Rig, is_first:
     asks = rig.network.session()
 
     async def squat(found: Order) -> None:
-        ask = encode(Ask(0, Action.STOP))
+        ask = encode(orders.Stop())
         mine = Order(found.id, "a1", "bert", 0, rig.utc(), ask, signer="bert")
         signed = signing(BERT)(mine)
         await asks.ask(KEYS.command, pack(signed), timeout=2.0)

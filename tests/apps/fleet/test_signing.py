@@ -10,15 +10,14 @@ from pathlib import Path
 import anyio
 import pytest
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.codec import encode
-from m100link.apps.agent.guided import FlyTo
-from m100link.apps.agent.messages import Action, Ask, LeaseAction, LeaseAsk
 from m100link.apps.fleet.asking import Sign
 from m100link.apps.fleet.client import Fleet, FleetAircraft
-from m100link.apps.fleet.identity import STOP_WINDOW_S, Right, Rights, Signer
+from m100link.apps.fleet.identity import STOP_WINDOW_S, Rights, Signer
 from m100link.apps.fleet.logs.words import LogQuestion, What, pack_question
 from m100link.apps.fleet.payloads import Order, Outcome, Progress, Reply, pack, unpack
-from m100link.apps.fleet.signing import read_signer, right_for, signing, tls_options, verifying
+from m100link.apps.fleet.signing import read_signer, signing, tls_options, verifying
 from m100link.errors import NotAllowed, UsageError
 from tests.apps.fleet.conftest import SITE, UTC, Rig
 
@@ -73,7 +72,7 @@ async def test_the_reason_is_what_the_pilot_reads(rig: Rig) -> None:
         assert caught.value.remedy
 
 
-def order(message: Ask, at: float, name: str = "a1", number: int = 1) -> Order:
+def order(message: orders.Order, at: float, name: str = "a1", number: int = 1) -> Order:
     return Order(f"{number:032x}", name, "anna", 0, at, encode(message))
 
 
@@ -86,18 +85,18 @@ async def asked(fleet: Fleet, given: Order, name: str = "a1") -> Reply:
 async def test_what_a_recorder_sends_on_changes_or_keeps_is_refused(rig: Rig) -> None:
     pilots = await fleet_of(rig)
     recorder, sign = pilots[""], signing(ANNA)
-    given = sign(order(Ask(1, Action.VERSION), rig.utc()))
+    given = sign(order(orders.AskVersion(), rig.utc()))
     assert (await asked(recorder, given)).outcome is Outcome.OK
     again = await asked(recorder, given)  # the agent tells what became of it, and does nothing
     assert (again.outcome, again.is_repeated) == (Outcome.OK, True)
     await anyio.sleep(10.0)
-    late = sign(order(Ask(1, Action.LAND), rig.utc(), number=9))  # by no clock of the agent
+    late = sign(order(orders.Land(), rig.utc(), number=9))  # by no clock of the agent
     for is_repeated in (False, True):  # a network brings it twice: it is late, not forbidden
         refused = await asked(recorder, late)
         assert (refused.outcome, refused.is_repeated) == (Outcome.REFUSED, is_repeated)
-    fresh = sign(order(Ask(1, Action.VERSION), rig.utc(), number=2))
+    fresh = sign(order(orders.AskVersion(), rig.utc(), number=2))
     for changed, name in (
-        (replace(fresh, message=encode(Ask(1, Action.TAKE_OFF))), "a1"),
+        (replace(fresh, message=encode(orders.TakeOff())), "a1"),
         (replace(fresh, at=fresh.at + 1), "a1"),
         (replace(fresh, by="eve"), "a1"),
         (replace(fresh, fence=9), "a1"),
@@ -115,26 +114,15 @@ async def test_a_wrong_clock_keeps_nobody_from_stopping(rig: Rig) -> None:
     pilots = await fleet_of(rig)
     for number, (action, off, outcome) in enumerate(
         (
-            (Action.VERSION, -60.0, Outcome.NOT_ALLOWED),
-            (Action.STOP, -60.0, Outcome.OK),
-            (Action.STOP, 60.0, Outcome.OK),
-            (Action.STOP, STOP_WINDOW_S + 60, Outcome.NOT_ALLOWED),
+            (orders.AskVersion(), -60.0, Outcome.NOT_ALLOWED),
+            (orders.Stop(), -60.0, Outcome.OK),
+            (orders.Stop(), 60.0, Outcome.OK),
+            (orders.Stop(), STOP_WINDOW_S + 60, Outcome.NOT_ALLOWED),
         )
     ):
-        given = signing(ANNA)(order(Ask(1, action), UTC + rig.utc() - UTC + off, number=number))
+        given = signing(ANNA)(order(action, UTC + rig.utc() - UTC + off, number=number))
         reply = await asked(pilots[""], given)
         assert (reply.progress, reply.outcome) == (Progress.DONE, outcome)
-
-
-def test_what_each_message_needs() -> None:
-    """By hand: what ends movement is stopping, and what is not named here is flying."""
-    stops = {Action.STOP, Action.HALT, Action.LAND}
-    for action in Action:
-        expected = Right.STOP if action in stops else Right.FLY
-        expected = Right.WATCH if action is Action.VERSION else expected
-        assert right_for(Ask(1, action)) is expected
-    assert right_for(LeaseAsk(1, LeaseAction.RELEASE)) is Right.FLY
-    assert right_for(FlyTo(52.0, 4.0, 5.0)) is Right.FLY
 
 
 def test_keys_and_certificates_are_those_of_the_folder(tmp_path: Path) -> None:

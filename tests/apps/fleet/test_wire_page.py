@@ -19,7 +19,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
-from m100link.apps.agent.messages import LeaseAction, LeaseAsk
+from m100link.apps.agent.orders import ORDERS, AskVersion, Ending, LeaseOrder
 from m100link.apps.agent.remote_error import Fault
 from m100link.apps.bus.network import Bus, fits
 from m100link.apps.fleet.identity import Rights
@@ -94,28 +94,22 @@ class Foreigner:
         return told["number"], hmac.digest(shared, about, "sha256").hex()
 
 
-def action(name: str, fence: int = 0) -> dict[str, Any]:
-    rest = {"fence": fence, "number": 0, "data": "", "text": ""}
-    return {"kind": "Ask", "id": 0, "action": name} | rest
-
-
 async def test_by_the_page_alone_somebody_flies_and_stops(rig: Rig) -> None:
     one = await rig.aircraft("a1", verify=verifying(RIGHTS, ["a1"], rig.utc))
     session = rig.network.session()
     nobody, anna = (Foreigner(session, rig.utc, name) for name in ("", "anna"))
     assert (await anna.ask("state"))["connection"] == "connected"
-    refused = await nobody.do("cmd", action("stop"))
+    refused = await nobody.do("cmd", {"kind": "Stop"})
     assert (refused["outcome"], refused["fault"]["kind"]) == ("not_allowed", "NotAllowed")
-    assert (await anna.do("cmd", action("stop")))["outcome"] == "ok"
-    asked = {"kind": "LeaseAsk", "id": 0, "action": "acquire", "name": "Jürgen", "token": ""}
-    lease = await anna.lease(asked)
-    for name in ("activate", "obtain", "take_off"):
+    assert (await anna.do("cmd", {"kind": "Stop"}))["outcome"] == "ok"
+    lease = await anna.lease({"kind": "AcquireLease", "name": "Jürgen"})
+    for name in ("Activate", "Obtain", "TakeOff"):
         clock = await anna.clock()
-        await anna.do("lease", asked | {"action": "renew"}, lease=lease, clock=clock)
-        told = await anna.do("cmd", action(name, lease[0]), lease=lease, clock=clock)
+        await anna.do("lease", {"kind": "RenewLease", "token": ""}, lease=lease, clock=clock)
+        told = await anna.do("cmd", {"kind": name}, lease=lease, clock=clock)
         assert told["outcome"] == "ok", told
         # A take-off takes longer than a lease that nobody renews.
-        if name == "obtain":
+        if name == "Obtain":
             one.agent.desk.lifetime = 30.0
     setpoints = session.publish(f"m100/{SITE}/a1/setpoint")
     ahead = await anna.clock() - anyio.current_time()
@@ -126,10 +120,10 @@ async def test_by_the_page_alone_somebody_flies_and_stops(rig: Rig) -> None:
         setpoints.put(b"\x02" + hmac.digest(lease[1].encode(), data, "sha256")[:16] + data)
         await anyio.sleep(0.05)
     assert one.speed > 2.5
-    assert (await anna.do("cmd", action("stop")))["outcome"] == "ok"
-    late = await anna.do("cmd", action("land"))
+    assert (await anna.do("cmd", {"kind": "Stop"}))["outcome"] == "ok"
+    late = await anna.do("cmd", {"kind": "Land"})
     assert late["outcome"] == "refused", "by no clock"
-    told = await anna.do("cmd", action("land"), clock=await anna.clock())
+    told = await anna.do("cmd", {"kind": "Land"}, clock=await anna.clock())
     assert told["outcome"] == "ok"
     assert one.height < 0.1
 
@@ -171,14 +165,20 @@ TOLD = {
     "the key Keys.status": "`status/<id>`",
     **{
         f"{kind.__name__} {name}": name
-        for kind in (Order, Reply, Fault, LogQuestion, LogReply, LogEntry, LeaseAsk)
+        for kind in (Order, Reply, Fault, LogQuestion, LogReply, LogEntry)
         for name in names(kind)
         if name not in ("name", "id")  # words of the page whatever it tells
     },
     **{
         f"{kind.__name__} {name}": name
-        for kind in (Outcome, Progress, What, LeaseAction)
+        for kind in (Outcome, Progress, What)
         for name in names(kind)
+    },
+    # The page on the agent lists the others.
+    **{
+        f"the order {name}": name
+        for name, one in ORDERS.items()
+        if issubclass(one, LeaseOrder | Ending | AskVersion)
     },
 }
 
@@ -205,7 +205,7 @@ def test_the_page_names_every_key_and_field() -> None:
     [
         ("revoked", "the key Keys.revoked"),
         ("is_repeated", "Reply is_repeated"),
-        ("take_over", "LeaseAction take_over"),
+        ("AskTakeOver", "the order AskTakeOver"),
         ("again_s", "LogReply again_s"),
     ],
 )

@@ -9,6 +9,7 @@ from contextlib import AsyncExitStack
 import anyio
 import pytest
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.transports import memory_channels
@@ -68,7 +69,7 @@ async def test_a_wait_of_a_mission_ends_with_control(
     await rig.until(lambda: rig.aircraft.position[0] > 9.0 and rig.speed < 0.1)
     await anyio.sleep(3.0)
     lease = await take_over(page)
-    await page.obtain(lease)
+    await page.ask(orders.Obtain(), lease)
     await anyio.sleep(1.0)
     await page.release_lease(lease.token)
     await rig.until(lambda: not page.holder.number)
@@ -161,7 +162,7 @@ async def test_who_takes_over_is_not_flown_against(
         group.start_soon(lambda: streams(ground, 40.0, vx=3.0))
         await rig.until(lambda: rig.speed > 2.0)
         lease = await take_over(page)
-        await page.obtain(lease)
+        await page.ask(orders.Obtain(), lease)
         for _ in range(100):
             await anyio.sleep(0.1)
             page.keep(lease)
@@ -198,10 +199,10 @@ async def test_a_flight_that_was_taken_over_does_not_go_on(
         assert await ground.ask(Command.DO_ORBIT, *args) is Result.ACCEPTED
     await anyio.sleep(2.0)
     lease = await take_over(page)
-    await page.obtain(lease)
+    await page.ask(orders.Obtain(), lease)
     if wish in ("rtl", "land"):  # what the autopilot flies is on its way down, and stays there
         await page.stop()
-        await page.obtain(lease)
+        await page.ask(orders.Obtain(), lease)
     for _ in range(60):
         await anyio.sleep(0.1)
         page.keep(lease)
@@ -217,7 +218,7 @@ async def test_a_page_that_is_closed_leaves_a_hover_and_the_ground_station_lands
 ) -> None:
     await ground.fly(5.0)
     lease = await take_over(page)
-    await page.obtain(lease)
+    await page.ask(orders.Obtain(), lease)
     for _ in range(40):
         page.steer(lease, SPEED)
         await anyio.sleep(0.05)
@@ -234,7 +235,7 @@ async def test_a_ground_station_that_is_lost_does_not_halt_the_page(
 ) -> None:
     await ground.fly(5.0)
     lease = await take_over(page)
-    await page.obtain(lease)
+    await page.ask(orders.Obtain(), lease)
     ground.is_silent = True
     for _ in range(200):
         page.steer(lease, SPEED)

@@ -16,6 +16,7 @@ import pytest
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease
+from m100link.apps.agent.orders import Obtain
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.bus.network import Question, Received, TokenChange
 from m100link.apps.ros2.control import IDLE_S
@@ -439,7 +440,7 @@ class World:
                     self.console_lease = await self.console.acquire("the console")
                 self.told("console has the lease")
                 self.ended(True)
-                await self.console.obtain(self.console_lease)
+                await self.console.ask(Obtain(), self.console_lease)
                 self.anew()
                 self.console_steers = self.random.random() < 0.5
                 self.told(f"console has control, steers: {self.console_steers}")

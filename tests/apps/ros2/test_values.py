@@ -17,13 +17,10 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.guided import ChangeHeight, FlyTo, GuidedFlight
+from m100link.apps.agent import orders
 from m100link.apps.agent.messages import (
-    Action,
     Ask,
     Event,
-    LeaseAction,
-    LeaseAsk,
     LeaseChanged,
     Limits,
     MissionTold,
@@ -31,6 +28,7 @@ from m100link.apps.agent.messages import (
     Steer,
     Telemetry,
 )
+from m100link.apps.agent.orders import FlyTo, GuidedFlight
 from m100link.apps.ros2.actions import FLIGHTS
 from m100link.apps.ros2.graph import data_key
 from m100link.apps.ros2.publishers import ALL_OUTPUTS
@@ -55,17 +53,17 @@ from tests.apps.ros2.conftest import UTC
 from tests.apps.ros2.known import KnownRig
 from tests.apps.ros2.test_actions import Client
 from tests.known import (
-    GIMBAL_ANGLE,
-    GIMBAL_SPEED,
     LATITUDE,
     LONGITUDE,
     MISSION,
     POINT,
     STICKS_ALONE,
+    angles,
     felt,
     in_body,
     position,
     quaternion,
+    rates,
 )
 
 NAN = math.nan
@@ -593,7 +591,7 @@ def test_a_setpoint_is_not_flown_while_something_else_is(state: State) -> None:
     assert steered("~/cmd_vel", twist(), state) == []
 
 
-def orders(*calls: tuple[str, dict[str, Any]]) -> list[Any]:
+def ordered(*calls: tuple[str, dict[str, Any]]) -> list[Any]:
     """What the agent is asked when a program calls these services."""
 
     async def call(rig: KnownRig) -> None:
@@ -601,7 +599,7 @@ def orders(*calls: tuple[str, dict[str, Any]]) -> list[Any]:
             answer = await rig.program.call(name, SERVICES[name].kind, **request)
             assert answer["success"], answer
 
-    return [one for one in asked(call).known.heard if isinstance(one, Ask)]
+    return asked(call).known.asked(Ask)
 
 
 def test_while_a_goal_flies_no_setpoint_does() -> None:
@@ -645,8 +643,12 @@ def test_the_gimbal_turns_about_the_axes_of_the_body() -> None:
         rig.program.publish("~/gimbal_speed", {"header": head, "vector": vector})
 
     [ask] = asked(turn).known.asked(Ask)
-    assert ask.action is Action.GIMBAL_RATES
-    assert struct.unpack(GIMBAL_SPEED, ask.data) == (-400, 50, -200, 0x80)
+    assert rates(ask) == (
+        -400,
+        50,
+        -200,
+        0x80,
+    )
 
 
 # Bit 0 is absolute; bits 1 to 3 leave yaw, roll, pitch alone.
@@ -666,31 +668,37 @@ def test_the_gimbal_points_where_degrees_say(
 ) -> None:
     flags = dict.fromkeys(("is_relative", "keep_yaw", "keep_pitch", "keep_roll"), False)
     request = {"yaw": -110.5, "pitch": -41.5, "roll": 12.5, "duration": 2.5, **flags, **changed}
-    [ask] = orders(("~/point_gimbal", request))
-    assert ask.action is Action.GIMBAL_ANGLES
-    assert struct.unpack(GIMBAL_ANGLE, ask.data) == (-1105, 125, -415, mode, tenths)
+    [ask] = ordered(("~/point_gimbal", request))
+    assert angles(ask) == (
+        -1105,
+        125,
+        -415,
+        mode,
+        tenths,
+    )
 
 
 TRIGGERS = {
-    "~/land": Action.LAND,
-    "~/go_home": Action.GO_HOME,
-    "~/takeoff": Action.TAKE_OFF,
-    "~/arm": Action.ARM,
-    "~/disarm": Action.DISARM,
-    "~/stop": Action.STOP,
-    "~/take_photo": Action.TAKE_PHOTO,
-    "~/start_video": Action.START_VIDEO,
-    "~/stop_video": Action.STOP_VIDEO,
-    "~/mission/pause": Action.MISSION_PAUSE,
-    "~/mission/resume": Action.MISSION_RESUME,
-    "~/mission/stop": Action.MISSION_STOP,
-    "~/obtain_control": Action.OBTAIN,
+    "~/land": orders.Land(),
+    "~/go_home": orders.GoHome(),
+    "~/takeoff": orders.TakeOff(),
+    "~/arm": orders.SwitchMotors(on=True),
+    "~/disarm": orders.SwitchMotors(on=False),
+    "~/stop": orders.Stop(),
+    "~/take_photo": orders.UseCamera(orders.CameraUse.PHOTO),
+    "~/start_video": orders.UseCamera(orders.CameraUse.START_VIDEO),
+    "~/stop_video": orders.UseCamera(orders.CameraUse.STOP_VIDEO),
+    "~/mission/pause": orders.PauseMission(),
+    "~/mission/resume": orders.ResumeMission(),
+    "~/mission/stop": orders.StopMission(),
+    "~/obtain_control": orders.Obtain(),
 }
 
 
 @pytest.mark.parametrize("name", TRIGGERS)
 def test_a_trigger_asks_for_what_it_says(name: str) -> None:
-    found = [one.action for one in orders((name, {})) if one.action is not Action.HALT]
+    asks = [one.order for one in ordered((name, {}))]
+    found = [one for one in asks if not isinstance(one, orders.Halt)]
     assert found == [TRIGGERS[name]]
 
 
@@ -698,10 +706,7 @@ def test_control_is_given_back_when_it_is_asked_for() -> None:
     async def release(rig: KnownRig) -> None:
         assert (await rig.program.call("~/release_control"))["success"]
 
-    given = asked(release).known.asked(LeaseAsk)
-    assert [one.action for one in given if one.action is not LeaseAction.RENEW] == [
-        LeaseAction.RELEASE
-    ]
+    assert asked(release).known.asked(orders.ReleaseLease) == [orders.ReleaseLease("token")]
 
 
 def mission_point(**changed: Any) -> dict[str, Any]:
@@ -755,17 +760,13 @@ def test_a_mission_is_uploaded_as_it_was_asked_for(
     points = PLAN["points"]
     if "trace" in changed:  # rounded corners have no actions
         points = [one | {"actions": []} for one in PLAN["points"]]  # type: ignore[attr-defined]
-    mission, *others = orders(("~/mission/upload", PLAN | {"points": points} | changed))
-    assert [mission.action, *(one.action for one in others)] == [
-        Action.MISSION_PLAN,
-        *[Action.MISSION_POINT] * 3,
-    ]
-    assert struct.unpack(MISSION, mission.data)[:9] == expected
+    [upload] = ordered(("~/mission/upload", PLAN | {"points": points} | changed))
+    assert struct.unpack(MISSION, upload.order.mission)[:9] == expected
 
 
 def test_a_point_is_uploaded_as_it_was_asked_for() -> None:
-    _, *asks = orders(("~/mission/upload", PLAN))
-    first, second, third = (struct.unpack(POINT, one.data) for one in asks)
+    [upload] = ordered(("~/mission/upload", PLAN))
+    first, second, third = (struct.unpack(POINT, one) for one in upload.order.points)
     place = (math.radians(-33.1), math.radians(151.2))
     assert first[:3] == (0, *(pytest.approx(one, abs=1e-12) for one in place))
     # height, damping, heading, gimbal, turn (1: against the clock), has actions
@@ -798,10 +799,10 @@ def test_a_number_that_stands_for_nothing_is_not_uploaded(changed: dict[str, Any
     assert asked(upload).known.asked(Ask) == []
 
 
-@pytest.mark.parametrize(("take_off", "number"), [(True, 1), (False, 0)])
-def test_a_mission_takes_off_when_it_is_asked_to(take_off: bool, number: int) -> None:
-    [ask] = orders(("~/mission/start", {"take_off": take_off}))
-    assert (ask.action, ask.number) == (Action.MISSION_START, number)
+@pytest.mark.parametrize("take_off", [True, False])
+def test_a_mission_takes_off_when_it_is_asked_to(take_off: bool) -> None:
+    [ask] = ordered(("~/mission/start", {"take_off": take_off}))
+    assert ask.order == orders.StartMission(take_off=take_off)
 
 
 def flown(name: str, goal: dict[str, Any], seconds: float = 0.5) -> list[Any]:
@@ -811,15 +812,16 @@ def flown(name: str, goal: dict[str, Any], seconds: float = 0.5) -> list[Any]:
         assert (await Client(rig).ask_goal(name, **goal))["accepted"]
         await anyio.sleep(seconds)
 
-    heard = asked(send).known.heard
-    return [one for one in heard if isinstance(one, Ask | FlyTo | ChangeHeight)]
+    found = asked(send).known.asked(Ask)
+    assert {one.fence for one in found} <= {0, 7}
+    return [one.order for one in found]
 
 
 def test_a_flight_goes_where_degrees_and_metres_say() -> None:
     goal = {"latitude": -33.5, "longitude": 151.75, "height": 17.5, "speed": 3.5}
     [order] = flown("~/fly_to", goal)
     assert (order.latitude_deg, order.longitude_deg) == (-33.5, 151.75)
-    assert (order.height, order.speed, order.yaw_deg, order.fence) == (17.5, 3.5, None, 7)
+    assert (order.height, order.speed, order.yaw_deg) == (17.5, 3.5, None)
     [order] = flown("~/fly_to", goal | {"speed": 0.0})
     assert order.speed == 5.0
 
@@ -830,7 +832,7 @@ def test_a_flight_goes_where_degrees_and_metres_say() -> None:
 def test_a_take_off_climbs_to_the_height_above_it(height: float, climb: list[float]) -> None:
     """The known aircraft is 12.34 m high: less than 0.3 m of that is there already."""
     first, *others = flown("~/take_off", {"height": height})
-    assert first.action is Action.TAKE_OFF
+    assert first == orders.TakeOff()
     assert [one.height for one in others] == climb
 
 
@@ -841,8 +843,8 @@ def test_a_way_is_flown_point_by_point_with_its_waits() -> None:
     ]
     goal = {"waypoints": points, "speed": 3.5}
     assert [one.height for one in flown("~/fly_mission", goal, 0.6)] == [17.5]
-    orders = flown("~/fly_mission", goal, 1.3)
-    assert [(one.latitude_deg, one.longitude_deg, one.speed) for one in orders] == [
+    legs = flown("~/fly_mission", goal, 1.3)
+    assert [(one.latitude_deg, one.longitude_deg, one.speed) for one in legs] == [
         (-33.5, 151.75, 3.5),
         (-33.25, 151.5, 3.5),
     ]

@@ -10,6 +10,7 @@ from typing import Any
 import anyio
 import pytest
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.server.agent import Agent
@@ -110,7 +111,7 @@ class Rig:
                 await anyio.sleep(0.01)
 
     async def activated(self) -> None:
-        await self.agent.activate()
+        await self.agent.ask(orders.Activate())
 
     async def open(self, name: str = "page") -> FakeClient:
         """A client that activated and opened control."""

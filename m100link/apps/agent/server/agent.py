@@ -8,15 +8,16 @@ control authority goes back.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
-from typing import Self
+from collections.abc import Callable
+from typing import Any, NamedTuple, Self
 
-from m100link.aircraft import Aircraft, AircraftCamera
+from m100link.aircraft import Aircraft
+from m100link.apps.agent import orders
 from m100link.apps.agent.background import BackgroundTasks
-from m100link.apps.agent.guided import SETPOINT_LIFETIME, GuidedOrder
 from m100link.apps.agent.journal import Journal
-from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseDesk
-from m100link.apps.agent.messages import Topic
+from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseDesk, TakeOver
+from m100link.apps.agent.messages import PlanTold, Topic
+from m100link.apps.agent.orders import ORDERS, SETPOINT_LIFETIME, Needs, Order
 from m100link.apps.agent.server.authority import (
     Activation,
     Holding,
@@ -25,17 +26,15 @@ from m100link.apps.agent.server.authority import (
     Inherited,
 )
 from m100link.apps.agent.server.connection import Connect, Connection
-from m100link.apps.agent.server.flight import MissionOrder, Pattern, ignore
-from m100link.apps.agent.server.replays import Replays
+from m100link.apps.agent.server.flight import Flying, ignore, pattern
+from m100link.apps.agent.server.replays import Replays, refused
 from m100link.errors import GuardRefused, UsageError
 from m100link.flight.guards import Envelope, Guards
 from m100link.flight.missions.hotpoint import HotpointFlight
 from m100link.flight.missions.waypoint import WaypointFlight
-from m100link.missions.plan import WaypointPlan
-from m100link.protocol.commands.activation import Credentials, Version
+from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.commands.control import Task
-from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
-from m100link.protocol.commands.hotpoint import HotpointStart
+from m100link.protocol.commands.gimbal import GimbalAngleMode
 from m100link.protocol.setpoint import Setpoint
 
 LONGEST_KEPT = 60.0
@@ -107,6 +106,10 @@ class Agent:
         #: Called after each change with the reason, the lease in force, or None, and what was
         #: flown for the one before.
         self.on_lease: list[Callable[[LeaseChange, Lease | None, Flown], None]] = []
+        self.plan = PlanTold()  #: the plan that waits to be started under the lease, or flies
+        self.on_plan: list[
+            Callable[[PlanTold], None]
+        ] = []  #: called with each, and when it is void
         self.connection.on_aircraft.append(self._aircraft_changed)
 
     @property
@@ -120,7 +123,7 @@ class Agent:
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        await self._give_back()
+        await self.give_back()
         await self.background.end()
 
     def _aircraft_changed(self, aircraft: Aircraft | None) -> None:
@@ -154,6 +157,7 @@ class Agent:
             self.holding.feed(HoldingInput.LET_GO)
         for callback in self.on_lease:
             callback(why, new, flown)
+        self.upload(PlanTold())  # nobody flies what somebody else left
         if new is not None:
             whom = f" from {old.name}" if old is not None else ""
             self.journal.note(f"{new.name} has control ({why.value}{whom})")
@@ -187,91 +191,34 @@ class Agent:
         if after is not HoldingState.RELEASING:
             self._end_unclaimed("it was lost meanwhile")
 
-    def _renewed(self, token: str) -> Lease:
-        return self.desk.renew(token, self.now)
+    # -- orders ----------------------------------------------------------------------------------
 
-    # -- what the aircraft is asked --------------------------------------------------------------
+    async def ask(
+        self, order: Order, token: str = "", accepted: Callable[[], None] = ignore
+    ) -> Answer:
+        """Do what an order asks for; ``accepted`` is called when the aircraft has begun.
 
-    async def activate(self, token: str | None = None) -> Version:
-        """Activate the aircraft. Needs the lease, or that nobody holds it.
-
-        Raises:
-            UsageError: The agent has no credentials.
-            LeaseRefused: Another client has control.
-            ActivationRefused, AckTimeout, LinkError: See each class.
-        """
-        if self.desk.holder(self.now) is not None:
-            self.desk.check(token or "", self.now)
-        return await self.activation.activate(self.connection.require_aircraft())
-
-    async def version(self) -> Version:
-        """The version of the aircraft; it was asked for lately, whoever wants to know it.
+        Returns what was asked for, where that is something.
 
         Raises:
-            AckTimeout, LinkError: See each class.
+            LeaseRefused: It needs the lease, and the token is not in force.
+            M100Error: What the aircraft, the guards or the order itself do not allow. Nothing was
+                sent, or the error says that it was.
         """
-        aircraft = self.connection.require_aircraft()
-        return self.connection.version or await aircraft.version()
+        if order.needs is Needs.LEASE:
+            self.desk.renew(token, self.now)
+        elif order.needs is Needs.LEASE_IF_HELD and self.desk.holder(self.now) is not None:
+            self.desk.check(token, self.now)
+        doing = HANDLERS[type(order)](Call(self, token, accepted), order)
+        answer: Answer = doing if order.is_at_once else await doing
+        return answer
 
-    async def send_to_mobile(self, token: str, data: bytes) -> None:
-        """Send up to 100 bytes to the app on the pilot's phone.
-
-        Raises:
-            LeaseRefused, PayloadTooLarge, CommandRefused, AckTimeout, LinkError: See each class.
-        """
-        self._renewed(token)
-        await self.connection.require_aircraft().send_to_mobile(data)
-
-    async def order_replay(self, text: str) -> None:
-        """Move, stop or go on with a recording; anybody may.
-
-        Raises:
-            UsageError: It is not one, or there is no such order.
-        """
-        if self.replay is None:
-            raise UsageError("this is not a replay", remedy="m100link replay FILE")
-        await self.replay.order(text)
-
-    def _camera_of(self, token: str | None) -> Aircraft:
-        """The aircraft, for what needs no authority: for the holder of the lease, or without one.
-
-        Raises:
-            LeaseRefused, LinkError: Another client has control; there is no aircraft.
-        """
-        if self.desk.holder(self.now) is not None:
-            self.desk.check(token or "", self.now)
-        return self.connection.require_aircraft()
-
-    async def move_gimbal(self, token: str | None, command: GimbalAngle | GimbalSpeed) -> None:
-        """Point or turn the gimbal; done when it is sent.
-
-        Raises:
-            LeaseRefused, NotActivated, LevelTooLow, CommandNotSupported, UsageError, LinkError:
-                Nothing was sent.
-        """
-        gimbal = self._camera_of(token).gimbal
-        if isinstance(command, GimbalSpeed):
-            await gimbal.set_angular_rates(
-                yaw=command.yaw_deg_s, pitch=command.pitch_deg_s, roll=command.roll_deg_s
-            )
-            return
-        mode = command.mode
-        await gimbal.set_angles(
-            yaw=None if mode & GimbalAngleMode.KEEP_YAW else command.yaw_deg,
-            pitch=None if mode & GimbalAngleMode.KEEP_PITCH else command.pitch_deg,
-            roll=None if mode & GimbalAngleMode.KEEP_ROLL else command.roll_deg,
-            seconds=command.duration_s,
-            relative=not mode & GimbalAngleMode.ABSOLUTE,
-        )
-
-    async def use_camera(
-        self, token: str | None, use: Callable[[AircraftCamera], Awaitable[None]]
-    ) -> None:
-        """Take a photograph, start or stop video; done when it is sent.
-
-        Raises: as :meth:`move_gimbal`.
-        """
-        await use(self._camera_of(token).camera)
+    def upload(self, plan: PlanTold) -> None:
+        """Keep the plan that may be started under the lease in force, and tell it."""
+        if plan != self.plan:
+            self.plan = plan
+            for callback in self.on_plan:
+                callback(plan)
 
     # -- control authority -----------------------------------------------------------------------
 
@@ -282,7 +229,6 @@ class Agent:
             LeaseRefused: The token is not in force.
             AuthorityRefused, NotActivated, NoAuthority, LinkError, AckTimeout: See each class.
         """
-        self._renewed(token)
         aircraft = self.connection.require_aircraft()
         await self._inherited.settle()
         await self.holding.settle()
@@ -290,16 +236,8 @@ class Agent:
         self._is_stopped = False
         await self.holding.obtain(aircraft)
 
-    async def release(self, token: str) -> None:
-        """Give control authority back; the lease stays.
-
-        Raises:
-            LeaseRefused: The token is not in force.
-        """
-        self._renewed(token)
-        await self._give_back()
-
-    async def _give_back(self) -> None:
+    async def give_back(self) -> None:
+        """Give control authority back; the lease stays."""
         self._claim()
         self.halt()
         self.holding.let_go()
@@ -315,7 +253,7 @@ class Agent:
             GuardRefused: STOP was pressed, and nothing has begun anew since; or see below.
             NoAuthority, GuardRefused, UsageError: See :meth:`m100link.Control.send`.
         """
-        self._renewed(token)
+        self.desk.renew(token, self.now)
         if self._is_stopped:
             raise GuardRefused(
                 "STOP was pressed; setpoints that go on are not flown",
@@ -351,123 +289,161 @@ class Agent:
         self.halt("stop")
         if is_in_task or self._unclaimed is not None:
             self.journal.note("control authority is given back to end the task", "warning")
-            await self._give_back()
+            await self.give_back()
 
-    async def fly(self, token: str, task: Task, accepted: Callable[[], None] = ignore) -> None:
-        """Take off, land or go home; accepted when begun, done when seen to be done.
 
-        Raises:
-            LeaseRefused: The token is not in force.
-            NoAuthority, TaskRefused, TaskFailed, NotObserved, AckTimeout: See each class.
-        """
-        self._renewed(token)
-        await self.holding.require().fly(task, accepted)
+# -- what an agent does for each order -------------------------------------------------------------
 
-    async def guide(
-        self, token: str, order: GuidedOrder, accepted: Callable[[], None] = ignore
-    ) -> None:
-        """Fly to where somebody points; done when it is there, and the newest one wins.
+Answer = tuple[str, int] | Lease | TakeOver | None
+"""What an order gives: a text and a number, a lease, or what confirms a take-over."""
 
-        It ends, and the aircraft hovers, when whoever asked for it loses the lease, when a stick is
-        moved, by :meth:`halt`, and when anything else is asked for.
 
-        Raises:
-            LeaseRefused: The token is not in force.
-            MissionRunning, TaskRefused: A mission or a task flies the aircraft.
-            NotObserved: Something else ended it, or it did not arrive in time.
-            GuardRefused, NoAuthority, TelemetryStalled, UsageError: See
-                :meth:`m100link.Control.fly_to`.
-        """
-        self._renewed(token)
-        await self.holding.require().guide(order, accepted)
+class Call(NamedTuple):
+    """Who asks, and for what an order is carried out."""
 
-    async def fly_mission(
-        self,
-        token: str,
-        plan: WaypointPlan,
-        *,
-        take_off: bool = False,
-        begun: Callable[[], None] | None = None,
-    ) -> None:
-        """Upload a plan and let the aircraft fly it by itself; done when it has begun.
+    agent: Agent
+    token: str  # proof of the lease; empty without one
+    accepted: Callable[[], None]  # called when the aircraft has begun
 
-        It is stopped when whoever asked for it loses the lease, by :meth:`halt` and by
-        :meth:`stop`. Should this process die, **it flies on**. With ``begun``, which is called when
-        it has begun, this is done when the mission is over.
+    @property
+    def aircraft(self) -> Aircraft:
+        """The aircraft. Raises LinkError: it is not connected."""
+        return self.agent.connection.require_aircraft()
 
-        Raises:
-            LeaseRefused, GuardRefused, NoAuthority, MissionRefused, MissionRunning, AckTimeout,
-            LinkError, NotObserved, MissionAborted: See each class; the last two with ``begun``.
-        """
-        self._renewed(token)
-        await self.holding.require().start_mission(plan, take_off=take_off, begun=begun)
+    @property
+    def flying(self) -> Flying:
+        """What flies. Raises NoAuthority: control authority is not held."""
+        return self.agent.holding.require()
 
-    async def fly_hotpoint(self, token: str, request: HotpointStart) -> None:
-        """Let the aircraft fly around a place by itself; done when it has begun.
+    @property
+    def desk(self) -> LeaseDesk:
+        """Who grants leases. Raises OnlyRecorded: nobody gets one of a replay."""
+        if self.agent.replay is not None:
+            raise refused()
+        return self.agent.desk
 
-        Raises: as :meth:`fly_mission`.
-        """
-        self._renewed(token)
-        await self.holding.require().start_hotpoint(request)
 
-    async def set_hotpoint(
-        self, token: str, *, radius: float | None = None, rate: float | None = None
-    ) -> None:
-        """Change the circle that is flown, or turn the nose back. Sent, and not waited for.
+async def _activate(call: Call, _: orders.Activate) -> None:
+    await call.agent.activation.activate(call.aircraft)
 
-        Args:
-            token: Proof of the lease.
-            radius: m.
-            rate: Degrees per second, clockwise positive.
 
-        Raises:
-            UsageError: Out of range, or no circle is flown.
-            LeaseRefused, NoAuthority, GuardRefused, MissionAborted: See each class.
-        """
-        self._renewed(token)
-        flight = self.holding.require().mission.flight(HotpointFlight)
-        if radius is not None:
-            await flight.set_radius(radius, wait=False)
-        elif rate is not None:
-            await flight.set_rate(abs(rate), clockwise=rate > 0, wait=False)
-        else:
-            await flight.reset_heading()
+async def _version(call: Call, _: orders.AskVersion) -> Answer:
+    aircraft = call.aircraft  # whoever wants to know it, it was asked for lately
+    version = call.agent.connection.version or await aircraft.version()
+    return version.name, version.crc
 
-    async def order_mission(self, token: str, what: MissionOrder) -> None:
-        """Pause, resume or stop the mission that flies, whoever started it.
 
-        Raises: as :meth:`fly_mission`.
-        """
-        self._renewed(token)
-        await self.holding.require().order_mission(what)
+async def _point_gimbal(call: Call, order: orders.PointGimbal) -> None:
+    angles, mode = order.angles, order.angles.mode
+    await call.aircraft.gimbal.set_angles(
+        yaw=None if mode & GimbalAngleMode.KEEP_YAW else angles.yaw_deg,
+        pitch=None if mode & GimbalAngleMode.KEEP_PITCH else angles.pitch_deg,
+        roll=None if mode & GimbalAngleMode.KEEP_ROLL else angles.roll_deg,
+        seconds=angles.duration_s,
+        relative=not mode & GimbalAngleMode.ABSOLUTE,
+    )
 
-    async def set_mission_speed(self, token: str, speed: float) -> float:
-        """Change the speed of the mission that flies, m/s; returns the one in force.
 
-        Raises:
-            UsageError: Beyond the plan's greatest speed, or no mission flies.
-            LeaseRefused, NoAuthority, MissionRefused, AckTimeout: See each class.
-        """
-        self._renewed(token)
-        return await self.holding.require().mission.flight(WaypointFlight).set_speed(speed)
+async def _turn_gimbal(call: Call, order: orders.TurnGimbal) -> None:
+    rates = order.rates
+    await call.aircraft.gimbal.set_angular_rates(
+        yaw=rates.yaw_deg_s, pitch=rates.pitch_deg_s, roll=rates.roll_deg_s
+    )
 
-    async def switch_motors(self, token: str, *, on: bool) -> None:
-        """Start or stop the motors on the ground.
 
-        Raises:
-            LeaseRefused: The token is not in force.
-            NoAuthority, GuardRefused, TaskRefused, TelemetryStalled, AckTimeout: See each class.
-        """
-        self._renewed(token)
-        await self.holding.require().switch_motors(on=on)
+async def _order_replay(call: Call, order: orders.OrderReplay) -> None:
+    if call.agent.replay is None:
+        raise UsageError("this is not a replay", remedy="m100link replay FILE")
+    await call.agent.replay.order(order.text)
 
-    def start_pattern(self, token: str, name: str, fly: Pattern) -> None:
-        """Let a program fly, until it ends, the stick is moved, or anything stops it.
 
-        Raises:
-            LeaseRefused: The token is not in force.
-            NoAuthority: Control authority is not held.
-            MissionRunning: A mission flies.
-        """
-        self._renewed(token)
-        self.holding.require().start_pattern(name, fly)
+async def _fly_pattern(call: Call, order: orders.FlyPattern) -> None:
+    call.flying.start_pattern(f"simple task {order.number}", pattern(order.number))
+
+
+async def _upload_plan(call: Call, order: orders.UploadPlan) -> Answer:
+    agent = call.agent
+    agent.upload(PlanTold())  # the one before is void, whatever comes of this one
+    try:
+        plan = order.plan()
+    except ValueError as error:
+        raise UsageError(
+            f"what was uploaded is no plan that can be flown: {error}",
+            cause="whoever uploaded it is of another release",
+            remedy="install the same release on both sides",
+        ) from None
+    name = agent.desk.check(call.token, agent.now).name
+    agent.journal.note(f"{name} uploaded a plan of {len(plan.waypoints)} waypoints")
+    agent.upload(PlanTold(name, order))
+    return order.digest, 0
+
+
+async def _start_mission(call: Call, order: orders.StartMission) -> None:
+    uploaded = call.agent.plan.plan
+    if uploaded is None:
+        raise UsageError(
+            "no plan was uploaded under this lease", remedy="upload it again, then start"
+        )
+    if order.digest not in ("", uploaded.digest):
+        raise UsageError(
+            "the plan that is to start is not the one on board; nothing was started",
+            cause="another one was uploaded since",
+            remedy="upload it again, then start",
+        )
+    begun = call.accepted if order.until_over else None
+    await call.flying.start_mission(uploaded.plan(), take_off=order.take_off, begun=begun)
+
+
+async def _set_speed(call: Call, order: orders.SetMissionSpeed) -> Answer:
+    flight = call.flying.mission.flight(WaypointFlight)
+    return "", round(await flight.set_speed(order.speed) * 1000)
+
+
+def _circle(call: Call) -> HotpointFlight:
+    return call.flying.mission.flight(HotpointFlight)
+
+
+HANDLERS: dict[type[Order], Callable[[Call, Any], Any]] = {
+    # A lease of a replay cannot be had, and be given back all the same.
+    orders.ReleaseLease: lambda call, one: call.agent.desk.release(one.token, call.agent.now),
+    orders.AcquireLease: lambda call, one: call.desk.acquire(one.name, call.agent.now),
+    orders.RenewLease: lambda call, one: call.desk.renew(one.token, call.agent.now),
+    orders.AskTakeOver: lambda call, one: call.desk.ask_take_over(one.name, call.agent.now),
+    orders.ConfirmTakeOver: lambda call, one: call.desk.confirm(one.token, call.agent.now),
+    orders.Halt: lambda call, one: call.agent.halt(one.why, call.token),
+    orders.Stop: lambda call, _: call.agent.stop(),
+    orders.Activate: _activate,
+    orders.AskVersion: _version,
+    orders.Obtain: lambda call, _: call.agent.obtain(call.token),
+    orders.Release: lambda call, _: call.agent.give_back(),
+    orders.TakeOff: lambda call, _: call.flying.fly(Task.TAKE_OFF, call.accepted),
+    orders.Land: lambda call, _: call.flying.fly(Task.LAND, call.accepted),
+    orders.GoHome: lambda call, _: call.flying.fly(Task.GO_HOME, call.accepted),
+    orders.SwitchMotors: lambda call, one: call.flying.switch_motors(on=one.on),
+    orders.FlyPattern: _fly_pattern,
+    **dict.fromkeys(
+        orders.GuidedOrder.__args__, lambda call, one: call.flying.guide(one, call.accepted)
+    ),
+    # Needs no authority: whoever flies also looks where it flies. Done when it is sent.
+    orders.PointGimbal: _point_gimbal,
+    orders.TurnGimbal: _turn_gimbal,
+    orders.UseCamera: lambda call, one: getattr(call.aircraft.camera, one.use.value)(),
+    orders.SendToMobile: lambda call, one: call.aircraft.send_to_mobile(one.data),
+    orders.OrderReplay: _order_replay,
+    orders.UploadPlan: _upload_plan,
+    orders.StartMission: _start_mission,
+    orders.StopMission: lambda call, _: call.flying.order_mission("stop"),
+    orders.PauseMission: lambda call, _: call.flying.order_mission("pause"),
+    orders.ResumeMission: lambda call, _: call.flying.order_mission("resume"),
+    orders.SetMissionSpeed: _set_speed,
+    orders.StartHotpoint: lambda call, one: call.flying.start_hotpoint(one.circle),
+    orders.SetHotpointRadius: lambda call, one: _circle(call).set_radius(one.radius, wait=False),
+    orders.SetHotpointRate: lambda call, one: _circle(call).set_rate(
+        abs(one.rate), clockwise=one.rate > 0, wait=False
+    ),
+    orders.ResetHotpointHeading: lambda call, _: _circle(call).reset_heading(),
+}
+"""What is done for each order, by its class; of an order that is at once, without waiting."""
+
+if _without := [name for name, kind in ORDERS.items() if kind not in HANDLERS]:
+    raise TypeError(f"no row of HANDLERS in {__name__} for {', '.join(_without)}")

@@ -10,23 +10,18 @@ from typing import Any, Literal
 
 import anyio
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.background import BackgroundTasks
-from m100link.apps.agent.guided import (
-    ANGLE_MODE,
-    SETPOINT_LIFETIME,
-    VELOCITY_MODE,
-    ChangeHeading,
-    ChangeHeight,
-    FlyAround,
-    FlyTo,
-    GuidedFlight,
-    GuidedOrder,
-    name_of,
-    setpoint_of,
-)
 from m100link.apps.agent.journal import Journal
 from m100link.apps.agent.lease import Flown
 from m100link.apps.agent.messages import Limits
+from m100link.apps.agent.orders import (
+    ANGLE_MODE,
+    SETPOINT_LIFETIME,
+    VELOCITY_MODE,
+    GuidedOrder,
+    setpoint_of,
+)
 from m100link.apps.agent.preview import preview
 from m100link.apps.agent.server.mission import FlyingMission
 from m100link.errors import GuardRefused, M100Error, NotObserved, TaskRefused, UsageError
@@ -235,7 +230,7 @@ class Flying:
 
     async def guide(self, order: GuidedOrder, accepted: Callable[[], None] = ignore) -> None:
         """Fly to where somebody points; done when it is there. Ends a program; the newest wins."""
-        name = name_of(order)
+        name = order.label
         if self.task is not None:
             raise TaskRefused(
                 f"a {name} was asked for during {self.task}", remedy="wait for its end, or stop it"
@@ -280,17 +275,14 @@ class Flying:
         control, own = self._control, self.mission
         if own.is_flying and what == "stop":
             await own.stop()
-            return
-        if own.is_flying:
+        elif own.is_flying:
             # Every kind of mission will do: the class is only compared with, never made.
             flight: MissionFlight = own.flight(MissionFlight)  # type: ignore[type-abstract]
             await (flight.pause() if what == "pause" else flight.resume())
-            return
-        await {
-            "pause": control.pause_mission,
-            "resume": control.resume_mission,
-            "stop": control.stop_mission,
-        }[what]()
+        elif what == "stop":
+            await control.stop_mission()
+        else:
+            await (control.pause_mission() if what == "pause" else control.resume_mission())
 
     # -- the end ---------------------------------------------------------------------------------
 
@@ -367,7 +359,7 @@ class Guiding:
         """Fly there; done when it is there. What flew before ends."""
         self.end("another place was pointed at")
         flight = self._flight = _Flight(order, accepted)
-        work = flight.work = self._background.spawn(self._run(flight), name_of(order))
+        work = flight.work = self._background.spawn(self._run(flight), order.label)
         self._works.add(work)
         work.add_done_callback(self._works.discard)
         try:
@@ -376,12 +368,12 @@ class Guiding:
             if work.cancelled():
                 state = ", and the aircraft hovers" if flight.hovers else ""
                 why = flight.ended_because or "the agent ends"
-                raise NotObserved(f"the {name_of(order)} was ended{state}: {why}") from None
+                raise NotObserved(f"the {order.label} was ended{state}: {why}") from None
             self.end("nobody waits for it")
             raise
 
     async def _run(self, flight: _Flight) -> None:
-        name = name_of(flight.order)
+        name = flight.order.label
         ended, level = f"{name} is done", "info"
         try:
             before = self._works - {asyncio.current_task()}
@@ -406,12 +398,12 @@ class Guiding:
         def progress(found: GuidanceProgress) -> None:
             is_first, flight.progress = flight.progress is None, found
             if is_first:
-                self._journal.note(f"{name_of(order)} begins")
+                self._journal.note(f"{order.label} begins")
                 flight.accepted()
 
         expected = preview(order, control.state, Limits()).seconds
         timeout = _PATIENCE_S + _PATIENCE * expected
-        if isinstance(order, FlyTo):
+        if isinstance(order, orders.FlyTo):
             await control.fly_to(
                 latitude_deg=order.latitude_deg,
                 longitude_deg=order.longitude_deg,
@@ -421,7 +413,7 @@ class Guiding:
                 timeout=timeout,
                 progress=progress,
             )
-        elif isinstance(order, FlyAround):
+        elif isinstance(order, orders.FlyAround):
             await control.orbit(
                 center_north=0.0,
                 center_east=0.0,
@@ -437,27 +429,27 @@ class Guiding:
                     replace(found, heading_error_deg=360.0 * order.turns)
                 ),
             )
-        elif isinstance(order, ChangeHeight):
+        elif isinstance(order, orders.ChangeHeight):
             await control.climb_to(order.height, timeout=timeout, progress=progress)
         else:
             turn = math.remainder(order.yaw_deg, 360.0)
             await control.turn_to(turn, timeout=timeout, progress=progress)
 
-    def told(self) -> GuidedFlight | None:
+    def told(self) -> orders.GuidedFlight | None:
         """What flies, with what remains of it; None for nothing."""
         if self._flight is None:
             return None
         order, found = self._flight.order, self._flight.progress
         place: tuple[float | None, float | None] = None, None
-        if isinstance(order, FlyTo | FlyAround):
+        if isinstance(order, orders.FlyTo | orders.FlyAround):
             place = order.latitude_deg, order.longitude_deg
         far, seconds = (None, None) if found is None else _left(order, found)
-        return GuidedFlight(
-            name_of(order),
+        return orders.GuidedFlight(
+            order.label,
             *place,
-            height=None if isinstance(order, ChangeHeading) else order.height,
-            radius=order.radius if isinstance(order, FlyAround) else 0.0,
-            yaw_deg=order.yaw_deg if isinstance(order, FlyTo | ChangeHeading) else None,
+            height=None if isinstance(order, orders.ChangeHeading) else order.height,
+            radius=order.radius if isinstance(order, orders.FlyAround) else 0.0,
+            yaw_deg=getattr(order, "yaw_deg", None),
             distance_m=far,
             seconds=seconds,
         )
@@ -481,14 +473,14 @@ class Guiding:
 def _left(order: GuidedOrder, found: GuidanceProgress) -> tuple[float | None, float]:
     """Metres and seconds that remain, roughly."""
     climbing = seconds_climbing(found.height_error_m)
-    if isinstance(order, FlyTo):
+    if isinstance(order, orders.FlyTo):
         return found.distance_m, max(seconds_straight(found.distance_m, order.speed), climbing)
-    if isinstance(order, FlyAround):
+    if isinstance(order, orders.FlyAround):
         turns = max(0.0, found.heading_error_deg) / 360.0
         far = found.distance_m + math.tau * order.radius * turns
         there = max(seconds_straight(found.distance_m, APPROACH_M_S), climbing)
         return far, there + seconds_around(order.radius, order.speed, turns)
-    if isinstance(order, ChangeHeight):
+    if isinstance(order, orders.ChangeHeight):
         return abs(found.height_error_m), climbing
     return None, seconds_turning(found.heading_error_deg)
 

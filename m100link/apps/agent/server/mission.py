@@ -1,4 +1,4 @@
-"""Missions for fronts: a plan in pieces, and the mission while it flies."""
+"""The mission of a front while it flies."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import TypeVar
 from m100link.apps.agent.background import BackgroundTasks
 from m100link.apps.agent.journal import Journal
 from m100link.apps.agent.messages import Topic
-from m100link.apps.agent.remote_error import MessageError
 from m100link.errors import M100Error, MissionRunning, NotObserved, UsageError
 from m100link.flight.control import Control
 from m100link.flight.missions.events import (
@@ -27,12 +26,8 @@ from m100link.flight.missions.hotpoint import CircleHeading, CircleStart, Hotpoi
 from m100link.flight.missions.keeper import MissionFlight
 from m100link.flight.missions.waypoint import WaypointFlight
 from m100link.missions.plan import AtEnd, WaypointPlan
-from m100link.protocol.command import Command
 from m100link.protocol.commands.hotpoint import HotpointStart
-from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
-from m100link.protocol.firmware import FIRMWARE_3_1
 
-C = TypeVar("C", bound=Command)
 F = TypeVar("F", bound=MissionFlight)
 
 _NAMES: dict[object, str] = {
@@ -43,41 +38,6 @@ _NAMES: dict[object, str] = {
 
 MissionListener = Callable[[MissionEvent], None]
 """Told of each event, progress excepted."""
-
-
-class StagedPlan:
-    """A plan that comes in pieces, as the aircraft would get it, and is checked as a whole."""
-
-    def __init__(self) -> None:
-        self._mission: WaypointMission | None = None
-        self._points: dict[int, WaypointPoint] = {}
-        self.plan: WaypointPlan | None = None  # the whole, checked; None while a piece is missing
-
-    def begin(self, mission: WaypointMission) -> None:
-        """A new plan: what was there is forgotten."""
-        self._mission, self._points, self.plan = mission, {}, None
-
-    def add(self, point: WaypointPoint) -> None:
-        """One of its points. The last one that is missing makes it whole, or raises BadPlan."""
-        mission = self._mission
-        if mission is None:
-            raise UsageError("a waypoint came before the plan that it belongs to")
-        if not 0 <= point.index < mission.count:
-            raise UsageError(f"the plan has {mission.count} waypoints, and no number {point.index}")
-        self._points[point.index] = point
-        if len(self._points) == mission.count:
-            in_order = [self._points[index] for index in range(mission.count)]
-            self.plan = WaypointPlan.from_wire(mission, in_order)
-
-    def require(self) -> WaypointPlan:
-        """The plan. Raises UsageError: there is none, or a waypoint is missing."""
-        if self.plan is None:
-            missing = 0 if self._mission is None else self._mission.count - len(self._points)
-            raise UsageError(
-                f"{missing} waypoints are missing" if missing else "there is no plan to be flown",
-                remedy="upload it first",
-            )
-        return self.plan
 
 
 class FlyingMission:
@@ -278,11 +238,3 @@ def push_of(event: MissionEvent) -> tuple[int, bytes] | None:
     if isinstance(event, ActionsDone):
         return 2, bytes((event.index, 6, 0, 0, 0))
     return None
-
-
-def read_command(kind: type[C], value: bytes) -> C:
-    """A command of a front, which may have been written by anybody; else a MessageError."""
-    try:
-        return kind.parse(value, FIRMWARE_3_1)
-    except ValueError as error:
-        raise MessageError(f"not a command: {error}") from None

@@ -3,62 +3,45 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
-from dataclasses import asdict
+from collections.abc import Callable
+from dataclasses import asdict, replace
 from typing import Any
 
-from m100link.aircraft import Aircraft, AircraftCamera
-from m100link.apps.agent.codec import told_of
-from m100link.apps.agent.guided import GuidedOrder, name_of
-from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseRefused
+from m100link.aircraft import Aircraft
+from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseRefused, TakeOver
 from m100link.apps.agent.messages import (
     LEVELS,
-    TAKE_OFF_FIRST,
-    UNTIL_OVER,
     VERSION,
-    Action,
     Activating,
     Ask,
     AuthorityTaken,
     Event,
     FromMobile,
     Hello,
-    LeaseAction,
-    LeaseAsk,
     LeaseChanged,
-    LeaseGranted,
     LinkCounted,
     Message,
     MissionTold,
     Note,
     Outcome,
-    PlanTold,
     Stage,
     State,
     Steer,
     SteerRefused,
-    TakeOverOffered,
     Telemetry,
     Topic,
 )
+from m100link.apps.agent.orders import Halt
 from m100link.apps.agent.remote_error import Fault, MessageError, fault_of
-from m100link.apps.agent.server.agent import Agent
+from m100link.apps.agent.server.agent import HANDLERS, Agent, Answer, Call
 from m100link.apps.agent.server.connection import ConnectionState
-from m100link.apps.agent.server.flight import pattern
-from m100link.apps.agent.server.mission import StagedPlan, push_of
-from m100link.apps.agent.server.mission import read_command as read
-from m100link.apps.agent.server.replays import refused
+from m100link.apps.agent.server.mission import push_of
 from m100link.apps.agent.transports import Channel
 from m100link.errors import AuthorityLost, GuardRefused, M100Error, UsageError
 from m100link.flight.mission_state import MissionKind, MissionState
 from m100link.flight.missions.events import MissionEvent
 from m100link.link.statistics import ROUND_TRIP_BOUNDS_S
-from m100link.missions.plan import WaypointPlan
 from m100link.protocol.codes import ActivationCode
-from m100link.protocol.commands.control import Task
-from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
-from m100link.protocol.commands.hotpoint import HotpointStart
-from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
 from m100link.protocol.firmware import PROFILES
 from m100link.telemetry.sample import Sample
 
@@ -76,7 +59,6 @@ class Service:
         self._agent = agent
         self._fronts: set[Front] = set()
         self._told: tuple[object, ...] = ()
-        self._plan = PlanTold()  # of the lease in force: what came under another one is void
         agent.connection.on_sample.append(self._sample)
         agent.connection.on_aircraft.append(self._aircraft_changed)
         agent.journal.on_event.append(self._event)
@@ -84,19 +66,14 @@ class Service:
         agent.holding.on_lost.append(self._authority_taken)
         agent.holding.on_mission_event = self._mission_event
         agent.on_lease.append(self._lease_changed)
+        agent.on_plan.append(self._tell)
         agent.background.spawn(self._keep_telling(), "state")
 
     def attach(self, channel: Channel) -> None:
         """Serve the front at the other end of this channel."""
-        front = Front(
-            self._agent,
-            channel,
-            on_gone=self._gone,
-            before_outcome=self._tell_state,
-            on_plan=self._plan_uploaded,
-        )
+        front = Front(self._agent, channel, on_gone=self._gone, before_outcome=self._tell_state)
         self._fronts.add(front)
-        front.greet(self._state(), self._plan)
+        front.greet(self._state())
 
     def close(self) -> None:
         """Close the channels of all fronts."""
@@ -150,12 +127,6 @@ class Service:
             front.forget_leases(but=number)
         self._tell(LeaseChanged(number, name, why, flown))
         self._tell_state()
-        if self._plan != PlanTold():
-            self._plan_uploaded(PlanTold())
-
-    def _plan_uploaded(self, plan: PlanTold) -> None:
-        self._plan = plan
-        self._tell(plan)
 
     async def _keep_telling(self) -> None:
         lags: list[float] = []
@@ -270,7 +241,6 @@ class Front:
         on_gone: Callable[[Front], None],
         # Called before each outcome, so that the state is there first.
         before_outcome: Callable[[], None],
-        on_plan: Callable[[PlanTold], None],  # called with each plan that it has uploaded
     ) -> None:
         self._agent = agent
         self._channel = channel
@@ -282,28 +252,24 @@ class Front:
         self._asks = 0
         # Of these, those that were heard in this turn of the loop and begin in the next one.
         self._unbegun = 0
-        self._orders = Orders(agent, self._uploaded)
-        self._on_plan = on_plan
         self._notes = _MAX_NOTES
         self._noted_at = agent.now
         self._handlers: dict[type[Any], Callable[[Any], None]] = {
-            LeaseAsk: self._on_lease_ask,
             Steer: self._on_steer,
             Ask: self._on_ask,
             Note: self._on_note,
-            **dict.fromkeys(GuidedOrder.__args__, self._on_guided),
         }
 
     # -- the connection --------------------------------------------------------------------------
 
-    def greet(self, state: State, plan: PlanTold) -> None:
+    def greet(self, state: State) -> None:
         """Say hello and where everything stands, then listen."""
         agent = self._agent
         self.tell(Hello(VERSION, "agent", agent.now))
         lease = agent.desk.holder(agent.now)
         self.tell(LeaseChanged(lease.number, lease.name) if lease else LeaseChanged(0, ""))
         self.tell(state)
-        self.tell(plan)
+        self.tell(agent.plan)
         for event in agent.journal.events:
             self.tell(event)
         self._channel.open(self._receive, self._closed)
@@ -354,42 +320,6 @@ class Front:
         """Proof of the lease with that number; empty when it was not granted over this channel."""
         return self._tokens.get(fence, "")
 
-    def _on_lease_ask(self, ask: LeaseAsk) -> None:
-        answer: Message
-        try:
-            answer = self._lease(ask)
-        except M100Error as error:
-            answer = Outcome(ask.id, Stage.FAILED, Fault.of(error))
-        self._before_outcome()
-        if ask.id:
-            self.tell(answer)
-
-    def _lease(self, ask: LeaseAsk) -> Message:
-        desk, now = self._agent.desk, self._agent.now
-        if self._agent.replay is not None and ask.action is not LeaseAction.RELEASE:
-            raise refused()
-        if ask.action is LeaseAction.RELEASE:
-            desk.release(ask.token, now)
-            return Outcome(ask.id, Stage.DONE)
-        if ask.action is LeaseAction.TAKE_OVER:
-            wanted = desk.ask_take_over(ask.name, now)
-            return TakeOverOffered(
-                ask.id,
-                wanted.name,
-                wanted.from_name,
-                wanted.token,
-                wanted.number,
-                wanted.expires_at,
-            )
-        if ask.action is LeaseAction.ACQUIRE:
-            lease = desk.acquire(ask.name, now)
-        elif ask.action is LeaseAction.RENEW:
-            lease = desk.renew(ask.token, now)
-        else:
-            lease = desk.confirm(ask.token, now)
-        self._tokens[lease.number] = lease.token
-        return LeaseGranted(ask.id, lease.name, lease.token, lease.number)
-
     # -- setpoints -------------------------------------------------------------------------------
 
     def _on_steer(self, steer: Steer) -> None:
@@ -428,24 +358,30 @@ class Front:
             self._agent.journal.note(_line(note.text), note.level)
 
     def _on_ask(self, ask: Ask) -> None:
-        if ask.action is Action.HALT:
-            self._agent.halt(ask.text, self._token(ask.fence))
-            self._tell_halt(ask.text)
-            if self._unbegun:
-                # What was asked for before it begins first, and is halted then.
-                self._agent.background.spawn(self._halt(ask), f"halt for {self._name}")
-            self._answer(ask, Stage.DONE)
-            return
-        self._spawn(
-            ask,
-            ask.action.value,
-            lambda: self._orders.doing(
-                ask, self._token(ask.fence), lambda: self._answer(ask, Stage.ACCEPTED)
-            ),
-        )
+        order = ask.order
+        if order.is_at_once:
+            try:
+                answer = HANDLERS[type(order)](self._call(ask), order)
+            except M100Error as error:
+                self._answer(ask, Stage.FAILED, error)
+                return
+            if isinstance(order, Halt):
+                self._tell_halt(order.why)
+                if self._unbegun:
+                    # What was asked for before it begins first, and is halted then.
+                    self._agent.background.spawn(self._halt(ask), f"halt for {self._name}")
+            self._answer(ask, Stage.DONE, answer=answer)
+        elif self._asks >= _MAX_ASKS:
+            too_many = UsageError(f"{self._asks} questions of this front wait already")
+            self._answer(ask, Stage.FAILED, too_many)
+        else:
+            self._asks += 1
+            self._unbegun += 1
+            name = f"{order.label} for {self._name}"
+            self._agent.background.spawn(self._carry_out(ask), name)
 
     async def _halt(self, ask: Ask) -> None:
-        self._agent.halt(ask.text, self._token(ask.fence))
+        HANDLERS[Halt](self._call(ask), ask.order)
 
     def _tell_halt(self, why: str) -> None:
         """Tell whoever flies that somebody else had it hover: more may be to come of its flight."""
@@ -453,49 +389,29 @@ class Front:
         if holder is not None and holder.number not in self._tokens and self._may_note():
             self._agent.journal.note(_line(why or f"{self._name}: hover"), "info", Topic.HALTED)
 
-    def _on_guided(self, order: GuidedOrder) -> None:
-        self._spawn(
-            order,
-            name_of(order),
-            lambda: self._agent.guide(
-                self._token(order.fence), order, lambda: self._answer(order, Stage.ACCEPTED)
-            ),
-        )
-
-    def _uploaded(self, plan: WaypointPlan) -> None:
-        lease = self._agent.desk.holder(self._agent.now)
-        who = lease.name if lease is not None else self._name
-        self._agent.journal.note(f"{who} uploaded a plan of {len(plan.waypoints)} waypoints")
-        self._on_plan(told_of(plan, who))
-
-    def _spawn(
-        self, ask: Ask | GuidedOrder, name: str, doing: Callable[[], Awaitable[Result | None]]
-    ) -> None:
-        if self._asks >= _MAX_ASKS:
-            error = UsageError(f"{self._asks} questions of this front wait already")
-            self._answer(ask, Stage.FAILED, error)
-        else:
-            self._asks += 1
-            self._unbegun += 1
-            self._agent.background.spawn(self._carry_out(ask, doing), f"{name} for {self._name}")
+    def _call(self, ask: Ask) -> Call:
+        return Call(self._agent, self._token(ask.fence), lambda: self._answer(ask, Stage.ACCEPTED))
 
     def _answer(
-        self,
-        ask: Ask | GuidedOrder,
-        stage: Stage,
-        error: M100Error | None = None,
-        result: Result = ("", 0),
+        self, ask: Ask, stage: Stage, error: M100Error | None = None, answer: Answer = None
     ) -> None:
         self._before_outcome()
+        outcome = Outcome(ask.id, stage, fault_of(error))
+        if isinstance(answer, Lease):
+            self._tokens[answer.number] = answer.token
+            outcome = replace(outcome, lease=answer)
+        elif isinstance(answer, TakeOver):
+            outcome = replace(outcome, offer=answer)
+        elif answer is not None:
+            outcome = replace(outcome, text=answer[0], number=answer[1])
         if ask.id:
-            self.tell(Outcome(ask.id, stage, fault_of(error), *result))
+            self.tell(outcome)
 
-    async def _carry_out(
-        self, ask: Ask | GuidedOrder, doing: Callable[[], Awaitable[Result | None]]
-    ) -> None:
+    async def _carry_out(self, ask: Ask) -> None:
         self._unbegun -= 1
+        call = self._call(ask)
         try:
-            result = await doing()
+            answer = await self._agent.ask(ask.order, call.token, call.accepted)
         except M100Error as error:
             self._answer(ask, Stage.FAILED, error)
         except Exception:
@@ -503,7 +419,7 @@ class Front:
             self._answer(ask, Stage.FAILED, fault)
             raise
         else:
-            self._answer(ask, Stage.DONE, result=result or ("", 0))
+            self._answer(ask, Stage.DONE, answer=answer)
         finally:
             self._asks -= 1
 
@@ -513,98 +429,3 @@ def _line(text: str) -> str:
     return "".join(
         one if one.isprintable() else "\N{REPLACEMENT CHARACTER}" for one in text[:_MAX_NOTE]
     )
-
-
-# -- what an agent does when a front asks for it ---------------------------------------------------
-
-
-Result = tuple[str, int]
-"""Text and number of an outcome."""
-
-_TASKS = {Action.TAKE_OFF: Task.TAKE_OFF, Action.LAND: Task.LAND, Action.GO_HOME: Task.GO_HOME}
-
-
-class Orders:
-    """What one front may ask for, and the plan that it has uploaded."""
-
-    def __init__(self, agent: Agent, on_plan: Callable[[WaypointPlan], None]) -> None:
-        self._agent = agent
-        self._on_plan = on_plan
-        self._staged, self._staged_under = StagedPlan(), 0  # the lease that it came under
-
-    def doing(self, ask: Ask, token: str, accepted: Callable[[], None]) -> Awaitable[Result | None]:
-        """What carries a question out, to be awaited; without a lease the token is empty."""
-        agent = self._agent
-        task = _TASKS.get(ask.action)
-        if task is not None:
-            return agent.fly(token, task, accepted)
-        doing: dict[Action, Callable[[], Awaitable[Result | None]]] = {
-            Action.ACTIVATE: lambda: self._activate(token),
-            Action.OBTAIN: lambda: agent.obtain(token),
-            Action.RELEASE: lambda: agent.release(token),
-            Action.PATTERN: lambda: self._start_pattern(token, ask.number),
-            Action.STOP: agent.stop,
-            Action.GIMBAL_ANGLES: lambda: agent.move_gimbal(token, read(GimbalAngle, ask.data)),
-            Action.GIMBAL_RATES: lambda: agent.move_gimbal(token, read(GimbalSpeed, ask.data)),
-            Action.TAKE_PHOTO: lambda: agent.use_camera(token, AircraftCamera.take_photo),
-            Action.START_VIDEO: lambda: agent.use_camera(token, AircraftCamera.start_video),
-            Action.STOP_VIDEO: lambda: agent.use_camera(token, AircraftCamera.stop_video),
-            Action.ARM: lambda: agent.switch_motors(token, on=True),
-            Action.DISARM: lambda: agent.switch_motors(token, on=False),
-            Action.MISSION_PLAN: lambda: self._stage(token, ask),
-            Action.MISSION_POINT: lambda: self._stage(token, ask),
-            Action.MISSION_START: lambda: self._start_mission(token, ask, accepted),
-            Action.HOTPOINT_START: lambda: agent.fly_hotpoint(token, read(HotpointStart, ask.data)),
-            Action.HOTPOINT_RADIUS: lambda: agent.set_hotpoint(token, radius=ask.number / 1000),
-            Action.HOTPOINT_RATE: lambda: agent.set_hotpoint(token, rate=ask.number / 1000),
-            Action.HOTPOINT_HEADING: lambda: agent.set_hotpoint(token),
-            Action.MISSION_STOP: lambda: agent.order_mission(token, "stop"),
-            Action.MISSION_PAUSE: lambda: agent.order_mission(token, "pause"),
-            Action.MISSION_RESUME: lambda: agent.order_mission(token, "resume"),
-            Action.MISSION_SPEED: lambda: self._set_speed(token, ask.number / 1000),
-            Action.VERSION: self._version,
-            Action.REPLAY: lambda: agent.order_replay(ask.data.decode("ascii", "replace")),
-            Action.SEND_TO_MOBILE: lambda: agent.send_to_mobile(token, ask.data),
-        }
-        return doing[ask.action]()
-
-    async def _activate(self, token: str) -> None:
-        await self._agent.activate(token or None)
-
-    async def _start_pattern(self, token: str, number: int) -> None:
-        self._agent.start_pattern(token, f"simple task {number}", pattern(number))
-
-    async def _stage(self, token: str, ask: Ask) -> None:
-        """A piece of a plan: nothing is asked of the aircraft before the start."""
-        self._agent.desk.check(token, self._agent.now)
-        if ask.action is Action.MISSION_PLAN:
-            self._staged_under = ask.fence
-            self._staged.begin(read(WaypointMission, ask.data))
-        else:
-            staged = self._plan_of(ask)
-            staged.add(read(WaypointPoint, ask.data))
-            if staged.plan is not None:
-                self._on_plan(staged.plan)
-
-    async def _start_mission(self, token: str, ask: Ask, accepted: Callable[[], None]) -> None:
-        await self._agent.fly_mission(
-            token,
-            self._plan_of(ask).require(),
-            take_off=bool(ask.number & TAKE_OFF_FIRST),
-            begun=accepted if ask.number & UNTIL_OVER else None,
-        )
-
-    def _plan_of(self, ask: Ask) -> StagedPlan:
-        """The plan that came under this lease: nobody flies what somebody else left."""
-        if self._staged_under != ask.fence:
-            raise UsageError(
-                "no plan was uploaded under this lease", remedy="upload it again, then start"
-            )
-        return self._staged
-
-    async def _set_speed(self, token: str, speed: float) -> Result:
-        return "", round(await self._agent.set_mission_speed(token, speed) * 1000)
-
-    async def _version(self) -> Result:
-        version = await self._agent.version()
-        return version.name, version.crc

@@ -8,21 +8,12 @@ The aircraft hears of it when it is started; whatever ends the lease or the agen
 from __future__ import annotations
 
 import asyncio
-import hashlib
 from dataclasses import replace
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.codec import encode, plan_of
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.messages import (
-    TAKE_OFF_FIRST,
-    UNTIL_OVER,
-    Action,
-    Ask,
-    LeaseChanged,
-    MissionTold,
-    PlanTold,
-)
+from m100link.apps.agent.messages import LeaseChanged, MissionTold
+from m100link.apps.agent.orders import StartMission, UploadPlan
 from m100link.apps.agent.remote_error import Fault, fault_of
 from m100link.apps.fleet.payloads import MissionCard, MissionInput, MissionStage, after
 from m100link.errors import M100Error, UsageError
@@ -36,11 +27,6 @@ _ARRIVED = 4
 """The second byte of a push that a waypoint was reached; it says, too, that its actions ended."""
 
 _MOST_REACHED = 1024
-
-
-def digest_of(plan: PlanTold) -> str:
-    """What names a plan: SHA-256 over what would be told to the aircraft, hex."""
-    return hashlib.sha256(encode(replace(plan, name=""))).hexdigest()
 
 
 class Missions:
@@ -63,7 +49,7 @@ class Missions:
 
     # -- orders ----------------------------------------------------------------------------------
 
-    async def upload(self, lease: Lease, plan: PlanTold, by: str) -> str:
+    async def upload(self, lease: Lease, plan: UploadPlan, by: str) -> str:
         """Take a plan; nothing is told to the aircraft.
 
         Returns its digest, by which it is started.
@@ -73,25 +59,15 @@ class Missions:
             MissionRunning: One flies.
             M100Error: As the agent tells.
         """
-        found = plan_of(plan)
-        if found is None:
-            raise UsageError(
-                "what was uploaded is no plan that can be flown",
-                cause="pilot and agent are of different releases",
-                remedy="install the same release on both",
-            )
         async with self._telling:
             after(self.stage, MissionInput.UPLOADED)
-            # Until all of it is there the one before is void.
+            # Until the agent has it the one before is void.
             self.void()
-            ask = self._client.ask
-            await ask(Action.MISSION_PLAN, lease, data=plan.mission)
-            for point in plan.points:
-                await ask(Action.MISSION_POINT, lease, data=point)
+            await self._client.ask(plan, lease)
             self._client.check(lease)
             self.stage = after(self.stage, MissionInput.UPLOADED)
-            self._digest, self._plan, self._by = digest_of(plan), found, by
-            self._points = len(found.waypoints)
+            self._digest, self._plan, self._by = plan.digest, self._client.plan, by
+            self._points = len(plan.points)
             self._clear()
             return self._digest
 
@@ -100,15 +76,13 @@ class Missions:
         self._begun_at = self._ended_at = self._fault = None
         self._is_paused = self._is_finished = False
 
-    async def start(self, lease: Lease, ask: Ask) -> None:
-        """Let the plan fly; done when it has begun, or with ``UNTIL_OVER`` when it is over.
-
-        The data of ``ask`` is the digest of the plan, empty for whichever is there.
+    async def start(self, lease: Lease, order: StartMission) -> None:
+        """Let the plan fly; done when it has begun, or when it is over.
 
         Raises:
             UsageError: It is another plan, there is none, or one is being uploaded.
             MissionRunning: One flies.
-            M100Error: As :meth:`m100link.apps.agent.server.agent.Agent.fly_mission`.
+            M100Error: As the agent tells.
         """
         after(self.stage, MissionInput.ASKED)
         if self._telling.locked():
@@ -117,8 +91,7 @@ class Missions:
                 "a plan is being uploaded; nothing was started", remedy="start it then"
             )
         async with self._telling:
-            named = ask.data.decode("ascii", "replace")
-            if named and named != self._digest:
+            if not self._digest or order.digest not in ("", self._digest):
                 raise UsageError(
                     "the plan that is to start is not the one on board; nothing was started",
                     cause="another one was uploaded since, or the lease under which it came ended",
@@ -128,26 +101,25 @@ class Missions:
             self._clear()
             begun = asyncio.Event()
             flying = self._client.background.spawn(
-                self._fly(lease, ask.number & TAKE_OFF_FIRST, begun), "mission of a fleet"
+                self._fly(lease, replace(order, until_over=True, digest=self._digest), begun),
+                "mission of a fleet",
             )
             beginning = asyncio.ensure_future(begun.wait())
             try:
                 await asyncio.wait((flying, beginning), return_when=asyncio.FIRST_COMPLETED)
             finally:
                 beginning.cancel()
-        if flying.done() or ask.number & UNTIL_OVER:
+        if flying.done() or order.until_over:
             await asyncio.shield(flying)
 
-    async def _fly(self, lease: Lease, number: int, begun: asyncio.Event) -> None:
+    async def _fly(self, lease: Lease, order: StartMission, begun: asyncio.Event) -> None:
         def accepted() -> None:
             self.stage = after(self.stage, MissionInput.BEGUN)
             self._begun_at = self._client.now
             begun.set()
 
         try:
-            await self._client.ask(
-                Action.MISSION_START, lease, number=number | UNTIL_OVER, accepted=accepted
-            )
+            await self._client.ask(order, lease, accepted)
             self._is_finished = True
         except M100Error as error:
             self._fault = fault_of(error)
@@ -161,9 +133,9 @@ class Missions:
         """The plan on board is not the one that was named any more."""
         self._digest, self._plan = "", None
 
-    def paused(self, action: Action) -> None:
+    def paused(self, *, is_paused: bool) -> None:
         """A pause or its end was carried out."""
-        self._is_paused = action is Action.MISSION_PAUSE and self.stage is MissionStage.FLYING
+        self._is_paused = is_paused and self.stage is MissionStage.FLYING
 
     # -- what happens ----------------------------------------------------------------------------
 

@@ -12,8 +12,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from typing import Self
 
-from m100link.apps.agent.codec import told_of
-from m100link.apps.agent.messages import TAKE_OFF_FIRST, Action, Ask, Message
+from m100link.apps.agent import orders
 from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.fleet.asking import PATIENCE_S, Asker, Questions
 from m100link.apps.fleet.payloads import MissionCard, MissionStage, Reply, unpack
@@ -36,7 +35,7 @@ _logger = logging.getLogger(__name__)
 _LOOK_S = 0.5
 _AGAIN_S = 0.2
 
-OrderUnderLease = Callable[[Message], Awaitable[Reply]]
+OrderUnderLease = Callable[[orders.Order], Awaitable[Reply]]
 
 
 async def mission_card(asker: Asker, *, patience: float = PATIENCE_S) -> MissionCard:
@@ -89,7 +88,7 @@ class MissionOrders:
         Raises:
             M100Error: As :meth:`m100link.apps.fleet.asking.Asker.ask`.
         """
-        return (await self._ask(told_of(plan, ""))).text
+        return (await self._ask(orders.UploadPlan.of(plan))).text
 
     async def start(self, digest: str, *, take_off: bool = False) -> None:
         """Let the plan of that digest fly; done when it has begun.
@@ -97,25 +96,23 @@ class MissionOrders:
         Raises:
             M100Error: As :meth:`m100link.Control.waypoint_mission`, and :class:`FleetError`.
         """
-        number = TAKE_OFF_FIRST if take_off else 0
-        await self._ask(Ask(0, Action.MISSION_START, number=number, data=digest.encode()))
+        await self._ask(orders.StartMission(take_off, digest=digest))
 
     async def pause(self) -> None:
         """Let it hover in the mission."""
-        await self._ask(Ask(0, Action.MISSION_PAUSE))
+        await self._ask(orders.PauseMission())
 
     async def resume(self) -> None:
         """Let it go on."""
-        await self._ask(Ask(0, Action.MISSION_RESUME))
+        await self._ask(orders.ResumeMission())
 
     async def stop(self, why: str = "") -> None:
         """End it: the aircraft hovers. Waits for no disk, and for nothing that it leads to."""
-        await self._ask(Ask(0, Action.HALT, text=why or "whoever flies stopped it"))
+        await self._ask(orders.Halt(why or "whoever flies stopped it"))
 
     async def set_speed(self, speed: float) -> float:
         """Change its speed, m/s; returns the one in force."""
-        ask = Ask(0, Action.MISSION_SPEED, number=round(speed * 1000))
-        return (await self._ask(ask)).number / 1000
+        return (await self._ask(orders.SetMissionSpeed(speed))).number / 1000
 
 
 class FleetMission:

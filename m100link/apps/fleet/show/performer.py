@@ -14,10 +14,11 @@ from collections.abc import Awaitable, Callable
 from enum import Enum
 from typing import Literal
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.guided import ChangeHeight, FlyTo
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import Event, Topic
+from m100link.apps.agent.orders import ChangeHeight, FlyTo
 from m100link.apps.fleet.expiry import DRIFT, OrderAges
 from m100link.apps.fleet.show.plan.conflicts import (
     Ahead,
@@ -32,7 +33,6 @@ from m100link.errors import M100Error, NoAuthority, TelemetryStalled, UsageError
 from m100link.flight.guards import MAX_COMMAND_M_S
 from m100link.flight.pacing import Ticker
 from m100link.geodesy import LocalFrame
-from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Attitude, FlightStatus, Position, Velocity
 from m100link.protocol.setpoint import Setpoint
 
@@ -297,17 +297,17 @@ class Performer:
         attending = client.background.spawn(self._attend(), "conductor of a show")
         try:
             if not client.state.is_activated:
-                await client.activate(lease)
-            await client.obtain(lease)
+                await client.ask(orders.Activate(), lease)
+            await client.ask(orders.Obtain(), lease)
             telemetry = client.telemetry
             status = None if telemetry is None else telemetry.fresh(FlightStatus, within=_STATUS_S)
             if status is None or not status.is_airborne:
-                await client.fly(lease, Task.TAKE_OFF)
+                await client.ask(orders.TakeOff(), lease)
             first = track.points[0]
             height = first.height - track.ground_m
-            await client.guide(lease, ChangeHeight(height))
+            await client.ask(ChangeHeight(height), lease)
             place = LocalFrame(*track.origin).to_geodetic(first.north, first.east)
-            await client.guide(lease, FlyTo(*place, height, yaw_deg=track.heading_deg))
+            await client.ask(FlyTo(*place, height, yaw_deg=track.heading_deg), lease)
             self.stage = Stage.READY
             await asyncio.Event().wait()  # it keeps the lease until it is told to begin
         finally:
@@ -412,7 +412,7 @@ class Performer:
         if self._leave == "land" and lease is not None and has_control:
             keeping = client.background.spawn(self._keep(lease), "lease of a show")
             try:
-                await client.fly(lease, Task.LAND)
+                await client.ask(orders.Land(), lease)
             except M100Error as error:
                 client.note(f"show: {error.seen}", "error")
             finally:

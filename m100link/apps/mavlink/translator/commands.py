@@ -6,15 +6,8 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from m100link.apps.agent.guided import (
-    ChangeHeading,
-    ChangeHeight,
-    FlyAround,
-    FlyTo,
-    GuidedOrder,
-    name_of,
-)
-from m100link.apps.agent.messages import Action
+from m100link.apps.agent import orders
+from m100link.apps.agent.orders import GuidedOrder
 from m100link.apps.agent.preview import preview, preview_plan
 from m100link.apps.mavlink.translator.codec import LAYOUTS, Message
 from m100link.apps.mavlink.translator.deck import Deck
@@ -195,7 +188,7 @@ class Commands:
             height = altitude - self._ground()
         if height <= 0.0:
             raise UsageError(f"take-off to {height:.1f} m above the ground")
-        self._check(ChangeHeight(height))
+        self._check(orders.ChangeHeight(height))
         return height
 
     def land(self, asked: Asked, now: float) -> Result:
@@ -212,12 +205,12 @@ class Commands:
             yaw = asked.parameters[3]
             if math.isnan(yaw):
                 return self.wish_mode(Mode.HOLD, asked.peer, now)
-            return self._fly(ChangeHeading(math.degrees(yaw)), Mode.GOTO, asked.peer, now)
+            return self._fly(orders.ChangeHeading(math.degrees(yaw)), Mode.GOTO, asked.peer, now)
         height = self._height_of(asked)
         if not self._is_place(asked):
-            return self._fly(ChangeHeight(height), Mode.GOTO, asked.peer, now)
+            return self._fly(orders.ChangeHeight(height), Mode.GOTO, asked.peer, now)
         yaw = asked.parameters[3]
-        order = FlyTo(
+        order = orders.FlyTo(
             asked.x,
             asked.y,
             height,
@@ -242,7 +235,7 @@ class Commands:
             return Result.TEMPORARILY_REJECTED
         here = position.latitude_deg, position.longitude_deg
         place = (asked.x, asked.y) if self._is_place(asked) else here
-        order = FlyAround(
+        order = orders.FlyAround(
             *place,
             self._height_of(replace(asked, frame=Frame.GLOBAL)),
             abs(radius),
@@ -320,7 +313,7 @@ class Commands:
             return Result.TEMPORARILY_REJECTED
         self._speed = speed
         if self._deck.is_flown_by_aircraft:
-            self._deck.orders.append(Do(Action.MISSION_SPEED, round(speed * 1000)))
+            self._deck.orders.append(Do(orders.SetMissionSpeed(speed)))
         return Result.ACCEPTED
 
     def _speed_of(self, wanted: float) -> float:
@@ -366,12 +359,12 @@ class Commands:
             GuardRefused, UsageError: Outside of the envelope or the fence, or not a flight at all.
         """
         end = begin
-        if isinstance(order, FlyTo | FlyAround):
-            radius = order.radius if isinstance(order, FlyAround) else 0.0
+        if isinstance(order, orders.FlyTo | orders.FlyAround):
+            radius = order.radius if isinstance(order, orders.FlyAround) else 0.0
             end = order.latitude_deg, order.longitude_deg
             why = self._fence(begin, end, radius)
             if why:
-                raise UsageError(f"{name_of(order)}: {why}")
+                raise UsageError(f"{order.label}: {why}")
         known = self._world.known
         is_standing = self._world.is_on_ground is not False or self._deck.phase is Phase.DISARMED
         for error in preview(order, known.telemetry, known.state.limits).refusals:

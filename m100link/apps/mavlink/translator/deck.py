@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from m100link.apps.agent.orders import PauseMission, ResumeMission
 from m100link.apps.mavlink.translator.modes import (
     ARM_VERDICTS,
     DISARM_VERDICTS,
@@ -26,20 +27,17 @@ from m100link.apps.mavlink.translator.orders import (
     Arm,
     CallOff,
     Disarm,
+    Do,
     Drop,
-    Errand,
     Flight,
     GoHome,
     Halt,
     Land,
     Order,
-    Pause,
-    Resume,
     Steer,
     Stream,
     TakeOff,
     Wish,
-    running_of,
 )
 from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.world import World
@@ -70,7 +68,7 @@ class Deck:
         self._tell = tell
         self._streams = streams
         # What the crew has to carry out, oldest first.
-        self.orders: list[Order | Steer | Errand | Drop] = []
+        self.orders: list[Order | Steer | Do | Drop] = []
         # Who armed the aircraft, or moved it first after that one was lost.
         self.operator: Peer | None = None
         self.steering: Peer | None = None  # whose setpoints came last
@@ -212,10 +210,10 @@ class Deck:
             self._begin(replace(wish, order=replace(wish.order, is_interrupting=True)))
         elif step is Step.PAUSE and self.flight is not None:
             self._mode, self.running = wish.mode, Running.PAUSED
-            self.orders.append(Pause(self.flight))
+            self.orders.append(Do(PauseMission(), self.flight))
         elif step is Step.RESUME and self.flight is not None and not wish.is_anew:
             self._mode, self.running = wish.mode, Running.MISSION
-            self.orders.append(Resume(self.flight))
+            self.orders.append(Do(ResumeMission(), self.flight))
         elif step is not Step.KEEP or wish.is_anew:
             self._begin(wish)
         return Result.ACCEPTED
@@ -230,7 +228,7 @@ class Deck:
                 self.orders.append(Halt(why=f"{wish.mode.value} was asked for"))
             self._current, self.running = None, Running.STREAM
             return
-        self._current, self.running = order, running_of(order)
+        self._current, self.running = order, order.running
         if isinstance(order, Flight):
             if order.takes_off:
                 self.running = Running.TAKE_OFF
@@ -333,7 +331,7 @@ class Deck:
         if flight is not self._current or not self.is_flown_by_aircraft or flight.then is None:
             return
         is_paused = self.running is Running.PAUSED
-        self.running = running_of(flight.then)
+        self.running = flight.then.running
         self._mode = Mode.LAND if isinstance(flight.then, Land) else Mode.RTL
         if is_paused:  # it was there before the pause: what it flies now knows none
             self.interrupt("hold: the mission is over")

@@ -3,38 +3,48 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
-from m100link.apps.agent.guided import FlyTo, GuidedOrder
-from m100link.apps.agent.messages import Action
+from m100link.apps.agent import orders
+from m100link.apps.agent.orders import FlyTo, GuidedOrder
 from m100link.apps.mavlink.translator.modes import Mode, Running
 from m100link.apps.mavlink.translator.peers import Peer
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.setpoint import Setpoint
 
 
+class Order:
+    """What takes time and has an end; the newest one replaces what was ordered before it."""
+
+    __slots__ = ()
+
+    running: ClassVar[Running] = Running.NOTHING  # what flies while it is carried out
+
+
 @dataclass(frozen=True, slots=True)
-class Arm:
+class Arm(Order):
     """Take the lease and obtain control authority."""
 
     name: str  # for whom, for people
 
 
 @dataclass(frozen=True, slots=True)
-class Disarm:
+class Disarm(Order):
     """Give lease and authority back: motion ends, the pilot flies."""
 
 
 @dataclass(frozen=True, slots=True)
-class TakeOff:
+class TakeOff(Order):
     """Let the autopilot take off, then climb."""
+
+    running: ClassVar[Running] = Running.TAKE_OFF
 
     # To climb to, m above the take-off point; None stays where the autopilot ends.
     height: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class CallOff:
+class CallOff(Order):
     """Keep a take-off that was ordered from being flown, and give lease and authority back.
 
     Giving back is all that can be done on the ground: a landing is refused there, and nothing stops
@@ -44,22 +54,26 @@ class CallOff:
 
 
 @dataclass(frozen=True, slots=True)
-class Land:
+class Land(Order):
     """Let the autopilot land in place."""
+
+    running: ClassVar[Running] = Running.LAND
 
     # End the autopilot's task first, by giving authority back and asking anew.
     is_interrupting: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class GoHome:
+class GoHome(Order):
     """Let the autopilot fly home and land."""
+
+    running: ClassVar[Running] = Running.GO_HOME
 
     is_interrupting: bool = False  # as in Land
 
 
 @dataclass(frozen=True, slots=True)
-class Halt:
+class Halt(Order):
     """Hover."""
 
     is_interrupting: bool = False  # as in Land
@@ -67,8 +81,10 @@ class Halt:
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
+class Flight(Order):
     """Flights of the agent, one after the other."""
+
+    running: ClassVar[Running] = Running.FLIGHT
 
     legs: tuple[GuidedOrder, ...]  # each an order of the agent
     waits: tuple[float, ...] = ()  # seconds to hover after each
@@ -95,25 +111,11 @@ class Flight:
 
 
 @dataclass(frozen=True, slots=True)
-class Pause:
-    """Let the aircraft hover, and keep the mission that it flies."""
-
-    flight: Flight  # of which that is the mission
-
-
-@dataclass(frozen=True, slots=True)
-class Resume:
-    """Let the aircraft fly on what it has paused."""
-
-    flight: Flight  # as in Pause
-
-
-@dataclass(frozen=True, slots=True)
 class Do:
-    """Something that is asked of the agent and moves nothing by itself."""
+    """What is told to the mission that the aircraft flies; it replaces nothing."""
 
-    action: Action
-    number: int = 0  # of the question
+    order: orders.Order  # to pause it, to go on, or for another speed
+    flight: Flight | None = None  # which is paused or goes on; None for whichever flies
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,29 +129,6 @@ class Steer:
 
     setpoint: Setpoint
     lifetime: float  # s
-
-
-Order = Arm | Disarm | CallOff | TakeOff | Land | GoHome | Halt | Flight
-"""What takes time and has an end; the newest one replaces what was ordered before it."""
-
-Errand = Pause | Resume | Do
-"""What is told to the mission that the aircraft flies, and replaces nothing."""
-
-_RUNNING: dict[type[Order], Running] = {
-    Arm: Running.NOTHING,
-    Disarm: Running.NOTHING,
-    CallOff: Running.NOTHING,
-    TakeOff: Running.TAKE_OFF,
-    Land: Running.LAND,
-    GoHome: Running.GO_HOME,
-    Halt: Running.NOTHING,
-    Flight: Running.FLIGHT,
-}
-
-
-def running_of(order: Order) -> Running:
-    """What flies while it is carried out."""
-    return _RUNNING[type(order)]
 
 
 # -- what ground stations want to be flown, and where setpoints come from: values for the deck -----

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from m100link.apps.agent.guided import FlyTo
+from m100link.apps.agent.orders import FlyTo
 from m100link.apps.mavlink.translator.codec import Message
 from m100link.apps.mavlink.translator.modes import Mode
 from m100link.apps.mavlink.translator.numbers import Command, Frame, MissionResult

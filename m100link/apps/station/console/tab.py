@@ -18,8 +18,8 @@ from collections.abc import Awaitable, Callable
 from enum import StrEnum
 from typing import Any, TypeGuard
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.guided import setpoint_of
 from m100link.apps.agent.latency import (
     MAX_LATE,
     MAX_ORDER_LATE,
@@ -28,14 +28,13 @@ from m100link.apps.agent.latency import (
     WayTime,
 )
 from m100link.apps.agent.lease import Lease, TakeOver
-from m100link.apps.agent.messages import Action, Event, LeaseChanged, Topic
+from m100link.apps.agent.messages import Event, LeaseChanged, Topic
+from m100link.apps.agent.orders import setpoint_of
 from m100link.apps.station.config import ONLY_NAME
 from m100link.apps.station.console.kept import LeaseKeeper
 from m100link.errors import AuthorityLost, GuardRefused, LossReason, M100Error, NotObserved
 from m100link.errors.texts import read_json
 from m100link.missions.plan import WaypointPlan
-from m100link.protocol.commands.control import Task
-from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import FlightPhase, FlightStatus
 
 BEAT_LIFETIME = 0.3  # seconds that a beat lasts
@@ -132,7 +131,7 @@ class Tab:
 
     async def activate(self) -> None:
         """Activate the aircraft."""
-        await self._agent.activate(self.lease if self.has_lease else None)
+        await self._agent.ask(orders.Activate(), self.lease if self.has_lease else None)
 
     async def obtain(self) -> None:
         """Take the lease and control authority.
@@ -144,7 +143,7 @@ class Tab:
         self.lease_end = None
         self._has_to_let_go = self._has_to_let_go or _OBTAINED
         try:
-            await self._agent.obtain(self.lease)
+            await self._agent.ask(orders.Obtain(), self.lease)
         except M100Error:
             self.let_go()
             raise
@@ -159,12 +158,12 @@ class Tab:
         self.lease = await self._agent.confirm(wanted.token)
         self.lease_end = None
         self._has_to_let_go = self._has_to_let_go or _OBTAINED
-        await self._agent.obtain(self.lease)
+        await self._agent.ask(orders.Obtain(), self.lease)
         self.loss = None
 
     async def release(self) -> None:
         """Give authority and lease back."""
-        await self._agent.release(self.lease)
+        await self._agent.ask(orders.Release(), self.lease)
         self.let_go()
 
     def let_go(self) -> None:
@@ -173,13 +172,9 @@ class Tab:
         if lease is not None and self._agent.holds(lease):
             self._agent.let_go(lease)
 
-    async def fly(self, task: Task) -> None:
-        """Take off, land or go home."""
-        await self._agent.fly(self.lease, task)
-
-    async def simple_task(self, number: int) -> None:
-        """Fly a simple task."""
-        await self._agent.start_pattern(self.lease, number)
+    async def ask(self, order: orders.Order) -> None:
+        """Ask for something under the lease of this tab."""
+        await self._agent.ask(order, self.lease)
 
     async def give_plan(self, plan: WaypointPlan) -> None:
         """Give the agent a plan; the aircraft gets it with the start.
@@ -187,14 +182,7 @@ class Tab:
         Raises ``LeaseRefused``: this tab has no control.
         """
         lease = self._agent.check(self.lease)
-        mission, points = plan.to_wire()
-        await self._agent.ask(Action.MISSION_PLAN, lease, data=mission.value(FIRMWARE_3_1))
-        for point in points:
-            await self._agent.ask(Action.MISSION_POINT, lease, data=point.value(FIRMWARE_3_1))
-
-    async def order_mission(self, action: Action) -> None:
-        """Start, pause, resume or stop a mission."""
-        await self._agent.ask(action, self.lease)
+        await self._agent.ask(orders.UploadPlan.of(plan), lease)
 
     async def stop(self, press: object = None) -> None:
         """Stop. Any tab may."""

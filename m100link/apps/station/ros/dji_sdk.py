@@ -13,17 +13,18 @@ import asyncio
 import math
 from functools import partial
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.latency import MAX_LATE, WayTime
-from m100link.apps.agent.messages import Action
+from m100link.apps.agent.orders import CameraUse
 from m100link.apps.station.ros.graph import Call, Graph, Listener, Topic
-from m100link.apps.station.ros.leases import Clients
+from m100link.apps.station.ros.leases import TASKS, Clients
 from m100link.apps.station.ros.messages import Message, present
 from m100link.apps.station.ros.missions import Missions
 from m100link.errors import BadSetpoint, GuardRefused, M100Error, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.log.ros2 import DJI_TOPICS, DjiTopic
-from m100link.protocol.commands.control import Arm, Task
+from m100link.protocol.commands.control import Arm
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import Position
@@ -174,7 +175,7 @@ class DjiSdk:
             self._clients.offer(name, kind, handler)
 
     async def _activate(self, call: Call) -> Message:
-        await self._agent.activate(self._clients.lease(call.session))
+        await self._agent.ask(orders.Activate(), self._clients.lease(call.session))
         return {"result": True, "cmd_set": 0, "cmd_id": 1}
 
     async def _authority(self, call: Call) -> Message:
@@ -184,9 +185,9 @@ class DjiSdk:
         lease = await self._clients.take(call.session)
         try:
             if wanted:
-                await self._agent.obtain(lease)
+                await self._agent.ask(orders.Obtain(), lease)
             else:
-                await self._agent.release(lease)
+                await self._agent.ask(orders.Release(), lease)
         finally:
             if not self._agent.has_authority:
                 self._clients.let_go(call.session)
@@ -194,10 +195,10 @@ class DjiSdk:
 
     async def _task(self, call: Call) -> Message:
         number = call.request["task"]
-        if number not in Task.__members__.values():
+        if number not in TASKS:
             raise UsageError("tasks are 4 (take-off), 6 (landing) and 1 (go-home)")
         begun = asyncio.Event()
-        work = self._agent.fly(self._clients.held(call.session), Task(number), begun.set)
+        work = self._agent.ask(TASKS[number], self._clients.held(call.session), begun.set)
         flying = self._agent.background.spawn(work, f"task {number}")
         accepted = self._agent.background.spawn(begun.wait(), "acceptance")
         await asyncio.wait((flying, accepted), return_when=asyncio.FIRST_COMPLETED)
@@ -207,7 +208,7 @@ class DjiSdk:
         return {"result": True, "cmd_set": 1, "cmd_id": 1, "ack_data": 2}
 
     async def _version(self, call: Call) -> Message:
-        name, _ = await self._agent.version()
+        name = (await self._agent.ask(orders.AskVersion())).text
         numbers = name.rpartition("-")[2].split(".")
         packed = 0
         for number in numbers:
@@ -229,7 +230,8 @@ class DjiSdk:
         return {"result": True}
 
     async def _send_to_mobile(self, call: Call) -> Message:
-        await self._agent.send_to_mobile(self._clients.held(call.session), call.request["data"])
+        order = orders.SendToMobile(call.request["data"])
+        await self._agent.ask(order, self._clients.held(call.session))
         return {"result": True}
 
 
@@ -257,9 +259,6 @@ def _check_way(session: Listener, stamp: Message, now: float) -> None:
 # -- gimbal, camera and motors ---------------------------------------------------------------------
 # Gimbal and camera need no control authority. They need the lease, or that nobody holds it: whoever
 # flies also looks where it flies. Nothing answers these commands, so ``result`` says "sent".
-
-_CAMERA = (Action.TAKE_PHOTO, Action.START_VIDEO, Action.STOP_VIDEO)
-"""By the number that ``camera_action`` has for each."""
 
 _KEPT = {
     "yaw": GimbalAngleMode.KEEP_YAW,
@@ -294,7 +293,7 @@ class Payload:
             mode=message["mode"],
             duration_s=max(_SHORTEST_S, float(message["ts"])),
         )
-        self._send(session, Action.GIMBAL_ANGLES, command)
+        self._send(session, command)
 
     def _on_rates(self, session: Listener, message: Message, now: float) -> None:
         """Radians per second: roll, pitch, yaw. One message turns it for half a second."""
@@ -304,7 +303,7 @@ class Payload:
             roll_deg_s=math.degrees(vector["x"]),
             pitch_deg_s=math.degrees(vector["y"]),
         )
-        self._send(session, Action.GIMBAL_RATES, command)
+        self._send(session, command)
 
     async def _angles(self, call: Call) -> Message:
         """Tenths of a degree and of a second."""
@@ -320,7 +319,7 @@ class Payload:
             mode=mode,
             duration_s=max(_SHORTEST_S, asked["duration"] / 10.0),
         )
-        return await self._turn(call, Action.GIMBAL_ANGLES, command)
+        return await self._do(call, _gimbal(command))
 
     async def _rates(self, call: Call) -> Message:
         """Tenths of a degree per second; one call turns it for half a second."""
@@ -330,39 +329,43 @@ class Payload:
             roll_deg_s=asked["roll_rate"] / 10.0,
             pitch_deg_s=asked["pitch_rate"] / 10.0,
         )
-        return await self._turn(call, Action.GIMBAL_RATES, command)
+        return await self._do(call, _gimbal(command))
 
-    async def _turn(
-        self, call: Call, action: Action, command: GimbalAngle | GimbalSpeed
-    ) -> Message:
-        data = command.value(FIRMWARE_3_1)
-        await self._agent.ask(action, self._clients.lease(call.session), data=data)
+    async def _do(self, call: Call, order: orders.Order) -> Message:
+        await self._agent.ask(order, self._clients.lease(call.session))
         return {"result": True}
 
-    def _send(self, session: Listener, action: Action, command: GimbalAngle | GimbalSpeed) -> None:
+    def _send(self, session: Listener, command: GimbalAngle | GimbalSpeed) -> None:
         try:
-            data = command.value(FIRMWARE_3_1)
+            order = _gimbal(command)
         except M100Error as error:
             self._clients.complain(session, error)
             return
 
         async def send() -> None:
-            await self._agent.ask(action, self._clients.lease(session), data=data)
+            await self._agent.ask(order, self._clients.lease(session))
 
-        self._clients.run(session, send, action.value)
+        self._clients.run(session, send, order.label)
 
     async def _camera(self, call: Call) -> Message:
         number = call.request["camera_action"]
-        if number >= len(_CAMERA):
+        if number >= len(CameraUse):  # in the order of its members
             raise UsageError("camera_action is 0 (photo), 1 (start video) or 2 (stop video)")
-        await self._agent.ask(_CAMERA[number], self._clients.lease(call.session))
-        return {"result": True}
+        return await self._do(call, orders.UseCamera(tuple(CameraUse)[number]))
 
     async def _arm(self, call: Call) -> Message:
         wanted = call.request["arm"]
         if wanted > 1:
             raise UsageError("arm is 1 (start the motors) or 0 (stop them)")
-        action = Action.ARM if wanted else Action.DISARM
-        await self._agent.ask(action, self._clients.held(call.session))
+        order = orders.SwitchMotors(on=bool(wanted))
+        await self._agent.ask(order, self._clients.held(call.session))
         command_set, command_id = Arm.ADDRESS
         return {"result": True, "cmd_set": command_set, "cmd_id": command_id}
+
+
+def _gimbal(command: GimbalAngle | GimbalSpeed) -> orders.Order:
+    """The order that sends a command. Raises M100Error: it cannot be sent, and nobody is asked."""
+    command.value(FIRMWARE_3_1)
+    if isinstance(command, GimbalSpeed):
+        return orders.TurnGimbal(command)
+    return orders.PointGimbal(command)

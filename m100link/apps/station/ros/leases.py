@@ -11,12 +11,16 @@ import asyncio
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent import orders
+from m100link.apps.agent.client import AgentClient, given
 from m100link.apps.agent.lease import Lease, LeaseRefused
 from m100link.apps.station.ros.graph import Call, Graph, Listener
 from m100link.apps.station.ros.messages import Message
 from m100link.apps.station.web.limits import TokenBucket
 from m100link.errors import CommandRefused, M100Error, NoAuthority, UsageError
+
+TASKS: dict[int, orders.Order] = {4: orders.TakeOff(), 6: orders.Land(), 1: orders.GoHome()}
+"""What DJI's nodes ask for by the number of a task."""
 
 _RENEWAL = 0.5
 _COMPLAINT_PAUSE = 1.0
@@ -163,7 +167,7 @@ class Clients:
                 if held is None:
                     continue
                 try:
-                    await self._agent.renew(held.token)
+                    await self._agent.ask(orders.RenewLease(held.token))
                 except M100Error as error:
                     self._graph.known(session).pop(_LEASE, None)
                     session.status("error", str(error))
@@ -216,7 +220,8 @@ class Clients:
         return self._granted(call, await self._agent.acquire(name))
 
     async def _renew(self, call: Call) -> Message:
-        return self._granted(call, await self._agent.renew(call.request["token"]))
+        renewed = await self._agent.ask(orders.RenewLease(call.request["token"]))
+        return self._granted(call, given(renewed.lease))
 
     async def _release(self, call: Call) -> Message:
         await self._agent.release_lease(call.request["token"])

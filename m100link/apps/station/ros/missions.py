@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.messages import Action, MissionTold
+from m100link.apps.agent.messages import MissionTold
+from m100link.apps.agent.orders import Order
 from m100link.apps.station.ros.graph import Call, Graph
 from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.messages import Message
@@ -28,14 +30,6 @@ _CIRCLE, _LATEST = "hotpoint", "latest upload"
 _MOST_POINTS = 99
 _MOST_ACTIONS = 15  # of the 16 places that the wire has
 _ROS_DEMO_YAW_MODE = 4  # DJI's demo sends it, and means 0
-
-_ACTIONS = (
-    Action.MISSION_START,
-    Action.MISSION_STOP,
-    Action.MISSION_PAUSE,
-    Action.MISSION_RESUME,
-)
-"""By the number that ``mission_waypoint_action`` has for each."""
 
 _KINDS = {"no mission": 0, "waypoint mission": 1, "hotpoint": 2, "follow mission": 3, "IOC": 4}
 """Numbers of the status push, by the kind that the agent tells."""
@@ -103,35 +97,47 @@ class Missions:
         lease = self._clients.held(call.session)
         task = call.request["waypoint_task"]
         mission, points = _commands(task)
-        await self._agent.ask(Action.MISSION_PLAN, lease, data=mission.value(FIRMWARE_3_1))
-        for point in points:
-            await self._agent.ask(Action.MISSION_POINT, lease, data=point.value(FIRMWARE_3_1))
+        await self._agent.ask(orders.UploadPlan.of_commands(mission, points), lease)
         self._task, self._speed = task, mission.idle_speed
-        self._graph.known(call.session)[_LATEST] = Action.MISSION_START
+        self._graph.known(call.session)[_LATEST] = orders.StartMission
         return _done(WaypointMission.ADDRESS)
 
     async def _act(self, call: Call) -> Message:
-        number = _number(call)
-        await self._agent.ask(_ACTIONS[number], self._clients.held(call.session))
-        return _done((0x03, 0x12 if number < 2 else 0x13))
+        return await self._acted(call, orders.StartMission, (0x12, 0x12, 0x13, 0x13))
+
+    async def _act_circle(self, call: Call) -> Message:
+        def start() -> Order:
+            return orders.StartHotpoint(self._circle(call)[1])
+
+        return await self._acted(call, start, (0x20, 0x21, 0x22, 0x22))
+
+    async def _acted(
+        self, call: Call, start: Callable[[], Order], commands: tuple[int, ...]
+    ) -> Message:
+        number = call.request["action"]
+        if number >= len(commands):
+            raise UsageError("action is 0 (start), 1 (stop), 2 (pause) or 3 (resume)")
+        others = (orders.StopMission(), orders.PauseMission(), orders.ResumeMission())
+        await self._order(call, others[number - 1] if number else start())
+        return _done((0x03, commands[number]))
 
     async def _start(self, call: Call) -> Message:
         """Start what that client uploaded last: this service does not say which kind."""
-        if self._graph.known(call.session).get(_LATEST) is not Action.HOTPOINT_START:
-            return await self._order(call, Action.MISSION_START)
-        return await self._order(call, Action.HOTPOINT_START, self._circle(call)[1])
+        if self._graph.known(call.session).get(_LATEST) is not orders.StartHotpoint:
+            return await self._order(call, orders.StartMission())
+        return await self._order(call, orders.StartHotpoint(self._circle(call)[1]))
 
     async def _pause(self, call: Call) -> Message:
         wanted = call.request["pause"]
         if wanted > 1:
             raise UsageError("pause is 0 (pause) or 1 (resume)")
-        return await self._order(call, Action.MISSION_RESUME if wanted else Action.MISSION_PAUSE)
+        return await self._order(call, orders.ResumeMission() if wanted else orders.PauseMission())
 
     async def _cancel(self, call: Call) -> Message:
-        return await self._order(call, Action.MISSION_STOP)
+        return await self._order(call, orders.StopMission())
 
-    async def _order(self, call: Call, action: Action, data: bytes = b"") -> Message:
-        await self._agent.ask(action, self._clients.held(call.session), data=data)
+    async def _order(self, call: Call, order: Order) -> Message:
+        await self._agent.ask(order, self._clients.held(call.session))
         return {"result": True}
 
     async def _info(self, call: Call) -> Message:
@@ -151,9 +157,7 @@ class Missions:
         if not math.isfinite(speed):
             raise UsageError("speed is a number of m/s")
         lease = self._clients.held(call.session)
-        outcome = await self._agent.ask(
-            Action.MISSION_SPEED, lease, number=round(max(-1e3, min(1e3, speed)) * 1000)
-        )
+        outcome = await self._agent.ask(orders.SetMissionSpeed(speed), lease)
         self._speed = outcome.number / 1000
         return {"result": True}
 
@@ -172,56 +176,40 @@ class Missions:
             start_point=given["start_point"],
             yaw_mode=given["yaw_mode"],
         )
-        self._graph.known(call.session)[_CIRCLE] = given, request.value(FIRMWARE_3_1)
-        self._graph.known(call.session)[_LATEST] = Action.HOTPOINT_START
+        request.value(FIRMWARE_3_1)  # refused at once, not at its start
+        self._graph.known(call.session)[_CIRCLE] = given, request
+        self._graph.known(call.session)[_LATEST] = orders.StartHotpoint
         return _done(HotpointStart.ADDRESS)
 
-    def _circle(self, call: Call) -> tuple[Message, bytes]:
-        found: tuple[Message, bytes] | None = self._graph.known(call.session).get(_CIRCLE)
+    def _circle(self, call: Call) -> tuple[Message, HotpointStart]:
+        found: tuple[Message, HotpointStart] | None = self._graph.known(call.session).get(_CIRCLE)
         if found is None:
             raise UsageError("this client has uploaded no hotpoint", remedy="upload it first")
         return found
-
-    async def _act_circle(self, call: Call) -> Message:
-        number = _number(call)
-        lease = self._clients.held(call.session)
-        if number == 0:
-            await self._agent.ask(Action.HOTPOINT_START, lease, data=self._circle(call)[1])
-        else:
-            await self._agent.ask(_ACTIONS[number], lease)
-        return _done((0x03, (0x20, 0x21, 0x22, 0x22)[number]))
 
     async def _circle_info(self, call: Call) -> Message:
         return {"hotpoint_task": self._circle(call)[0]} | _done((0x03, 0x26))
 
     async def _set_radius(self, call: Call) -> Message:
-        await self._change(call, Action.HOTPOINT_RADIUS, call.request["radius"])
+        await self._change(call, orders.SetHotpointRadius, call.request["radius"])
         return _done((0x03, 0x24))
 
     async def _set_rate(self, call: Call) -> Message:
         asked = call.request
         rate = asked["yaw_rate" if "yaw_rate" in asked else "speed"]
         signed = rate if asked["direction"] else -rate
-        await self._change(call, Action.HOTPOINT_RATE, signed)
+        await self._change(call, orders.SetHotpointRate, signed)
         return _done((0x03, 0x23))
 
     async def _reset_heading(self, call: Call) -> Message:
-        await self._change(call, Action.HOTPOINT_HEADING, 0.0)
+        await self._order(call, orders.ResetHotpointHeading())
         return _done((0x03, 0x25))
 
-    async def _change(self, call: Call, action: Action, value: float) -> None:
+    async def _change(self, call: Call, make: Callable[[float], Order], value: float) -> None:
         """Sent; nobody acknowledges it (facts K15)."""
         if not math.isfinite(value):
             raise UsageError("that is not a number")
-        lease = self._clients.held(call.session)
-        await self._agent.ask(action, lease, number=round(max(-1e4, min(1e4, value)) * 1000))
-
-
-def _number(call: Call) -> int:
-    number: int = call.request["action"]
-    if number >= len(_ACTIONS):
-        raise UsageError("action is 0 (start), 1 (stop), 2 (pause) or 3 (resume)")
-    return number
+        await self._order(call, make(value))
 
 
 def _done(address: tuple[int, int]) -> Message:

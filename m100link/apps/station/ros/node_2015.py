@@ -27,11 +27,12 @@ from collections.abc import Callable, Coroutine
 from functools import partial
 from typing import Any
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.guided import ANGLE_MODE, VELOCITY_MODE, setpoint_of
 from m100link.apps.agent.lease import LeaseHeld
+from m100link.apps.agent.orders import ANGLE_MODE, VELOCITY_MODE, setpoint_of
 from m100link.apps.station.ros.graph import Graph, Listener, Publication, Topic
-from m100link.apps.station.ros.leases import Clients
+from m100link.apps.station.ros.leases import TASKS, Clients
 from m100link.apps.station.ros.messages import Message
 from m100link.errors import (
     ActivationRefused,
@@ -45,7 +46,6 @@ from m100link.errors import (
     UsageError,
 )
 from m100link.protocol.codes import AuthorityCode
-from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Battery, FlightStatus
 from m100link.telemetry.subscription import Newest
 
@@ -123,7 +123,7 @@ class Node:
 
     async def _activate(self, session: Listener, data: float = 0.0) -> None:
         try:
-            await self._agent.activate(self._clients.lease(session))
+            await self._agent.ask(orders.Activate(), self._clients.lease(session))
         except ActivationRefused:
             pass  # its code was published, and the reason is in the events
         except CommandRefused:
@@ -137,10 +137,10 @@ class Node:
         try:
             lease = await self._clients.take(session)
             if wanted:
-                await self._agent.obtain(lease)
+                await self._agent.ask(orders.Obtain(), lease)
                 self._tell(self._open_close, float(AuthorityCode.OBTAINED))
             else:
-                await self._agent.release(lease)
+                await self._agent.ask(orders.Release(), lease)
                 self._clients.let_go(session)
                 self._tell(self._open_close, float(AuthorityCode.RELEASED))
         except AuthorityRefused as error:
@@ -162,13 +162,13 @@ class Node:
 
     async def _command(self, session: Listener, data: float) -> None:
         number = _byte(data)
-        if number not in Task.__members__.values():
+        if number not in TASKS:
             raise UsageError(
                 f"/sdk_request_cmd takes 4 (take-off), 6 (landing) and 1 (go-home), not {number}",
                 cause="the document allows these three; no firmware carries out the others",
             )
         try:
-            await self._agent.fly(self._clients.held(session), Task(number))
+            await self._agent.ask(TASKS[number], self._clients.held(session))
         except _NEEDS_MORE:
             self._tell(self._activation, NO_AUTHORITY)
             raise
@@ -205,11 +205,11 @@ class Node:
         elif number == 6:
             await self._tell_version(session)
         else:
-            await self._agent.start_pattern(self._clients.held(session), number)
+            await self._agent.ask(orders.FlyPattern(number), self._clients.held(session))
 
     async def _tell_version(self, session: Listener) -> None:
-        name, crc = await self._agent.version()
-        text = f"version: {name} (CRC {crc:08X})"
+        version = await self._agent.ask(orders.AskVersion())
+        text = f"version: {version.text} (CRC {version.number:08X})"
         session.status("info", text)
         # People are told at most once in a while: others' events are not to be pushed out.
         now = self._agent.now

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import anyio
 import pytest
 
-from m100link.aircraft import Aircraft, AircraftCamera
-from m100link.apps.agent.guided import ChangeHeight
+from m100link.aircraft import Aircraft
+from m100link.apps.agent import orders
 from m100link.apps.agent.lease import LeaseChange, LeaseRefused
+from m100link.apps.agent.orders import ChangeHeight
 from m100link.apps.agent.server.authority import HoldingState
 from m100link.apps.agent.server.connection import ConnectionState
 from m100link.errors import GuardRefused, M100Error, NoAuthority, NotObserved, UsageError
-from m100link.flight.control import Control
 from m100link.missions.plan import Waypoint, WaypointPlan
-from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.gimbal import GimbalAngle
 from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.setpoint import Setpoint
-from tests.apps.agent.conftest import Rig
+from tests.apps.agent.conftest import Rig, airborne
 
 pytestmark = pytest.mark.anyio
 
@@ -34,20 +31,11 @@ PLAN = WaypointPlan(
 )
 
 
-async def no_program(control: Control, send: Callable[[Setpoint], None]) -> None:
-    """Flies nothing."""
-
-
-async def airborne(rig: Rig) -> None:
-    await rig.agent.obtain(rig.token)
-    await rig.agent.fly(rig.token, Task.TAKE_OFF)
-
-
 async def test_a_take_off_tells_when_it_is_accepted(rig: Rig) -> None:
-    await rig.agent.obtain(rig.token)
+    await rig.agent.ask(orders.Obtain(), rig.token)
     begun = anyio.Event()
     async with anyio.create_task_group() as group:
-        group.start_soon(rig.agent.fly, rig.token, Task.TAKE_OFF, begun.set)
+        group.start_soon(rig.agent.ask, orders.TakeOff(), rig.token, begun.set)
         await begun.wait()
         assert rig.holding.task == "take off"
         assert rig.aircraft.height < 1.0
@@ -75,25 +63,25 @@ async def test_without_the_lease_nothing_moves(rig: Rig, token: str) -> None:
     with pytest.raises(LeaseRefused):
         rig.agent.steer(token, NORTH)
     for work in (
-        rig.agent.obtain(token),
-        rig.agent.release(token),
-        rig.agent.fly(token, Task.LAND),
-        rig.agent.send_to_mobile(token, b"x"),
-        rig.agent.activate(token),
-        rig.agent.guide(token, ChangeHeight(5.0)),
-        rig.agent.switch_motors(token, on=False),
-        rig.agent.move_gimbal(token, GimbalAngle(yaw_deg=10.0)),
-        rig.agent.use_camera(token, AircraftCamera.take_photo),
-        rig.agent.fly_mission(token, PLAN),
-        rig.agent.fly_hotpoint(token, HOTPOINT),
-        rig.agent.set_hotpoint(token, radius=20.0),
-        rig.agent.order_mission(token, "stop"),
-        rig.agent.set_mission_speed(token, 3.0),
+        rig.agent.ask(orders.Obtain(), token),
+        rig.agent.ask(orders.Release(), token),
+        rig.agent.ask(orders.Land(), token),
+        rig.agent.ask(orders.SendToMobile(b"x"), token),
+        rig.agent.ask(orders.Activate(), token),
+        rig.agent.ask(ChangeHeight(5.0), token),
+        rig.agent.ask(orders.SwitchMotors(False), token),
+        rig.agent.ask(orders.PointGimbal(GimbalAngle(yaw_deg=10.0)), token),
+        rig.agent.ask(orders.UseCamera(orders.CameraUse.PHOTO), token),
+        rig.agent.ask(orders.UploadPlan.of(PLAN), token),
+        rig.agent.ask(orders.StartMission(), token),
+        rig.agent.ask(orders.StartHotpoint(HOTPOINT), token),
+        rig.agent.ask(orders.SetHotpointRadius(20.0), token),
+        rig.agent.ask(orders.FlyPattern(0), token),
+        rig.agent.ask(orders.StopMission(), token),
+        rig.agent.ask(orders.SetMissionSpeed(3.0), token),
     ):
         with pytest.raises(LeaseRefused):
             await work
-    with pytest.raises(LeaseRefused):
-        rig.agent.start_pattern(token, "east", no_program)
     await anyio.sleep(0.1)
     assert list(rig.aircraft.autopilot.received_movements) == []
     assert rig.holding.has_authority
@@ -103,16 +91,16 @@ async def test_without_authority_nothing_moves(rig: Rig) -> None:
     with pytest.raises(NoAuthority):
         rig.agent.steer(rig.token, NORTH)
     with pytest.raises(NoAuthority):
-        await rig.agent.fly(rig.token, Task.TAKE_OFF)
+        await rig.agent.ask(orders.TakeOff(), rig.token)
 
 
 async def test_a_stop_during_a_task_gives_authority_back(rig: Rig) -> None:
-    await rig.agent.obtain(rig.token)
+    await rig.agent.ask(orders.Obtain(), rig.token)
     async with anyio.create_task_group() as group:
 
         async def take_off() -> None:
             with pytest.raises(NotObserved, match="control ended"):
-                await rig.agent.fly(rig.token, Task.TAKE_OFF)
+                await rig.agent.ask(orders.TakeOff(), rig.token)
 
         group.start_soon(take_off)
         await anyio.sleep(2.0)
@@ -135,7 +123,7 @@ async def test_after_stop_a_stream_of_setpoints_is_refused_until_it_begins_anew(
             rig.agent.steer(rig.token, NORTH)
         assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x == 0.0
         if asks_anew:
-            await rig.agent.obtain(rig.token)
+            await rig.agent.ask(orders.Obtain(), rig.token)
         else:
             rig.agent.halt("let go", rig.token)
         rig.agent.steer(rig.token, NORTH)
@@ -170,7 +158,7 @@ async def test_a_lost_line_is_opened_again_and_the_key_stays_in_use(rig: Rig) ->
     assert connection.error is not None
     rig.aircraft.replug()
     await rig.until(lambda: connection.state is ConnectionState.CONNECTED)
-    await rig.agent.obtain(rig.token)
+    await rig.agent.ask(orders.Obtain(), rig.token)
     assert rig.holding.has_authority
 
 
@@ -180,7 +168,7 @@ async def test_an_aircraft_that_is_not_there_is_told_once(rig: Rig) -> None:
     told = [event.text for event in rig.agent.journal.events if "not connected" in event.text]
     assert len(told) == 1
     with pytest.raises(M100Error):
-        await rig.agent.version()
+        await rig.agent.ask(orders.AskVersion())
 
 
 # -- authority that is kept when whoever flew is lost ----------------------------------------------
@@ -218,7 +206,7 @@ async def test_kept_authority_is_there_for_whoever_comes_back(why: LeaseChange) 
         with pytest.raises(LeaseRefused):
             rig.agent.steer(rig.token, NORTH)
         token = rig.agent.desk.acquire("back again", rig.agent.now).token
-        await rig.agent.obtain(token)
+        await rig.agent.ask(orders.Obtain(), token)
         rig.agent.steer(token, NORTH)
         await anyio.sleep(0.1)
         assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x == 1.0
@@ -276,7 +264,7 @@ async def test_authority_is_not_kept_for_ever(seconds: float) -> None:
 async def test_a_lease_that_nobody_renews_ends_and_what_flies_by_it(rig: Rig) -> None:
     await airborne(rig)
     rig.renewing.cancel()
-    flight = rig.agent.background.spawn(rig.agent.guide(rig.token, ChangeHeight(50.0)), "flight")
+    flight = rig.agent.background.spawn(rig.agent.ask(ChangeHeight(50.0), rig.token), "flight")
     await rig.until(lambda: rig.holding.guided_order is not None)
     await rig.until(lambda: rig.agent.desk.holder(rig.agent.now) is None, within=5.0)
     await rig.until(lambda: rig.holding.guided_order is None, within=0.5)
@@ -298,7 +286,7 @@ async def test_a_circle_is_turned_the_way_of_its_sign(
     await airborne(rig)
     mission = rig.holding.require().mission
     monkeypatch.setattr(type(mission), "flight", lambda self, kind: Circle())
-    await rig.agent.set_hotpoint(rig.token, rate=rate)
+    await rig.agent.ask(orders.SetHotpointRate(rate), rig.token)
     assert told == [(abs(rate), is_clockwise)]
 
 
@@ -308,6 +296,6 @@ async def test_an_activation_that_fails_is_noted(rig: Rig, monkeypatch: pytest.M
 
     monkeypatch.setattr(Aircraft, "activate", refuse)
     with pytest.raises(M100Error) as caught:
-        await rig.agent.activate(rig.token)
+        await rig.agent.ask(orders.Activate(), rig.token)
     last = list(rig.agent.journal.events)[-1]
     assert (last.text, last.level) == (f"activation failed: {caught.value.seen}", "error")

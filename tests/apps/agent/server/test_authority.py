@@ -12,6 +12,7 @@ import anyio.lowlevel
 import pytest
 
 from m100link.aircraft import Aircraft
+from m100link.apps.agent import orders
 from m100link.apps.agent.background import BackgroundTasks
 from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.journal import Journal
@@ -19,10 +20,9 @@ from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.authority import Holding, HoldingInput, HoldingState
 from m100link.apps.agent.server.connection import ConnectionState
 from m100link.errors import AuthorityRefused, LinkError, NoAuthority
-from m100link.protocol.commands.control import Task
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim.line import NO_FAULTS, LineFaults
-from tests.apps.agent.conftest import Rig
+from tests.apps.agent.conftest import Rig, airborne
 
 S, I = HoldingState, HoldingInput  # noqa: E741 - a table is read by its columns
 
@@ -71,9 +71,9 @@ pytestmark = pytest.mark.anyio
 
 
 async def test_obtained_held_and_given_back(rig: Rig) -> None:
-    await rig.agent.obtain(rig.token)
+    await rig.agent.ask(orders.Obtain(), rig.token)
     assert rig.holding.has_authority
-    await rig.agent.release(rig.token)
+    await rig.agent.ask(orders.Release(), rig.token)
     assert rig.holding.flying is None
     assert rig.states == [S.OBTAINING, S.HELD, S.RELEASING, S.NONE]
     with pytest.raises(NoAuthority):
@@ -81,9 +81,9 @@ async def test_obtained_held_and_given_back(rig: Rig) -> None:
 
 
 async def test_a_release_that_nobody_answers_is_not_noted_as_one(rig: Rig) -> None:
-    await rig.agent.obtain(rig.token)
+    await rig.agent.ask(orders.Obtain(), rig.token)
     rig.aircraft.set_faults(LineFaults(loss=1.0), to_aircraft=NO_FAULTS)
-    await rig.agent.release(rig.token)
+    await rig.agent.ask(orders.Release(), rig.token)
     assert "may not be released" in rig.agent.journal.events[-1].text
 
 
@@ -98,7 +98,7 @@ async def test_a_refusal_is_told_and_leaves_nothing(rig: Rig) -> None:
     rig.aircraft.leave_f()
     await anyio.sleep(0.2)
     with pytest.raises(AuthorityRefused):
-        await rig.agent.obtain(rig.token)
+        await rig.agent.ask(orders.Obtain(), rig.token)
     assert rig.states == [S.OBTAINING, S.NONE]
     rig.aircraft.return_to_f()
     await anyio.sleep(1.0)
@@ -111,7 +111,7 @@ async def test_a_lease_that_ends_while_authority_is_obtained_gives_it_back(rig: 
 
         async def obtain() -> None:
             with pytest.raises(NoAuthority, match="given back"):
-                await rig.agent.obtain(rig.token)
+                await rig.agent.ask(orders.Obtain(), rig.token)
 
         group.start_soon(obtain)
         await rig.until(lambda: rig.holding.state is S.OBTAINING)
@@ -122,13 +122,13 @@ async def test_a_lease_that_ends_while_authority_is_obtained_gives_it_back(rig: 
 
 async def test_a_lease_that_ends_while_authority_goes_back_obtains_nothing(rig: Rig) -> None:
     """Nobody would hold the lease, and nobody would give authority back."""
-    await rig.agent.obtain(rig.token)
+    await rig.agent.ask(orders.Obtain(), rig.token)
     rig.holding.let_go()
     async with anyio.create_task_group() as group:
 
         async def obtain() -> None:
             with pytest.raises(Exception, match="not in force"):
-                await rig.agent.obtain(rig.token)
+                await rig.agent.ask(orders.Obtain(), rig.token)
 
         group.start_soon(obtain)
         await anyio.lowlevel.checkpoint()
@@ -139,7 +139,7 @@ async def test_a_lease_that_ends_while_authority_goes_back_obtains_nothing(rig: 
 
 
 async def test_a_pilot_who_comes_back_gives_it_back(rig: Rig) -> None:
-    await rig.agent.obtain(rig.token)
+    await rig.agent.ask(orders.Obtain(), rig.token)
     rig.aircraft.leave_f()
     await rig.until(lambda: rig.holding.state is S.PAUSED)
     rig.aircraft.return_to_f()
@@ -148,7 +148,7 @@ async def test_a_pilot_who_comes_back_gives_it_back(rig: Rig) -> None:
 
 
 async def test_a_pilot_who_comes_back_does_not_fly_for_another_client(rig: Rig) -> None:
-    await rig.agent.obtain(rig.token)
+    await rig.agent.ask(orders.Obtain(), rig.token)
     rig.aircraft.leave_f()
     await rig.until(lambda: rig.holding.state is S.PAUSED)
     wanted = rig.agent.desk.ask_take_over("other", rig.agent.now)
@@ -170,7 +170,7 @@ async def test_who_takes_over_while_another_one_is_given_authority_has_to_ask(
         rig.token = rig.agent.desk.confirm(wanted.token, rig.agent.now).token
 
     if state is S.RESUMING:
-        await rig.agent.obtain(rig.token)
+        await rig.agent.ask(orders.Obtain(), rig.token)
         rig.aircraft.leave_f()
         await rig.until(lambda: rig.holding.state is S.PAUSED)
         rig.aircraft.return_to_f()
@@ -179,17 +179,17 @@ async def test_who_takes_over_while_another_one_is_given_authority_has_to_ask(
         async with anyio.create_task_group() as group:
             group.start_soon(take_over)
             with pytest.raises(NoAuthority, match="given back"):
-                await rig.agent.obtain(rig.token)
+                await rig.agent.ask(orders.Obtain(), rig.token)
     await rig.until(lambda: rig.holding.state is S.NONE)
     await anyio.sleep(2.0)
     assert rig.holding.state is S.NONE
     assert not rig.aircraft.vehicle.authority.is_requested
-    await rig.agent.obtain(rig.token)
+    await rig.agent.ask(orders.Obtain(), rig.token)
     assert rig.holding.has_authority
 
 
 async def test_what_the_app_took_stays_with_it(rig: Rig) -> None:
-    await rig.agent.obtain(rig.token)
+    await rig.agent.ask(orders.Obtain(), rig.token)
     assert rig.aircraft.app_takes_control()
     await rig.until(lambda: not rig.holding.has_authority)
     rig.aircraft.app_releases_control()
@@ -198,13 +198,13 @@ async def test_what_the_app_took_stays_with_it(rig: Rig) -> None:
 
 
 async def test_a_lost_link_ends_the_wish(rig: Rig) -> None:
-    await rig.agent.obtain(rig.token)
+    await rig.agent.ask(orders.Obtain(), rig.token)
     rig.aircraft.leave_f()
     await rig.until(lambda: rig.holding.state is S.PAUSED)
     rig.aircraft.unplug()
     await rig.until(lambda: rig.holding.state is S.NONE)
     with pytest.raises(LinkError):
-        await rig.agent.obtain(rig.token)
+        await rig.agent.ask(orders.Obtain(), rig.token)
     assert rig.states.count(S.OBTAINING) == 1
 
 
@@ -213,7 +213,7 @@ async def test_who_waits_for_control_no_more_takes_it_from_nobody(rig: Rig) -> N
     done: list[str] = []
 
     async def obtain(name: str) -> None:
-        await rig.agent.obtain(rig.token)
+        await rig.agent.ask(orders.Obtain(), rig.token)
         done.append(name)
 
     gone = anyio.CancelScope()
@@ -245,8 +245,7 @@ SAID = "the agent before may have left"
 
 async def killed_in_flight(rig: Rig) -> None:
     """The aircraft flies and is held, and whoever held it does and says nothing any more."""
-    await rig.agent.obtain(rig.token)
-    await rig.agent.fly(rig.token, Task.TAKE_OFF)
+    await airborne(rig)
     rig.agent.steer(rig.token, NORTH)
     await anyio.sleep(0.1)
     assert rig.aircraft.vehicle.authority.is_requested
@@ -295,7 +294,7 @@ async def test_who_asks_at_once_has_it_and_keeps_it(rig: Rig) -> None:
     await killed_in_flight(rig)
     async with next_agent(rig) as agent:
         token = agent.desk.acquire("the next", agent.now).token
-        await agent.obtain(token)
+        await agent.ask(orders.Obtain(), token)
         assert agent.holding.has_authority
         for _ in range(6):
             await anyio.sleep(0.5)

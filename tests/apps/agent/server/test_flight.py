@@ -10,15 +10,9 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.guided import (
-    ChangeHeading,
-    ChangeHeight,
-    FlyAround,
-    FlyTo,
-    GuidedFlight,
-    GuidedOrder,
-)
+from m100link.apps.agent import orders
 from m100link.apps.agent.lease import Flown, LeaseRefused
+from m100link.apps.agent.orders import GuidedOrder
 from m100link.apps.agent.server.authority import HoldingState
 from m100link.errors import (
     BadSetpoint,
@@ -33,9 +27,8 @@ from m100link.errors import (
 from m100link.flight.control import Control
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import AtEnd, Waypoint, WaypointPlan
-from m100link.protocol.commands.control import Task
 from m100link.protocol.setpoint import Setpoint
-from tests.apps.agent.conftest import Rig
+from tests.apps.agent.conftest import Rig, airborne, mission
 
 pytestmark = pytest.mark.anyio
 
@@ -48,18 +41,13 @@ async def go_east(control: Control, send: Callable[[Setpoint], None]) -> None:
         send(EAST)
 
 
-async def airborne(rig: Rig) -> None:
-    await rig.agent.obtain(rig.token)
-    await rig.agent.fly(rig.token, Task.TAKE_OFF)
-
-
 def east(rig: Rig) -> float:
     return float(list(rig.aircraft.autopilot.received_movements)[-1].pitch_or_y)
 
 
 async def test_a_stick_ends_a_program_and_letting_go_of_it_does_not(rig: Rig) -> None:
     await airborne(rig)
-    rig.agent.start_pattern(rig.token, "east", go_east)
+    rig.holding.require().start_pattern("east", go_east)
     await anyio.sleep(0.5)
     assert (rig.holding.pattern, east(rig)) == ("east", 1.0)
     rig.agent.steer(rig.token, NORTH.neutral())
@@ -72,8 +60,8 @@ async def test_a_stick_ends_a_program_and_letting_go_of_it_does_not(rig: Rig) ->
 
 async def test_one_program_ends_another(rig: Rig) -> None:
     await airborne(rig)
-    rig.agent.start_pattern(rig.token, "first", go_east)
-    rig.agent.start_pattern(rig.token, "second", go_east)
+    rig.holding.require().start_pattern("first", go_east)
+    rig.holding.require().start_pattern("second", go_east)
     await anyio.sleep(0.1)
     assert rig.holding.pattern == "second"
     told = [event.text for event in rig.agent.journal.events]
@@ -86,7 +74,7 @@ async def test_a_program_that_is_over_says_so_and_makes_way(rig: Rig) -> None:
         await anyio.sleep(0.1)
 
     await airborne(rig)
-    rig.agent.start_pattern(rig.token, "briefly", briefly)
+    rig.holding.require().start_pattern("briefly", briefly)
     await anyio.sleep(0.05)
     assert rig.holding.require().flown is Flown.PROGRAM
     await anyio.sleep(0.1)
@@ -103,7 +91,7 @@ async def test_a_program_whose_setpoint_is_refused_ends_with_the_reason(rig: Rig
             send(Setpoint.tilt(roll_deg=0, pitch_deg=0, height=500, yaw_rate_deg_s=0))
 
     await airborne(rig)
-    rig.agent.start_pattern(rig.token, "too high", too_high)
+    rig.holding.require().start_pattern("too high", too_high)
     await anyio.sleep(0.5)
     assert rig.holding.pattern is None
     ends = [one.text for one in rig.agent.journal.events if one.text.startswith("too high ended")]
@@ -125,20 +113,20 @@ async def test_a_refused_setpoint_stops_what_flew_before(rig: Rig) -> None:
 
 
 async def test_one_task_at_a_time(rig: Rig) -> None:
-    await rig.agent.obtain(rig.token)
+    await rig.agent.ask(orders.Obtain(), rig.token)
     async with anyio.create_task_group() as group:
-        group.start_soon(rig.agent.fly, rig.token, Task.TAKE_OFF)
+        group.start_soon(rig.agent.ask, orders.TakeOff(), rig.token)
         await anyio.sleep(0.5)
         with pytest.raises(TaskRefused, match="land was asked for during take off"):
-            await rig.agent.fly(rig.token, Task.LAND)
+            await rig.agent.ask(orders.Land(), rig.token)
 
 
 async def test_a_block_that_ends_ends_what_used_it(rig: Rig) -> None:
     await airborne(rig)
     flying = rig.holding.require()
-    rig.agent.start_pattern(rig.token, "east", go_east)
+    rig.holding.require().start_pattern("east", go_east)
     await anyio.sleep(0.1)
-    await rig.agent.release(rig.token)
+    await rig.agent.ask(orders.Release(), rig.token)
     assert flying.pattern is None
     assert not flying.has_authority
     with pytest.raises(NoAuthority):
@@ -172,9 +160,7 @@ async def waypoints() -> AsyncIterator[Rig]:
 
 async def test_who_waits_for_the_end_of_a_mission_is_told_that_it_was_flown(waypoints: Rig) -> None:
     rig, begun = waypoints, []
-    await rig.agent.fly_mission(
-        rig.token, away(rig, 10, 20), begun=lambda: begun.append(speed(rig))
-    )
+    await mission(rig, away(rig, 10, 20), begun=lambda: begun.append(speed(rig)))
     assert begun
     assert rig.aircraft.position[0] == pytest.approx(20, abs=1.0)
     assert not rig.holding.require().mission.is_flying
@@ -189,7 +175,7 @@ async def test_who_waits_for_the_end_of_a_mission_is_told_what_ended_it(
 
         async def wait() -> None:
             with pytest.raises(NotObserved, match="was stopped"):
-                await rig.agent.fly_mission(rig.token, away(rig, 60, 80), begun=lambda: None)
+                await mission(rig, away(rig, 60, 80), begun=lambda: None)
             group.cancel_scope.cancel()
 
         group.start_soon(wait)
@@ -199,7 +185,7 @@ async def test_who_waits_for_the_end_of_a_mission_is_told_what_ended_it(
         elif how == "stop":
             await rig.agent.stop()
         elif how == "mission stop":
-            await rig.agent.order_mission(rig.token, "stop")
+            await rig.agent.ask(orders.StopMission(), rig.token)
         elif how == "pilot":
             rig.aircraft.vehicle.remote.set_mode("P")
         else:
@@ -212,11 +198,11 @@ async def test_who_waits_for_the_end_of_a_mission_is_told_what_ended_it(
 
 async def test_a_stop_of_a_mission_makes_way_for_what_comes_next(waypoints: Rig) -> None:
     rig = waypoints
-    await rig.agent.fly_mission(rig.token, away(rig, 60, 80))
+    await mission(rig, away(rig, 60, 80))
     with pytest.raises(MissionRunning):
-        await rig.agent.fly(rig.token, Task.LAND)
-    await rig.agent.order_mission(rig.token, "stop")
-    await rig.agent.fly(rig.token, Task.LAND)
+        await rig.agent.ask(orders.Land(), rig.token)
+    await rig.agent.ask(orders.StopMission(), rig.token)
+    await rig.agent.ask(orders.Land(), rig.token)
     assert rig.aircraft.height < 0.1
 
 
@@ -226,12 +212,12 @@ async def test_a_stop_ends_a_mission_that_has_not_begun(waypoints: Rig) -> None:
 
         async def begin() -> None:
             with pytest.raises(M100Error):
-                await rig.agent.fly_mission(rig.token, away(rig, 60, 80))
+                await mission(rig, away(rig, 60, 80))
 
         group.start_soon(begin)
         await anyio.sleep(0.02)
         assert rig.holding.require().mission.is_flying
-        await rig.agent.order_mission(rig.token, "stop")
+        await rig.agent.ask(orders.StopMission(), rig.token)
         assert not rig.holding.require().mission.is_flying
     await anyio.sleep(5.0)
     assert speed(rig) < 0.1
@@ -242,7 +228,7 @@ async def test_stop_ends_the_way_to_the_ground_behind_a_mission(
     waypoints: Rig, at_end: AtEnd
 ) -> None:
     rig = waypoints
-    await rig.agent.fly_mission(rig.token, away(rig, 30, 40, at_end=at_end))
+    await mission(rig, away(rig, 30, 40, at_end=at_end))
     await rig.until(lambda: rig.holding.require().mission.is_landing, within=60.0)
     await anyio.sleep(1.0)
     await rig.agent.stop()
@@ -257,14 +243,14 @@ async def test_stop_ends_the_way_to_the_ground_behind_a_mission(
 async def test_a_guided_flight_begins_is_told_and_ends_for_a_program(rig: Rig) -> None:
     await airborne(rig)
     flying, began = rig.holding.require(), list[str]()
-    order = ChangeHeight(20.0)
+    order = orders.ChangeHeight(20.0)
     flight = rig.agent.background.spawn(flying.guide(order, lambda: began.append("now")), "flight")
     await rig.until(lambda: began == ["now"])
     await anyio.sleep(0.5)
     flown: object = rig.holding.guided_order
     assert flown is order
     assert flying.flown is Flown.GUIDED
-    rig.agent.start_pattern(rig.token, "east", go_east)
+    rig.holding.require().start_pattern("east", go_east)
     await anyio.sleep(0.5)
     assert flight.done()
     assert (rig.holding.guided_order, rig.holding.pattern, east(rig)) == (None, "east", 1.0)
@@ -288,16 +274,16 @@ class Pointing:
         self.began: list[GuidedOrder] = []
         self.start = rig.aircraft.position
 
-    def place(self, north: float, east: float, **values: Any) -> FlyTo:
+    def place(self, north: float, east: float, **values: Any) -> orders.FlyTo:
         wanted: dict[str, Any] = {"height": 10.0} | values
-        return FlyTo(*self.frame.to_geodetic(north, east), **wanted)
+        return orders.FlyTo(*self.frame.to_geodetic(north, east), **wanted)
 
-    def circle(self, north: float, east: float, **values: Any) -> FlyAround:
+    def circle(self, north: float, east: float, **values: Any) -> orders.FlyAround:
         wanted: dict[str, Any] = {"height": 10.0, "radius": 10.0} | values
-        return FlyAround(*self.frame.to_geodetic(north, east), **wanted)
+        return orders.FlyAround(*self.frame.to_geodetic(north, east), **wanted)
 
     async def fly(self, order: GuidedOrder) -> None:
-        await self.rig.agent.guide(self.rig.token, order, lambda: self.began.append(order))
+        await self.rig.agent.ask(order, self.rig.token, lambda: self.began.append(order))
 
     def begin(self, order: GuidedOrder) -> asyncio.Task[M100Error | None]:
         async def flight() -> M100Error | None:
@@ -337,9 +323,8 @@ class Pointing:
 
 @pytest.fixture
 async def pointing(rig: Rig) -> Pointing:
-    await rig.agent.obtain(rig.token)
-    await rig.agent.fly(rig.token, Task.TAKE_OFF)
-    await rig.agent.guide(rig.token, ChangeHeight(10.0))
+    await airborne(rig)
+    await rig.agent.ask(orders.ChangeHeight(10.0), rig.token)
     return Pointing(rig)
 
 
@@ -364,9 +349,9 @@ async def test_it_lands_within_a_metre_of_the_click(
 
 
 async def test_height_heading_and_orbit(pointing: Pointing) -> None:
-    await pointing.fly(ChangeHeight(14.0))
+    await pointing.fly(orders.ChangeHeight(14.0))
     assert pointing.rig.aircraft.height == pytest.approx(14.0, abs=0.5)
-    await pointing.fly(ChangeHeading(360.0 + 270.0))
+    await pointing.fly(orders.ChangeHeading(360.0 + 270.0))
     yaw = math.degrees(pointing.rig.aircraft.vehicle.flight.dynamics.yaw)
     assert yaw == pytest.approx(-90.0, abs=2.5)
     flight = pointing.begin(pointing.circle(20.0, 0.0, radius=10.0, speed=3.0, turns=0.5))
@@ -380,7 +365,7 @@ async def test_what_remains_is_told(pointing: Pointing) -> None:
     await pointing.under_way(order, 4.0)
     flying = pointing.rig.holding.require()
     found = flying.guiding.told()
-    assert isinstance(found, GuidedFlight)
+    assert isinstance(found, orders.GuidedFlight)
     assert (found.what, found.height, found.yaw_deg) == ("flight to a place", 10.0, 90.0)
     assert (found.latitude_deg, found.longitude_deg) == (order.latitude_deg, order.longitude_deg)
     assert found.distance_m is not None
@@ -411,9 +396,9 @@ async def test_what_remains_is_told_at_the_beginning(
         case ("circle", north, east, how):
             wanted = pointing.circle(north, east, **how)
         case ("height", height):
-            wanted = ChangeHeight(height)
+            wanted = orders.ChangeHeight(height)
         case (_, heading):
-            wanted = ChangeHeading(heading)
+            wanted = orders.ChangeHeading(heading)
     flight, guiding = pointing.begin(wanted), pointing.rig.holding.require().guiding
     await pointing.rig.until(
         lambda: (one := guiding.told()) is not None and one.seconds is not None
@@ -461,7 +446,7 @@ async def stop(pointing: Pointing) -> None:
 
 
 async def release(pointing: Pointing) -> None:
-    await pointing.rig.agent.release(pointing.rig.token)
+    await pointing.rig.agent.ask(orders.Release(), pointing.rig.token)
 
 
 ENDS: list[tuple[Callable[[Pointing], Any], str]] = [
@@ -489,7 +474,7 @@ async def test_it_ends_when_nobody_wants_it(
 
 @pytest.mark.parametrize("what", ["circle", "height"])
 async def test_so_do_circles_and_climbs(pointing: Pointing, what: str) -> None:
-    order = pointing.circle(15, 0, turns=5) if what == "circle" else ChangeHeight(49.0)
+    order = pointing.circle(15, 0, turns=5) if what == "circle" else orders.ChangeHeight(49.0)
     flight = pointing.begin(order)
     await anyio.sleep(5.0)
     dynamics = pointing.rig.aircraft.vehicle.flight.dynamics
@@ -534,11 +519,11 @@ async def test_a_program_and_a_guided_flight_end_each_other(pointing: Pointing) 
         async for _ in control.ticks():
             send(NORTH)
 
-    rig.agent.start_pattern(rig.token, "north", go_north)
+    rig.holding.require().start_pattern("north", go_north)
     await anyio.sleep(0.5)
     flight = await pointing.under_way(pointing.place(0, 50))
     flying = [rig.holding.pattern]
-    rig.agent.start_pattern(rig.token, "north", go_north)
+    rig.holding.require().start_pattern("north", go_north)
     assert isinstance(await flight, NotObserved)
     await anyio.sleep(1.0)
     assert [*flying, rig.holding.pattern] == [None, "north"]
@@ -547,14 +532,14 @@ async def test_a_program_and_a_guided_flight_end_each_other(pointing: Pointing) 
 
 async def test_a_landing_that_is_asked_for_meanwhile_lands(pointing: Pointing) -> None:
     flight = await pointing.under_way(pointing.place(100, 0))
-    await pointing.rig.agent.fly(pointing.rig.token, Task.LAND)
+    await pointing.rig.agent.ask(orders.Land(), pointing.rig.token)
     assert isinstance(await flight, NotObserved)
     assert pointing.rig.aircraft.height == pytest.approx(0.0, abs=0.1)
     assert pointing.rig.holding.guided_order is None
 
 
 async def test_during_a_task_it_is_refused(pointing: Pointing) -> None:
-    landing = asyncio.create_task(pointing.rig.agent.fly(pointing.rig.token, Task.LAND))
+    landing = asyncio.create_task(pointing.rig.agent.ask(orders.Land(), pointing.rig.token))
     await anyio.sleep(0.5)
     with pytest.raises(TaskRefused, match="flight to a place was asked for during land"):
         await pointing.fly(pointing.place(10, 0))
@@ -608,23 +593,22 @@ async def test_a_line_that_is_lost_ends_it(pointing: Pointing) -> None:
 
 async def test_without_the_lease_authority_or_air_nothing_moves(rig: Rig) -> None:
     with pytest.raises(LeaseRefused):
-        await rig.agent.guide("wrong", ChangeHeight(5.0))
+        await rig.agent.ask(orders.ChangeHeight(5.0), "wrong")
     with pytest.raises(NoAuthority):
-        await rig.agent.guide(rig.token, ChangeHeight(5.0))
-    await rig.agent.obtain(rig.token)
+        await rig.agent.ask(orders.ChangeHeight(5.0), rig.token)
+    await rig.agent.ask(orders.Obtain(), rig.token)
     with pytest.raises(UsageError, match="on the ground"):
-        await rig.agent.guide(rig.token, ChangeHeight(5.0))
+        await rig.agent.ask(orders.ChangeHeight(5.0), rig.token)
     assert not rig.aircraft.autopilot.received_movements
 
 
 async def test_while_a_mission_flies_it_is_refused() -> None:
     async with Rig(firmware="3.1").running() as rig:
-        await rig.agent.obtain(rig.token)
-        await rig.agent.fly(rig.token, Task.TAKE_OFF)
+        await airborne(rig)
         position = rig.agent.connection.require_aircraft().state.position
         assert position is not None
         frame = LocalFrame(position.latitude_deg, position.longitude_deg)
         points = [Waypoint(*frame.to_geodetic(north, 0), height=12) for north in (20, 40)]
-        await rig.agent.fly_mission(rig.token, WaypointPlan(points))
+        await mission(rig, WaypointPlan(points))
         with pytest.raises(MissionRunning):
-            await rig.agent.guide(rig.token, ChangeHeight(20.0))
+            await rig.agent.ask(orders.ChangeHeight(20.0), rig.token)

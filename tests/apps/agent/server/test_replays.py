@@ -13,8 +13,8 @@ import pytest
 pytest.importorskip("mcap", reason="the extra `log` is not installed")
 
 from m100link import Position
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.messages import Action
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.replays import Replays
 from m100link.apps.agent.server.server import STATE_INTERVAL, Service
@@ -61,7 +61,12 @@ async def test_nobody_gets_control_and_nothing_is_sent(path: Path) -> None:
             await client.acquire("somebody")
         with pytest.raises(OnlyRecorded):
             await client.ask_take_over("somebody")
-        for action in (Action.ACTIVATE, Action.TAKE_PHOTO, Action.OBTAIN, Action.TAKE_OFF):
+        for action in (
+            orders.Activate(),
+            orders.UseCamera(orders.CameraUse.PHOTO),
+            orders.Obtain(),
+            orders.TakeOff(),
+        ):
             with pytest.raises(M100Error):
                 await client.ask(action)
         await asyncio.sleep(1.0)
@@ -85,7 +90,7 @@ async def test_ages_are_those_of_then_at_any_speed_and_stand_still_with_it(
             age = telemetry.age(Position)
             assert age is not None
             assert -0.01 <= age < 0.05
-        await client.ask(Action.REPLAY, data=b"pause")
+        await client.ask(orders.OrderReplay("pause"))
         await asyncio.sleep(0.1)
         age = telemetry.age(Position)
         await asyncio.sleep(30.0)
@@ -99,7 +104,7 @@ async def test_ages_are_those_of_then_at_any_speed_and_stand_still_with_it(
 async def test_it_is_moved_stands_at_its_end_and_goes_on(path: Path) -> None:
     async with station(f"replay://{path}") as (agent, client):
         for order, place in (("seek 10", 10.0), ("by -4", 6.0), ("by -100", 0.0), ("seek 8", 8.0)):
-            await client.ask(Action.REPLAY, data=order.encode())
+            await client.ask(orders.OrderReplay(order))
             await asyncio.sleep(0.3)
             told = client.state.replay
             assert told is not None
@@ -107,22 +112,22 @@ async def test_it_is_moved_stands_at_its_end_and_goes_on(path: Path) -> None:
         position = client.telemetry.position if client.telemetry is not None else None
         assert position is not None
         assert position.height_m > 0.5
-        await client.ask(Action.REPLAY, data=b"speed max")
+        await client.ask(orders.OrderReplay("speed max"))
         await asyncio.sleep(5.0)
         told = client.state.replay
         assert told is not None
         assert told.is_at_end
         assert told.name == "flight.mcap"
         assert client.is_connected, "it stands still at its end"
-        await client.ask(Action.REPLAY, data=b"speed 1")
-        await client.ask(Action.REPLAY, data=b"resume")
+        await client.ask(orders.OrderReplay("speed 1"))
+        await client.ask(orders.OrderReplay("resume"))
         await asyncio.sleep(1.0)
         told = client.state.replay
         assert told is not None
         assert told.position_s == pytest.approx(1.0, abs=0.4)
         for wrong in ("", "rewind", "seek", "seek nan", "seek inf", "speed 0", "speed 1e9", "by x"):
             with pytest.raises(UsageError):
-                await client.ask(Action.REPLAY, data=wrong.encode())
+                await client.ask(orders.OrderReplay(wrong))
         texts = [event.text for event in agent.journal.events]
         assert "recorded: control authority held" in texts
 
@@ -130,9 +135,9 @@ async def test_it_is_moved_stands_at_its_end_and_goes_on(path: Path) -> None:
 async def test_it_is_played_twice_and_half_as_fast_within_limits(path: Path) -> None:
     async with station(f"replay://{path}") as (_, client):
 
-        async def speed(*orders: str) -> float:
-            for order in orders:
-                await client.ask(Action.REPLAY, data=order.encode())
+        async def speed(*words: str) -> float:
+            for order in words:
+                await client.ask(orders.OrderReplay(order))
             await asyncio.sleep(0.3)
             told = client.state.replay
             assert told is not None
@@ -153,7 +158,7 @@ async def test_that_its_place_moves_does_not_tell_the_state_more_often(path: Pat
             told.add(client.state.at)
         assert len(told) <= 4.0 / STATE_INTERVAL + 2
         known = client.state.at
-        await client.ask(Action.REPLAY, data=b"pause")
+        await client.ask(orders.OrderReplay("pause"))
         await asyncio.sleep(0.01)
         assert client.state.at > known, "what people change is told at once"
 
@@ -164,7 +169,7 @@ async def test_an_aircraft_is_not_moved_in_time() -> None:
 
     async with Agent(never) as agent:
         with pytest.raises(UsageError, match="not a replay"):
-            await agent.order_replay("pause")
+            await agent.ask(orders.OrderReplay("pause"))
 
 
 async def test_what_cannot_be_played_is_refused_before_anything_is_served(tmp_path: Path) -> None:

@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 import math
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any, TypeVar
 
 import anyio
 import pytest
 
-from m100link.aircraft import AircraftCamera
-from m100link.apps.agent.guided import FlyTo
-from m100link.apps.agent.lease import Flown, LeaseChange
+from m100link.apps.agent import orders
+from m100link.apps.agent.lease import Flown, Lease, LeaseChange, TakeOver
 from m100link.apps.agent.messages import (
     VERSION,
-    Action,
     Ask,
     Event,
     Hello,
-    LeaseAction,
-    LeaseAsk,
     LeaseChanged,
-    LeaseGranted,
     Limits,
     Message,
     Note,
@@ -32,20 +26,18 @@ from m100link.apps.agent.messages import (
     State,
     Steer,
     SteerRefused,
-    TakeOverOffered,
     Telemetry,
 )
+from m100link.apps.agent.orders import FlyTo
 from m100link.apps.agent.server.flight import limits_of
-from m100link.apps.agent.server.server import MAX_SETPOINT_AGE, STATE_INTERVAL, Orders, Service
+from m100link.apps.agent.server.server import MAX_SETPOINT_AGE, STATE_INTERVAL, Service
 from m100link.apps.agent.transports import memory_channels
-from m100link.errors import M100Error, UsageError
+from m100link.errors import UsageError
 from m100link.flight.guards import Envelope, Guards
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
-from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
-from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.sample import Sample
 from tests.apps.agent.conftest import Rig
@@ -76,9 +68,18 @@ class Front:
     def all(self, kind: type[M]) -> list[M]:
         return [one for one in self.inbox if isinstance(one, kind)]
 
-    def lease(self, **fields: Any) -> LeaseGranted:
-        self.send(LeaseAsk(99, LeaseAction.ACQUIRE, **({"name": "pilot"} | fields)))
-        return self.all(LeaseGranted)[-1]
+    def lease(self, name: str = "pilot") -> Lease:
+        self.send(Ask(99, orders.AcquireLease(name)))
+        return self.granted
+
+    @property
+    def granted(self) -> Lease:
+        return [one.lease for one in self.all(Outcome) if one.lease is not None][-1]
+
+    @property
+    def offer(self) -> TakeOver:
+        [found] = [one.offer for one in self.all(Outcome) if one.offer is not None]
+        return found
 
     async def outcome(self, identity: int, stage: Stage = Stage.DONE) -> Outcome:
         def found() -> list[Outcome]:
@@ -90,17 +91,17 @@ class Front:
     async def airborne(self) -> int:
         fence = self.lease().number
         self.rig.agent.background.spawn(self._alive(), "alive")
-        self.send(Ask(1, Action.OBTAIN, fence))
+        self.send(Ask(1, orders.Obtain(), fence))
         await self.outcome(1)
-        self.send(Ask(2, Action.TAKE_OFF, fence))
+        self.send(Ask(2, orders.TakeOff(), fence))
         await self.outcome(2)
         return fence
 
     async def _alive(self) -> None:
-        token = self.all(LeaseGranted)[-1].token
+        token = self.granted.token
         while True:
             await anyio.sleep(0.5)
-            self.send(LeaseAsk(0, LeaseAction.RENEW, token=token))
+            self.send(Ask(0, orders.RenewLease(token)))
 
     @property
     def moves(self) -> list[Any]:
@@ -143,13 +144,13 @@ async def test_a_flight_by_messages(rig: Rig, service: Service) -> None:
     front.send(Steer(fence, rig.agent.now, 0.3, NORTH))
     await anyio.sleep(0.1)
     assert front.moves[-1].roll_or_x == 1.0
-    front.send(Ask(0, Action.HALT))
+    front.send(Ask(0, orders.Halt()))
     await anyio.sleep(0.03)
     assert front.moves[-1].roll_or_x == 0.0
-    front.send(Ask(3, Action.RELEASE, fence))
+    front.send(Ask(3, orders.Release(), fence))
     await front.outcome(3)
     assert front.all(State)[-1].holding == "none"
-    front.send(Ask(4, Action.VERSION))
+    front.send(Ask(4, orders.AskVersion()))
     assert "M100" in (await front.outcome(4)).text
 
 
@@ -175,7 +176,7 @@ def test_a_limit_that_is_off_is_told_as_none() -> None:
 
 async def test_the_state_is_told_before_the_outcome(rig: Rig, service: Service) -> None:
     front = Front(rig, service)
-    front.send(Ask(1, Action.OBTAIN, front.lease().number))
+    front.send(Ask(1, orders.Obtain(), front.lease().number))
     await front.outcome(1)
     place = front.inbox.index(Outcome(1, Stage.DONE))
     states = [one for one in front.inbox[:place] if isinstance(one, State)]
@@ -207,7 +208,7 @@ async def test_authority_is_kept_for_a_front_that_is_lost_and_not_for_one_that_i
         await anyio.sleep(1.0)
         assert rig.holding.has_authority
         other = Front(rig, service)
-        other.send(Ask(1, Action.OBTAIN, other.lease().number))
+        other.send(Ask(1, orders.Obtain(), other.lease().number))
         await other.outcome(1)
         service.close()
         await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=1.0)
@@ -216,7 +217,7 @@ async def test_authority_is_kept_for_a_front_that_is_lost_and_not_for_one_that_i
 async def test_a_front_that_hangs_loses_its_lease(rig: Rig, service: Service) -> None:
     front = Front(rig, service)
     fence = front.lease().number
-    front.send(Ask(1, Action.OBTAIN, fence))
+    front.send(Ask(1, orders.Obtain(), fence))
     await front.outcome(1)
     await rig.until(lambda: front.all(LeaseChanged)[-1].number == 0, within=3.5)
     await rig.until(lambda: not rig.holding.has_authority, within=1.0)
@@ -249,7 +250,9 @@ async def test_a_fence_of_another_front_moves_nothing(rig: Rig, service: Service
     fence = await Front(rig, service).airborne()
     other = Front(rig, service)
     other.send(Steer(fence, rig.agent.now, 0.3, NORTH))
-    for number, action in enumerate((Action.LAND, Action.RELEASE, Action.PATTERN), start=10):
+    for number, action in enumerate(
+        (orders.Land(), orders.Release(), orders.FlyPattern(0)), start=10
+    ):
         other.send(Ask(number, action, fence))
         outcome = await other.outcome(number, Stage.FAILED)
         assert outcome.fault is not None
@@ -263,8 +266,8 @@ async def test_a_fence_of_another_front_moves_nothing(rig: Rig, service: Service
 async def test_an_old_fence_moves_nothing(rig: Rig, service: Service) -> None:
     front = Front(rig, service)
     fence = await front.airborne()
-    token = front.all(LeaseGranted)[-1].token
-    front.send(LeaseAsk(5, LeaseAction.RELEASE, token=token))
+    token = front.granted.token
+    front.send(Ask(5, orders.ReleaseLease(token)))
     await front.outcome(5)
     new = front.lease().number
     assert new > fence
@@ -275,15 +278,15 @@ async def test_an_old_fence_moves_nothing(rig: Rig, service: Service) -> None:
 async def test_a_take_over_names_who_loses_it(rig: Rig, service: Service) -> None:
     first, second = Front(rig, service), Front(rig, service)
     first.lease(name="first")
-    second.send(LeaseAsk(1, LeaseAction.ACQUIRE, "second"))
+    second.send(Ask(1, orders.AcquireLease("second")))
     refused = await second.outcome(1, Stage.FAILED)
     assert refused.fault is not None
     assert refused.fault.details["holder"] == "first"
-    second.send(LeaseAsk(2, LeaseAction.TAKE_OVER, "second"))
-    (offer,) = second.all(TakeOverOffered)
+    second.send(Ask(2, orders.AskTakeOver("second")))
+    offer = second.offer
     assert offer.from_name == "first"
-    second.send(LeaseAsk(3, LeaseAction.CONFIRM, token=offer.token))
-    assert second.all(LeaseGranted)[-1].id == 3
+    second.send(Ask(3, orders.ConfirmTakeOver(offer.token)))
+    assert second.all(Outcome)[-1] == Outcome(3, Stage.DONE, lease=second.granted)
     assert first.all(LeaseChanged)[-1].name == "second"
 
 
@@ -296,7 +299,7 @@ async def test_another_version_is_not_served(rig: Rig, service: Service) -> None
 @pytest.mark.parametrize("greets", [False, True])
 async def test_what_a_front_does_not_send_ends_it(rig: Rig, service: Service, greets: bool) -> None:
     front = Front(rig, service, greets=greets)
-    front.send(Telemetry(b"", "1.0", 0.0) if greets else Ask(1, Action.HALT))
+    front.send(Telemetry(b"", "1.0", 0.0) if greets else Ask(1, orders.Halt()))
     assert len(front.closed) == 1
     assert front.all(Outcome) == []
 
@@ -305,7 +308,7 @@ async def test_notes_and_questions_are_bounded(rig: Rig, service: Service) -> No
     front = Front(rig, service)
     for number in range(1000):
         front.send(Note("info", f"note {number}"))
-        front.send(Ask(number + 1, Action.VERSION))
+        front.send(Ask(number + 1, orders.AskVersion()))
     notes = [one for one in rig.agent.journal.events if one.text.startswith("note ")]
     assert len(notes) == 20
     refused = [one for one in front.all(Outcome) if one.stage is Stage.FAILED]
@@ -347,21 +350,23 @@ async def test_gimbal_camera_and_motors_by_messages() -> None:
         rig.renewing.cancel()
         rig.agent.desk.release(rig.token, rig.agent.now)
         front = Front(rig, service)
-        value = GimbalAngle(pitch_deg=-45.0).value(FIRMWARE_3_1)
-        front.send(Ask(11, Action.GIMBAL_ANGLES, data=value))
+        front.send(Ask(11, orders.PointGimbal(GimbalAngle(pitch_deg=-45.0))))
         await front.outcome(11)
-        front.send(Ask(12, Action.GIMBAL_RATES, data=GimbalSpeed().value(FIRMWARE_3_1)))
+        front.send(Ask(12, orders.TurnGimbal(GimbalSpeed())))
         await front.outcome(12)
-        for identity, data in ((13, b""), (14, b"\xff" * 8), (15, value[:-1])):
-            front.send(Ask(identity, Action.GIMBAL_ANGLES, data=data))
+        for identity, wrong in ((13, 31.0), (14, -91.0), (15, 1e300)):
+            front.send(Ask(identity, orders.PointGimbal(GimbalAngle(pitch_deg=wrong))))
             assert (await front.outcome(identity, Stage.FAILED)).fault is not None
-        for identity, action in ((16, Action.TAKE_PHOTO), (17, Action.START_VIDEO)):
+        for identity, action in (
+            (16, orders.UseCamera(orders.CameraUse.PHOTO)),
+            (17, orders.UseCamera(orders.CameraUse.START_VIDEO)),
+        ):
             front.send(Ask(identity, action))
             await front.outcome(identity)
         camera = rig.aircraft.vehicle.camera
         await rig.until(lambda: camera.is_recording)
         assert camera.photos == 1
-        front.send(Ask(18, Action.ARM))
+        front.send(Ask(18, orders.SwitchMotors(on=True)))
         fault = (await front.outcome(18, Stage.FAILED)).fault
         assert fault is not None
         assert not rig.aircraft.vehicle.flight.dynamics.motors_on
@@ -383,7 +388,7 @@ async def test_a_flight_to_a_place_by_messages(rig: Rig, service: Service) -> No
     front, watcher = Front(rig, service), Front(rig, service)
     fence = await front.airborne()
     order = ahead(rig, 30.0)
-    front.send(replace(order, id=7, fence=fence))
+    front.send(Ask(7, order, fence))
     await front.outcome(7, Stage.ACCEPTED)
     await anyio.sleep(2.0)
     for one in (front, watcher):  # whoever draws it
@@ -397,7 +402,7 @@ async def test_a_flight_to_a_place_by_messages(rig: Rig, service: Service) -> No
         assert 5.0 < guided.distance_m < 30.0
     await front.outcome(7)
     assert front.all(State)[-1].guided is None
-    watcher.send(replace(order, id=8, fence=fence))
+    watcher.send(Ask(8, order, fence))
     fault = (await watcher.outcome(8, Stage.FAILED)).fault
     assert fault is not None
     assert fault.kind == "LeaseRefused"
@@ -408,7 +413,7 @@ async def test_telling_what_remains_does_not_tell_the_state_more_often(
 ) -> None:
     front = Front(rig, service)
     fence = await front.airborne()
-    front.send(replace(ahead(rig, 60.0), id=7, fence=fence))
+    front.send(Ask(7, ahead(rig, 60.0), fence))
     await anyio.sleep(1.0)
     states = len(front.all(State))
     await anyio.sleep(4.0)
@@ -421,7 +426,7 @@ async def test_a_flight_to_a_place_ends_with_its_front(
 ) -> None:
     front, watcher = Front(rig, service), Front(rig, service)
     fence = await front.airborne()
-    front.send(replace(ahead(rig, 100.0), id=7, fence=fence))
+    front.send(Ask(7, ahead(rig, 100.0), fence))
     await anyio.sleep(5.0)
     assert speed_of(rig) > 3.0
     if how == "closes":
@@ -431,7 +436,7 @@ async def test_a_flight_to_a_place_ends_with_its_front(
             if "alive" in task.get_name():
                 task.cancel()
     else:
-        watcher.send(Ask(0, Action.HALT, text="another console"))
+        watcher.send(Ask(0, orders.Halt("another console")))
     await rig.until(lambda: rig.holding.guided_order is None, within=4.0)
     await anyio.sleep(3.0)
     assert speed_of(rig) < 0.1
@@ -444,8 +449,8 @@ async def test_a_halt_that_is_heard_together_with_a_flight_ends_it(
     """Both are read in one go when the agent was held up: the newest wins all the same."""
     front = Front(rig, service)
     fence = await front.airborne()
-    front.send(replace(ahead(rig, 100.0), id=7, fence=fence))
-    front.send(Ask(8, Action.HALT, fence))
+    front.send(Ask(7, ahead(rig, 100.0), fence))
+    front.send(Ask(8, orders.Halt(), fence))
     await anyio.sleep(5.0)
     assert speed_of(rig) < 0.1
     assert rig.holding.guided_order is None
@@ -456,9 +461,9 @@ async def test_a_flight_that_is_heard_together_with_a_halt_before_it_is_flown(
 ) -> None:
     front = Front(rig, service)
     fence = await front.airborne()
-    front.send(replace(ahead(rig, 50.0), id=7, fence=fence))
-    front.send(Ask(8, Action.HALT, fence))
-    front.send(replace(ahead(rig, 100.0), id=9, fence=fence))
+    front.send(Ask(7, ahead(rig, 50.0), fence))
+    front.send(Ask(8, orders.Halt(), fence))
+    front.send(Ask(9, ahead(rig, 100.0), fence))
     await anyio.sleep(5.0)
     assert speed_of(rig) > 3.0
 
@@ -471,136 +476,123 @@ async def test_a_plan_is_told_to_all_until_its_lease_ends() -> None:
         assert watcher.all(PlanTold) == [PlanTold()]
         fence = front.lease().number
         plan = WaypointPlan([Waypoint(52.1, 4.31, height=20), Waypoint(52.1003, 4.31, height=25)])
-        mission, points = plan.to_wire()
-        front.send(Ask(1, Action.MISSION_PLAN, fence, data=mission.value(FIRMWARE_3_1)))
-        for number, point in enumerate(points, 2):
-            front.send(Ask(number, Action.MISSION_POINT, fence, data=point.value(FIRMWARE_3_1)))
-            await front.outcome(number)
+        upload = orders.UploadPlan.of(plan)
+        front.send(Ask(1, upload, fence))
+        assert (await front.outcome(1)).text == upload.digest
         told = watcher.all(PlanTold)[-1]
-        assert told.name == "pilot"
-        parsed = [WaypointPoint.parse(one, FIRMWARE_3_1) for one in told.points]
-        assert WaypointPlan.from_wire(
-            WaypointMission.parse(told.mission, FIRMWARE_3_1), parsed
-        ) == WaypointPlan.from_wire(mission, points)
+        assert told == PlanTold("pilot", upload)
+        assert upload.plan().to_wire() == plan.to_wire()
         assert Front(rig, service).all(PlanTold) == [told]  # who comes later sees it, too
         assert any("pilot uploaded a plan of 2" in one.text for one in watcher.all(Event))
         front.channel.close("gone")
         await rig.until(lambda: watcher.all(PlanTold)[-1] == PlanTold())
 
 
-class Asked:
-    """An agent that keeps what it is asked, and does nothing."""
+PLANS = [
+    WaypointPlan([Waypoint(52.1, 4.31, height=up), Waypoint(52.1003, 4.31, height=25)])
+    for up in (20, 30)
+]
+
+
+class Flies:
+    """What flies: keeps what it is told to do."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[Any, ...]] = []
-        self.desk, self.now = self, 0.0
+        self.mission = self
 
-    def check(self, token: str, now: float) -> None:
-        assert (token, now) == ("proof", 0.0)
+    def flight(self, kind: type[Any]) -> Any:
+        return self
 
     def __getattr__(self, name: str) -> Any:
         async def asked(*what: Any, **how: Any) -> Any:
-            self.calls.append((name, *what, *sorted(how.items())))
-            return what[-1] if name == "set_mission_speed" else None
+            self.calls.append((name, *what, *how.items()))
+            return what[0] if name == "set_speed" else None
 
         return asked
 
 
-def orders(agent: Asked, plans: list[WaypointPlan] | None = None) -> Orders:
-    one: Any = agent
-    return Orders(one, ([] if plans is None else plans).append)
+@pytest.fixture
+def flies(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> Flies:
+    found = Flies()
+    monkeypatch.setattr(rig.holding, "require", lambda: found)
+    return found
 
 
 def begun() -> None:
     """The aircraft has begun."""
 
 
-# Speeds in mm/s, radii in mm, rates in thousandths of a degree per second.
-ASKED: list[tuple[Action, int, tuple[Any, ...]]] = [
-    (Action.OBTAIN, 0, ("obtain", "proof")),
-    (Action.RELEASE, 0, ("release", "proof")),
-    (Action.TAKE_OFF, 0, ("fly", "proof", Task.TAKE_OFF, begun)),
-    (Action.LAND, 0, ("fly", "proof", Task.LAND, begun)),
-    (Action.GO_HOME, 0, ("fly", "proof", Task.GO_HOME, begun)),
-    (Action.STOP, 0, ("stop",)),
-    (Action.ARM, 0, ("switch_motors", "proof", ("on", True))),
-    (Action.DISARM, 0, ("switch_motors", "proof", ("on", False))),
-    (Action.HOTPOINT_RADIUS, 12_345, ("set_hotpoint", "proof", ("radius", 12.345))),
-    (Action.HOTPOINT_RATE, -7_525, ("set_hotpoint", "proof", ("rate", -7.525))),
-    (Action.HOTPOINT_HEADING, 9, ("set_hotpoint", "proof")),
-    (Action.MISSION_STOP, 0, ("order_mission", "proof", "stop")),
-    (Action.MISSION_PAUSE, 0, ("order_mission", "proof", "pause")),
-    (Action.MISSION_RESUME, 0, ("order_mission", "proof", "resume")),
-    (Action.MISSION_SPEED, 4_567, ("set_mission_speed", "proof", 4.567)),
-    (Action.TAKE_PHOTO, 0, ("use_camera", "proof", AircraftCamera.take_photo)),
-    (Action.START_VIDEO, 0, ("use_camera", "proof", AircraftCamera.start_video)),
-    (Action.STOP_VIDEO, 0, ("use_camera", "proof", AircraftCamera.stop_video)),
-]
-
-# Judged by tests of their own, which have their bytes, their lease or their answer.
-ASKED_ELSEWHERE = {
-    *(Action.HALT, Action.VERSION, Action.ACTIVATE, Action.PATTERN, Action.REPLAY),
-    *(Action.MISSION_PLAN, Action.MISSION_POINT, Action.MISSION_START, Action.HOTPOINT_START),
-    *(Action.GIMBAL_ANGLES, Action.GIMBAL_RATES, Action.SEND_TO_MOBILE),
-}
-
-
-def test_each_action_is_in_a_table_by_hand() -> None:
-    listed = {action for action, *_ in ASKED} | ASKED_ELSEWHERE
-    missing = [one.name for one in Action if one not in listed]
-    assert missing == [], f"no row of ASKED says what the agent is asked for {missing}"
-
-
-@pytest.mark.parametrize(("action", "number", "call"), ASKED)
-async def test_what_is_asked_for_is_asked_of_the_agent_with_its_unit(
-    action: Action, number: int, call: tuple[Any, ...]
+# In metres, m/s and degrees per second, clockwise positive.
+@pytest.mark.parametrize(
+    ("order", "call"),
+    [
+        (orders.TakeOff(), ("fly", Task.TAKE_OFF, begun)),
+        (orders.Land(), ("fly", Task.LAND, begun)),
+        (orders.GoHome(), ("fly", Task.GO_HOME, begun)),
+        (orders.SwitchMotors(on=True), ("switch_motors", ("on", True))),
+        (orders.SwitchMotors(on=False), ("switch_motors", ("on", False))),
+        (orders.SetHotpointRadius(12.345), ("set_radius", 12.345, ("wait", False))),
+        (
+            orders.SetHotpointRate(-7.525),
+            ("set_rate", 7.525, ("clockwise", False), ("wait", False)),
+        ),
+        (orders.ResetHotpointHeading(), ("reset_heading",)),
+        (orders.StopMission(), ("order_mission", "stop")),
+        (orders.PauseMission(), ("order_mission", "pause")),
+        (orders.ResumeMission(), ("order_mission", "resume")),
+        (orders.SetMissionSpeed(4.567), ("set_speed", 4.567)),
+    ],
+    ids=lambda one: type(one).__name__,
+)
+async def test_what_is_asked_for_is_flown_with_its_unit(
+    rig: Rig, flies: Flies, order: orders.Order, call: tuple[Any, ...]
 ) -> None:
-    agent = Asked()
-    done = await orders(agent).doing(Ask(1, action, 3, number), "proof", begun)
-    assert agent.calls == [call]
-    assert done == (("", 4_567) if action is Action.MISSION_SPEED else None)
+    done = await rig.agent.ask(order, rig.token, begun)
+    assert flies.calls == [call]
+    assert done == (("", 4_567) if isinstance(order, orders.SetMissionSpeed) else None)
 
 
-@pytest.mark.parametrize(
-    "action", [one for one in Action if one is not Action.HALT], ids=lambda one: one.name
-)
-async def test_every_action_has_a_row(action: Action) -> None:
-    """A question without one would end as a fault of the agent; a halt waits for no table."""
-    work: Any
-    with suppress(M100Error):  # its data is none: that is another refusal
-        work = orders(Asked()).doing(Ask(1, action), "proof", begun)
-        work.close()
-
-
-@pytest.mark.parametrize(
-    ("number", "take_off", "until"), [(0, False, False), (1, True, False), (2, False, True)]
-)
+@pytest.mark.parametrize(("take_off", "until"), [(False, False), (True, False), (False, True)])
 async def test_a_plan_is_started_under_the_lease_that_it_came_under_and_no_other(
-    number: int, take_off: bool, until: bool
+    rig: Rig, flies: Flies, take_off: bool, until: bool
 ) -> None:
-    """What somebody else left behind is not flown, and not added to."""
-    agent, plans = Asked(), list[WaypointPlan]()
-    one = orders(agent, plans)
-    plan = WaypointPlan([Waypoint(52.1, 4.31, height=20), Waypoint(52.1003, 4.31, height=25)])
-    mission, points = plan.to_wire()
-    data = [points[0].value(FIRMWARE_3_1), points[1].value(FIRMWARE_3_1)]
-
-    async def ask(action: Action, fence: int, **fields: Any) -> None:
-        await one.doing(Ask(1, action, fence, **fields), "proof", begun)
-
-    await ask(Action.MISSION_PLAN, 3, data=mission.value(FIRMWARE_3_1))
-    await ask(Action.MISSION_POINT, 3, data=data[0])
+    """What somebody else left behind is not flown."""
+    start = orders.StartMission(take_off, until)
+    first, second = map(orders.UploadPlan.of, PLANS)
     with pytest.raises(UsageError, match="under this lease"):
-        await ask(Action.MISSION_POINT, 4, data=data[1])
-    assert plans == []
-    await ask(Action.MISSION_POINT, 3, data=data[1])
-    [whole] = plans
+        await rig.agent.ask(start, rig.token)
+    await rig.agent.ask(first, rig.token)
+    await rig.agent.ask(start, rig.token, begun)
+    how = ("take_off", take_off), ("begun", begun if until else None)
+    assert flies.calls == [("start_mission", first.plan(), *how)]
+    await rig.agent.ask(second, rig.token)
+    with pytest.raises(UsageError, match="not the one on board"):
+        await rig.agent.ask(replace(start, digest=first.digest), rig.token)
+    await rig.agent.ask(replace(start, digest=second.digest), rig.token, begun)
+    assert flies.calls[1:] == [("start_mission", second.plan(), *how)]
+    rig.renewing.cancel()
+    rig.agent.desk.release(rig.token, rig.agent.now)
+    other = rig.agent.desk.acquire("other", rig.agent.now).token
     with pytest.raises(UsageError, match="under this lease"):
-        await ask(Action.MISSION_START, 4, number=number)
-    assert agent.calls == []
-    await ask(Action.MISSION_START, 3, number=number)
-    how = ("begun", begun if until else None), ("take_off", take_off)
-    assert agent.calls == [("fly_mission", "proof", whole, *how)]
+        await rig.agent.ask(start, other)
+    assert len(flies.calls) == 2
+
+
+async def test_a_plan_that_cannot_be_flown_voids_the_one_before(rig: Rig, flies: Flies) -> None:
+    whole = orders.UploadPlan.of(PLANS[0])
+    for bad in (
+        replace(whole, points=whole.points[:1]),
+        replace(whole, points=(whole.points[0], whole.points[0])),
+        replace(whole, points=(whole.points[0], b"")),
+        replace(whole, mission=b""),
+    ):
+        await rig.agent.ask(whole, rig.token)
+        with pytest.raises(UsageError):
+            await rig.agent.ask(bad, rig.token)
+        with pytest.raises(UsageError, match="no plan was uploaded"):
+            await rig.agent.ask(orders.StartMission(), rig.token)
+    assert flies.calls == []
 
 
 async def begin(flown: Flown, front: Front, fence: int) -> None:
@@ -609,20 +601,17 @@ async def begin(flown: Flown, front: Front, fence: int) -> None:
     if flown is Flown.SETPOINTS:
         front.send(Steer(fence, rig.agent.now, 0.5, NORTH))
     elif flown is Flown.GUIDED:
-        front.send(replace(ahead(rig, 60.0), id=7, fence=fence))
+        front.send(Ask(7, ahead(rig, 60.0), fence))
     elif flown is Flown.PROGRAM:
-        front.send(Ask(7, Action.PATTERN, fence, number=1))
+        front.send(Ask(7, orders.FlyPattern(1), fence))
     elif flown is Flown.LAND:
-        front.send(Ask(7, Action.LAND, fence))
+        front.send(Ask(7, orders.Land(), fence))
     elif flown is Flown.MISSION:
         far = ahead(rig, 80.0)
         points = [Waypoint(far.latitude_deg, far.longitude_deg + lon, 10) for lon in (0.0, 3e-4)]
-        mission, wire = WaypointPlan(points, speed=4).to_wire()
-        front.send(Ask(20, Action.MISSION_PLAN, fence, data=mission.value(FIRMWARE_3_1)))
-        for number, point in enumerate(wire, 21):
-            front.send(Ask(number, Action.MISSION_POINT, fence, data=point.value(FIRMWARE_3_1)))
-            await front.outcome(number)
-        front.send(Ask(30, Action.MISSION_START, fence))
+        front.send(Ask(20, orders.UploadPlan.of(WaypointPlan(points, speed=4)), fence))
+        await front.outcome(20)
+        front.send(Ask(30, orders.StartMission(), fence))
         await front.outcome(30)
     await anyio.sleep(1.0)
 
@@ -641,8 +630,8 @@ async def test_who_loses_the_lease_is_told_what_was_flown(flown: Flown) -> None:
         front, other = Front(rig, service), Front(rig, service)
         fence = await front.airborne()
         await begin(flown, front, fence)
-        other.send(LeaseAsk(2, LeaseAction.TAKE_OVER, "other"))
-        other.send(LeaseAsk(3, LeaseAction.CONFIRM, token=other.all(TakeOverOffered)[-1].token))
+        other.send(Ask(2, orders.AskTakeOver("other")))
+        other.send(Ask(3, orders.ConfirmTakeOver(other.offer.token)))
         told = front.all(LeaseChanged)[-1]
         assert (told.name, told.why, told.flown) == ("other", LeaseChange.TAKEN_OVER, flown)
         await anyio.sleep(6.0)

@@ -8,12 +8,11 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.codec import told_of
-from m100link.apps.agent.messages import Action, Ask, PlanTold
+from m100link.apps.agent import orders
+from m100link.apps.agent.orders import UploadPlan
 from m100link.apps.fleet.control import FleetControl
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.lost_link import LostAction, LostPlan
-from m100link.apps.fleet.missions.board import digest_of
 from m100link.apps.fleet.payloads import MissionCard, MissionInput, MissionStage, Outcome, after
 from m100link.errors import GuardRefused, M100Error, MissionRunning, StaleLease, UsageError
 from tests.apps.bus.memory import Weather
@@ -34,7 +33,7 @@ async def test_a_plan_goes_up_whole_and_nothing_flies_before_its_start(rig: Rig)
     plan = away(one, 20, 60)
     async with (await rig.pilot())["a1"].control() as control:
         digest = await control.missions.upload(plan)
-        assert digest == digest_of(told_of(plan, "somebody"))
+        assert digest == UploadPlan.of(plan).digest
         card = await (await rig.pilot("b"))["a1"].mission()
         assert (card.stage, card.digest, card.points) == (MissionStage.UPLOADED, digest, 2)
         assert card.by == "pilot"
@@ -61,56 +60,34 @@ async def test_another_plan_than_the_one_that_is_named_does_not_start(rig: Rig) 
         assert one.height < 0.1
 
 
-async def test_a_plan_by_pieces_is_not_started_under_the_name_of_another(rig: Rig) -> None:
-    """So a front that is far away brings one: as it would to an agent beside it."""
-    one = await on_board(rig)
-    pieces = told_of(away(one, 20, 60), "")
-    async with (await rig.pilot())["a1"].control() as control:
-        digest = await control.missions.upload(away(one, 20, 80))
-        await control.ask(Ask(0, Action.MISSION_PLAN, data=pieces.mission))
-        for point in pieces.points:
-            await control.ask(Ask(0, Action.MISSION_POINT, data=point))
-        with pytest.raises(UsageError, match="not the one on board"):
-            await control.missions.start(digest, take_off=True)
-        assert one.height < 0.1
-        await control.ask(Ask(0, Action.MISSION_START, number=1))
-        assert one.fleet_agent.missions.stage is MissionStage.FLYING
-
-
 async def test_what_is_no_plan_is_refused_and_flies_nothing(rig: Rig) -> None:
     one = await on_board(rig)
-    told = told_of(away(one, 20, 60, 100), "")
+    told = UploadPlan.of(away(one, 20, 60, 100))
     halves = [
-        PlanTold("", told.mission, told.points[:2]),
-        PlanTold("", told.mission[:-1], told.points),
-        PlanTold("", b"", told.points),
-        PlanTold("", told.mission, (told.points[0], told.points[0], told.points[2])),
-        PlanTold("", told.mission, (*told.points[:2], b"")),
+        UploadPlan(told.mission, told.points[:2]),
+        UploadPlan(told.mission[:-1], told.points),
+        UploadPlan(b"", told.points),
+        UploadPlan(told.mission, (told.points[0], told.points[0], told.points[2])),
+        UploadPlan(told.mission, (*told.points[:2], b"")),
     ]
     async with (await rig.pilot())["a1"].control() as control:
         for half in halves:
             with pytest.raises(UsageError):
                 await control.ask(half)
             with pytest.raises(UsageError):
-                await control.missions.start(digest_of(half), take_off=True)
+                await control.missions.start(half.digest, take_off=True)
         assert one.height < 0.1
 
 
-async def test_an_upload_that_is_lost_in_the_middle_of_its_staging_flies_nothing(
+async def test_an_upload_that_the_agent_refuses_leaves_no_plan_before_it(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one = await on_board(rig)
-    plan = away(one, 20, 60, 100)
     async with (await rig.pilot())["a1"].control() as control:
-        good = await control.missions.upload(plan)
-        ask, asked = one.client.ask, 0
+        good = await control.missions.upload(away(one, 20, 60, 100))
 
-        async def breaks(action: Action, *arguments: Any, **more: Any) -> object:
-            nonlocal asked
-            asked += action is Action.MISSION_POINT
-            if asked == 2:
-                raise UsageError("cut off")
-            return await ask(action, *arguments, **more)
+        async def breaks(*_: Any) -> object:
+            raise UsageError("cut off")
 
         with monkeypatch.context() as patched:
             patched.setattr(one.client, "ask", breaks)
@@ -127,10 +104,10 @@ async def test_without_the_lease_nothing_goes_up_and_nothing_starts(rig: Rig) ->
     pilot = await rig.pilot()
     asker = pilot["a1"].asker
     with pytest.raises(StaleLease):
-        await asker.ask(told_of(away(one, 20, 60), ""))
+        await asker.ask(UploadPlan.of(away(one, 20, 60)))
     async with pilot["a1"].control() as control:
         digest = await control.missions.upload(away(one, 20, 60))
-        start = Ask(0, Action.MISSION_START, number=1, data=digest.encode())
+        start = orders.StartMission(take_off=True, digest=digest)
         with pytest.raises(StaleLease):
             await asker.ask(start)
         with pytest.raises(StaleLease):  # a stranger who knows the number of the lease
@@ -151,7 +128,7 @@ async def test_a_start_that_is_repeated_starts_once_and_one_that_is_late_not_at_
     async with pilot["a1"].control() as control:
         await flying(rig, one, control)
         lease = control._held()
-        start = Ask(0, Action.MISSION_START, number=1)
+        start = orders.StartMission(take_off=True)
         with pytest.raises(GuardRefused, match="nobody waits for it"):
             await asker.ask(
                 start, fence=lease.number, token=lease.token, clock=one.client.now - 6.0
@@ -176,7 +153,7 @@ async def test_an_agent_that_begins_anew_does_not_start_it_a_second_time(rig: Ri
         await control.missions.upload(away(one, 20, 60))
         try:
             await pilot["a2"].asker.ask(
-                Ask(0, Action.MISSION_START, number=1),
+                orders.StartMission(take_off=True),
                 fence=lease.number,
                 token=lease.token,
                 clock=second.client.now,
@@ -200,7 +177,7 @@ async def test_whatever_ends_it_the_aircraft_hovers(rig: Rig, how: str) -> None:
         elif how == "halt":
             await control.missions.stop()
         elif how == "mission stop":
-            await control.ask(Ask(0, Action.MISSION_STOP))
+            await control.ask(orders.StopMission())
         else:
             await control._leave()
         began = anyio.current_time()

@@ -9,7 +9,7 @@ from typing import Any, cast
 import anyio
 import pytest
 
-from m100link.apps.agent.guided import ChangeHeading, ChangeHeight, FlyAround, FlyTo
+from m100link.apps.agent import orders
 from m100link.apps.agent.messages import Limits, State
 from m100link.apps.mavlink.translator.codec import LAYOUTS, Message
 from m100link.apps.mavlink.translator.commands import COMMANDS, Commands, read_command
@@ -100,8 +100,8 @@ def whole(command: int, frame: int, x: int, y: int, z: float, *four: float) -> M
     return Message("COMMAND_INT", fields | more)
 
 
-def to(height: float, speed: float = 5.0, yaw: float | None = None) -> FlyTo:
-    return FlyTo(10.5001, -20.2501, near(height), speed, yaw)
+def to(height: float, speed: float = 5.0, yaw: float | None = None) -> orders.FlyTo:
+    return orders.FlyTo(10.5001, -20.2501, near(height), speed, yaw)
 
 
 X, Y = 105_001_000, -202_501_000
@@ -121,11 +121,11 @@ TABLE: list[tuple[Message, Mode, object]] = [
     (long(HOME), Mode.RTL, GoHome()),
     (long(REPOSITION), Mode.HOLD, Halt()),
     # radians, clockwise from north
-    (long(REPOSITION, -1, 0, 0, 0.5), Mode.GOTO, ChangeHeading(near(28.6479, abs=1e-3))),
+    (long(REPOSITION, -1, 0, 0, 0.5), Mode.GOTO, orders.ChangeHeading(near(28.6479, abs=1e-3))),
     (
         long(REPOSITION, -1, 1, 0, NAN, NAN, NAN, 95.31),
         Mode.GOTO,
-        ChangeHeight(near(20.0)),
+        orders.ChangeHeight(near(20.0)),
     ),
     (long(REPOSITION, -1, 1, 0, NAN, 10.5001, -20.2501, 95.31), Mode.GOTO, to(20.0)),
     (long(REPOSITION, 3.0, 1, 0, NAN, 10.5001, -20.2501, 95.31), Mode.GOTO, to(20.0, 3.0)),
@@ -144,22 +144,22 @@ TABLE: list[tuple[Message, Mode, object]] = [
     (
         long(ORBIT, 15.0, 3.0, 0, NAN, 10.5001, -20.2501, 95.31),
         Mode.ORBIT,
-        FlyAround(10.5001, -20.2501, near(20.0), 15.0, 3.0, 200.0, clockwise=True),
+        orders.FlyAround(10.5001, -20.2501, near(20.0), 15.0, 3.0, 200.0, clockwise=True),
     ),
     (
         long(ORBIT, -7.0, NAN, 0, NAN, 10.5001, -20.2501, 95.31),
         Mode.ORBIT,
-        FlyAround(10.5001, -20.2501, near(20.0), 7.0, 2.0, 200.0, clockwise=False),
+        orders.FlyAround(10.5001, -20.2501, near(20.0), 7.0, 2.0, 200.0, clockwise=False),
     ),
     (
         whole(ORBIT, RELATIVE_INT, X, Y, 95.31, 15.0, 3.0),
         Mode.ORBIT,
-        FlyAround(10.5001, -20.2501, near(20.0), 15.0, 3.0, 200.0, clockwise=True),
+        orders.FlyAround(10.5001, -20.2501, near(20.0), 15.0, 3.0, 200.0, clockwise=True),
     ),
     (
         long(ORBIT, 15.0, 3.0),
         Mode.ORBIT,
-        FlyAround(near(NORTH), near(EAST), near(12.34), 15.0, 3.0, 200.0),
+        orders.FlyAround(near(NORTH), near(EAST), near(12.34), 15.0, 3.0, 200.0),
     ),
 ]
 
@@ -172,9 +172,9 @@ def test_what_a_command_asks_for(message: Message, mode: Mode, order: object) ->
     found = wish.order.legs[0] if isinstance(wish.order, Flight) else wish.order
     assert (wish.mode, wish.peer) == (mode, PEER)
     assert found == order
-    if isinstance(found, FlyTo):
+    if isinstance(found, orders.FlyTo):
         assert asked.fenced == [(None, (10.5001, -20.2501), 0.0)]
-    if isinstance(found, FlyAround):
+    if isinstance(found, orders.FlyAround):
         assert asked.fenced == [(None, (found.latitude_deg, found.longitude_deg), found.radius)]
 
 
@@ -309,7 +309,7 @@ def test_a_speed_goes_to_the_mission_that_the_aircraft_flies_in_millimetres() ->
     asked = Asked()
     assert asked.ask(long(SPEED, 1, 3.25)) is Result.ACCEPTED
     [order] = asked.orders
-    assert (order.action.value, order.number) == ("mission_speed", 3250)
+    assert order.order == orders.SetMissionSpeed(3.25)
 
 
 @pytest.mark.parametrize(

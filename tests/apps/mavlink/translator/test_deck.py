@@ -8,8 +8,8 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.guided import ChangeHeight, FlyTo
 from m100link.apps.agent.messages import State
+from m100link.apps.agent.orders import ChangeHeight, FlyTo, PauseMission, ResumeMission
 from m100link.apps.mavlink.crew import MissionFlights
 from m100link.apps.mavlink.translator.deck import REMEMBERED_S, Deck
 from m100link.apps.mavlink.translator.modes import (
@@ -28,13 +28,12 @@ from m100link.apps.mavlink.translator.orders import (
     Arm,
     CallOff,
     Disarm,
+    Do,
     Flight,
     GoHome,
     Halt,
     Land,
     Order,
-    Pause,
-    Resume,
     TakeOff,
     Wish,
 )
@@ -54,6 +53,7 @@ BY_AIRCRAFT = Flight(
     items=(0, 1),
     plan=WaypointPlan([Waypoint(22.5, 113.9, 8.0), Waypoint(22.5001, 113.9, 8.0)]),
 )
+PAUSE, RESUME = Do(PauseMission(), BY_AIRCRAFT), Do(ResumeMission(), BY_AIRCRAFT)
 ORDERS: dict[Mode, Order | None] = {
     Mode.HOLD: Halt(),
     Mode.TAKEOFF: TakeOff(5.0),
@@ -188,10 +188,10 @@ def test_a_wish_over_what_flies(running: Running, mode: Mode) -> None:
         assert isinstance(order, Land | GoHome | Halt)
         assert order.is_interrupting
     if step is Step.PAUSE:
-        assert (deck.orders, deck.running) == ([Pause(BY_AIRCRAFT)], Running.PAUSED)
+        assert (deck.orders, deck.running) == ([PAUSE], Running.PAUSED)
         assert deck.mode is Mode.HOLD
     if step is Step.RESUME:
-        assert (deck.orders, deck.running) == ([Resume(BY_AIRCRAFT)], Running.MISSION)
+        assert (deck.orders, deck.running) == ([RESUME], Running.MISSION)
         assert deck.mode is Mode.MISSION
     if step is Step.STOP:
         # The crew stops the mission before whatever takes over; setpoints have no order of theirs.
@@ -297,10 +297,10 @@ def flights_of(deck: Deck, told: list[tuple[Severity, str]]) -> MissionFlights:
     return MissionFlights(deck._world, deck, missions, lambda *one: told.append(one))
 
 
-@pytest.mark.parametrize("errand", [Pause(BY_AIRCRAFT), Resume(BY_AIRCRAFT)])
-def test_an_aircraft_that_does_not_pause_or_go_on_loses_what_it_flies(errand: Pause) -> None:
+@pytest.mark.parametrize("errand", [PAUSE, RESUME])
+def test_an_aircraft_that_does_not_pause_or_go_on_loses_what_it_flies(errand: Do) -> None:
     deck, _, told = deck_in(Phase.AIRBORNE)
-    let_fly(deck, Running.PAUSED if isinstance(errand, Pause) else Running.MISSION)
+    let_fly(deck, Running.PAUSED if errand is PAUSE else Running.MISSION)
     flights_of(deck, told).failed(errand, LinkError("no answer"))
     [halt] = deck.orders
     assert isinstance(halt, Halt)
@@ -312,13 +312,12 @@ def test_what_is_told_to_a_mission_late_is_not_told_at_all() -> None:
     deck, _, told = deck_in(Phase.AIRBORNE)
     flights = flights_of(deck, told)
     let_fly(deck, Running.PAUSED)
-    pause, resume = Pause(BY_AIRCRAFT), Resume(BY_AIRCRAFT)
-    assert (flights.is_due(pause), flights.is_due(resume)) == (True, False)
+    assert (flights.is_due(PAUSE), flights.is_due(RESUME)) == (True, False)
     deck.wish(Wish(Mode.MISSION, BY_AIRCRAFT, PEER), 0.0)
-    assert (flights.is_due(pause), flights.is_due(resume)) == (False, True)
+    assert (flights.is_due(PAUSE), flights.is_due(RESUME)) == (False, True)
     deck.wish(Wish(Mode.LAND, Land(), PEER), 0.0)
-    assert (flights.is_due(pause), flights.is_due(resume)) == (False, False)
-    flights.failed(pause, LinkError("no answer"))
+    assert (flights.is_due(PAUSE), flights.is_due(RESUME)) == (False, False)
+    flights.failed(PAUSE, LinkError("no answer"))
     assert flies(deck) is Running.LAND
     assert told == []
 

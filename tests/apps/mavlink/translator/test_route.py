@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.agent.guided import FlyTo
+from m100link.apps.agent.orders import FlyTo
 from m100link.apps.mavlink.translator.codec import Message
 from m100link.apps.mavlink.translator.modes import Mode
 from m100link.apps.mavlink.translator.numbers import MissionResult

@@ -8,8 +8,8 @@ from contextlib import AsyncExitStack
 import anyio
 import pytest
 
-from m100link.apps.agent.guided import ChangeHeight
-from m100link.apps.agent.messages import Action
+from m100link.apps.agent import orders
+from m100link.apps.agent.orders import ChangeHeight
 from m100link.apps.station.console.view.alarms import ALARMS, AlarmName, AlarmState
 from m100link.apps.station.console.view.situation import Inputs
 from m100link.apps.station.console.view.texts import Speaker
@@ -88,14 +88,14 @@ async def somebody_takes_over(operator: Operator) -> None:
 
 async def fly_up(operator: Operator) -> None:
     front, tab = operator.rig.front, operator.browser.tab
-    work = front.guide(tab.lease, ChangeHeight(47.0), lambda: None)
+    work = front.ask(ChangeHeight(47.0), tab.lease, lambda: None)
     front.background.spawn(tab.attempt(lambda: work), "guided")
 
 
 async def fly_a_mission(operator: Operator) -> None:
     tab = operator.browser.tab
     await tab.give_plan(plan_of(operator.rig))
-    await tab.order_mission(Action.MISSION_START)
+    await tab.ask(orders.StartMission())
     await operator.watch(lambda: operator.rig.front.state.mission_index >= 0)
 
 
@@ -172,7 +172,7 @@ async def test_a_mission_that_the_operator_ends_raises_no_alarm(rig: Rig, how: s
     ends: dict[str, Callable[[], Awaitable[None]]] = {
         "stop": tab.stop,
         "release": tab.release,
-        "mission_stop": lambda: tab.order_mission(Action.MISSION_STOP),
+        "mission_stop": lambda: tab.ask(orders.StopMission()),
     }
     await ends[how]()
     until = rig.front.now + 5.0

@@ -11,12 +11,12 @@ from urllib.parse import parse_qs, urlsplit
 import anyio
 import pytest
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.messages import Event, State
 from m100link.apps.station.console import kept
 from m100link.apps.station.console.kept import COLUMNS, INTERVAL, KEPT_S, History, Looks
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.tabs import MOVE_PATIENCE, Tabs
-from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
 from m100link.sim.virtual import VirtualAircraft
 from tests.apps.station.conftest import Rig
@@ -51,7 +51,7 @@ class Fleet:
         await page.tab.activate()
         await page.tab.obtain()
         rig.front.background.spawn(keep_alive(page), "page")
-        await page.tab.fly(Task.TAKE_OFF)
+        await page.tab.ask(orders.TakeOff())
         return page
 
 
@@ -160,7 +160,7 @@ async def test_a_page_that_hangs_gives_back_everything_it_kept(fleet: Fleet) -> 
 async def test_what_the_aircraft_flies_by_itself_goes_on(fleet: Fleet) -> None:
     first = await fleet.flown("kite")
     rig = fleet.rigs["kite"]
-    rig.front.background.spawn(first.tab.attempt(lambda: first.tab.fly(Task.LAND)), "landing")
+    rig.front.background.spawn(first.tab.attempt(lambda: first.tab.ask(orders.Land())), "landing")
     await rig.until(lambda: bool(rig.front.state.task))
     fleet.page("crow", fleet.tabs.move(first.tab, "crow"))
     assert any(event.text.endswith("flies by itself goes on") for event in await told(rig))

@@ -15,13 +15,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.latency import MAX_ORDER_LATE
 from m100link.apps.agent.lease import LeaseChange, LeaseHeld, LeaseRefused
 from m100link.apps.station.console.tab import BEAT_LIFETIME, Fate, Tab, _read
 from m100link.apps.station.console.view.fly import FIELDS, live, read
 from m100link.apps.station.console.view.texts import Speaker, tr
 from m100link.errors import GuardRefused, LossReason
-from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Attitude, RcMode, Velocity
 from tests.apps.station.conftest import Rig
 
@@ -69,7 +69,7 @@ async def airborne(rig: Rig) -> Browser:
     browser = Browser(rig)
     await browser.tab.activate()
     await browser.tab.obtain()
-    await keep_alive(browser, browser.tab.fly(Task.TAKE_OFF))
+    await keep_alive(browser, browser.tab.ask(orders.TakeOff()))
     return browser
 
 
@@ -93,7 +93,7 @@ async def test_a_whole_flight(rig: Rig) -> None:
     browser.say("rest")
     assert rig.aircraft.position[0] > 0.5
     assert browser.tab.problem == ""
-    await keep_alive(browser, browser.tab.fly(Task.LAND))
+    await keep_alive(browser, browser.tab.ask(orders.Land()))
     await browser.tab.release()
     assert rig.aircraft.height == pytest.approx(0, abs=0.05)
     assert not rig.agent.holding.has_authority
@@ -210,7 +210,7 @@ async def test_a_tab_without_the_lease_moves_nothing(rig: Rig) -> None:
     with pytest.raises(LeaseHeld):
         await other.tab.obtain()
     with pytest.raises(LeaseRefused):
-        await other.tab.fly(Task.LAND)
+        await other.tab.ask(orders.Land())
     with pytest.raises(LeaseRefused):
         await other.tab.release()
     await anyio.sleep(0.2)
@@ -284,7 +284,7 @@ async def test_stop_ends_a_task_by_giving_authority_back(rig: Rig) -> None:
     await browser.tab.activate()
     await browser.tab.obtain()
     async with anyio.create_task_group() as group:
-        group.start_soon(browser.tab.attempt, lambda: browser.tab.fly(Task.TAKE_OFF))
+        group.start_soon(browser.tab.attempt, lambda: browser.tab.ask(orders.TakeOff()))
         await anyio.sleep(2.0)
         await Browser(rig, "anybody").tab.stop()
     assert "control ended" in browser.tab.problem
@@ -299,7 +299,7 @@ async def test_problems_are_kept_for_the_operator(rig: Rig) -> None:
     await browser.tab.attempt(browser.tab.activate)
     assert browser.tab.problem == ""
     assert await browser.tab.attempt(browser.tab.obtain)
-    assert not await browser.tab.attempt(lambda: browser.tab.simple_task(3))
+    assert not await browser.tab.attempt(lambda: browser.tab.ask(orders.FlyPattern(3)))
     assert "random commands" in browser.tab.problem
     browser.beat(x=-31)
     assert "outside" in browser.tab.problem
@@ -570,10 +570,10 @@ async def test_what_ones_own_stop_ended_is_no_problem(rig: Rig, whose: str) -> N
     async with anyio.create_task_group() as group:
         group.start_soon(stop)
         group.start_soon(keep_alive, browser, anyio.sleep(3.0))
-        assert not await tab.attempt(lambda: tab.fly(Task.LAND))
+        assert not await tab.attempt(lambda: tab.ask(orders.Land()))
     assert (tab.problem == "") is (whose == "own")
     # What goes wrong afterwards is one.
-    assert not await tab.attempt(lambda: tab.simple_task(99))
+    assert not await tab.attempt(lambda: tab.ask(orders.FlyPattern(99)))
     assert tab.problem
 
 

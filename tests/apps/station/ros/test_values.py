@@ -21,9 +21,9 @@ from typing import Any
 import anyio
 import pytest
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import (
-    Action,
     Activating,
     Ask,
     AuthorityTaken,
@@ -34,6 +34,7 @@ from m100link.apps.agent.messages import (
     Steer,
     Telemetry,
 )
+from m100link.apps.agent.orders import CameraUse, Order
 from m100link.apps.agent.remote_error import Fault
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.station.ros.dji_sdk import DjiSdk
@@ -57,8 +58,6 @@ from m100link.protocol.records import (
 from m100link.sim.clock import virtual_clock_loop
 from tests.apps.station.conftest import FakeClient, Rig
 from tests.known import (
-    GIMBAL_ANGLE,
-    GIMBAL_SPEED,
     HOTPOINT,
     LATITUDE,
     LONGITUDE,
@@ -66,9 +65,11 @@ from tests.known import (
     POINT,
     STICKS_ALONE,
     KnownAgent,
+    angles,
     felt,
     position,
     quaternion,
+    rates,
 )
 
 NAN = math.nan
@@ -542,7 +543,7 @@ def test_a_mode_that_is_none_is_refused(mode: float) -> None:
 # -- what it is asked -----------------------------------------------------------------------------
 
 
-def asks(*calls: tuple[str, dict[str, Any]], topic: str = "") -> tuple[list[Ask], list[Any]]:
+def asks(*calls: tuple[str, dict[str, Any]], topic: str = "") -> tuple[list[Any], list[Any]]:
     """What the agent is asked when a client calls these, or publishes, and the answers."""
 
     async def do(rig: KnownRig, page: FakeClient) -> None:
@@ -562,77 +563,75 @@ def done(command_set: int, command: int, ack: int = 0) -> dict[str, Any]:
 
 
 ONE = {"result": True}
-# Service, arguments, what the agent is asked, the number of it, the answer. Numbers of the agent
-# are mm/s, mm and thousandths of a degree per second, clockwise.
-ASKED: list[tuple[str, dict[str, Any], Action, int, dict[str, Any]]] = [
-    ("activation", {}, Action.ACTIVATE, 0, done(0, 1)),
-    ("sdk_control_authority", {"control_enable": 1}, Action.OBTAIN, 0, done(1, 0, 2)),
-    ("sdk_control_authority", {"control_enable": 0}, Action.RELEASE, 0, done(1, 0, 1)),
-    ("sdk_permission_control", {"control_enable": 1}, Action.OBTAIN, 0, ONE),
-    ("sdk_permission_control", {"control_enable": 0}, Action.RELEASE, 0, ONE),
-    ("drone_task_control", {"task": 1}, Action.GO_HOME, 0, done(1, 1, 2)),
-    ("drone_task_control", {"task": 4}, Action.TAKE_OFF, 0, done(1, 1, 2)),
-    ("drone_task_control", {"task": 6}, Action.LAND, 0, done(1, 1, 2)),
-    ("drone_arm_control", {"arm": 1}, Action.ARM, 0, done(1, 5)),
-    ("drone_arm_control", {"arm": 0}, Action.DISARM, 0, done(1, 5)),
-    ("camera_action", {"camera_action": 0}, Action.TAKE_PHOTO, 0, ONE),
-    ("camera_action", {"camera_action": 1}, Action.START_VIDEO, 0, ONE),
-    ("camera_action", {"camera_action": 2}, Action.STOP_VIDEO, 0, ONE),
-    ("camera_action_control", {"camera_action": 2}, Action.STOP_VIDEO, 0, ONE),
-    ("mission_waypoint_action", {"action": 0}, Action.MISSION_START, 0, done(3, 0x12)),
-    ("mission_waypoint_action", {"action": 1}, Action.MISSION_STOP, 0, done(3, 0x12)),
-    ("mission_waypoint_action", {"action": 2}, Action.MISSION_PAUSE, 0, done(3, 0x13)),
-    ("mission_waypoint_action", {"action": 3}, Action.MISSION_RESUME, 0, done(3, 0x13)),
-    ("mission_start", {}, Action.MISSION_START, 0, ONE),
-    ("mission_pause", {"pause": 0}, Action.MISSION_PAUSE, 0, ONE),
-    ("mission_pause", {"pause": 1}, Action.MISSION_RESUME, 0, ONE),
-    ("mission_cancel", {}, Action.MISSION_STOP, 0, ONE),
-    ("mission_waypoint_setSpeed", {"speed": 2.5}, Action.MISSION_SPEED, 2500, ONE),
-    ("mission_waypoint_set_speed", {"speed": -2.5}, Action.MISSION_SPEED, -2500, ONE),
-    ("mission_hotpoint_action", {"action": 1}, Action.MISSION_STOP, 0, done(3, 0x21)),
-    ("mission_hotpoint_action", {"action": 2}, Action.MISSION_PAUSE, 0, done(3, 0x22)),
-    ("mission_hotpoint_action", {"action": 3}, Action.MISSION_RESUME, 0, done(3, 0x22)),
-    ("mission_hotpoint_updateRadius", {"radius": 7.25}, Action.HOTPOINT_RADIUS, 7250, done(3, 36)),
-    ("mission_hotpoint_set_radius", {"radius": 7.25}, Action.HOTPOINT_RADIUS, 7250, ONE),
+TURNING: dict[str, Any] = {"yaw_rate": 8.5, "direction": 1}
+BACK = {"direction": 0}
+FAST: dict[str, Any] = {"speed": 8.5, "direction": 1}
+# Service, arguments, what the agent is asked, the answer.
+ASKED: list[tuple[str, dict[str, Any], Order, dict[str, Any]]] = [
+    ("activation", {}, orders.Activate(), done(0, 1)),
+    ("sdk_control_authority", {"control_enable": 1}, orders.Obtain(), done(1, 0, 2)),
+    ("sdk_control_authority", {"control_enable": 0}, orders.Release(), done(1, 0, 1)),
+    ("sdk_permission_control", {"control_enable": 1}, orders.Obtain(), ONE),
+    ("sdk_permission_control", {"control_enable": 0}, orders.Release(), ONE),
+    ("drone_task_control", {"task": 1}, orders.GoHome(), done(1, 1, 2)),
+    ("drone_task_control", {"task": 4}, orders.TakeOff(), done(1, 1, 2)),
+    ("drone_task_control", {"task": 6}, orders.Land(), done(1, 1, 2)),
+    ("drone_arm_control", {"arm": 1}, orders.SwitchMotors(on=True), done(1, 5)),
+    ("drone_arm_control", {"arm": 0}, orders.SwitchMotors(on=False), done(1, 5)),
+    ("camera_action", {"camera_action": 0}, orders.UseCamera(CameraUse.PHOTO), ONE),
+    ("camera_action", {"camera_action": 1}, orders.UseCamera(CameraUse.START_VIDEO), ONE),
+    ("camera_action", {"camera_action": 2}, orders.UseCamera(CameraUse.STOP_VIDEO), ONE),
+    ("camera_action_control", {"camera_action": 2}, orders.UseCamera(CameraUse.STOP_VIDEO), ONE),
+    ("mission_waypoint_action", {"action": 0}, orders.StartMission(), done(3, 0x12)),
+    ("mission_waypoint_action", {"action": 1}, orders.StopMission(), done(3, 0x12)),
+    ("mission_waypoint_action", {"action": 2}, orders.PauseMission(), done(3, 0x13)),
+    ("mission_waypoint_action", {"action": 3}, orders.ResumeMission(), done(3, 0x13)),
+    ("mission_start", {}, orders.StartMission(), ONE),
+    ("mission_pause", {"pause": 0}, orders.PauseMission(), ONE),
+    ("mission_pause", {"pause": 1}, orders.ResumeMission(), ONE),
+    ("mission_cancel", {}, orders.StopMission(), ONE),
+    ("mission_waypoint_setSpeed", {"speed": 2.5}, orders.SetMissionSpeed(2.5), ONE),
+    ("mission_waypoint_set_speed", {"speed": -2.5}, orders.SetMissionSpeed(-2.5), ONE),
+    ("mission_hotpoint_action", {"action": 1}, orders.StopMission(), done(3, 0x21)),
+    ("mission_hotpoint_action", {"action": 2}, orders.PauseMission(), done(3, 0x22)),
+    ("mission_hotpoint_action", {"action": 3}, orders.ResumeMission(), done(3, 0x22)),
     (
-        "mission_hotpoint_updateYawRate",
-        {"yaw_rate": 8.5, "direction": 1},
-        Action.HOTPOINT_RATE,
-        8500,
-        done(3, 0x23),
+        "mission_hotpoint_updateRadius",
+        {"radius": 7.25},
+        orders.SetHotpointRadius(7.25),
+        done(3, 36),
     ),
+    ("mission_hotpoint_set_radius", {"radius": 7.25}, orders.SetHotpointRadius(7.25), ONE),
+    ("mission_hotpoint_updateYawRate", TURNING, orders.SetHotpointRate(8.5), done(3, 0x23)),
     (
         "mission_hotpoint_updateYawRate",
-        {"yaw_rate": 8.5, "direction": 0},
-        Action.HOTPOINT_RATE,
-        -8500,
+        TURNING | BACK,
+        orders.SetHotpointRate(-8.5),
         done(3, 0x23),
     ),
     (
         "mission_hotpoint_set_speed",
         {"speed": 8.5, "direction": 1},
-        Action.HOTPOINT_RATE,
-        8500,
+        orders.SetHotpointRate(8.5),
         ONE,
     ),
     (
         "mission_hotpoint_set_speed",
         {"speed": 8.5, "direction": 0},
-        Action.HOTPOINT_RATE,
-        -8500,
+        orders.SetHotpointRate(-8.5),
         ONE,
     ),
-    ("mission_hotpoint_resetYaw", {}, Action.HOTPOINT_HEADING, 0, done(3, 0x25)),
-    ("mission_hotpoint_reset_yaw", {}, Action.HOTPOINT_HEADING, 0, done(3, 0x25)),
+    ("mission_hotpoint_resetYaw", {}, orders.ResetHotpointHeading(), done(3, 0x25)),
+    ("mission_hotpoint_reset_yaw", {}, orders.ResetHotpointHeading(), done(3, 0x25)),
 ]
 
 
-@pytest.mark.parametrize(("name", "values", "action", "number", "answer"), ASKED)
+@pytest.mark.parametrize(("name", "values", "order", "answer"), ASKED)
 def test_a_service_asks_for_what_its_arguments_say(
-    name: str, values: dict[str, Any], action: Action, number: int, answer: dict[str, Any]
+    name: str, values: dict[str, Any], order: Order, answer: dict[str, Any]
 ) -> None:
     found, answers = asks((name, values))
-    assert [(one.action, one.number, one.fence) for one in found] == [(action, number, 7)]
+    assert [(one.order, one.fence) for one in found] == [(order, 7)]
     assert answers == [answer]
 
 
@@ -663,33 +662,33 @@ def test_a_service_that_means_nothing_asks_for_nothing(name: str, values: dict[s
 
 
 # The commands of 2015: a float that the C program casts to a byte; what is asked, and what is told.
-ORDERED: list[tuple[str, float, list[tuple[Action, int]], dict[str, float]]] = [
-    ("/sdk_request_cmd", 4, [(Action.TAKE_OFF, 0)], {}),
-    ("/sdk_request_cmd", 6.9, [(Action.LAND, 0)], {}),
-    ("/sdk_request_cmd", 257, [(Action.GO_HOME, 0)], {}),
+ORDERED: list[tuple[str, float, list[Order], dict[str, float]]] = [
+    ("/sdk_request_cmd", 4, [orders.TakeOff()], {}),
+    ("/sdk_request_cmd", 6.9, [orders.Land()], {}),
+    ("/sdk_request_cmd", 257, [orders.GoHome()], {}),
     ("/sdk_request_cmd", 2, [], {}),
     ("/sdk_request_cmd", 0, [], {}),
-    ("/nav_open_close_request", 1, [(Action.OBTAIN, 0)], {"/nav_open_close_status": 2.0}),
-    ("/nav_open_close_request", 0, [(Action.RELEASE, 0)], {"/nav_open_close_status": 1.0}),
+    ("/nav_open_close_request", 1, [orders.Obtain()], {"/nav_open_close_status": 2.0}),
+    ("/nav_open_close_request", 0, [orders.Release()], {"/nav_open_close_status": 1.0}),
     ("/nav_open_close_request", 2, [], {}),
-    ("/sdk_request_activation", 1, [(Action.ACTIVATE, 0)], {}),
-    ("/sdk_request_simple_task", 3, [(Action.PATTERN, 3)], {}),
-    ("/sdk_request_simple_task", 5, [(Action.ACTIVATE, 0)], {}),
-    ("/sdk_request_simple_task", 6, [(Action.VERSION, 0)], {}),
-    ("/sdk_request_simple_task", -1, [(Action.HALT, 0)], {}),
+    ("/sdk_request_activation", 1, [orders.Activate()], {}),
+    ("/sdk_request_simple_task", 3, [orders.FlyPattern(3)], {}),
+    ("/sdk_request_simple_task", 5, [orders.Activate()], {}),
+    ("/sdk_request_simple_task", 6, [orders.AskVersion()], {}),
+    ("/sdk_request_simple_task", -1, [orders.Halt("its client stopped it")], {}),
 ]
 
 
 @pytest.mark.parametrize(("topic", "data", "wanted", "statuses"), ORDERED)
 def test_an_order_of_2015_asks_for_what_its_number_says(
-    topic: str, data: float, wanted: list[Any], statuses: dict[str, float]
+    topic: str, data: float, wanted: list[Order], statuses: dict[str, float]
 ) -> None:
     async def publish(rig: KnownRig, page: FakeClient) -> None:
         page.subscribe("/nav_open_close_status", "/activation_status")
         page.publish(topic, data=data)
 
     rig = flying(publish)
-    assert [(one.action, one.number) for one in rig.known.asked(Ask)] == wanted
+    assert [one.order for one in rig.known.asked(Ask)] == wanted
     told = {one["topic"]: one["msg"]["data"] for one in rig.page.read() if one["op"] == "publish"}
     assert told == statuses
     refused = [one for one in rig.page.statuses() if not one.startswith("version")]
@@ -712,7 +711,7 @@ def test_an_order_that_is_no_number_asks_for_nothing(topic: str) -> None:
 def test_data_goes_to_the_app_as_they_are() -> None:
     data = base64.b64encode(b"\x01\xfe\x80").decode()
     [ask], _ = asks(("send_data_to_mobile", {"data": data}))
-    assert (ask.action, ask.data) == (Action.SEND_TO_MOBILE, b"\x01\xfe\x80")
+    assert ask.order == orders.SendToMobile(b"\x01\xfe\x80")
 
 
 def test_a_version_is_its_four_numbers() -> None:
@@ -745,28 +744,43 @@ KEPT = dict.fromkeys(("yaw_cmd_ignore", "roll_cmd_ignore", "pitch_cmd_ignore"), 
 def test_a_gimbal_points_where_tenths_say(changed: dict[str, Any], mode: int, tenths: int) -> None:
     request = {**ANGLES, **KEPT, "absolute_or_incremental": True, **changed}
     [ask], answers = asks(("gimbal_angle_control", request))
-    assert (ask.action, answers) == (Action.GIMBAL_ANGLES, [ONE])
-    assert struct.unpack(GIMBAL_ANGLE, ask.data) == (-1105, 125, -415, mode, tenths)
+    assert answers == [ONE]
+    assert angles(ask) == (
+        -1105,
+        125,
+        -415,
+        mode,
+        tenths,
+    )
 
 
 @pytest.mark.parametrize(("seconds", "tenths"), [(2, 20), (0, 1)])
 def test_a_gimbal_points_where_radians_say(seconds: int, tenths: int) -> None:
     turned = {"yaw": math.radians(-110.5), "roll": math.radians(12.5)}
-    angles: dict[str, Any] = turned | {"pitch": math.radians(-41.5), "ts": seconds, "mode": 0b1001}
-    [ask], _ = asks(("", angles), topic="/dji_sdk/gimbal_angle_cmd")
-    assert ask.action is Action.GIMBAL_ANGLES
-    assert struct.unpack(GIMBAL_ANGLE, ask.data) == (-1105, 125, -415, 0b1001, tenths)
+    pointed: dict[str, Any] = turned | {"pitch": math.radians(-41.5), "ts": seconds, "mode": 0b1001}
+    [ask], _ = asks(("", pointed), topic="/dji_sdk/gimbal_angle_cmd")
+    assert angles(ask) == (
+        -1105,
+        125,
+        -415,
+        0b1001,
+        tenths,
+    )
 
 
 def test_a_gimbal_turns_as_fast_as_it_is_told() -> None:
     """Roll, pitch, yaw in rad/s, with the signs of the wire; in tenths of a degree by 3.1's."""
     vector: Any = {"x": math.radians(5), "y": math.radians(20), "z": math.radians(40)}
     [ask], _ = asks(("", {"vector": vector}), topic="/dji_sdk/gimbal_speed_cmd")
-    rates = {"yaw_rate": 400, "roll_rate": 50, "pitch_rate": 200}
-    [other], _ = asks(("gimbal_speed_control", rates))
+    turned = {"yaw_rate": 400, "roll_rate": 50, "pitch_rate": 200}
+    [other], _ = asks(("gimbal_speed_control", turned))
     for one in (ask, other):
-        assert one.action is Action.GIMBAL_RATES
-        assert struct.unpack(GIMBAL_SPEED, one.data) == (400, 50, 200, 0x80)
+        assert rates(one) == (
+            400,
+            50,
+            200,
+            0x80,
+        )
 
 
 # -- missions -------------------------------------------------------------------------------------
@@ -817,8 +831,8 @@ def test_a_task_is_uploaded_as_it_is(changed: dict[str, Any], expected: tuple[fl
     calls += [("mission_waypoint_getInfo", {}), ("mission_waypoint_download", {})]
     calls += [("mission_waypoint_getSpeed", {}), ("mission_waypoint_get_speed", {})]
     found, answers = asks(*calls)
-    assert [one.action for one in found] == [Action.MISSION_PLAN, *[Action.MISSION_POINT] * 3]
-    assert struct.unpack(MISSION, found[0].data) == (*expected, 0.0, 0.0, 0.0)
+    [upload] = found
+    assert struct.unpack(MISSION, upload.order.mission) == (*expected, 0.0, 0.0, 0.0)
     assert answers[0] == done(3, 0x10)
     assert answers[1] == answers[2]
     assert answers[1]["waypoint_task"]["idle_velocity"] == 4.5
@@ -833,8 +847,8 @@ def test_a_speed_that_was_set_is_told() -> None:
 
 
 def test_waypoints_are_uploaded_as_they_are() -> None:
-    found, _ = asks(("mission_waypoint_upload", {"waypoint_task": TASK}))
-    first, second, third = (struct.unpack(POINT, one.data) for one in found[1:])
+    [upload], _ = asks(("mission_waypoint_upload", {"waypoint_task": TASK}))
+    first, second, third = (struct.unpack(POINT, one) for one in upload.order.points)
     place = (math.radians(-33.1), math.radians(151.2))
     assert first[:3] == (0, *(pytest.approx(one, abs=1e-12) for one in place))
     # altitude, damping, yaw, gimbal, turn, has actions, time limit, runs << 4 | number of actions
@@ -860,8 +874,8 @@ def test_how_many_actions_are_done_how_often(
     }
     points = [waypoint(waypoint_action=action), waypoint()]
     task = TASK | {"mission_waypoint": points}
-    found, _ = asks(("mission_waypoint_upload", {"waypoint_task": task}))
-    assert struct.unpack(POINT, found[1].data)[10] == expected
+    [upload], _ = asks(("mission_waypoint_upload", {"waypoint_task": task}))
+    assert struct.unpack(POINT, upload.order.points[0])[10] == expected
 
 
 @pytest.mark.parametrize("count", [0, 1, 100])
@@ -899,9 +913,9 @@ def test_a_circle_is_flown_as_it_is(clockwise: int, start: str, answer: dict[str
         begin[start],
     )
     [ask] = found
-    assert ask.action is Action.HOTPOINT_START
+    assert type(ask.order) is orders.StartHotpoint
     places = (math.radians(-33.1), math.radians(151.2))
-    assert struct.unpack(HOTPOINT, ask.data) == (
+    assert struct.unpack(HOTPOINT, ask.order.circle.value(FIRMWARE_3_1)) == (
         0,
         *(pytest.approx(one, abs=1e-12) for one in places),
         *(21.5, 12.5, 7.5, clockwise, 3, 2),

@@ -20,6 +20,7 @@ from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.frames import Opcode
 
+from m100link.apps.agent import orders
 from m100link.apps.station.config import Settings
 from m100link.apps.station.ros.client import Client, Limits
 from m100link.apps.station.run import Running, running
@@ -71,7 +72,7 @@ async def receive(client: ClientConnection, within: float = PATIENCE) -> Any:
 
 
 async def opened(one: Running, client: ClientConnection) -> None:
-    await one.agent.activate()
+    await one.agent.ask(orders.Activate())
     await publish(client, "/nav_open_close_request", "std_msgs/Float32", data=1)
     await until(lambda: one.agent.holding.has_authority)
 
@@ -365,7 +366,7 @@ async def test_a_pong_that_comes_late_by_our_own_fault_cuts_nobody(
 
 async def test_a_replayed_lease_is_refused() -> None:
     async with station() as one, connect(address(one)) as first, connect(address(one)) as second:
-        await one.agent.activate()
+        await one.agent.ask(orders.Activate())
 
         async def lease(client: ClientConnection, **args: str) -> Any:
             await send(client, "call_service", service="/m100link/lease", args=args)

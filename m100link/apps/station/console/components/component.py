@@ -12,6 +12,7 @@ from nicegui import events, ui
 from nicegui.events import GenericEventArguments
 
 from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.orders import TakeOff
 from m100link.apps.station.console.kept import History
 from m100link.apps.station.console.orders import Orders
 from m100link.apps.station.console.tab import Tab
@@ -20,7 +21,6 @@ from m100link.apps.station.console.view.fly import HELD, Reading
 from m100link.apps.station.console.view.texts import Kind, Settings, Speaker, Text, tr
 from m100link.apps.station.console.view.view import Memory, View
 from m100link.errors import GuardRefused, UsageError
-from m100link.protocol.commands.control import Task
 from m100link.protocol.records import Position
 
 # -- the texts of a page, also when its language changes -------------------------------------------
@@ -358,8 +358,7 @@ class PageContext:
     async def take_off(self) -> None:
         """Take off, if the checklist offers it; why it is not green goes into the events.
 
-        Raises ``UsageError``: it does not. Raises ``M100Error``: see
-        :meth:`m100link.apps.agent.client.AgentClient.fly`.
+        Raises ``UsageError``: it does not. Raises ``M100Error``: what the agent tells.
         """
         checklist = self.memory.checklist.look(self.memory.situation)
         if not checklist.may_take_off:
@@ -379,7 +378,7 @@ class PageContext:
                 reason=checklist.reason,
             )
             self.agent.note(english(said), "warning")
-        await self.tab.fly(Task.TAKE_OFF)
+        await self.tab.ask(TakeOff())
 
     def here(self, within: float) -> tuple[float, float] | None:
         """Where the aircraft was so many seconds ago at most: latitude and longitude, °."""

@@ -10,6 +10,7 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments
 
 from m100link.apps.agent.lease import LeaseHeld
+from m100link.apps.agent.orders import FlyPattern, GoHome, Land
 from m100link.apps.station.console.components.component import (
     ORDER,
     Component,
@@ -25,7 +26,6 @@ from m100link.apps.station.console.view.fly import FIELDS, ITEMS, Check, Checkli
 from m100link.apps.station.console.view.texts import Text, tr
 from m100link.apps.station.console.view.view import View
 from m100link.errors import M100Error
-from m100link.protocol.commands.control import Task
 
 
 class Fly:
@@ -291,13 +291,13 @@ class ActionsPart:
             add("obtain", "actions.obtain", self._take_over.obtain)
             add("release", "actions.release", tab.release, kind="plain")
             add("take_off", "actions.take_off", page.take_off)
-            add("land", "actions.land", lambda: tab.fly(Task.LAND))
-            add("go_home", "actions.go_home", lambda: tab.fly(Task.GO_HOME))
+            add("land", "actions.land", lambda: tab.ask(Land()))
+            add("go_home", "actions.go_home", lambda: tab.ask(GoHome()))
         with ui.element("div").classes("acts simple"):
             add(
                 "simple_task",
                 "actions.simple_task",
-                lambda: tab.simple_task(int(self._number.value)),
+                lambda: tab.ask(FlyPattern(int(self._number.value))),
             )
             self._number = ui.select(list(_SIMPLE), value=0).classes("task-number")
             self._number.props("dense outlined id=task-number")

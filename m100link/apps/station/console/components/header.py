@@ -10,7 +10,7 @@ from typing import Any
 from nicegui import events, ui
 from nicegui.events import GenericEventArguments
 
-from m100link.apps.agent.messages import Action
+from m100link.apps.agent.orders import OrderReplay
 from m100link.apps.station.console.components.component import ORDER, PageContext, answer, attribute
 from m100link.apps.station.console.view.alarms import Alarm, AlarmName, AlarmState
 from m100link.apps.station.console.view.header import SPEEDS, FleetRow, ReplayView
@@ -219,7 +219,7 @@ class ReplayPart:
         agent, tab = self._page.agent, self._page.tab
 
         async def order() -> None:
-            await agent.ask(Action.REPLAY, data=text.encode())
+            await agent.ask(OrderReplay(text))
 
         agent.background.spawn(tab.attempt(order), f"{text} of {tab.name}")
 

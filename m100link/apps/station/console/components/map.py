@@ -273,7 +273,7 @@ class ClickPart:
         mine, self._problem = self._orders, None
         began = self._page.agent.now
         try:
-            await self._page.agent.guide(tab.lease, order, self._begun)
+            await self._page.agent.ask(order, tab.lease, self._begun)
         except M100Error as error:
             if mine == self._orders and not tab.has_ended(error, began):
                 self._problem = error

@@ -11,7 +11,7 @@ from typing import Any
 
 from nicegui import events, ui
 
-from m100link.apps.agent.messages import Action
+from m100link.apps.agent import orders
 from m100link.apps.station.console.components.component import (
     NumberField,
     PageContext,
@@ -124,13 +124,13 @@ class PlanPart:
             self._plan = ui.label().props("id=plan")
             with ui.element("div").classes("acts"):
                 add("mission_upload", "plan.upload", self._upload)
-                for name, action in (
-                    ("start", Action.MISSION_START),
-                    ("pause", Action.MISSION_PAUSE),
-                    ("resume", Action.MISSION_RESUME),
-                    ("stop", Action.MISSION_STOP),
+                for name, order in (
+                    ("start", orders.StartMission()),
+                    ("pause", orders.PauseMission()),
+                    ("resume", orders.ResumeMission()),
+                    ("stop", orders.StopMission()),
                 ):
-                    work = partial(tab.order_mission, action)
+                    work = partial(tab.ask, order)
                     add(f"mission_{name}", f"plan.{name}", work)
             self._progress = ui.linear_progress(0.0, show_value=False)
             self._progress.props("id=mission-progress")

@@ -6,14 +6,8 @@ import math
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from m100link.apps.agent.guided import (
-    ChangeHeading,
-    ChangeHeight,
-    FlyAround,
-    FlyTo,
-    GuidedFlight,
-    GuidedOrder,
-)
+from m100link.apps.agent import orders
+from m100link.apps.agent.orders import GuidedOrder
 from m100link.apps.agent.preview import Preview
 from m100link.apps.station.console.view.situation import Inputs
 from m100link.apps.station.console.view.texts import Kind, Quantity, Text, reason_text, tr
@@ -125,13 +119,13 @@ class Pointed:
     def order(self) -> GuidedOrder | None:
         """What the agent is asked for; None while there is no point."""
         if self.wish is Wish.HEIGHT:
-            return ChangeHeight(self.height)
+            return orders.ChangeHeight(self.height)
         if self.wish is Wish.HEADING:
-            return ChangeHeading(self.yaw_deg)
+            return orders.ChangeHeading(self.yaw_deg)
         if self.place is None:
             return None
         if self.wish is Wish.CIRCLE:
-            return FlyAround(
+            return orders.FlyAround(
                 *self.place,
                 height=self.height,
                 radius=self.radius,
@@ -139,7 +133,7 @@ class Pointed:
                 turns=self.turns,
                 clockwise=self.clockwise,
             )
-        return FlyTo(*self.place, height=self.height, speed=self.speed)
+        return orders.FlyTo(*self.place, height=self.height, speed=self.speed)
 
 
 class Shown:
@@ -203,7 +197,7 @@ class ClickView:
 def click_of(
     pointed: Pointed,
     foreseen: Preview | None,  # what that would take; None while there is no point
-    guided: GuidedFlight | None,
+    guided: orders.GuidedFlight | None,
     *,
     has_control: bool,  # whether what this page wants is obeyed
     problem: M100Error | None = None,
@@ -233,7 +227,7 @@ def _pointed(pointed: Pointed) -> Drawing:
     return Drawing(pointed.place, pointed.radius if pointed.wish is Wish.CIRCLE else 0.0)
 
 
-def _flown(guided: GuidedFlight) -> Drawing:
+def _flown(guided: orders.GuidedFlight) -> Drawing:
     place = None
     if guided.latitude_deg is not None and guided.longitude_deg is not None:
         place = guided.latitude_deg, guided.longitude_deg
@@ -251,7 +245,7 @@ def _preview(wish: Wish, found: Preview) -> Text:
     return tr("click.way", way=way, time=time, battery=battery)
 
 
-def _flying(guided: GuidedFlight) -> Text:
+def _flying(guided: orders.GuidedFlight) -> Text:
     what = tr("click.what." + guided.what.replace(" ", "_"))
     if guided.seconds is None:
         return tr("click.flying", what=what)

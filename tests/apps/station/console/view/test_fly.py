@@ -8,8 +8,8 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.guided import GuidedFlight
 from m100link.apps.agent.messages import LeaseChanged, Limits, State
+from m100link.apps.agent.orders import GuidedFlight
 from m100link.apps.station.console.view.fly import (
     ACTIONS,
     ENOUGH_BATTERY,

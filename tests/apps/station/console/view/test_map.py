@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from m100link.apps.agent.guided import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedFlight
 from m100link.apps.agent.messages import Limits, State
+from m100link.apps.agent.orders import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedFlight
 from m100link.apps.agent.preview import Preview
 from m100link.apps.station.console.view.map import (
     Drawing,

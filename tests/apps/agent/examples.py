@@ -1,0 +1,28 @@
+"""An example of each order, made of the kinds of its fields: a new order needs none by hand."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, get_type_hints
+
+from m100link.apps.agent.orders import ORDERS, CameraUse, Order
+from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
+from m100link.protocol.commands.hotpoint import HotpointStart
+
+_CIRCLE = HotpointStart(latitude=0.9, longitude=0.07, altitude=20, radius=8.5, angular_rate=3.5)
+_VALUES: dict[Any, Any] = {
+    **{int: 1, float: 5.0, bool: True, str: "seek 3", bytes: b"\x02\xff", float | None: -90.5},
+    tuple[bytes, ...]: (b"", b"\x01\xff"),
+    **{CameraUse: CameraUse.START_VIDEO, HotpointStart: _CIRCLE},
+    **{GimbalAngle: GimbalAngle(1.5, -2.5, -45.0), GimbalSpeed: GimbalSpeed(1.5, -2.5, -45.0)},
+}
+
+
+def example(kind: type[Order]) -> Order:
+    """An order of that kind."""
+    hints = get_type_hints(kind)
+    fields = dataclasses.fields(kind)  # type: ignore[arg-type]  # a dataclass by __init_subclass__
+    return kind(**{one.name: _VALUES[hints[one.name]] for one in fields})
+
+
+EXAMPLES = [example(kind) for kind in ORDERS.values()]

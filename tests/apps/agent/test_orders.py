@@ -1,0 +1,116 @@
+"""Orders: what each is beside its fields, and what an agent makes of any values in them."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import random
+from collections.abc import Iterator
+
+import anyio
+import pytest
+
+from m100link.apps.agent import orders
+from m100link.apps.agent.codec import decode_order, encode
+from m100link.apps.agent.messages import Hello
+from m100link.apps.agent.orders import ORDERS, Age, Needs, Order, Right
+from m100link.apps.agent.remote_error import MessageError
+from m100link.apps.agent.server import agent as handlers
+from m100link.errors import M100Error
+from tests.apps.agent.conftest import Rig
+from tests.apps.agent.examples import EXAMPLES, example
+
+# Needs no lease, needs one if somebody has it; the right to stop, to watch; does not move the
+# aircraft, is not kept, may be old, is young if its time is known, is done at once.
+BY_HAND = {
+    "Stop": "no-lease stop still unkept any-age",
+    "Halt": "no-lease stop still unkept any-age at-once",
+    "Land": "stop still unkept",
+    "AskVersion": "no-lease watch still unkept any-age",
+    "UploadPlan": "still unkept any-age",
+    "AcquireLease": "no-lease unkept if-known at-once",
+    "AskTakeOver": "no-lease unkept any-age at-once",
+    "ConfirmTakeOver": "no-lease unkept at-once",
+    "RenewLease": "no-lease still unkept at-once",
+    "ReleaseLease": "no-lease still unkept any-age at-once",
+    "OrderReplay": "no-lease",
+    **dict.fromkeys(("Activate", "PointGimbal", "TurnGimbal", "UseCamera"), "if-held"),
+}
+
+
+@pytest.mark.parametrize("kind", ORDERS.values(), ids=ORDERS)
+def test_an_order_is_the_most_dangerous_one_unless_it_is_named(kind: type[Order]) -> None:
+    """By hand: what nobody thought of needs everything."""
+    said = {
+        "no-lease": kind.needs is Needs.NOTHING,
+        "if-held": kind.needs is Needs.LEASE_IF_HELD,
+        "stop": kind.right is Right.STOP,
+        "watch": kind.right is Right.WATCH,
+        "still": not kind.moves,
+        "unkept": not kind.is_kept,
+        "any-age": kind.age is Age.ANY,
+        "if-known": kind.age is Age.YOUNG_IF_KNOWN,
+        "at-once": kind.is_at_once,
+    }
+    assert {one for one, is_so in said.items() if is_so} == set(
+        BY_HAND.get(kind.__name__, "").split()
+    )
+
+
+@pytest.mark.parametrize("order", EXAMPLES, ids=lambda one: type(one).__name__)
+def test_an_order_alone_goes_over_the_wire_and_shows_no_token(order: Order) -> None:
+    assert decode_order(encode(order)) == order
+    assert getattr(order, "token", "") not in repr(order) or not hasattr(order, "token")
+
+
+@pytest.mark.parametrize("data", [b"", b"{}", b'{"kind":"Order"}', encode(Hello(1, "x", 1.0))])
+def test_what_is_no_order_is_refused(data: bytes) -> None:
+    with pytest.raises(MessageError):
+        decode_order(data)
+
+
+def test_an_order_without_a_row_ends_the_import_with_its_name() -> None:
+    class Somersault(Order):
+        """Nobody carries it out."""
+
+    spec = importlib.util.spec_from_file_location("handlers_again", handlers.__file__)
+    assert spec is not None
+    assert spec.loader is not None
+    try:
+        with pytest.raises(TypeError, match="Somersault"):
+            spec.loader.exec_module(importlib.util.module_from_spec(spec))
+    finally:
+        del ORDERS["Somersault"]
+
+
+def drawn(order: Order, chance: random.Random) -> Iterator[Order]:
+    """The order with any values that a wire may bring in its fields."""
+    odd = (0, -1, 3, 255, 1 << 40, 0.0, -1e300, 1e300, 1e-9, "", "ü" * 99, b"", b"\xff" * 101)
+    for _ in range(12):
+        values = {}
+        for one in dataclasses.fields(order):  # type: ignore[arg-type]  # see examples
+            value = getattr(order, one.name)
+            fits = [other for other in odd if type(other) is type(value)]
+            if dataclasses.is_dataclass(value) and not isinstance(value, type):
+                changed = chance.choice(dataclasses.fields(value)).name
+                number = chance.choice([other for other in odd if isinstance(other, int | float)])
+                value = dataclasses.replace(value, **{changed: number})
+            values[one.name] = chance.choice(fits) if fits else value
+        yield dataclasses.replace(order, **values)  # type: ignore[type-var]
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("seed", range(3))
+async def test_whatever_is_in_an_order_it_is_done_or_refused_by_a_typed_error(seed: int) -> None:
+    chance = random.Random(seed)
+    refused, ends = 0, (orders.Stop, orders.Release, orders.ReleaseLease, orders.ConfirmTakeOver)
+    async with Rig(firmware="3.1").running() as rig:
+        await rig.agent.ask(orders.Obtain(), rig.token)
+        for kind in [one for one in ORDERS.values() if one not in ends]:
+            for order in drawn(example(kind), chance):
+                with anyio.move_on_after(0.02):
+                    try:
+                        await rig.agent.ask(decode_order(encode(order)), rig.token)
+                    except M100Error:
+                        refused += 1
+    assert refused > 50
