@@ -31,7 +31,7 @@ from m100link.apps.agent.messages import (
     Telemetry,
     Topic,
 )
-from m100link.apps.agent.orders import Halt
+from m100link.apps.agent.orders import Halt, Right
 from m100link.apps.agent.remote_error import Fault, MessageError, fault_of
 from m100link.apps.agent.server.agent import HANDLERS, Agent, Answer, Call
 from m100link.apps.agent.server.connection import ConnectionState
@@ -371,7 +371,7 @@ class Front:
                     # What was asked for before it begins first, and is halted then.
                     self._agent.background.spawn(self._halt(ask), f"halt for {self._name}")
             self._answer(ask, Stage.DONE, answer=answer)
-        elif self._asks >= _MAX_ASKS:
+        elif self._asks >= _MAX_ASKS and order.right is not Right.STOP:  # that waits for nobody
             too_many = UsageError(f"{self._asks} questions of this front wait already")
             self._answer(ask, Stage.FAILED, too_many)
         else:

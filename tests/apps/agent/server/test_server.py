@@ -311,8 +311,10 @@ async def test_notes_and_questions_are_bounded(rig: Rig, service: Service) -> No
         front.send(Ask(number + 1, orders.AskVersion()))
     notes = [one for one in rig.agent.journal.events if one.text.startswith("note ")]
     assert len(notes) == 20
+    front.send(Ask(2000, orders.Stop()))  # what ends a flight waits behind nobody
     refused = [one for one in front.all(Outcome) if one.stage is Stage.FAILED]
     assert len(refused) == 1000 - 64
+    await front.outcome(2000)
     front.send(Note("shout", "x"))
     assert rig.agent.journal.events[-1].level != "shout"
     for seconds, more in ((1.0, 5), (100.0, 20)):  # five of each second, twenty at most
