@@ -100,9 +100,8 @@ class Ordering:
                         await asker.ask(activate, fence=lease.number, token=lease.token)
                     self._lease = lease
                 await asyncio.sleep(0.3)
-                await asker.renew(self._lease, within=0.5)
                 if self._lease is not None:  # an order may have been told meanwhile that it ended
-                    await asker.renew(self._lease, asker.its_clock, within=0.5)
+                    await asker.renew(self._lease, within=0.5)
             except M100Error:
                 self._lease = None  # it ended, or its agent did: another one is asked for
                 await asyncio.sleep(0.3)
