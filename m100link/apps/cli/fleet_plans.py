@@ -92,17 +92,15 @@ def fly(
                     async with mission:
                         async for event in mission:
                             show.tell(event)
-        except (asyncio.CancelledError, ReaderGone):
+        except asyncio.CancelledError:  # by SIGTERM, or Ctrl-C
             say(show.stopped(), to=err)
-            raise
+            return ExitCode.INTERRUPTED
+        except ReaderGone:  # elsewhere that is success; here it ended a flight
+            say(show.stopped(), to=err)
+            return ExitCode.FAILED
         return ExitCode.OK
 
-    try:
-        return run_async(run())
-    except ReaderGone:  # elsewhere that is success; here it ended a flight
-        return ExitCode.FAILED
-    except asyncio.CancelledError:  # by SIGTERM
-        return ExitCode.INTERRUPTED
+    return run_async(run())
 
 
 def _confirm(name: str, plan: WaypointPlan, *, take_off: bool) -> None:
