@@ -136,8 +136,13 @@ def test_the_items_stand_in_the_order_of_their_bits_without_a_gap() -> None:
 
 def test_an_item_is_found_by_its_record_and_nothing_else() -> None:
     assert all(m100link.protocol.items.item_of(item.record) is item for item in ITEMS)
-    with pytest.raises(UsageError, match="is not a telemetry record"):
-        m100link.protocol.items.item_of(dict)
+    for other in (
+        dict,
+        [records.Attitude],
+        {records.Attitude: 50},
+    ):  # a list of them is a likely slip
+        with pytest.raises(UsageError, match="is not a telemetry record"):
+            m100link.protocol.items.item_of(other)  # type: ignore[arg-type] # what is asked
 
 
 @pytest.mark.parametrize(
