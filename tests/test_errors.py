@@ -153,6 +153,20 @@ def test_an_error_is_made_of_what_was_seen_and_of_what_its_class_annotates() -> 
         errors.AckTimeout("no", "execute")  # type: ignore[call-arg] # by keyword alone
 
 
+def test_an_error_of_two_bases_takes_what_both_annotate() -> None:
+    class OfAProgram(errors.LinkError, errors.TaskError):
+        pass
+
+    told = OfAProgram("no", command="land", situation={"battery_percent": 20})
+    assert (told.command, told.code, told.situation) == ("land", -1, {"battery_percent": 20})
+    assert OfAProgram("no").situation is not errors.TaskError.situation, "a copy for each"
+
+
+def test_a_situation_that_nobody_knows_is_an_empty_one() -> None:
+    for kind in (errors.TaskRefused, errors.NotObserved):
+        assert kind("no", situation=None).situation == {}  # type: ignore[arg-type] # as before
+
+
 def test_the_page_has_every_class_with_its_anchor(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,7 +11,6 @@ __all__ = ["M100Error", "OutOfResources"]
 
 E = TypeVar("E", bound="M100Error")
 
-
 if TYPE_CHECKING:
     from dataclasses import field
 
@@ -56,7 +55,9 @@ class M100Error(_Keywords):
         cls.usual_cause = cause or cls.usual_cause
         cls.usual_remedy = remedy or cls.usual_remedy
         annotated = vars(cls).get("__annotations__", ())  # as they stand: nothing evaluates them
-        cls.own = cls.own | {name: vars(cls)[name] for name in annotated if name in vars(cls)}
+        bases = [getattr(base, "own", {}) for base in reversed(cls.__bases__)]
+        bases += [{name: vars(cls)[name] for name in annotated if name in vars(cls)}]
+        cls.own = {name: default for one in bases for name, default in one.items()}
 
     @property
     def manual(self) -> str:
@@ -69,7 +70,8 @@ class M100Error(_Keywords):
         self.seen = seen
         self.cause = cause
         self.remedy = remedy
-        vars(self).update({name: copy(default) for name, default in self.own.items()} | told)
+        known = {name: one for name, one in told.items() if one is not None}
+        vars(self).update({name: copy(default) for name, default in self.own.items()} | known)
         super().__init__(seen, cause, remedy)
 
     @classmethod

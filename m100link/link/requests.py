@@ -30,7 +30,6 @@ from m100link.wire.frame import encode_frame
 if TYPE_CHECKING:
     from m100link.link import Link
 
-
 __all__ = ["Requests"]
 
 _logger = logging.getLogger(__name__)

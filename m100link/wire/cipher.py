@@ -15,7 +15,6 @@ from m100link.errors import BadKey
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.ciphers import CipherContext
 
-
 BLOCK_SIZE = 16
 KEY_SIZE = 32
 
