@@ -49,7 +49,7 @@ class GimbalRates:
     """Angular rates that are being repeated; :meth:`set` replaces them."""
 
     def __init__(self, *, yaw: float, pitch: float, roll: float) -> None:
-        self.command = rates_command(yaw=yaw, pitch=pitch, roll=roll)  # what goes out next
+        self.command = rates_command(yaw=yaw, pitch=pitch, roll=roll)  #: what goes out next
 
     def set(self, *, yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> None:
         """Turn at these rates from the next repetition on, within 0.1 s.
