@@ -74,8 +74,8 @@ class Requests:
 
     def free_firmware(self) -> None:
         """From here on the newest version answer chooses again."""
-        self._is_fixed = False
-        if self.version is not None:
+        was_fixed, self._is_fixed = self._is_fixed, False
+        if was_fixed and self.version is not None:
             self._choose_firmware(self.version)
 
     async def execute(

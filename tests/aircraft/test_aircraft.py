@@ -400,6 +400,7 @@ async def test_an_unknown_firmware_gets_telemetry_and_no_command(
             pytest.fail("entered")
     assert "firmware='3.1'" in caught.value.remedy
     assert len(peer.received) == count, "something was sent"
+    assert caplog.text.count("unknown firmware") == 1, "a refused block says nothing of it again"
     await aircraft.aclose()
 
 
