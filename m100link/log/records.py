@@ -284,7 +284,7 @@ class _Reader:
 
     def _head_at(self, at: int) -> bytes:
         """Kind and length of a record, and enough of its body to see whether they fit it."""
-        self._stream.seek(at)
+        self._stream.seek(min(at, self._size))  # a damaged length leads where no system seeks to
         return self._stream.read(_LONGEST_PART_HEAD)
 
     def _goes_on(self, at: int) -> bool:

@@ -67,6 +67,17 @@ async def test_a_part_that_is_damaged_costs_itself_alone(
         assert set(kept) <= set(every)
 
 
+@pytest.mark.parametrize("value", [0x01, 0x7F, 0xFF])
+async def test_a_length_beyond_any_file_costs_one_part_at_most(
+    whole: bytes, value: int, tmp_path: Path
+) -> None:
+    """The system seeks to no place beyond 2 to the 63, nor beyond its largest file."""
+    begin, end = parts(whole)[3]
+    (path := tmp_path / "flight.mcap").write_bytes(changed(whole, begin + 8, value))
+    kept = list(read(path).messages())
+    assert len(kept) >= len(messages(whole[:begin] + whole[end:]))
+
+
 async def test_one_byte_anywhere_costs_one_part_at_most(whole: bytes) -> None:
     every = messages(whole)
     begins = [begin for begin, _ in parts(whole)]
