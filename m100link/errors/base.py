@@ -55,7 +55,7 @@ class M100Error(_Keywords):
         cls.usual_cause = cause or cls.usual_cause
         cls.usual_remedy = remedy or cls.usual_remedy
         annotated = vars(cls).get("__annotations__", ())  # as they stand: nothing evaluates them
-        bases = [getattr(base, "own", {}) for base in reversed(cls.__bases__)]
+        bases = [base.own for base in reversed(cls.__bases__) if issubclass(base, M100Error)]
         bases += [{name: vars(cls)[name] for name in annotated if name in vars(cls)}]
         cls.own = {name: default for one in bases for name, default in one.items()}
 
