@@ -152,7 +152,10 @@ m100link.doctor.diagnose
 m100link.fleet.Fleet
 m100link.requests.Requests
 m100link.protocol.Arm
+m100link.aircraft.Connecting
+m100link.errors.LinkLost("gone")
 """
+NAMED = "".join(f"from m100link import {name} as {name}\n" for name in m100link.__all__)
 UNTYPED = """
 import m100link
 m100link.sim.no_such_name
@@ -169,7 +172,7 @@ def test_rooms_have_their_types_without_an_import_of_their_own(
     if shutil.which(checker[0]) is None:
         pytest.skip(f"{checker[0]} is not installed")
     good, bad = tmp_path / "typed.py", tmp_path / "untyped.py"
-    good.write_text(TYPED)
+    good.write_text(TYPED + NAMED)
     bad.write_text(UNTYPED)
     told = subprocess.run(
         [*checker, sys.executable, good, bad],

@@ -64,18 +64,17 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
 
 from __future__ import annotations
 
-from m100link.errors import aircraft, base, line, usage
+from typing import TYPE_CHECKING
+
 from m100link.errors.aircraft import *  # noqa: F403 (all of its __all__, like those below)
 from m100link.errors.base import *  # noqa: F403
 from m100link.errors.line import *  # noqa: F403
 from m100link.errors.usage import *  # noqa: F403
 
-__all__: list[str] = []
-__all__ += aircraft.__all__
-__all__ += base.__all__
-__all__ += line.__all__
-__all__ += usage.__all__
+if not TYPE_CHECKING:  # mypy takes a list that is made of others for an empty one
+    from m100link.errors import aircraft, base, line, usage
 
-# One place to catch them from, and one name in tracebacks: where a class stands is not for users.
-for _name in __all__:
-    globals()[_name].__module__ = __name__
+    __all__ = [*aircraft.__all__, *base.__all__, *line.__all__, *usage.__all__]
+    # One place to catch them from, and one name in tracebacks: where one stands is not for users.
+    for _name in __all__:
+        globals()[_name].__module__ = __name__
