@@ -288,8 +288,9 @@ async def serving_fleet_console(
     """
     there = await names_of(fleet, names)
     settings.access_token()  # before anything is bound
-    async with AsyncExitStack() as stack:
+    async with AsyncExitStack() as stack, AsyncExitStack() as before:
         ships = Ships(fleet, stack)
+        before.push_async_callback(ships.let_go)  # while there are ways: some come while this runs
         sockets = open_sockets(stack, settings, with_console=True, with_rosbridge=False)
         first = await ships.first(there)
         fronts = await stack.enter_async_context(
@@ -310,6 +311,5 @@ async def serving_fleet_console(
                 ships.look(fronts.shown())
                 await asyncio.sleep(_LOOK_S)
 
-        stack.push_async_callback(ships.let_go)  # while there are ways
         async with beside({"m100link console: come": come(), "m100link console: look": look()}):
             yield FleetConsole(fronts, sockets)

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, asynccontextmanager
+from types import SimpleNamespace
 from typing import Any
 
 import anyio
 import pytest
 
+from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import LeaseChanged
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.station.fleet import MOST_SHIPS, Ships, names_of
+from m100link.apps.station import fleet as module
+from m100link.apps.station.config import Settings
+from m100link.apps.station.fleet import MOST_SHIPS, Ships, names_of, serving_fleet_console
 from m100link.errors import LinkError, Unreachable, UsageError
 from m100link.sim.clock import virtual_clock_loop
 from tests.apps.fleet.conftest import SITE, Rig
@@ -99,6 +103,34 @@ async def test_control_that_was_taken_here_is_given_back_at_the_end(rig: Rig) ->
         await ships.show("a1")
         await ships.agents["a1"].acquire("console 1")
         await ships.let_go()
+    await anyio.sleep(0.2)
+    assert [(bool(one.number), one.why and one.why.value) for one in changes] == [
+        (True, "acquired"),
+        (False, "released"),
+    ]
+
+
+@pytest.mark.parametrize("name", ["a1", "a2"])
+async def test_whichever_aircraft_it_shows_a_console_that_ends_gives_control_back(
+    rig: Rig, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """a1 is there when it begins, a2 comes later: its way must not be closed before."""
+
+    @asynccontextmanager
+    async def serving(_: object, __: object, reach: Any, *___: object, **____: object) -> Any:
+        ((first, way),) = reach.items()
+        async with AgentClient(await way(), "console") as agent:
+            yield SimpleNamespace(agents={first: agent}, shown=frozenset)
+
+    monkeypatch.setattr(module, "serving_fronts", serving)
+    monkeypatch.setattr(module, "open_sockets", lambda *_, **__: None)
+    one, changes = await rig.served("a1"), list[LeaseChanged]()
+    async with serving_fleet_console(await rig.pilot(), Settings()) as console:
+        if name == "a2":
+            one = await rig.served("a2")
+        await rig.until(lambda: name in console.names, within=5.0)
+        one.client.on_lease.append(changes.append)
+        await console.fronts.agents[name].acquire("console 1")
     await anyio.sleep(0.2)
     assert [(bool(one.number), one.why and one.why.value) for one in changes] == [
         (True, "acquired"),
