@@ -59,7 +59,7 @@ class Fault:
         # What every error has stays as it is, whatever details somebody tells.
         for name, value in self.details.items():
             if name in kind.own or not hasattr(error, name):
-                setattr(error, name, value)
+                vars(error)[name] = value  # no descriptor of the class, such as OSError's, is asked
         return error
 
 

@@ -65,3 +65,15 @@ def test_details_of_a_stranger_leave_an_error_what_it_is() -> None:
     plain = Fault("GuardRefused", "seen").error()
     assert isinstance(plain, GuardRefused)
     assert (plain.guard, plain.measured, plain.limit) == ("", None, None)
+
+
+def test_no_detail_that_a_stranger_names_raises_where_it_is_read() -> None:
+    """Errors of the operating system have attributes of their own, which take numbers alone."""
+    for name in errors.__all__:
+        kind = getattr(errors, name)
+        if isinstance(kind, type) and issubclass(kind, M100Error):
+            for told in (*dir(kind), "", "no name", "\ud800"):
+                for value in (None, True, -1, 1.5, "x"):
+                    found = Fault(name, "seen", "cause", "remedy", {told: value}).error()
+                    assert (found.seen, found.cause, found.remedy) == ("seen", "cause", "remedy")
+                    assert str(found) == str(kind("seen", cause="cause", remedy="remedy"))
