@@ -192,10 +192,7 @@ _IN_THE_LIBRARY = (
     ),
     Part(
         "the name that the package exports",
-        (
-            Edit("m100link/__init__.py", "        Magnetometer,\n", "        OutsideAir,\n"),
-            Edit("m100link/__init__.py", '    "Magnetometer",\n', '    "OutsideAir",\n'),
-        ),
+        (Edit("m100link/__init__.py", '    "Magnetometer",\n', '    "OutsideAir",\n'),),
         noticed_by=test_of(_PUBLIC),
         named="OutsideAir",
     ),
@@ -310,12 +307,12 @@ _IN_THE_APPLICATIONS = (
             Edit("m100link/apps/cli/telemetry.py", "    Magnetometer,\n", "    OutsideAir,\n"),
             Edit(
                 "m100link/apps/cli/telemetry.py",
-                '            return f"{value.percent} %"\n',
-                '        case OutsideAir():\n            return f"{value.pressure_hpa} hPa"\n',
+                '    Battery: "{0.percent} %",\n',
+                '    OutsideAir: "{0.pressure_hpa} hPa",\n',
             ),
         ),
         noticed_by=test_of("tests/apps/cli/test_telemetry.py::test_each_record_has_its_words"),
-        named="case OutsideAir()",
+        named="no row for OutsideAir",
     ),
     Part(
         "its row in the reference",
@@ -458,12 +455,10 @@ VERB = Recipe(
             named="greeting",
         ),
         Part(
-            "its place and sentence",
+            "its name in the row of its module",
             (
                 Edit(
-                    "m100link/apps/cli/app.py",
-                    "VERBS = {\n",
-                    '    "greet": ("greeting:greet", "Say hello."),\n',
+                    "m100link/apps/cli/app.py", "_MODULES = (\n", '    ("greeting", ("greet",)),\n'
                 ),
             ),
             noticed_by=("-m", "m100link", "greet"),
@@ -606,7 +601,7 @@ STOP_CAUSE = Recipe(
                     "m100link/flight/watchdog.py",
                     "        slept = self._suspended.slept_s()\n",
                     "        if slept > 1e9:\n            self._end(StopCause.TOO_HOT, "
-                    '_usual(ComputerSuspended, "x"))\n',
+                    'ComputerSuspended.usual("x"))\n',
                 ),
             ),
             noticed_by=test_of(f"{_TEST_LIFECYCLE}::test_each_cause_ends_a_block_somewhere"),

@@ -84,7 +84,7 @@ def test_each_record_has_its_words(record: object) -> None:
     kind = type(record).__name__
     told = describe(record)
     assert told, kind
-    assert kind not in told, f"describe() of m100link/apps/cli/telemetry.py has no case {kind}()"
+    assert kind not in told, f"_WORDED of m100link/apps/cli/telemetry.py has no row for {kind}"
 
 
 # -- ``m100link monitor`` over a real pseudo-terminal. Real time -----------------------------------
