@@ -183,7 +183,7 @@ def _choice(kind: type[Enum]) -> _Codec:
     return lambda value: value.value, read
 
 
-def _codec(kind: Any) -> _Codec:
+def _codec(kind: Any, name: str) -> _Codec:
     if kind in _PLAIN:
         return _PLAIN[kind]
     if kind is Order:
@@ -191,7 +191,7 @@ def _codec(kind: Any) -> _Codec:
         return kinds.write, kinds.read
     if isinstance(kind, types.UnionType):
         (one,) = (part for part in get_args(kind) if part is not type(None))
-        return _optional(_codec(one))
+        return _optional(_codec(one, name))
     if kind == tuple[bytes, ...]:
         return _write_pieces, _read_pieces
     if isinstance(kind, type) and issubclass(kind, Enum):
@@ -201,20 +201,17 @@ def _codec(kind: Any) -> _Codec:
         return nested.write, nested.read
     if get_origin(kind) is Mapping:
         return _write_details, _read_details
-    raise TypeError(f"a message cannot carry {kind}")
+    raise TypeError(f"{name}: a message cannot carry {kind}")
 
 
 class Fields:
-    """The fields of one dataclass.
-
-    Args:
-        kind: The dataclass.
-    """
+    """The fields of one dataclass."""
 
     def __init__(self, kind: type[Any]) -> None:
         hints = get_type_hints(kind)
         self._kind = kind
-        self._codecs = {field.name: _codec(hints[field.name]) for field in dataclasses.fields(kind)}
+        names = [field.name for field in dataclasses.fields(kind)]
+        self._codecs = {one: _codec(hints[one], f"{kind.__name__}.{one}") for one in names}
 
     def write(self, value: Any) -> dict[str, Any]:
         """The fields as JSON takes them.

@@ -22,7 +22,10 @@ def example(kind: type[Order]) -> Order:
     """An order of that kind."""
     hints = get_type_hints(kind)
     fields = dataclasses.fields(kind)  # type: ignore[arg-type]  # a dataclass by __init_subclass__
-    return kind(**{one.name: _VALUES[hints[one.name]] for one in fields})
+    values = {one.name: hints[one.name] for one in fields}
+    for name, hint in values.items():
+        assert hint in _VALUES, f"{__file__}: _VALUES has no {hint}, as {kind.__name__}.{name} is"
+    return kind(**{name: _VALUES[hint] for name, hint in values.items()})
 
 
 EXAMPLES = [example(kind) for kind in ORDERS.values()]

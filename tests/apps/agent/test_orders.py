@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.util
+import inspect
 import random
+import re
 from collections.abc import Iterator
 
 import anyio
@@ -55,6 +57,16 @@ def test_an_order_is_the_most_dangerous_one_unless_it_is_named(kind: type[Order]
     assert {one for one, is_so in said.items() if is_so} == set(
         BY_HAND.get(kind.__name__, "").split()
     )
+
+
+@pytest.mark.parametrize("kind", ORDERS.values(), ids=ORDERS)
+def test_each_field_says_what_it_is_and_in_which_unit(kind: type[Order]) -> None:
+    """A number, a text or bytes alone says nothing; a class of its own has units of its own."""
+    source = inspect.getsource(kind)
+    for one in dataclasses.fields(kind):  # type: ignore[arg-type]  # see examples
+        if str(one.type).partition(" ")[0] in ("int", "float", "str", "bytes", "bool"):
+            said = re.search(rf"^    {one.name}: .*  #: \S", source, re.MULTILINE)
+            assert said, f"{kind.__name__}.{one.name} has no comment with its unit behind #:"
 
 
 @pytest.mark.parametrize("order", EXAMPLES, ids=lambda one: type(one).__name__)
