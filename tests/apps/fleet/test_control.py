@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 
 import anyio
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from m100link.apps.agent import orders
 from m100link.apps.agent.lease import LeaseHeld
 from m100link.apps.agent.orders import FlyTo
+from m100link.apps.fleet.control import FleetControl
 from m100link.errors import GuardRefused, M100Error, OutcomeUnknown, StaleLease, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.setpoint import Setpoint
@@ -186,33 +188,51 @@ async def test_nonsense_in_the_place_of_a_renewal_ends_nothing_but_silence_does(
     assert one.height > 1.0
 
 
+# What each verb of a control block is given, and the order that it makes of it.
+VERBS: dict[str, tuple[dict[str, object], orders.Order]] = {
+    "take_off": ({}, orders.TakeOff()),
+    "land": ({}, orders.Land()),
+    "go_home": ({}, orders.GoHome()),
+    "fly_to": (
+        {
+            "latitude_deg": 52.1,
+            "longitude_deg": -4.3,
+            "height": 7.5,
+            "speed": 3.25,
+            "yaw_deg": -120.0,
+        },
+        FlyTo(52.1, -4.3, height=7.5, speed=3.25, yaw_deg=-120.0),
+    ),
+    "pause_mission": ({}, orders.PauseMission()),
+    "resume_mission": ({}, orders.ResumeMission()),
+    "stop_mission": ({}, orders.Halt("whoever flies stopped it")),  # waits for no disk
+    "stop": ({}, orders.Stop()),
+}
+
+
+def test_each_verb_has_its_order_by_hand() -> None:
+    coroutines = {n for n, one in vars(FleetControl).items() if inspect.iscoroutinefunction(one)}
+    verbs = {name for name in coroutines if not name.startswith("_")} - {"ask"}
+    assert not verbs - set(VERBS), "VERBS of this file has no row for these"
+
+
 async def test_each_verb_asks_for_what_it_says_under_its_lease(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """None of them is answered here: what was asked is looked at."""
-    asked: list[orders.Order] = []
+    asked: list[tuple[orders.Order, object]] = []
     await rig.aircraft("a1")
     pilot = await rig.pilot()
     async with pilot["a1"].control() as control:
         fence = control.fence
 
-        async def ask(message: orders.Order, *_: object, **__: object) -> None:
-            asked.append(message)
+        async def ask(message: orders.Order, *_: object, fence: int = 0, **__: object) -> None:
+            asked.append((message, fence))
 
         with monkeypatch.context() as patch:
             patch.setattr(control._asker, "ask", ask)
-            await control.take_off()
-            await control.land()
-            await control.go_home()
-            await control.fly_to(
-                latitude_deg=52.1, longitude_deg=-4.3, height=7.5, speed=3.25, yaw_deg=-120.0
-            )
-            await control.stop()
+            for verb, (given, _) in VERBS.items():
+                await getattr(control, verb)(**given)
     assert fence > 0
-    assert asked == [
-        orders.TakeOff(),
-        orders.Land(),
-        orders.GoHome(),
-        FlyTo(52.1, -4.3, height=7.5, speed=3.25, yaw_deg=-120.0),
-        orders.Stop(),
-    ]
+    expected = [(order, 0 if verb == "stop" else fence) for verb, (_, order) in VERBS.items()]
+    assert asked == expected
