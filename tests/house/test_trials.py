@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.house.trials import RECIPES, Edit, Part, Recipe, copied, faults
+from tests.house.trials import ORDER, RECIPES, Edit, Part, Recipe, copied, faults
 
 
 @pytest.mark.slow
@@ -28,3 +28,8 @@ def test_a_recipe_that_notices_nothing_is_told(tmp_path: Path) -> None:
     assert "it does not work" in works
     assert "('-c', '1 / 0') fails" in call
     assert "no output names 'of a name'" in named
+
+
+def test_an_order_is_made_in_three_files_beside_tests_and_the_manual() -> None:
+    places = {edit.place for part in ORDER.parts for edit in part.edits}
+    assert len([one for one in places if one.startswith("m100link/")]) <= 3

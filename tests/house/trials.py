@@ -12,9 +12,10 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from m100link.apps.agent.messages import VERSION
 from tests.waiting import PATIENCE
 
 ROOT = Path(__file__).parent.parent.parent
@@ -663,4 +664,125 @@ STOP_CAUSE = Recipe(
     ),
 )
 
-RECIPES = (ITEM, VERB, FRONT, STOP_CAUSE)
+_MESSAGES, _AGENT = "m100link/apps/agent/messages.py", "m100link/apps/agent/server/agent.py"
+_TEST_CODEC = "tests/apps/agent/test_codec.py"
+_HANDLED = ("-c", f"import {_AGENT.removesuffix('.py').replace('/', '.')}")
+_KNOWN = test_of(f"{_TEST_CODEC}::test_other_messages_are_another_version")
+_ASKED = """
+import asyncio
+from m100link.apps.agent import orders
+from m100link.sim.clock import virtual_clock_loop
+from tests.apps.fleet.conftest import Rig
+
+async def main():
+    rig = Rig()
+    async with rig.stack:
+        one, pilot = await rig.aircraft("a1"), await rig.pilot()
+        async with pilot["a1"].control(stop="land") as control:
+            await control.take_off()
+            await {asked}
+        told = [event.text for event in one.agent.journal.events]
+        assert told.count("change of heading is done") == 4, told
+
+with asyncio.Runner(loop_factory=virtual_clock_loop) as runner:
+    runner.run(main())
+"""
+
+ORDER = Recipe(
+    "an order of the agent",
+    works=("-c", _ASKED.format(asked="control.ask(orders.Wiggle(2))")),
+    parts=(
+        Part(
+            "its class",
+            (
+                Edit(
+                    "m100link/apps/agent/orders.py",
+                    '    """Fly to the home point and land."""\n',
+                    '\n\nclass Wiggle(Order):\n    """Turn the nose to the right and back."""\n\n'
+                    "    times: int  #: 1 to 9\n",
+                ),
+            ),
+            noticed_by=_HANDLED,
+            named="Wiggle",
+        ),
+        Part(
+            "its row, and what it calls",
+            (
+                Edit(
+                    _AGENT,
+                    "    orders.FlyPattern: _fly_pattern,\n",
+                    "    orders.Wiggle: _wiggle,\n",
+                ),
+                Edit(
+                    _AGENT,
+                    "    await call.agent.replay.order(order.text)\n",
+                    "\n\nasync def _wiggle(call: Call, order: orders.Wiggle) -> None:\n"
+                    "    if not 1 <= order.times <= 9:\n"
+                    '        raise UsageError("times is 1 to 9", remedy="ask for fewer")\n'
+                    "    for turn in (20.0, 0.0) * order.times:\n"
+                    "        await call.flying.guide(orders.ChangeHeading(turn), call.accepted)\n",
+                ),
+            ),
+            noticed_by=_HANDLED,
+            named="Wiggle",
+        ),
+        Part(
+            "the version of the messages",
+            (Edit(_MESSAGES, f"\nVERSION = {VERSION}", " + 1"),),
+            noticed_by=_KNOWN,
+            named="raise VERSION of m100link/apps/agent/messages.py",
+        ),
+        Part(
+            "that version, by hand",
+            (Edit(_TEST_CODEC, f"\nKNOWN_VERSION = {VERSION}", " + 1"),),
+            noticed_by=_KNOWN,
+            named="KNOWN_VERSION",
+        ),
+        Part(
+            "what it is as a message, by hand",
+            (Edit(_TEST_CODEC, '\nKNOWN = """\n', "Wiggle:b35051\n"),),
+            noticed_by=_KNOWN,
+            named="Wiggle:b35051",
+        ),
+    ),
+)
+
+_CONTROL, _TEST_CONTROL = "m100link/apps/fleet/control.py", "tests/apps/fleet/test_control.py"
+
+METHOD = Recipe(
+    "a method of a fleet",
+    works=("-c", _ASKED.format(asked="control.wiggle(2)")),
+    parts=(
+        *(replace(part, noticed_by=()) for part in ORDER.parts),
+        Part(
+            "the method",
+            (
+                Edit(
+                    _CONTROL,
+                    "        await self.ask(orders.GoHome())\n",
+                    "\n    async def wiggle(self, times: int) -> None:\n"
+                    '        """Turn the nose to the right and back."""\n'
+                    "        await self.ask(orders.Wiggle(times))\n",
+                ),
+            ),
+            noticed_by=test_of(
+                f"{_TEST_CONTROL}::test_each_verb_asks_for_what_it_says_under_its_lease"
+            ),
+            named="wiggle",
+        ),
+        Part(
+            "what it asks for, by hand",
+            (
+                Edit(
+                    _TEST_CONTROL,
+                    '    "go_home": ({}, orders.GoHome()),\n',
+                    '    "wiggle": ({"times": 3}, orders.Wiggle(3)),\n',
+                ),
+            ),
+            noticed_by=test_of(f"{_TEST_CONTROL}::test_each_verb_has_its_order_by_hand"),
+            named="wiggle",
+        ),
+    ),
+)
+
+RECIPES = (ITEM, VERB, FRONT, STOP_CAUSE, ORDER, METHOD)
