@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -28,6 +29,40 @@ async def test_all_take_off_and_land(rig: Rig) -> None:
     results = await pilot.land()
     assert {name: str(one) for name, one in results.items()} == {"a1": "ok", "a2": "ok"}
     assert all(one.height < 0.1 for one in ones)
+
+
+# The order that each method of an aircraft comes to; None for those that only ask how it is.
+ORDERS: dict[str, orders.Order | None] = {
+    "take_off": orders.TakeOff(),
+    "land": orders.Land(),
+    "stop": orders.Stop(),
+    **dict.fromkeys(("logs", "fetch_log", "mission", "card")),
+}
+
+
+async def test_each_method_of_an_aircraft_gives_its_order(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lacks = sorted(
+        name
+        for name, one in vars(FleetAircraft).items()
+        if inspect.iscoroutinefunction(one) and not name.startswith("_") and name not in ORDERS
+    )
+    assert not lacks, f"ORDERS of this file has no row for {lacks}"
+    await rig.aircraft("a1")
+    aircraft = (await rig.pilot())["a1"]
+    ask, asked = aircraft.asker.ask, list[orders.Order]()
+
+    async def asks(order: orders.Order, **options: Any) -> Any:
+        asked.append(order)
+        return await ask(order, **options)
+
+    monkeypatch.setattr(aircraft.asker, "ask", asks)
+    for name, order in ORDERS.items():
+        if order is not None:
+            await getattr(aircraft, name)()
+            assert order in asked, name
+            asked.clear()
 
 
 async def test_a_name_that_is_not_there_is_unreachable(rig: Rig) -> None:
