@@ -58,7 +58,7 @@ nitpick_ignore_regex = [
     ),
     (r"py:class", r"os\.PathLike"),
     (r"py:.*", r"(anyio|cryptography|serial|serial_asyncio)(\..*)?"),
-    (r"py:class", r"(Path|Random)"),
+    (r"py:class", r"(Path|(random\.)?Random)"),
     # What is signed is handed on as it is.
     (r"py:class", r"m100link\.apps\.fleet\.payloads\.Order"),
     # Attributes are described by their class, they are not entries of their own.

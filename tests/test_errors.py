@@ -9,6 +9,7 @@ import re
 import warnings
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -38,7 +39,7 @@ def error_tree() -> dict[str, str]:
 
 
 def test_drawing_of_the_error_tree_matches_the_classes() -> None:
-    classes = [vars(errors)[name] for name in errors.__all__]
+    classes = [vars(errors)[name] for name in vars(errors)["__all__"]]
     actual = {
         cls.__name__: base.__name__
         for cls in classes
@@ -54,7 +55,7 @@ def test_every_error_is_public_and_derives_from_one_base() -> None:
         for name, value in vars(errors).items()
         if inspect.isclass(value) and issubclass(value, BaseException)
     }
-    assert defined | {"LossReason"} == set(errors.__all__)
+    assert defined | {"LossReason"} == set(vars(errors)["__all__"])
     assert defined <= set(m100link.__all__)
 
 
@@ -189,3 +190,17 @@ def test_the_page_has_every_class_with_its_anchor(
     for kind in CLASSES:
         assert f'id="{kind.error_code.lower()}"' in page
         assert f"> {kind.__name__}, a kind of" in page
+
+
+def test_a_class_of_a_program_takes_what_it_annotates_whatever_its_module_imports() -> None:
+    program = """
+from m100link import M100Error
+
+class TooWindy(M100Error):
+    gusts: float = 0.0
+"""
+    for first in ("", "from __future__ import annotations\n"):
+        names: dict[str, Any] = {"__name__": "program"}
+        exec(compile(first + program, "program", "exec", dont_inherit=True), names)
+        assert names["TooWindy"]("windy", gusts=12.0).gusts == 12.0
+        assert names["TooWindy"]("windy").gusts == 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import copy
@@ -55,6 +56,11 @@ class M100Error(_Keywords):
         cls.usual_cause = cause or cls.usual_cause
         cls.usual_remedy = remedy or cls.usual_remedy
         annotated = vars(cls).get("__annotations__", ())  # as they stand: nothing evaluates them
+        # A program's class, in a module without the future import.
+        if sys.version_info >= (3, 14) and "__annotate_func__" in vars(cls):
+            from annotationlib import Format, get_annotations
+
+            annotated = get_annotations(cls, format=Format.FORWARDREF)
         bases = [base.own for base in reversed(cls.__bases__) if issubclass(base, M100Error)]
         bases += [{name: vars(cls)[name] for name in annotated if name in vars(cls)}]
         cls.own = {name: default for one in bases for name, default in one.items()}

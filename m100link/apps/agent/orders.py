@@ -1,9 +1,9 @@
 """What a front can ask an agent for: each order is a class with its fields and its class data.
 
-``class Name(Order, …)`` makes a frozen dataclass with a place in :data:`ORDERS`; the codec of
+``class Name(Order, …)`` makes a frozen dataclass with a place in ``ORDERS``; the codec of
 messages reads and writes its fields. What is not said of an order is the strictest: it needs the
 lease and the right to fly, moves the aircraft, is kept, and must not be old. What an agent does for
-each is a row of ``HANDLERS`` in :mod:`m100link.apps.agent.server.agent`; an order without one ends
+each is a row of ``HANDLERS`` in ``m100link.apps.agent.server.agent``; an order without one ends
 the import with an error that names it.
 """
 
@@ -58,8 +58,8 @@ class Order:
     right: ClassVar[Right] = Right.FLY
     #: Whether it moves the aircraft, or lets somebody move it; what ends movement does not.
     moves: ClassVar[bool] = True
-    #: Whether the log of orders has to know it before it begins: twice would be once too often.
-    #: What is not kept waits for no disk.
+    #: Whether the log of orders has to know it before it begins, because twice would be once too
+    #: often. What is not kept waits for no disk.
     is_kept: ClassVar[bool] = True
     age: ClassVar[Age] = Age.YOUNG
     #: Whether it is done as it is heard, before orders that were heard and have not begun.

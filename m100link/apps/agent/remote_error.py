@@ -23,7 +23,7 @@ class MessageError(
 
 _ERRORS: dict[str, type[M100Error]] = {
     name: found
-    for name in errors.__all__
+    for name in vars(errors)["__all__"]
     if isinstance(found := getattr(errors, name), type) and issubclass(found, M100Error)
 } | {kind.__name__: kind for kind in (LeaseRefused, LeaseHeld, MessageError)}
 

@@ -121,7 +121,7 @@ def _services(
     verify, revocations = fleet.verify, fleet.revocations
     folder = None if settings.no_record else settings.record
     show = ShowService(one.client, bus, keys, verify=verify, namesakes=one.namesakes, beside=others)
-    served = {
+    served: dict[str, Coroutine[Any, Any, None]] = {
         "fronts": AgentTold(one.client, bus, keys, one.boot).run(),
         "show": show.run(),
         "logs": LogService(bus, keys, folder, verify=verify, rate=fleet.log_rate).run(),

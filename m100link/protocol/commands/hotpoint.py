@@ -74,7 +74,6 @@ class HotpointStart(Laid, MissionRequest[HotpointStartAnswer]):
         Number("yaw_mode", words=("along_path", "to_centre", "outwards", "by_rc", "as_at_start")),
         Reserved(11),
     )
-    sets_in_motion: ClassVar[bool] = True  # at once
 
     latitude: float
     longitude: float
@@ -85,6 +84,11 @@ class HotpointStart(Laid, MissionRequest[HotpointStartAnswer]):
     start_point: int = 4
     yaw_mode: int = 1
     version: int = 0
+
+    @property
+    def sets_in_motion(self) -> bool:
+        """It begins at once."""
+        return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,10 +173,14 @@ class HotpointAutoRadius(Laid, MissionRequest[MissionCode]):
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x27)
     LAYOUT: ClassVar[Layout] = Layout(Number("enable", words=("off", "on")), Number("rate", "b"))
-    sets_in_motion: ClassVar[bool] = True  # it changes the circle
 
     enable: int
     rate: int = 0
+
+    @property
+    def sets_in_motion(self) -> bool:
+        """It changes the circle."""
+        return True
 
 
 # -- following a target: 0x03/0x30 to 0x33 of firmware 3.1 -----------------------------------------
@@ -206,7 +214,6 @@ class FollowStart(Laid, MissionRequest[MissionCode]):
         *_TARGET,
         Number("sensitivity", "B", 0, 1),
     )
-    sets_in_motion: ClassVar[bool] = True  # at once
 
     latitude: float
     longitude: float
@@ -215,6 +222,11 @@ class FollowStart(Laid, MissionRequest[MissionCode]):
     yaw_mode: int = 1
     angle: int = 0
     sensitivity: int = 1
+
+    @property
+    def sets_in_motion(self) -> bool:
+        """It begins at once."""
+        return True
 
 
 @dataclass(frozen=True, slots=True)

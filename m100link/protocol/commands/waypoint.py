@@ -313,9 +313,13 @@ class WaypointSetIdleSpeed(Laid, MissionRequest[IdleSpeedAnswer]):
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x16)
     LAYOUT: ClassVar[Layout] = _IDLE_SPEED
-    sets_in_motion: ClassVar[bool] = True  # from a standstill
 
     idle_speed: float
+
+    @property
+    def sets_in_motion(self) -> bool:
+        """An aircraft that stands begins to fly."""
+        return True
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ def test_an_error_is_the_same_error_at_the_other_end(error: M100Error) -> None:
 
 
 def test_every_error_of_the_tree_can_be_carried() -> None:
-    for name in errors.__all__:
+    for name in vars(errors)["__all__"]:
         kind = getattr(errors, name)
         if isinstance(kind, type) and issubclass(kind, M100Error):
             error = kind.__new__(kind)
@@ -69,7 +69,7 @@ def test_details_of_a_stranger_leave_an_error_what_it_is() -> None:
 
 def test_no_detail_that_a_stranger_names_raises_where_it_is_read() -> None:
     """Errors of the operating system have attributes of their own, which take numbers alone."""
-    for name in errors.__all__:
+    for name in vars(errors)["__all__"]:
         kind = getattr(errors, name)
         if isinstance(kind, type) and issubclass(kind, M100Error):
             for told in (*dir(kind), "", "no name", "\ud800"):

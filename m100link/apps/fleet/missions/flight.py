@@ -86,7 +86,7 @@ class MissionOrders:
             Its digest.
 
         Raises:
-            M100Error: As :meth:`m100link.apps.fleet.asking.Asker.ask`.
+            M100Error: As ``m100link.apps.fleet.asking.Asker.ask``.
         """
         return (await self._ask(orders.UploadPlan.of(plan))).text
 

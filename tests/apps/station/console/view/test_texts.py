@@ -196,7 +196,7 @@ ENGLISH, GERMAN = Speaker(), Speaker(Language.GERMAN)
 
 CLASSES = [
     one
-    for name in errors.__all__
+    for name in vars(errors)["__all__"]
     if isinstance(one := getattr(errors, name), type) and issubclass(one, M100Error)
 ]
 
