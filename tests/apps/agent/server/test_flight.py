@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import AsyncIterator, Callable
-from typing import Any
+from functools import partial
+from typing import Any, get_args
 
 import anyio
 import pytest
@@ -29,6 +30,7 @@ from m100link.geodesy import LocalFrame
 from m100link.missions.plan import AtEnd, Waypoint, WaypointPlan
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.agent.conftest import Rig, airborne, mission
+from tests.apps.agent.examples import example
 
 pytestmark = pytest.mark.anyio
 
@@ -612,3 +614,31 @@ async def test_while_a_mission_flies_it_is_refused() -> None:
         await mission(rig, WaypointPlan(points))
         with pytest.raises(MissionRunning):
             await rig.agent.ask(orders.ChangeHeight(20.0), rig.token)
+
+
+# -- each guided order, and the closed loop that flies it ------------------------------------------
+
+
+LOOPS: dict[type[orders.Order], str] = {
+    orders.FlyTo: "fly_to",
+    orders.FlyAround: "orbit",
+    orders.ChangeHeight: "climb_to",
+    orders.ChangeHeading: "turn_to",
+}
+
+
+@pytest.mark.parametrize("kind", get_args(orders.GuidedOrder), ids=lambda kind: kind.__name__)
+async def test_each_guided_order_is_foreseen_and_flown_by_its_own_loop(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, kind: type[orders.Order]
+) -> None:
+    assert kind in LOOPS, f"LOOPS of this file has no row for {kind.__name__}"
+    await airborne(rig)
+    guiding, flown = rig.holding.require().guiding, list[str]()
+
+    async def fly(name: str, *_: object, **__: object) -> None:
+        flown.append(name)
+
+    for name in LOOPS.values():
+        monkeypatch.setattr(guiding._control, name, partial(fly, name))
+    await rig.agent.ask(example(kind), rig.token)
+    assert flown == [LOOPS[kind]]
