@@ -31,7 +31,6 @@ from m100link.errors import (
     PortNotFound,
     PortPermissionDenied,
 )
-from m100link.errors.texts import read_path
 from m100link.link.gate import GUARDIAN_NAME
 from m100link.link.serial_transport import HIGH_WATER, PORT_GONE, SerialTransport
 from m100link.link.url import LIKE_THESE, ConnectionString
@@ -128,6 +127,8 @@ async def _open_serial(address: ConnectionString, protocol: asyncio.Protocol) ->
     loop = asyncio.get_running_loop()
     device = address.target
     if device.startswith("~"):
+        from m100link.errors.texts import read_path  # its parsers cost a tenth of the start
+
         device = str(read_path(device))
     # An inter-byte time-out, if only of 0, makes an empty read mean that the device is gone.
     open_port = functools.partial(

@@ -6,10 +6,8 @@ import inspect
 import re
 import signal
 import sys
-from importlib.abc import InspectLoader
-from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 from cyclopts import App, CycloptsError, CycloptsPanel, UnusedCliTokensError
 
@@ -24,6 +22,10 @@ from m100link.apps.cli.terminal import (
     speak_to_anybody,
 )
 from m100link.errors import M100Error, UsageError
+
+if TYPE_CHECKING:
+    from importlib.abc import InspectLoader
+    from importlib.machinery import ModuleSpec
 
 # Modules and verbs, in the order of the manual. A module is loaded when its verb is used.
 _MODULES = (
@@ -80,7 +82,7 @@ def application(*, overview: bool = False) -> App:
 def _sentence(verb: str, place: str) -> str:
     """The first sentence of a verb's help, from its file: to load all of them takes long."""
     module, _, name = place.partition(":")
-    loader = cast(InspectLoader, cast(ModuleSpec, find_spec(module)).loader)
+    loader = cast("InspectLoader", cast("ModuleSpec", find_spec(module)).loader)
     begin = rf'group\(\s*"{verb}",\s*"' if name == "app" else rf'\ndef {name}\(.*?\n    """'
     source = (loader.get_source(module) or "").replace("\nasync def", "\ndef")
     found = re.search(rf'{begin}(.*?)["\n]', source, re.DOTALL)
