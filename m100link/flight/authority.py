@@ -152,12 +152,7 @@ _SETTLING_S = 0.3  # an item of 10 Hz or more, made after the grant, has arrived
 class Authority:
     """The authority of one connection: its state, how it came to it, and who wants to know.
 
-    Args:
-        clock: Seconds, by any clock that only goes forward.
-
-    Attributes:
-        state: The present state.
-        reason: Why it was contested, paused, lost or given back.
+    ``clock``: seconds, by any clock that only goes forward.
     """
 
     __slots__ = (
@@ -176,7 +171,7 @@ class Authority:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.state = AuthorityState.NONE
-        self.reason = LossReason.NONE
+        self.reason = LossReason.NONE  # why it was contested, paused, lost or given back
         self._clock = clock
         self._held_since = 0.0
         self._listeners: list[Callable[[AuthorityState, AuthorityState], None]] = []

@@ -50,43 +50,19 @@ class LogEntry(NamedTuple):
 
 
 class Vehicle:
-    """The aircraft, the remote control and the phone, and the settings of all three.
-
-    Args:
-        random: Source of the sensor noise, the gusts and the serial number.
-        profile: The firmware.
-        settings: The aircraft, its site and the open questions of the protocol.
-        assistant: Settings of the PC assistant.
-        remote: The remote control; by default in F, moved there after power-on.
-        app: The mobile app; by default connected, with Internet.
-        server: The registry of apps; by default an empty one.
-        serial_number: Ten characters; by default drawn from ``random``.
-
-    Attributes:
-        profile, settings, assistant, remote, app, server, serial_number: As given.
-        flight: Motion, flight status, tasks, setpoints, battery.
-        authority: Who may fly.
-        activation: Which app is active, and which ones are known.
-        gimbal, camera: What hangs below.
-        missions: What it flies by itself.
-        sensors: What it measures.
-        time: Seconds since power-on; a restart does not set it back.
-        events: Last 200 things that happened.
-        authority_losses: Times that control passed away from the onboard device. Whoever is
-            connected is told of each by whoever carries the line.
-    """
+    """The aircraft, the remote control and the phone, and the settings of all three."""
 
     def __init__(
         self,
-        random: Random,
+        random: Random,  # source of the sensor noise, the gusts and the serial number
         profile: FirmwareProfile,
         *,
         settings: AircraftSettings | None = None,
-        assistant: AssistantSettings | None = None,
-        remote: PilotRemote | None = None,
-        app: MobileApp | None = None,
-        server: ActivationServer | None = None,
-        serial_number: str | None = None,
+        assistant: AssistantSettings | None = None,  # settings of the PC assistant
+        remote: PilotRemote | None = None,  # by default in F, moved there after power-on
+        app: MobileApp | None = None,  # the mobile app; by default connected, with Internet
+        server: ActivationServer | None = None,  # the registry of apps; by default an empty one
+        serial_number: str | None = None,  # ten characters; by default drawn from ``random``
     ) -> None:
         self.profile = profile
         self.settings = settings or AircraftSettings()
@@ -97,7 +73,7 @@ class Vehicle:
         self.serial_number = serial_number or f"041D{random.randrange(16**6):06X}"
         self.flight = FlightController(self.settings)
         self.gimbal = GimbalMount(self.flight.dynamics.yaw, follows=self.settings.gimbal_follows)
-        self.camera = Camera(self.log)
+        self.camera = Camera(self.log)  # what hangs below
         self.activation = Activation(
             profile,
             self.serial_number,
@@ -120,8 +96,9 @@ class Vehicle:
             gimbal=self.gimbal,
             step_s=_SLOW_STEPS * STEP_S,
         )
-        self.time = 0.0
-        self.events: deque[LogEntry] = deque(maxlen=200)
+        self.time = 0.0  # seconds since power-on; a restart does not set it back
+        self.events: deque[LogEntry] = deque(maxlen=200)  # last 200 things that happened
+        # Times that control passed away from the onboard device; who carries the line tells of it.
         self.authority_losses = 0
         self._random = random
         self._steps = 0
