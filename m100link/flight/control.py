@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager, nullcontext
 from functools import partial, update_wrapper
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
-from m100link.errors import TaskRefused, UsageError
+from m100link.errors import TaskFailed, TaskRefused, UsageError
 from m100link.flight.authority import AuthorityState
 from m100link.flight.block import ControlBlock, PauseAction, Steering
 from m100link.flight.guardian import patience_of
@@ -115,6 +115,7 @@ class Control:
         self._keeper = keeper
         deck = Deck(commander, self._guards, self._block, self._make_way_for_mission)
         self._missions = Missions(deck, keeper, self.take_off)
+        self._unended_task: Task | None = None
 
     # -- the block -------------------------------------------------------------------------------
 
@@ -193,6 +194,14 @@ class Control:
     def has_authority(self) -> bool:
         """Whether setpoints are obeyed."""
         return self._authority.state is AuthorityState.HELD
+
+    @property
+    def unended_task(self) -> Task | None:
+        """The task that the autopilot may be flying: asked for here, and not seen to end.
+
+        It may fly on when whoever awaited it was cancelled; giving authority back ends it.
+        """
+        return self._unended_task
 
     @property
     def is_paused(self) -> bool:
@@ -466,11 +475,19 @@ class Control:
     async def _run(self, task: Task, timeout: float | None, progress: TaskListener | None) -> None:
         self._block.require_flying(task_name(task))
         self._make_way(task_name(task), is_landing=task is not Task.TAKE_OFF)
+        before, self._unended_task = self._unended_task, task
         self._steering.running_task = task
         watch = self._block.taking_off() if task is Task.TAKE_OFF else nullcontext()
         try:
             with watch, self._block.waiting(task_name(task)):
                 await run_task(self._commander, task, timeout=timeout, progress=progress)
+            self._unended_task = None
+        except TaskFailed:
+            self._unended_task = None
+            raise
+        except TaskRefused:  # because of one before, perhaps
+            self._unended_task = before
+            raise
         finally:
             self._steering.running_task = None
 

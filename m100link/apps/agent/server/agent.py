@@ -285,7 +285,9 @@ class Agent:
         """
         self._is_stopped = True
         self.journal.note("stop", topic=Topic.STOPPED)
-        is_in_task = self.holding.task is not None or await self.holding.stop_landing()
+        flying = self.holding.flying
+        is_in_task = flying is not None and flying.is_in_task
+        is_in_task = is_in_task or await self.holding.stop_landing()
         self.halt("stop")
         if is_in_task or self._unclaimed is not None:
             self.journal.note("control authority is given back to end the task", "warning")

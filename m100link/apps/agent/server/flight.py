@@ -88,6 +88,14 @@ class Flying:
         return self._pattern[0] if self._pattern is not None else None
 
     @property
+    def is_in_task(self) -> bool:
+        """Whether the autopilot may fly a task: of an order, of a program, or of a mission.
+
+        A program or a mission that was ended does not end the take-off that it had begun.
+        """
+        return self.task is not None or self._control.unended_task is not None
+
+    @property
     def flown(self) -> Flown:
         """What flies the aircraft now."""
         if self.task is not None:

@@ -225,6 +225,31 @@ async def test_a_stop_ends_a_mission_that_has_not_begun(waypoints: Rig) -> None:
     assert speed(rig) < 0.1
 
 
+@pytest.mark.parametrize("halts_first", [False, True])
+@pytest.mark.parametrize("by", ["mission", "program"])
+@pytest.mark.parametrize("after", [0.2, 1.0, 2.0])
+async def test_stop_ends_a_take_off_that_a_mission_or_a_program_began(
+    by: str, after: float, *, halts_first: bool
+) -> None:
+    """On the ground, or on its way up, it rises no further."""
+    async with Rig(firmware="3.1").running() as rig:
+        await rig.agent.ask(orders.Obtain(), rig.token)
+        if by == "mission":
+            await rig.agent.ask(orders.UploadPlan.of(away(rig, 60, 80)), rig.token)
+            start = rig.agent.ask(orders.StartMission(take_off=True), rig.token)
+            rig.agent.background.spawn(start, "mission")
+        else:
+            await rig.agent.ask(orders.FlyPattern(2), rig.token)
+        await anyio.sleep(after)
+        if halts_first:
+            await rig.agent.ask(orders.Halt("a tab"))
+        height = rig.aircraft.height
+        await rig.agent.ask(orders.Stop())
+        await anyio.sleep(10.0)
+        assert rig.aircraft.height < height + 0.4
+        assert not rig.holding.has_authority
+
+
 @pytest.mark.parametrize("at_end", [AtEnd.GO_HOME, AtEnd.LAND])
 async def test_stop_ends_the_way_to_the_ground_behind_a_mission(
     waypoints: Rig, at_end: AtEnd
