@@ -230,10 +230,10 @@ class Agent:
             AuthorityRefused, NotActivated, NoAuthority, LinkError, AckTimeout: See each class.
         """
         aircraft = self.connection.require_aircraft()
+        self._is_stopped = False  # a STOP from now on came after this was asked for
         await self._inherited.settle()
         await self.holding.settle()
         self.desk.check(token, self.now)  # it may have ended while authority went back
-        self._is_stopped = False
         await self.holding.obtain(aircraft)
 
     async def give_back(self) -> None:

@@ -131,6 +131,22 @@ async def test_after_stop_a_stream_of_setpoints_is_refused_until_it_begins_anew(
         assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x > 0.0
 
 
+async def test_a_stop_is_not_undone_by_control_that_was_asked_for_before_it(rig: Rig) -> None:
+    await airborne(rig)
+    await rig.agent.stop()
+    async with anyio.create_task_group() as group:
+        group.start_soon(rig.agent.ask, orders.Release(), rig.token)
+        group.start_soon(rig.agent.ask, orders.Obtain(), rig.token)
+        await anyio.lowlevel.checkpoint()
+        assert rig.holding.state is HoldingState.RELEASING
+        await rig.agent.stop()
+    assert rig.holding.has_authority
+    with pytest.raises(GuardRefused, match="STOP was pressed"):
+        rig.agent.steer(rig.token, NORTH)
+    await rig.agent.ask(orders.Obtain(), rig.token)
+    rig.agent.steer(rig.token, NORTH)
+
+
 async def test_whoever_takes_over_after_a_stop_begins_anew(rig: Rig) -> None:
     await airborne(rig)
     await rig.agent.stop()
