@@ -349,14 +349,7 @@ class Direction:
 
 
 class Line:
-    """Both directions of the line between the aircraft and the onboard device.
-
-    Attributes:
-        to_host: From the aircraft.
-        to_aircraft: To the aircraft.
-        is_plugged: Unplugged, everything is lost both ways.
-        skipped: Packets of telemetry that the aircraft did not send because the line was busy.
-    """
+    """Both directions of the line between the aircraft and the onboard device."""
 
     def __init__(
         self,
@@ -369,8 +362,8 @@ class Line:
         self.to_host = Direction(random, baud_rate=baud_rate)
         self.to_aircraft = Direction(random, baud_rate=baud_rate)
         self.set_faults(faults, to_aircraft=to_aircraft)
-        self.is_plugged = True
-        self.skipped = 0
+        self.is_plugged = True  # unplugged, everything is lost both ways
+        self.skipped = 0  # packets of telemetry that were not sent: it was busy
 
     def set_faults(
         self, faults: LineFaults = NO_FAULTS, *, to_aircraft: LineFaults | None = None

@@ -296,14 +296,9 @@ def private_directory() -> Iterator[Path]:
 
 @asynccontextmanager
 async def serve_unix(path: Path, attach: Callable[[UnixChannel], None]) -> AsyncIterator[None]:
-    """Serve fronts on a socket while the block runs.
+    """Serve fronts on a socket, in a directory that only this user can enter, while the block runs.
 
-    Args:
-        path: Where; in a directory that only this user can enter.
-        attach: Called with the channel of each front.
-
-    Raises:
-        PortFailed: The socket cannot be made.
+    ``attach``: called with the channel of each front. Raises PortFailed: it cannot be made.
     """
     loop = asyncio.get_running_loop()
     try:
@@ -317,11 +312,7 @@ async def serve_unix(path: Path, attach: Callable[[UnixChannel], None]) -> Async
 
 
 async def connect_unix(path: Path) -> UnixChannel:
-    """Connect to the agent behind a socket.
-
-    Raises:
-        PortNotFound: No agent is there.
-    """
+    """Connect to the agent behind a socket. Raises PortNotFound: none is there."""
     loop = asyncio.get_running_loop()
     try:
         _, channel = await loop.create_unix_connection(UnixChannel, str(path))
