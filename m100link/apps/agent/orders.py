@@ -72,6 +72,12 @@ class Order:
             raise TypeError(f"{cls.__name__}: orders have no {', '.join(sorted(unknown))}")
         for name, value in data.items():
             setattr(cls, name, value)
+        # Such a field would be the sender's to fill in, and what nobody reads is not the strictest.
+        taken = cls.__annotations__.keys() & {*Order.__annotations__, "kind"}
+        own = Order.__annotations__.keys() - {"label"}
+        wrong = {one for one in own if type(getattr(cls, one)) is not type(getattr(Order, one))}
+        if taken or wrong:
+            raise TypeError(f"{cls.__name__}: not so {', '.join(sorted(taken | wrong))}")
         cls.label = label or re.sub("(?<!^)(?=[A-Z])", " ", cls.__name__).lower()
         dataclass(frozen=True)(cls)
         if is_kind:

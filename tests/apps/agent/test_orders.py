@@ -7,6 +7,7 @@ import importlib.util
 import inspect
 import random
 import re
+import types
 from collections.abc import Iterator
 
 import anyio
@@ -93,6 +94,30 @@ def test_an_order_without_a_row_ends_the_import_with_its_name() -> None:
             spec.loader.exec_module(importlib.util.module_from_spec(spec))
     finally:
         del ORDERS["Somersault"]
+
+
+@pytest.mark.parametrize(
+    ("body", "data"),
+    [
+        ({}, {"needs": "lease"}),
+        ({}, {"right": 3}),
+        ({}, {"moves": 0}),
+        ({}, {"age": None}),
+        ({"is_kept": 0}, {}),
+        ({"__annotations__": {"age": "float"}}, {}),
+        ({"__annotations__": {"moves": "bool"}, "moves": True}, {}),
+        ({"__annotations__": {"label": "str"}}, {}),
+        ({"__annotations__": {"kind": "str"}}, {}),
+        ({}, {"lease": False}),
+    ],
+)
+def test_what_is_said_of_an_order_in_a_way_that_nobody_reads_ends_the_import(
+    body: dict[str, object], data: dict[str, object]
+) -> None:
+    """A text is no need of a lease, and a field of that name would be the sender's to fill in."""
+    with pytest.raises(TypeError, match="Odd"):
+        types.new_class("Odd", (Order,), data, lambda space: space.update(body))
+    assert "Odd" not in ORDERS
 
 
 def drawn(order: Order, chance: random.Random) -> Iterator[Order]:

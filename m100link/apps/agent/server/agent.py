@@ -205,13 +205,18 @@ class Agent:
             M100Error: What the aircraft, the guards or the order itself do not allow. Nothing was
                 sent, or the error says that it was.
         """
-        if order.needs is Needs.LEASE:
-            self.desk.renew(token, self.now)
-        elif order.needs is Needs.LEASE_IF_HELD and self.desk.holder(self.now) is not None:
-            self.desk.check(token, self.now)
-        doing = HANDLERS[type(order)](Call(self, token, accepted), order)
+        doing = self.begin(order, token, accepted)
         answer: Answer = doing if order.is_at_once else await doing
         return answer
+
+    def begin(self, order: Order, token: str, accepted: Callable[[], None]) -> Any:
+        """Begin as :meth:`ask`: returns the answer of what is done at once, else what to await."""
+        if order.needs is Needs.LEASE_IF_HELD:
+            if self.desk.holder(self.now) is not None:
+                self.desk.check(token, self.now)
+        elif order.needs is not Needs.NOTHING:
+            self.desk.renew(token, self.now)
+        return HANDLERS[type(order)](Call(self, token, accepted), order)
 
     def upload(self, plan: PlanTold) -> None:
         """Keep the plan that may be started under the lease in force, and tell it."""

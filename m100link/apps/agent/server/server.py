@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -33,7 +34,7 @@ from m100link.apps.agent.messages import (
 )
 from m100link.apps.agent.orders import Halt, Right
 from m100link.apps.agent.remote_error import Fault, MessageError, fault_of
-from m100link.apps.agent.server.agent import HANDLERS, Agent, Answer, Call
+from m100link.apps.agent.server.agent import Agent, Answer
 from m100link.apps.agent.server.connection import ConnectionState
 from m100link.apps.agent.server.mission import push_of
 from m100link.apps.agent.transports import Channel
@@ -360,17 +361,14 @@ class Front:
     def _on_ask(self, ask: Ask) -> None:
         order = ask.order
         if order.is_at_once:
-            try:
-                answer = HANDLERS[type(order)](self._call(ask), order)
-            except M100Error as error:
-                self._answer(ask, Stage.FAILED, error)
-                return
-            if isinstance(order, Halt):
-                self._tell_halt(order.why)
-                if self._unbegun:
-                    # What was asked for before it begins first, and is halted then.
-                    self._agent.background.spawn(self._halt(ask), f"halt for {self._name}")
-            self._answer(ask, Stage.DONE, answer=answer)
+            with self._answering(ask):
+                answer = self._begin(ask)
+                if isinstance(order, Halt):
+                    if self._unbegun:
+                        # What was asked for before it begins first, and is halted then.
+                        self._agent.background.spawn(self._halt(ask), f"halt for {self._name}")
+                    self._tell_halt(order.why)
+                self._answer(ask, Stage.DONE, answer=answer)
         elif self._asks >= _MAX_ASKS and order.right is not Right.STOP:  # that waits for nobody
             too_many = UsageError(f"{self._asks} questions of this front wait already")
             self._answer(ask, Stage.FAILED, too_many)
@@ -381,7 +379,7 @@ class Front:
             self._agent.background.spawn(self._carry_out(ask), name)
 
     async def _halt(self, ask: Ask) -> None:
-        HANDLERS[Halt](self._call(ask), ask.order)
+        self._begin(ask)
 
     def _tell_halt(self, why: str) -> None:
         """Tell whoever flies that somebody else had it hover: more may be to come of its flight."""
@@ -389,8 +387,9 @@ class Front:
         if holder is not None and holder.number not in self._tokens and self._may_note():
             self._agent.journal.note(_line(why or f"{self._name}: hover"), "info", Topic.HALTED)
 
-    def _call(self, ask: Ask) -> Call:
-        return Call(self._agent, self._token(ask.fence), lambda: self._answer(ask, Stage.ACCEPTED))
+    def _begin(self, ask: Ask) -> Any:
+        token = self._token(ask.fence)
+        return self._agent.begin(ask.order, token, lambda: self._answer(ask, Stage.ACCEPTED))
 
     def _answer(
         self, ask: Ask, stage: Stage, error: M100Error | None = None, answer: Answer = None
@@ -409,19 +408,22 @@ class Front:
 
     async def _carry_out(self, ask: Ask) -> None:
         self._unbegun -= 1
-        call = self._call(ask)
         try:
-            answer = await self._agent.ask(ask.order, call.token, call.accepted)
+            with self._answering(ask):
+                self._answer(ask, Stage.DONE, answer=await self._begin(ask))
+        finally:
+            self._asks -= 1
+
+    @contextmanager
+    def _answering(self, ask: Ask) -> Iterator[None]:
+        try:
+            yield
         except M100Error as error:
             self._answer(ask, Stage.FAILED, error)
         except Exception:
             fault = MessageError("the agent failed", remedy="see its log; report it")
             self._answer(ask, Stage.FAILED, fault)
             raise
-        else:
-            self._answer(ask, Stage.DONE, answer=answer)
-        finally:
-            self._asks -= 1
 
 
 def _line(text: str) -> str:

@@ -29,6 +29,7 @@ from m100link.apps.agent.messages import (
     Telemetry,
 )
 from m100link.apps.agent.orders import FlyTo
+from m100link.apps.agent.server.agent import HANDLERS
 from m100link.apps.agent.server.flight import limits_of
 from m100link.apps.agent.server.server import MAX_SETPOINT_AGE, STATE_INTERVAL, Service
 from m100link.apps.agent.transports import memory_channels
@@ -323,6 +324,28 @@ async def test_notes_and_questions_are_bounded(rig: Rig, service: Service) -> No
             front.send(Note("info", "note"))
         later = [one for one in rig.agent.journal.events if one.text == "note"]
         assert len(later) == {5: 5, 20: 25}[more]
+
+
+@pytest.mark.parametrize("fails", [False, True])
+async def test_an_order_that_is_done_at_once_needs_its_lease_and_is_answered(
+    rig: Rig, service: Service, monkeypatch: pytest.MonkeyPatch, *, fails: bool
+) -> None:
+    done = []
+
+    def doing(call: object, order: object) -> None:
+        done.append(order)
+        if fails:
+            raise ZeroDivisionError
+
+    monkeypatch.setattr(orders.RenewLease, "needs", orders.Needs.LEASE)
+    monkeypatch.setitem(HANDLERS, orders.RenewLease, doing)
+    front = Front(rig, service)
+    for number, fence in ((1, 0), (2, 7), (3, front.lease().number)):
+        front.send(Ask(number, orders.RenewLease(), fence))
+    stages = [(one.id, one.stage) for one in front.all(Outcome) if one.id < 99]
+    third = Stage.FAILED if fails else Stage.DONE
+    assert stages == [(1, Stage.FAILED), (2, Stage.FAILED), (3, third)]
+    assert len(done) == 1
 
 
 async def test_a_note_is_one_line_that_no_terminal_obeys(rig: Rig, service: Service) -> None:
