@@ -21,6 +21,7 @@ from m100link.flight.setpoints import SETPOINT_LIFETIME
 from m100link.flight.tasks import TaskListener
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import WaypointPlan
+from m100link.protocol.commands.control import Task
 from m100link.protocol.setpoint import Setpoint
 from m100link.sync.portal import Portal
 from m100link.sync.signals import SIGNALS
@@ -130,6 +131,14 @@ class Control:
     def has_authority(self) -> bool:
         """Whether setpoints are obeyed."""
         return self._control.has_authority
+
+    @property
+    def unended_task(self) -> Task | None:
+        """The task that the autopilot may be flying: asked for here, and not seen to end.
+
+        It may fly on when whoever awaited it was cancelled; giving authority back ends it.
+        """
+        return self._control.unended_task
 
     @property
     def is_paused(self) -> bool:
