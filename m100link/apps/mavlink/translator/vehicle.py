@@ -44,6 +44,7 @@ from m100link.apps.mavlink.translator.telemetry import (
 from m100link.apps.mavlink.translator.world import Known, World
 from m100link.errors import M100Error
 from m100link.geodesy import LocalFrame
+from m100link.protocol.records import Position, Velocity
 
 COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
 _HEARTBEAT_S = 1.0
@@ -287,18 +288,23 @@ class Vehicle:
         """Hold before the fence; from outside only flights lead back, not setpoints.
 
         A flight that is begun again and again flies a little each time: from outside, none may lead
-        farther away than it was at its least. A mission that is to pause may still fly.
+        farther away than it was at its least. A mission that is to pause may still fly. Where it is
+        now follows from what was told last, and nobody flies on who does not know that.
         """
         fence, position = self._missions.fence, self.world.position
-        if not fence.areas or position is None or self.deck.phase is not Phase.AIRBORNE:
+        if not fence.areas or self.deck.phase is not Phase.AIRBORNE:
             self._breach_m = None
             return
         if self.deck.running not in (*_FLIGHTS, Running.STREAM):
             self._breach_m = math.inf  # what begins outside has been asked for its direction
             return
-        here, velocity = (position.latitude_deg, position.longitude_deg), self.world.velocity
-        speed = (0.0, 0.0) if velocity is None else (velocity.north_m_s, velocity.east_m_s)
-        ahead = LocalFrame(*here).to_geodetic(speed[0] * _AHEAD_S, speed[1] * _AHEAD_S)
+        velocity, telemetry = self.world.velocity, self.world.known.telemetry
+        if position is None or velocity is None or telemetry is None:
+            self.deck.hold("hold: nobody knows how near the fence is")
+            return
+        here = position.latitude_deg, position.longitude_deg
+        late = _AHEAD_S + max(telemetry.age(one) or 0.0 for one in (Position, Velocity))
+        ahead = LocalFrame(*here).to_geodetic(velocity.north_m_s * late, velocity.east_m_s * late)
         depth, least = fence.depth_m(*here), self._breach_m
         if not depth:
             self._breach_m, why = None, fence.on_the_way(here, ahead)

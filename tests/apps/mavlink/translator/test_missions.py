@@ -15,7 +15,9 @@ from m100link.apps.mavlink.translator.missions import read_fence
 from m100link.apps.mavlink.translator.modes import MODES, Mode
 from m100link.apps.mavlink.translator.numbers import Command, MissionResult, MissionType, Result
 from m100link.apps.mavlink.translator.route import Refused
+from m100link.apps.mavlink.translator.world import World
 from m100link.geodesy import LocalFrame
+from m100link.protocol.records import Position, Velocity
 from m100link.sim.line import LineFaults
 from tests.apps.mavlink.conftest import Ground, Rig
 
@@ -436,21 +438,64 @@ async def upload_fence(ground: Ground, *given: Item) -> None:
     assert await Exchange(ground).upload(list(given), MissionType.FENCE) is MissionResult.ACCEPTED
 
 
+def tilt_north(ground: Ground) -> None:
+    """By 30 degrees, and begun again as soon as it is held."""
+    half = math.radians(-30.0) / 2.0
+    q = (math.cos(half), 0.0, math.sin(half), 0.0)
+    ground.send("SET_ATTITUDE_TARGET", target_system=1, type_mask=7, q=q, thrust=0.5)
+    offboard = MODES[Mode.OFFBOARD]
+    ground.command(Command.DO_SET_MODE, 1, offboard.main, offboard.sub)
+
+
 @pytest.mark.parametrize("north", [10, 100])
 async def test_tilts_do_not_lead_out_of_a_fence(rig: Rig, ground: Ground, north: float) -> None:
     """Tilted by 30 degrees it flies 18 m/s, and a program begins again as soon as it is held."""
     await upload_fence(ground, *corners((-20, -20), (north, -20), (north, 20), (-20, 20)))
     await ground.fly(5.0)
-    half = math.radians(-30.0) / 2.0
-
-    def tilt() -> None:
-        q = (math.cos(half), 0.0, math.sin(half), 0.0)
-        ground.send("SET_ATTITUDE_TARGET", target_system=1, type_mask=7, q=q, thrust=0.5)
-        offboard = MODES[Mode.OFFBOARD]
-        ground.command(Command.DO_SET_MODE, 1, offboard.main, offboard.sub)
-
-    assert await deepest_m(rig, 15.0, tilt) < 0.5
+    assert await deepest_m(rig, 15.0, lambda: tilt_north(ground)) < 0.5
     assert rig.aircraft.position[0] > north / 2.0, "it flew"
+
+
+def fly_north(ground: Ground, speed: float) -> None:
+    """A program that begins again as soon as it is held."""
+    fields = {"coordinate_frame": 1, "type_mask": 0b0000_1101_1100_0111, "vx": speed}
+    ground.send("SET_POSITION_TARGET_LOCAL_NED", target_system=1, **fields)
+    offboard = MODES[Mode.OFFBOARD]
+    ground.command(Command.DO_SET_MODE, 1, offboard.main, offboard.sub)
+
+
+@pytest.mark.parametrize("lost", ["position", "GPS", "velocity"])
+async def test_who_does_not_know_where_it_is_flies_on_before_no_fence(
+    rig: Rig, ground: Ground, lost: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await upload_fence(ground, *corners((-20, -20), (50, -20), (50, 20), (-20, 20)))
+    await ground.fly(5.0)
+    await deepest_m(rig, 3.0, lambda: fly_north(ground, 10.0))
+    known = World.fresh
+
+    def fresh(world: World, record: type[Any]) -> Any:
+        found = known(world, record)
+        if record is (Velocity if lost == "velocity" else Position):
+            return found._replace(gps_health=1) if lost == "GPS" and found else None
+        return found
+
+    monkeypatch.setattr(World, "fresh", fresh)
+    assert await deepest_m(rig, 8.0, lambda: fly_north(ground, 10.0)) < 0.5
+    assert rig.speed < 0.1
+    assert "hold: nobody knows how near the fence is" in ground.texts
+
+
+async def test_what_is_told_late_leads_nobody_out_of_a_fence(rig: Rig, ground: Ground) -> None:
+    """It flies 18 m/s when nothing is told for 0.9 s, just before it would be held."""
+    await upload_fence(ground, *corners((-20, -20), (120, -20), (120, 20), (-20, 20)))
+    await ground.fly(5.0)
+    while rig.aircraft.position[0] < 86.0:
+        tilt_north(ground)
+        await anyio.sleep(0.05)
+    rig.aircraft.line.to_host.faults = LineFaults(loss=1.0)
+    before = await deepest_m(rig, 0.9, lambda: tilt_north(ground))
+    rig.aircraft.line.to_host.faults = LineFaults()
+    assert max(before, await deepest_m(rig, 8.0, lambda: tilt_north(ground))) < 0.5
 
 
 async def test_a_slow_flight_creeps_into_no_second_area(rig: Rig, ground: Ground) -> None:
