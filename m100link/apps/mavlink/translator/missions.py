@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 from m100link.apps.mavlink.translator.codec import Message
 from m100link.apps.mavlink.translator.numbers import Command, MissionResult, MissionType, Severity
 from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.route import Refused, Route, read_route
-from m100link.geodesy import LocalFrame
+from m100link.geodesy import WGS84_FLATTENING, WGS84_SEMI_MAJOR_AXIS_M, LocalFrame
 
 MOST_ITEMS = 1000  # of a mission or a fence
 _AGAIN_S, _MOST_TRIES = 0.25, 30
@@ -309,8 +310,25 @@ _CIRCLES = {
     Command.NAV_FENCE_CIRCLE_EXCLUSION: False,
 }
 _AROUND_M = 2.0  # between the places of a circle that are looked at; at most 256
-_SHORTEST_DEGREE_M = 110_000.0  # of latitude; it is 110,574 m long at the equator
+_FAR_M = 10_000.0  # from here on the distance of an area is that of the circle around it
+_EARTH_M, _E2 = 6_371_000.0, WGS84_FLATTENING * (2.0 - WGS84_FLATTENING)
 _Local = tuple[float, float]  # north and east, m
+
+
+@lru_cache(1024)
+def _space(latitude_deg: float, longitude_deg: float) -> tuple[float, float, float]:
+    """Where a place is in space, m: straight distances are quick, also at 180 degrees and poles."""
+    latitude, longitude = math.radians(latitude_deg), math.radians(longitude_deg)
+    across = WGS84_SEMI_MAJOR_AXIS_M / math.sqrt(1.0 - _E2 * math.sin(latitude) ** 2)
+    out = across * math.cos(latitude)
+    up = across * (1.0 - _E2) * math.sin(latitude)
+    return out * math.cos(longitude), out * math.sin(longitude), up
+
+
+@lru_cache(1024)
+def _local(frame: LocalFrame, latitude_deg: float, longitude_deg: float) -> _Local:
+    """Areas that share a frame ask for the same places."""
+    return frame.to_local(latitude_deg, longitude_deg)
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,54 +336,51 @@ class _Area:
     """A polygon, or a circle."""
 
     is_inside: bool  # whether to stay in it
-    frame: LocalFrame  # metres from its first corner, or its centre
-    corners: tuple[_Local, ...] = ()  # north and east of that, m; empty for a circle
-    radius: float = 0.0  # m
-    reach_deg: float = field(init=False)  # latitude within which all of it lies, of the frame's
+    frame: LocalFrame  # of the edges
+    middle: tuple[float, float, float]  # of a circle, or the last corner: in space, m
+    radius: float  # m; of a polygon, how far from that corner it lies at most
+    edges: tuple[tuple[_Local, _Local], ...] = ()  # north and east, m; empty for a circle
 
-    def __post_init__(self) -> None:
-        reach = max([self.radius, *(math.hypot(*corner) for corner in self.corners)])
-        object.__setattr__(self, "reach_deg", reach / _SHORTEST_DEGREE_M)
+    def away_m(self, latitude_deg: float, longitude_deg: float) -> float:
+        """How far its middle is away on the Earth: to 1 cm in 100 km."""
+        straight = math.dist(_space(latitude_deg, longitude_deg), self.middle)
+        return 2.0 * _EARTH_M * math.asin(min(1.0, straight / (2.0 * _EARTH_M)))
 
     def has(self, latitude_deg: float, longitude_deg: float) -> bool:
-        if self._is_beside(latitude_deg, latitude_deg):
-            return False
-        north, east = self.frame.to_local(latitude_deg, longitude_deg)
-        if not self.corners:
-            return math.hypot(north, east) <= self.radius
+        if math.dist(_space(latitude_deg, longitude_deg), self.middle) > self.radius:
+            return False  # straight through the Earth it is never farther than around it
+        if not self.edges:
+            return self.away_m(latitude_deg, longitude_deg) <= self.radius
+        north, east = _local(self.frame, latitude_deg, longitude_deg)
         is_in = False
-        before_north, before_east = self.corners[-1]
-        for corner_north, corner_east in self.corners:
-            if (corner_east > east) != (before_east > east):
-                share = (east - corner_east) / (before_east - corner_east)
-                is_in ^= north < corner_north + share * (before_north - corner_north)
-            before_north, before_east = corner_north, corner_east
+        for (begin_north, begin_east), (end_north, end_east) in self.edges:
+            if (begin_east > east) != (end_east > east):
+                share = (east - begin_east) / (end_east - begin_east)
+                is_in ^= north < begin_north + share * (end_north - begin_north)
         return is_in
 
     def edge_m(self, latitude_deg: float, longitude_deg: float) -> float:
         """How far its edge is away."""
-        place = self.frame.to_local(latitude_deg, longitude_deg)
-        if not self.corners:
-            return abs(math.hypot(*place) - self.radius)
-        return min(_distance(place, *edge) for edge in self._edges())
+        beyond = self.away_m(latitude_deg, longitude_deg) - self.radius
+        if not self.edges or beyond > _FAR_M:
+            return abs(beyond)
+        place = _local(self.frame, latitude_deg, longitude_deg)
+        return min(_distance(place, *edge) for edge in self.edges)
 
-    def meets(self, begin: tuple[float, float], end: tuple[float, float]) -> bool:
-        """Whether a straight way has a place in it."""
-        if self._is_beside(begin[0], end[0]):
+    def is_entered(self, begin: tuple[float, float], end: tuple[float, float]) -> bool:
+        """Whether a straight way leads into it: from outside, or again after it has led out."""
+        if self.edges:
+            way = _local(self.frame, *begin), _local(self.frame, *end)
+            return sum(_cross(*way, *edge) for edge in self.edges) > self.has(*begin)
+        length = math.dist(_space(*begin), _space(*end))
+        to_begin = math.dist(_space(*begin), self.middle)
+        sagitta = length * length / (8.0 * _EARTH_M)  # so deep is the way below the ground
+        if to_begin <= self.radius or not length:
             return False
-        way = self.frame.to_local(*begin), self.frame.to_local(*end)
-        if not self.corners:
-            return _distance((0.0, 0.0), *way) <= self.radius
-        return self.has(*end) or any(_cross(*way, *edge) for edge in self._edges())
-
-    def _is_beside(self, begin_deg: float, end_deg: float) -> bool:
-        """Whether it lies north or south of all between two latitudes: most of 1000 areas do."""
-        low, high = min(begin_deg, end_deg), max(begin_deg, end_deg)
-        middle, reach = self.frame.latitude_deg, self.reach_deg
-        return low > middle + reach or high < middle - reach
-
-    def _edges(self) -> Iterator[tuple[_Local, _Local]]:
-        return zip(self.corners, (*self.corners[1:], self.corners[0]), strict=True)
+        to_end = math.dist(_space(*end), self.middle)
+        foot = (to_begin**2 + length**2 - to_end**2) / (2.0 * length)
+        beside = to_begin**2 - foot**2 + (foot - min(max(foot, 0.0), length)) ** 2
+        return beside <= (self.radius + sagitta) ** 2
 
 
 def _distance(place: _Local, begin: _Local, end: _Local) -> float:
@@ -411,19 +426,35 @@ class Fence:
                 for turn in turns
             ]
         inside = [area for area in self.areas if area.is_inside]
+        excluded = [
+            area
+            for area in self.areas
+            if not area.is_inside and area.away_m(*places[0]) <= area.radius + 1.01 * radius
+        ]
         for place in places:
             if inside and not any(area.has(*place) for area in inside):
                 return "outside of the fence"
-            if any(area.has(*place) for area in self.areas if not area.is_inside):
+            if any(area.has(*place) for area in excluded):
                 return "inside of an area that the fence excludes"
         return ""
 
+    def enters(self, begin: tuple[float, float], end: tuple[float, float]) -> bool:
+        """Whether a straight way leads into an excluded area, or again into the one around it."""
+        here = _space(*begin)
+        length = math.dist(here, _space(*end)) * 1.001 + 1.0  # what curves is a little longer
+        return any(
+            not area.is_inside
+            and math.dist(here, area.middle) <= area.radius + length
+            and area.is_entered(begin, end)
+            for area in self.areas
+        )
+
     def on_the_way(self, begin: tuple[float, float], end: tuple[float, float]) -> str:
-        """Why nobody may fly straight from a place inside of the fence to another.
+        """Why nobody may fly straight from a place to another.
 
         Of areas to stay in only the end is asked for: several may lie side by side.
         """
-        if any(area.meets(begin, end) for area in self.areas if not area.is_inside):
+        if self.enters(begin, end):
             return "an excluded area is on the way"
         return self.refusal(*end)
 
@@ -446,6 +477,7 @@ def read_fence(items: Sequence[Message]) -> Fence:
     """
     areas: list[_Area] = []
     waiting: list[tuple[float, float]] = []
+    frames: dict[tuple[int, int], LocalFrame] = {}  # polygons nearby share one
     wanted, kind = 0, 0
     for number, item in enumerate(items):
         command, place = item["command"], (item["x"] / 1e7, item["y"] / 1e7)
@@ -457,9 +489,12 @@ def read_fence(items: Sequence[Message]) -> Fence:
             _frame(number, place)  # a place at all
             waiting.append(place)
             if len(waiting) == wanted:
-                frame = _frame(number, waiting[0])
+                cell = round(place[0] * 50.0), round(place[1] * 50.0)  # of 2 km, or less
+                frame = frames.setdefault(cell, _frame(number, place))
                 corners = tuple(frame.to_local(*corner) for corner in waiting)
-                areas.append(_Area(_POLYGONS[command], frame, corners))
+                reach = 1.0 + 1.001 * max(math.dist(corners[-1], corner) for corner in corners)
+                edges = tuple(zip(corners, (*corners[1:], corners[0]), strict=True))
+                areas.append(_Area(_POLYGONS[command], frame, _space(*place), reach, edges))
                 waiting = []
             continue
         if waiting or command not in _CIRCLES:
@@ -468,7 +503,7 @@ def read_fence(items: Sequence[Message]) -> Fence:
         if not math.isfinite(radius) or radius < 0.0:
             raise Refused(MissionResult.INVALID, f"fence item {number}: radius {radius:g} m")
         if radius > 0.0:  # how programs write "none"
-            areas.append(_Area(_CIRCLES[command], _frame(number, place), radius=radius))
+            areas.append(_Area(_CIRCLES[command], _frame(number, place), _space(*place), radius))
     if waiting:
         raise Refused(MissionResult.INVALID, "a polygon of the fence is not whole")
     return Fence(tuple(areas))

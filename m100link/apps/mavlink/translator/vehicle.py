@@ -276,13 +276,12 @@ class Vehicle:
             return ""
         here = position.latitude_deg, position.longitude_deg
         depth = fence.depth_m(*here)
-        if not depth:
-            return fence.on_the_way(here, end)
         frame = LocalFrame(*here)
         north, east = frame.to_local(*end)
         step = 1.0 / max(math.hypot(north, east), 1.0)
-        is_way_out = fence.depth_m(*frame.to_geodetic(north * step, east * step)) < depth
-        return "" if is_way_out else f"{fence.refusal(*here)}: it does not lead out straight"
+        if depth and fence.depth_m(*frame.to_geodetic(north * step, east * step)) >= depth:
+            return f"{fence.refusal(*here)}: it does not lead out straight"
+        return fence.on_the_way(here, end)
 
     def _watch_fence(self) -> None:
         """Hold before the fence; from outside only flights lead back, not setpoints.
@@ -312,7 +311,7 @@ class Vehicle:
             self._breach_m = depth if least is None else min(depth, least)
             is_deeper = least is None or fence.depth_m(*ahead) > least + _AWAY_M
             leads_back = self.deck.running in _FLIGHTS and not is_deeper
-            why = "" if leads_back else fence.refusal(*here)
+            why = "" if leads_back and not fence.enters(here, ahead) else fence.refusal(*here)
         if why:
             self.deck.hold(f"hold: {why}")
 

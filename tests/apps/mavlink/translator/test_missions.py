@@ -16,7 +16,7 @@ from m100link.apps.mavlink.translator.modes import MODES, Mode
 from m100link.apps.mavlink.translator.numbers import Command, MissionResult, MissionType, Result
 from m100link.apps.mavlink.translator.route import Refused
 from m100link.apps.mavlink.translator.world import World
-from m100link.geodesy import LocalFrame
+from m100link.geodesy import LocalFrame, geodesic
 from m100link.protocol.records import Position, Velocity
 from m100link.sim.line import LineFaults
 from tests.apps.mavlink.conftest import Ground, Rig
@@ -498,6 +498,31 @@ async def test_what_is_told_late_leads_nobody_out_of_a_fence(rig: Rig, ground: G
     assert max(before, await deepest_m(rig, 8.0, lambda: tilt_north(ground))) < 0.5
 
 
+async def test_the_way_out_of_an_area_leads_through_no_second_one(rig: Rig, ground: Ground) -> None:
+    """At 10 m/s the look ahead ends behind a strip of 4 m, which lies 1 m behind the first."""
+    await ground.fly(5.0)
+    first = corners((-60, -60), (25, -60), (25, 60), (-60, 60), kind=5002)
+    second = corners((26, -60), (30, -60), (30, 60), (26, 60), kind=5002)
+    await upload_fence(ground, *first, *second)
+    assert await reposition(rig, ground, 80.0, 0.01, speed=10.0) is Result.DENIED
+    assert await reposition(rig, ground, 25.5, 0.01, speed=10.0) is Result.ACCEPTED
+
+
+async def test_a_second_area_that_is_drawn_while_it_leaves_the_first_holds_it(
+    rig: Rig, ground: Ground
+) -> None:
+    first = corners((-60, -60), (25, -60), (25, 60), (-60, 60), kind=5002)
+    second = corners((30, -60), (34, -60), (34, 60), (30, 60), kind=5002)
+    await ground.fly(5.0)
+    await upload_fence(ground, *first)
+    await reposition(rig, ground, 80.0, 0.01, speed=10.0)
+    await rig.until(lambda: rig.speed > 2.0)
+    await upload_fence(ground, *first, *second)
+    await rig.until(lambda: rig.aircraft.position[0] > 12.0)
+    await anyio.sleep(10.0)
+    assert rig.aircraft.position[0] < 30.5
+
+
 async def test_a_slow_flight_creeps_into_no_second_area(rig: Rig, ground: Ground) -> None:
     """From one strip the way out leads into the next, slower than a look ahead would notice."""
     near = corners((3.0, -20), (4.3, -20), (4.3, 20), (3.0, 20), kind=5002)
@@ -809,3 +834,75 @@ def test_what_lies_on_a_straight_way(
 ) -> None:
     places = FRAME.to_geodetic(*begin), FRAME.to_geodetic(*end)
     assert (not read_fence(items).on_the_way(*places)) is is_free
+
+
+@pytest.mark.parametrize(("north", "is_met"), [(-30.0, False), (30.0, True), (57.0, False)])
+def test_a_way_near_the_pole_bends_away_from_its_latitude(north: float, is_met: bool) -> None:
+    """The middle of 4 km from west to east is 17 m nearer to the pole than both ends."""
+    frame = LocalFrame(88.9, 20.0)
+    begin, end = frame.to_geodetic(0.0, -2000.0), frame.to_geodetic(0.0, 2000.0)
+    latitude, longitude = frame.to_geodetic(north, 0.0)
+    assert latitude - begin[0] == pytest.approx((north + 17.0) / 111_690, abs=5e-5)
+    place = {"x": round(latitude * 1e7), "y": round(longitude * 1e7)}
+    radius = 35.0 if is_met else 20.0
+    found = read_fence([Message("MISSION_ITEM_INT", {"command": 5004, "param1": radius} | place)])
+    assert bool(found.on_the_way(begin, end)) is is_met
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_a_circle_anywhere_is_as_far_as_the_shortest_line(seed: int) -> None:
+    draw = Random(seed)
+    latitude = draw.choice([0.0, 22.5, -60.0, 88.9, -88.9])
+    frame = LocalFrame(latitude, draw.choice([0.0, 114.0, 179.9999, -180.0]))
+    radius = 10.0 ** draw.uniform(0.5, 4.5)
+    x, y = (round(one * 1e7) for one in frame.to_geodetic(0.0, 0.0))
+    item = {"command": draw.choice([5003, 5004]), "param1": radius, "x": x, "y": y}
+    found = read_fence([Message("MISSION_ITEM_INT", item)])
+    for _ in range(50):
+        turn, away = draw.uniform(0.0, math.tau), radius * draw.uniform(0.5, 1.5)
+        place = frame.to_geodetic(away * math.cos(turn), away * math.sin(turn))
+        beyond = geodesic(x / 1e7, y / 1e7, *place)[0] - radius
+        depth = max(0.0, beyond if item["command"] == 5003 else -beyond)
+        assert found.depth_m(*place) == pytest.approx(depth, abs=0.01), (seed, place)
+
+
+def many(kind: str, command: int) -> list[Message]:
+    """As many areas as an upload has, of a kind that is hard to look at."""
+    here = FRAME.latitude_deg
+    if kind == "one latitude":  # on the other side of the Earth
+        return [
+            Message(
+                "MISSION_ITEM_INT",
+                {"command": command, "param1": 5.0, "x": round(here * 1e7), "y": 10**9 + place},
+            )
+            for place in range(1000)
+        ]
+    if kind == "in a row":
+        return [corner_item(command, 0.0, 50.0 + 5.0 * place, 2.0) for place in range(1000)]
+    return [
+        corner_item(command - 2, 40.0 + 30.0 * north, 30.0 * east + 0.01 * place, 3.0)
+        for place in range(333)
+        for north, east in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
+    ]
+
+
+@pytest.mark.parametrize("kind", ["one latitude", "in a row", "triangles"])
+@pytest.mark.parametrize("command", [CIRCLE_IN, CIRCLE_OUT])
+def test_a_look_at_a_thousand_areas_turns_few_places_into_metres(
+    kind: str, command: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That is what costs: it was 16 ms of the loop that flies, at each of its steps."""
+    found, count = read_fence(many(kind, command)), 0
+    known = LocalFrame.to_local
+
+    def counted(frame: LocalFrame, latitude_deg: float, longitude_deg: float) -> Any:
+        nonlocal count
+        count += 1
+        return known(frame, latitude_deg, longitude_deg)
+
+    monkeypatch.setattr(LocalFrame, "to_local", counted)
+    here, ahead = FRAME.to_geodetic(1.0, 2.0), FRAME.to_geodetic(19.0, 4.0)
+    found.depth_m(*here)
+    found.depth_m(*ahead)
+    found.on_the_way(here, ahead)
+    assert count <= 8
