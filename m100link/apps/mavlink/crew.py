@@ -327,6 +327,7 @@ class MissionFlights:
         self._deck = deck
         self._missions = missions
         self._tell = tell
+        self.flown: GuidedOrder | None = None  # the leg of a flight that is under way
         # Waypoints of the plan that flies which are done, counted from the first.
         self._done = 0
 
@@ -396,7 +397,10 @@ class MissionFlights:
 
     def leg(self, flight: Flight, number: int, is_done: bool) -> None:
         """A leg of a flight begins, or is done."""
-        if self._deck.flight is not flight or not flight.items:
+        if self._deck.flight is not flight:
+            return
+        self.flown = None if is_done else flight.legs[number]
+        if not flight.items:
             return
         item = flight.items[number]
         if item is None:

@@ -426,15 +426,10 @@ class Fence:
                 for turn in turns
             ]
         inside = [area for area in self.areas if area.is_inside]
-        excluded = [
-            area
-            for area in self.areas
-            if not area.is_inside and area.away_m(*places[0]) <= area.radius + 1.01 * radius
-        ]
         for place in places:
             if inside and not any(area.has(*place) for area in inside):
                 return "outside of the fence"
-            if any(area.has(*place) for area in excluded):
+            if any(area.has(*place) for area in self.areas if not area.is_inside):
                 return "inside of an area that the fence excludes"
         return ""
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from m100link import __version__
 from m100link.apps.agent.messages import Event, Topic
+from m100link.apps.agent.orders import FlyAround, FlyTo
 from m100link.apps.mavlink.crew import MissionFlights
 from m100link.apps.mavlink.translator.codec import LAYOUTS, Message
 from m100link.apps.mavlink.translator.commands import Asked, Commands, read_command
@@ -303,7 +304,8 @@ class Vehicle:
             return
         here = position.latitude_deg, position.longitude_deg
         late = _AHEAD_S + max(telemetry.age(one) or 0.0 for one in (Position, Velocity))
-        ahead = LocalFrame(*here).to_geodetic(velocity.north_m_s * late, velocity.east_m_s * late)
+        way = complex(velocity.north_m_s, velocity.east_m_s) * late
+        ahead = self._ahead(LocalFrame(*here), way)
         depth, least = fence.depth_m(*here), self._breach_m
         if not depth:
             self._breach_m, why = None, fence.on_the_way(here, ahead)
@@ -314,6 +316,23 @@ class Vehicle:
             why = "" if leads_back and not fence.enters(here, ahead) else fence.refusal(*here)
         if why:
             self.deck.hold(f"hold: {why}")
+
+    def _ahead(self, frame: LocalFrame, way: complex) -> tuple[float, float]:
+        """Where it will be; a flight of the agent stops at its place, or turns around it.
+
+        ``way``: m north, and east as the imaginary part, if it flies straight on.
+        """
+        flight, leg = self.deck.flight, self.flights.flown
+        is_flown = flight is not None and leg in flight.legs and self.deck.running is Running.FLIGHT
+        if is_flown and isinstance(leg, FlyTo | FlyAround) and way:
+            to = complex(*frame.to_local(leg.latitude_deg, leg.longitude_deg))
+            past, share = way - to, to / way
+            if isinstance(leg, FlyAround):
+                is_on_it = abs(to) < leg.radius + 0.5 < abs(past) + 0.5
+                way = to + past * leg.radius / abs(past) if is_on_it else way
+            elif 0.0 < share.real < 1.0 and abs(share.imag * abs(way)) < 1.0:  # straight there
+                way = to
+        return frame.to_geodetic(way.real, way.imag)
 
     # -- what is asked for -----------------------------------------------------------------------
 

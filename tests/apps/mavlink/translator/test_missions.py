@@ -523,6 +523,44 @@ async def test_a_second_area_that_is_drawn_while_it_leaves_the_first_holds_it(
     assert rig.aircraft.position[0] < 30.5
 
 
+@pytest.mark.parametrize(("speed", "gap"), [(5.0, 1.0), (10.0, 1.0), (10.0, 4.0)])
+async def test_a_flight_to_a_place_near_the_fence_arrives(
+    rig: Rig, ground: Ground, speed: float, gap: float
+) -> None:
+    await upload_fence(ground, *corners((-20, -20), (60, -20), (60, 20), (-20, 20)))
+    await ground.fly(5.0)
+    assert await reposition(rig, ground, 60.0 - gap, 0.01, speed) is Result.ACCEPTED
+    assert await deepest_m(rig, 25.0) < 0.5
+    assert rig.aircraft.position[0] > 60.0 - gap - 0.5, "its own end, not a hold"
+    assert "hold:" not in ground.texts
+
+
+@pytest.mark.parametrize(("radius", "speed"), [(10.0, 5.0), (-20.0, 5.0)])
+async def test_a_circle_near_the_fence_is_flown_around(
+    rig: Rig, ground: Ground, radius: float, speed: float
+) -> None:
+    await upload_fence(ground, item(5003, 0.01, 0.01, param1=abs(radius) + 2.0))
+    await ground.fly(5.0)
+    here = LocalFrame(*TAKEOFF).to_geodetic(0.01, 0.01)
+    args = (radius, speed, 0, math.nan, *here, rig.ground_altitude + 5.0)
+    assert await ground.ask(Command.DO_ORBIT, *args) is Result.ACCEPTED
+    assert await deepest_m(rig, 20.0) < 0.5
+    assert rig.speed > speed - 0.5
+    assert "hold:" not in ground.texts
+
+
+async def test_a_flight_that_does_not_stop_at_its_place_is_held_before_the_fence(
+    rig: Rig, ground: Ground
+) -> None:
+    """What flies past its place, or beside it, is looked at all the way."""
+    await upload_fence(ground, *corners((-20, -20), (60, -20), (60, 20), (-20, 20)))
+    await ground.fly(5.0)
+    await reposition(rig, ground, 57.0, 0.01, 10.0)
+    await rig.until(lambda: rig.aircraft.position[0] > 30.0)
+    assert await reposition(rig, ground, 40.0, 18.0, 10.0) is Result.ACCEPTED  # it still flies on
+    assert await deepest_m(rig, 20.0) < 0.5
+
+
 async def test_a_slow_flight_creeps_into_no_second_area(rig: Rig, ground: Ground) -> None:
     """From one strip the way out leads into the next, slower than a look ahead would notice."""
     near = corners((3.0, -20), (4.3, -20), (4.3, 20), (3.0, 20), kind=5002)
