@@ -369,14 +369,16 @@ class _Area:
 
     def is_entered(self, begin: tuple[float, float], end: tuple[float, float]) -> bool:
         """Whether a straight way leads into it: from outside, or again after it has led out."""
+        here = _space(*begin)
+        to_begin, length = math.dist(here, self.middle), math.dist(here, _space(*end))
+        if to_begin > self.radius + 1.001 * length + 1.0:  # what curves is a little longer
+            return False
         if self.edges:
             way = _local(self.frame, *begin), _local(self.frame, *end)
             return sum(_cross(*way, *edge) for edge in self.edges) > self.has(*begin)
-        length = math.dist(_space(*begin), _space(*end))
-        to_begin = math.dist(_space(*begin), self.middle)
-        sagitta = length * length / (8.0 * _EARTH_M)  # so deep is the way below the ground
         if to_begin <= self.radius or not length:
             return False
+        sagitta = length * length / (8.0 * _EARTH_M)  # so deep is the way below the ground
         to_end = math.dist(_space(*end), self.middle)
         foot = (to_begin**2 + length**2 - to_end**2) / (2.0 * length)
         beside = to_begin**2 - foot**2 + (foot - min(max(foot, 0.0), length)) ** 2
@@ -435,14 +437,7 @@ class Fence:
 
     def enters(self, begin: tuple[float, float], end: tuple[float, float]) -> bool:
         """Whether a straight way leads into an excluded area, or again into the one around it."""
-        here = _space(*begin)
-        length = math.dist(here, _space(*end)) * 1.001 + 1.0  # what curves is a little longer
-        return any(
-            not area.is_inside
-            and math.dist(here, area.middle) <= area.radius + length
-            and area.is_entered(begin, end)
-            for area in self.areas
-        )
+        return any(area.is_entered(begin, end) for area in self.areas if not area.is_inside)
 
     def on_the_way(self, begin: tuple[float, float], end: tuple[float, float]) -> str:
         """Why nobody may fly straight from a place to another.
