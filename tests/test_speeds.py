@@ -205,7 +205,7 @@ def test_affected_are_those_that_import_what_changed(changed: str, touched: str,
 
 
 def test_a_change_of_what_all_stand_on_affects_all() -> None:
-    assert len(affected({"pyproject.toml"})) > 400
+    assert len(affected({"pyproject.toml"})) > 350
     assert affected({"LICENSE"}) == []
 
 
