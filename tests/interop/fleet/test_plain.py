@@ -112,7 +112,7 @@ def test_keys_tokens_and_bytes(site: tuple[Site, ExitStack], tmp_path: Path) -> 
 def test_the_example_lists_hears_and_stops(site: tuple[Site, ExitStack]) -> None:
     one, _ = site
     one.start("agent", "sim://", "--name", "a", "--count", "2")
-    assert len(one.listed(2)) == 2
+    assert len(one.listed(2, lambda card: card["battery_percent"] == 100)) == 2
     command = [sys.executable, str(EXAMPLE), one.place]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True)
     *told, heard = done.stdout.splitlines()
