@@ -53,7 +53,7 @@ class LeaseHeld(
 
 
 def not_in_force(holder: str | None) -> LeaseRefused:
-    """What whoever shows a lease that has ended gets; somebody else may have control."""
+    """The refusal of a lease that has ended; somebody else may have control."""
     return LeaseRefused(
         "this lease is not in force" + ("" if holder is None else f"; {holder} has control"),
         cause="it expired, was given back or was taken over; an ended lease never returns",

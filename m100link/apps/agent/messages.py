@@ -122,7 +122,7 @@ class State:
     pattern: str = ""  #: name of the program that flies; empty for none
     #: The flight to where somebody points, with what remains of it; None for none.
     guided: GuidedFlight | None = None
-    #: The kind of mission that the aircraft says it flies, whoever started it, by the names of
+    #: The kind of mission that the aircraft says it flies, started by anybody, by the names of
     #: :class:`~m100link.flight.mission_state.MissionKind`; empty when nobody knows.
     mission: str = ""
     mission_index: int = -1  #: waypoint that it flies to, counted from 0; -1 when nobody knows
@@ -161,9 +161,9 @@ class LeaseChanged:
 
     number: int  #: number of the lease in force, 0 for none
     name: str  #: who holds it; empty for nobody
-    #: Why it changed hands; None when a front is told for the first time.
+    #: Why it changed hands; None in the first message to a front.
     why: LeaseChange | None = None
-    #: What was flown for whoever had it before. A task goes on in the autopilot as long as control
+    #: What the holder before was flying. A task goes on in the autopilot as long as control
     #: authority is kept; everything else is stopped.
     flown: Flown = Flown.NOTHING
 
@@ -287,7 +287,7 @@ class Replay:
     """Where the replay of a recorded flight is."""
 
     name: str  #: of the file
-    utc: float  #: POSIX time of then, s
+    utc: float  #: POSIX time of the flight that it shows, s
     clock: float  #: by which its telemetry is received, s
     rate: float  #: seconds by which that clock goes on in a second; 0 while it stands
     position_s: float  #: seconds that were played

@@ -357,7 +357,7 @@ GuidedOrder = FlyTo | FlyAround | ChangeHeight | ChangeHeading
 
 @dataclass(frozen=True, slots=True)
 class GuidedFlight:
-    """What of them flies now, for whoever draws it."""
+    """The flight of the agent that is under way, with the values that a map draws."""
 
     what: str  #: label of the order
     latitude_deg: float | None = None  #: of the target or the centre; None where the place stays

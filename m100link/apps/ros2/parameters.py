@@ -54,7 +54,7 @@ class Parameters:
             self._rows[f"guards.{name}"] = Parameter(
                 _DOUBLE,
                 "what the guards of the agent allow; set where the aircraft is",
-                lambda name=name: getattr(agent.state.limits, name),  # type: ignore[misc]
+                lambda name=name: getattr(agent.state.limits, name),  # type: ignore[misc] # keeps its name
             )
         for topic, row in OUTPUTS.items():
             if row.hz:

@@ -94,7 +94,7 @@ class Agent:
             on_change=self._lease_changed,
         )
         guards = Guards(envelope=envelope or Envelope())
-        #: Control authority for whoever may.
+        #: Control authority, and the flights under it.
         self.holding = Holding(self.journal, self.background, guards)
         self.holding.on_change.append(self._holding_changed)
         self._inherited = Inherited(self.journal, self.background, is_owed=leases_before > 0)
@@ -271,7 +271,7 @@ class Agent:
     def halt(self, why: str = "", token: str = "") -> None:
         """Stop moving; anybody may call this at any time. A task goes on in the autopilot.
 
-        With the token of the lease whoever steers has let go, and after a STOP begins anew.
+        With the token of the lease it says that the holder let go. That lifts a STOP.
         """
         if self.holding.flying is not None:
             self.holding.flying.halt(why)
@@ -335,7 +335,7 @@ async def _activate(call: Call, _: orders.Activate) -> None:
 
 
 async def _version(call: Call, _: orders.AskVersion) -> Answer:
-    aircraft = call.aircraft  # whoever wants to know it, it was asked for lately
+    aircraft = call.aircraft  # LinkError without one; its version was asked at connecting
     version = call.agent.connection.version or await aircraft.version()
     return version.name, version.crc
 
@@ -376,7 +376,7 @@ async def _upload_plan(call: Call, order: orders.UploadPlan) -> Answer:
     except ValueError as error:
         raise UsageError(
             f"what was uploaded is no plan that can be flown: {error}",
-            cause="whoever uploaded it is of another release",
+            cause="the program that uploaded it belongs to another release",
             remedy="install the same release on both sides",
         ) from None
     name = agent.desk.check(call.token, agent.now).name
