@@ -1,0 +1,430 @@
+"""Control of one aircraft in the hands of one client of its agent: a table of states and inputs.
+
+Every front that steers has a :class:`ControlSession` for each of its pilots. It takes the lease,
+activates the aircraft, obtains control authority, renews the lease while its pilot is heard, and
+ends when the pilot lets go, falls silent, is taken over, or loses the agent. How fronts differ are
+:class:`Terms`. The agent decides each time again; what stands here is what it told last.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+from m100link.apps.agent import orders
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.lease import Lease, LeaseHeld, TakeOver
+from m100link.apps.agent.messages import Event, LeaseChanged, Outcome, Topic
+from m100link.apps.agent.orders import SETPOINT_LIFETIME
+from m100link.errors import AuthorityLost, GuardRefused, LossReason, M100Error, NoAuthority
+from m100link.protocol.setpoint import Setpoint
+
+RENEWAL_S = 0.5
+"""Seconds between two renewals; a lease lasts 3 s without one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """How the holders of control differ."""
+
+    #: Whether control authority brings an activation with it, where the aircraft is not active.
+    activates: bool = True
+    #: Whether the lease goes back when somebody takes authority. Otherwise it is kept, and the
+    #: aircraft obeys again when the pilot comes back to F.
+    gives_way: bool = False
+    idle_s: float = math.inf  #: seconds without use after which control is given back
+    who: str = "this client"  #: who has no control, in the error
+    remedy: str = "take control first"  #: how control is taken, in the error
+
+
+class ControlState(Enum):
+    """Where control stands for one pilot."""
+
+    ABSENT = "absent"  # nothing is held
+    ASKING = "asking"  # for the lease
+    LEASED = "leased"  # the lease is held, and authority was not asked for
+    ACTIVATING = "activating"
+    OBTAINING = "obtaining"  # authority
+    HOLDING = "holding"  # setpoints and tasks are obeyed, as far as is known
+    STOPPED = "stopped"  # somebody pressed STOP: setpoints fly once the pilot begins anew
+    SUSPENDED = "suspended"  # somebody else took authority; the lease is kept
+    LETTING_GO = "letting go"
+    LOST = "lost"  # the lease expired, or the agent has gone
+    TAKEN_OVER = "taken over"  # somebody else has the lease
+
+
+class ControlInput(Enum):
+    """What can happen."""
+
+    ASKED = "asked"  # the pilot wants the lease
+    GRANTED = "granted"  # the agent gave it, or another session handed it on
+    ACTIVATE = "activate"
+    OBTAIN = "obtain"
+    OBEYED = "obeyed"  # authority is held
+    REFUSED = "refused"  # what was asked for
+    STOP = "stop"  # by anybody
+    BEGUN_ANEW = "begun anew"  # the pilot let go of everything after a STOP
+    LET_GO = "let go"
+    GIVEN_BACK = "given back"
+    AUTHORITY_TAKEN = "authority taken"  # by the pilot's switch, the app, or nobody knows whom
+    ENDED = "ended"  # nobody has the lease any more
+    OTHER = "other"  # somebody else has it
+
+
+_S, _I = ControlState, ControlInput
+
+_FREE = {_I.ASKED: _S.ASKING, _I.GRANTED: _S.LEASED}
+_LEASE = {
+    _I.OBTAIN: _S.OBTAINING,
+    _I.GRANTED: _S.LEASED,  # another one: a take-over of one's own
+    _I.LET_GO: _S.LETTING_GO,
+    _I.ENDED: _S.LOST,
+    _I.OTHER: _S.TAKEN_OVER,
+}
+_UNDER_WAY = _LEASE | {_I.REFUSED: _S.LETTING_GO}
+
+TRANSITIONS: dict[ControlState, dict[ControlInput, ControlState]] = {
+    _S.ABSENT: _FREE,
+    _S.ASKING: {_I.GRANTED: _S.LEASED, _I.REFUSED: _S.ABSENT, _I.LET_GO: _S.LETTING_GO},
+    _S.LEASED: _LEASE | {_I.ACTIVATE: _S.ACTIVATING},
+    _S.ACTIVATING: _UNDER_WAY,
+    _S.OBTAINING: _UNDER_WAY | {_I.OBEYED: _S.HOLDING},
+    _S.HOLDING: _LEASE | {_I.STOP: _S.STOPPED, _I.AUTHORITY_TAKEN: _S.SUSPENDED},
+    _S.STOPPED: _LEASE | {_I.BEGUN_ANEW: _S.HOLDING, _I.AUTHORITY_TAKEN: _S.SUSPENDED},
+    _S.SUSPENDED: _LEASE | {_I.OBEYED: _S.HOLDING},  # the pilot came back to F
+    _S.LETTING_GO: dict.fromkeys((_I.GIVEN_BACK, _I.REFUSED, _I.ENDED, _I.OTHER), _S.ABSENT),
+    _S.LOST: _FREE | {_I.LET_GO: _S.ABSENT},
+    _S.TAKEN_OVER: _FREE | {_I.LET_GO: _S.ABSENT},
+}
+"""State, input, next state. A pair that is not in the table changes nothing."""
+
+
+class ControlSession:
+    """Control of one aircraft, for one pilot.
+
+    Its callbacks hang on the client until :meth:`close`.
+    """
+
+    def __init__(
+        self,
+        agent: AgentClient,
+        name: str,  # who steers, for people
+        terms: Terms = Terms(),
+    ) -> None:
+        self._agent = agent
+        self.name = name
+        self._terms = terms
+        self._state = ControlState.ABSENT
+        self._lease: Lease | None = None  # the newest one, in force or not
+        #: How the lease was lost, and to whom; None while it is held or went back.
+        self.lease_end: LeaseChanged | None = None
+        #: Who or what took authority; None while it is held, and without a lease.
+        self.loss: LossReason | None = None
+        # One request for control, or its end, at a time: they would cross.
+        self._changing = asyncio.Lock()
+        self._renewed_at = self._used_at = agent.now
+        self._heard: tuple[tuple[list[Any], Callable[..., None]], ...] = (
+            (agent.on_lease, self._lease_changed),
+            (agent.on_authority_taken, self._authority_taken),
+            (agent.on_event, self._event),
+            (agent.on_steer_refused, self._steer_refused),
+        )
+        for callbacks, callback in self._heard:
+            callbacks.append(callback)
+
+    def close(self) -> None:
+        """Give back what is held, and hear no more."""
+        self.let_go()
+        for callbacks, callback in self._heard:
+            with suppress(ValueError):
+                callbacks.remove(callback)
+
+    # -- where it stands -------------------------------------------------------------------------
+
+    @property
+    def state(self) -> ControlState:
+        """Where control stands, as far as the agent told."""
+        self._look()
+        return self._state
+
+    def _look(self) -> None:
+        if self._lease is not None and not self._agent.holds(self._lease):
+            # An agent that has gone, or was started anew, tells of no end.
+            self.feed(_I.OTHER if self._agent.holder.number else _I.ENDED)
+
+    @property
+    def lease(self) -> Lease | None:
+        """The lease, if it is in force."""
+        return self._lease if self._agent.holds(self._lease) else None
+
+    @property
+    def has_lease(self) -> bool:
+        """Whether this pilot may steer."""
+        return self._agent.holds(self._lease)
+
+    @property
+    def has_control(self) -> bool:
+        """Whether the aircraft obeys this pilot."""
+        return self.has_lease and self._agent.has_authority
+
+    @property
+    def is_changing(self) -> bool:
+        """Whether control is being asked for or given back."""
+        return self._changing.locked()
+
+    def held(self) -> Lease:
+        """The lease under which something can be asked.
+
+        Raises:
+            NoAuthority: Control is not held.
+        """
+        lease = self.lease
+        if lease is None or not self._agent.has_authority:
+            holder, who = self._agent.holder, self._terms.who
+            other = f": {holder.name} has control" if holder.number and lease is None else ""
+            raise NoAuthority(
+                f"{who} has no control{other}; nothing was sent",
+                cause="control was not asked for, or was lost since",
+                remedy=self._terms.remedy,
+            )
+        return lease
+
+    def feed(self, what: ControlInput) -> None:
+        """Something happened."""
+        after = TRANSITIONS[self._state].get(what)
+        if after is None or after is self._state:
+            return
+        self._state = after
+        if after is _S.HOLDING:
+            self.loss = None
+
+    # -- control is taken ------------------------------------------------------------------------
+
+    async def take(self, *, take_over: bool = False) -> Lease:
+        """Take the lease, if it is not held already.
+
+        Args:
+            take_over: Whether somebody else loses it.
+
+        Raises:
+            LeaseHeld: Somebody else has it.
+            NoAuthority: It was let go before it came.
+            LinkError: The agent has gone.
+        """
+        async with self._changing:
+            lease = self.lease
+            return await self._take(take_over) if lease is None else lease
+
+    async def _take(self, take_over: bool) -> Lease:
+        self._look()
+        self._forget()
+        self.feed(_I.ASKED)
+        asking = self._agent.background.spawn(self._granted(take_over), "lease")
+        try:
+            lease: Lease = await asyncio.shield(asking)
+        except BaseException as error:
+            if isinstance(error, asyncio.CancelledError):
+                asking.add_done_callback(self._unwanted)  # its answer decides who has it
+            self.feed(_I.REFUSED)
+            raise
+        if self._state is not _S.ASKING:
+            self._agent.let_go(lease)
+            self.feed(_I.GIVEN_BACK)
+            raise self._not_wanted()
+        self.adopt(lease)
+        return lease
+
+    async def _granted(self, take_over: bool) -> Lease:
+        try:
+            return await self._agent.acquire(self.name)
+        except LeaseHeld:
+            if not take_over:
+                raise
+        return await self._agent.confirm((await self._agent.ask_take_over(self.name)).token)
+
+    def _unwanted(self, asking: asyncio.Task[Lease]) -> None:
+        if not asking.cancelled() and asking.exception() is None:
+            self._agent.let_go(asking.result())
+
+    async def obtain(self, *, take_over: bool = False) -> None:
+        """Take the lease and control authority; gives the lease back when that fails.
+
+        Raises:
+            LeaseHeld: Somebody else has the lease.
+            NoAuthority: Control was let go before it was obtained.
+            M100Error: As :meth:`m100link.apps.agent.client.AgentClient.ask`.
+        """
+        async with self._changing:
+            lease = self.lease or await self._take(take_over)
+            try:
+                if self._terms.activates and not self._agent.state.is_activated:
+                    self.feed(_I.ACTIVATE)
+                    await self._agent.ask(orders.Activate(), lease)
+                    self._require(lease)
+                self.feed(_I.OBTAIN)
+                await self._agent.ask(orders.Obtain(), lease)
+                self._require(lease)
+            except BaseException as error:
+                is_unwanted = self._lease is not lease
+                self.feed(_I.REFUSED)
+                self._end(lease)
+                if is_unwanted and isinstance(error, M100Error):
+                    raise self._not_wanted() from error
+                raise
+            self.feed(_I.OBEYED)
+            self._used_at = self._agent.now
+
+    def _require(self, lease: Lease) -> None:
+        if self._lease is not lease:
+            raise self._not_wanted()
+
+    def _not_wanted(self) -> NoAuthority:
+        return NoAuthority(
+            f"{self.name} gave control back before it was obtained", remedy="take control again"
+        )
+
+    async def ask_take_over(self) -> TakeOver:
+        """First step of a take-over. Raises as the agent's client."""
+        return await self._agent.ask_take_over(self.name)
+
+    async def confirm(self, wanted: TakeOver) -> None:
+        """Second step: take the lease from the client that the first step named, and authority.
+
+        Raises:
+            LeaseRefused: There is nothing to confirm any more.
+            M100Error: As :meth:`obtain`.
+        """
+        self.adopt(await self._agent.confirm(wanted.token))
+        await self.obtain()
+
+    def adopt(self, lease: Lease) -> None:
+        """Hold a lease that was granted to this pilot."""
+        self._forget()
+        self._lease, self._renewed_at = lease, self._agent.now
+        self.feed(_I.GRANTED)
+
+    def hand_on(self) -> Lease | None:
+        """The lease in force, which another session of the same pilot adopts; None for none."""
+        lease = self.lease
+        self._forget()
+        self.feed(_I.LET_GO)
+        self.feed(_I.GIVEN_BACK)
+        return lease
+
+    def _forget(self) -> None:
+        self._lease = self.lease_end = self.loss = None
+
+    # -- control is given back -------------------------------------------------------------------
+
+    def let_go(self) -> None:
+        """Give the lease back at once: motion stops, and authority goes back."""
+        lease = self._lease
+        self.feed(_I.LET_GO)
+        if lease is not None:
+            self._end(lease)
+
+    def _end(self, lease: Lease) -> None:
+        is_in_force = self._agent.holds(lease)
+        if self._lease is lease:
+            self._forget()
+            self.feed(_I.GIVEN_BACK)
+        if is_in_force:
+            self._agent.let_go(lease)
+
+    async def give_back(self) -> None:
+        """Give the lease back; done when it is, or when nobody can tell any more."""
+        if self.is_changing:
+            self.let_go()  # the request under way ends by that, and may wait for long
+            return
+        async with self._changing:
+            lease = self.lease
+            self.feed(_I.LET_GO)
+            self._forget()
+            if lease is not None:
+                with suppress(M100Error):  # it ended meanwhile, which is what was wanted
+                    await self._agent.release_lease(lease.token)
+            self.feed(_I.GIVEN_BACK)
+
+    # -- while it is held ------------------------------------------------------------------------
+
+    def heard(self, *, is_idle: bool = False) -> None:
+        """The pilot is there: the lease lasts. Nobody calls this for a pilot who is silent.
+
+        Args:
+            is_idle: Whether nothing is wanted of the aircraft.
+        """
+        now, state = self._agent.now, self.state
+        if state is _S.SUSPENDED and self._agent.has_authority:
+            self.feed(_I.OBEYED)
+        if not is_idle:
+            self._used_at = now
+        lease = self.lease
+        if lease is None:
+            return
+        if now - self._used_at >= self._terms.idle_s and not self.is_changing:
+            idle = f"no order in {self._terms.idle_s:g} s"
+            self._agent.note(f"{self._terms.who} gives control back: {idle}")
+            self.let_go()
+        elif now - self._renewed_at >= RENEWAL_S:
+            self._renewed_at = now
+            self._agent.keep(lease)
+
+    async def keep(self) -> None:
+        """Keep the lease until it ends: for a pilot whose task or connection is there as long."""
+        while self.has_lease:
+            self.heard()
+            await asyncio.sleep(RENEWAL_S)
+
+    async def ask(self, order: orders.Order, accepted: Callable[[], None] | None = None) -> Outcome:
+        """Ask for something under the lease; raises as the agent's client."""
+        self._used_at = self._agent.now
+        return await self._agent.ask(order, self.lease, accepted)
+
+    def steer(self, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
+        """Fly this for its lifetime. Raises NoAuthority: control is not held."""
+        self._used_at = self._renewed_at = self._agent.now  # it renews the lease
+        self._agent.steer(self.held(), setpoint, lifetime)
+
+    async def stop(self) -> None:
+        """Stop whatever happens, whoever has the lease; setpoints fly after a new beginning."""
+        self.feed(_I.STOP)
+        await self._agent.stop()
+
+    def begin_anew(self) -> None:
+        """The pilot let go of everything: motion stops, and a STOP is over."""
+        if (lease := self.lease) is not None:
+            self.feed(_I.BEGUN_ANEW)
+            self._agent.halt(lease=lease)
+
+    # -- what others do --------------------------------------------------------------------------
+
+    def _lease_changed(self, message: LeaseChanged) -> None:
+        lease = self._lease
+        if lease is None or 0 < message.number <= lease.number:
+            return
+        if self.lease_end is None:
+            self.lease_end, self.loss = message, None
+        self.feed(_I.OTHER if message.number else _I.ENDED)
+
+    def _authority_taken(self, error: AuthorityLost) -> None:
+        if not self.has_lease:
+            return
+        self.loss = LossReason(error.reason)  # a text once it has been a message
+        self.feed(_I.AUTHORITY_TAKEN)
+        if self._terms.gives_way:
+            self.let_go()
+
+    def _event(self, event: Event) -> None:
+        if event.topic is Topic.STOPPED:
+            self.feed(_I.STOP)
+
+    def _steer_refused(self, fence: int, error: M100Error) -> None:
+        lease = self._lease
+        is_ours = lease is not None and lease.number == fence
+        if is_ours and isinstance(error, GuardRefused) and error.guard == "stopped":
+            self.feed(_I.STOP)

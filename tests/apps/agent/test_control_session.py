@@ -1,0 +1,243 @@
+"""Control of one pilot as a table: every pair of state and input, by hand; and what it does."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack
+from random import Random
+
+import anyio
+import pytest
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.control_session import (
+    TRANSITIONS,
+    ControlInput,
+    ControlSession,
+    ControlState,
+    Terms,
+)
+from m100link.apps.agent.lease import LeaseHeld
+from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.transports import MemoryChannel, memory_channels
+from m100link.errors import LinkError, M100Error, NoAuthority
+from m100link.protocol.setpoint import Setpoint
+from tests.apps.agent.conftest import Rig
+
+S, I = ControlState, ControlInput  # noqa: E741 - a table is read by its columns
+
+# One line for each state; a dot means that nothing changes. The columns:
+COLUMNS = (
+    *(I.ASKED, I.GRANTED, I.ACTIVATE, I.OBTAIN, I.OBEYED, I.REFUSED, I.STOP, I.BEGUN_ANEW),
+    *(I.LET_GO, I.GIVEN_BACK, I.AUTHORITY_TAKEN, I.ENDED, I.OTHER),
+)
+TABLE = """
+            ASKED  GRANTED ACTIVATE   OBTAIN    OBEYED  REFUSED    STOP    ANEW    LET_GO     BACK   TAKEN     ENDED  OTHER
+ABSENT      ASKING LEASED  .          .         .       .          .       .       .          .      .         .      .
+ASKING      .      LEASED  .          .         .       ABSENT     .       .       LETTING_GO .      .         .      .
+LEASED      .      .       ACTIVATING OBTAINING .       .          .       .       LETTING_GO .      .         LOST   TAKEN_OVER
+ACTIVATING  .      LEASED  .          OBTAINING .       LETTING_GO .       .       LETTING_GO .      .         LOST   TAKEN_OVER
+OBTAINING   .      LEASED  .          .         HOLDING LETTING_GO .       .       LETTING_GO .      .         LOST   TAKEN_OVER
+HOLDING     .      LEASED  .          OBTAINING .       .          STOPPED .       LETTING_GO .      SUSPENDED LOST   TAKEN_OVER
+STOPPED     .      LEASED  .          OBTAINING .       .          .       HOLDING LETTING_GO .      SUSPENDED LOST   TAKEN_OVER
+SUSPENDED   .      LEASED  .          OBTAINING HOLDING .          .       .       LETTING_GO .      .         LOST   TAKEN_OVER
+LETTING_GO  .      .       .          .         .       ABSENT     .       .       .          ABSENT .         ABSENT ABSENT
+LOST        ASKING LEASED  .          .         .       .          .       .       ABSENT     .      .         .      .
+TAKEN_OVER  ASKING LEASED  .          .         .       .          .       .       ABSENT     .      .         .      .
+"""  # noqa: E501 - a table
+
+NORTH = Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+
+
+def pairs() -> list[tuple[ControlState, ControlInput, ControlState]]:
+    rows = [line.split() for line in TABLE.strip().splitlines()[1:]]
+    assert [S[row[0]] for row in rows] == list(S)
+    assert tuple(I) == COLUMNS
+    return [
+        (S[name], what, S[name] if cell == "." else S[cell])
+        for name, *cells in rows
+        for what, cell in zip(COLUMNS, cells, strict=True)
+    ]
+
+
+@pytest.mark.parametrize(("state", "what", "expected"), pairs())
+def test_every_pair(state: ControlState, what: ControlInput, expected: ControlState) -> None:
+    assert TRANSITIONS[state].get(what, state) is expected
+
+
+# -- what it does ---------------------------------------------------------------------------------
+
+pytestmark = pytest.mark.anyio
+
+
+class Pilots:
+    """Two fronts of one agent, each with its own way to it."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.ways: list[MemoryChannel] = []
+        self.clients: list[AgentClient] = []
+
+
+@pytest.fixture
+async def pilots(rig: Rig) -> AsyncIterator[Pilots]:
+    rig.renewing.cancel()
+    rig.agent.desk.release(rig.token, rig.agent.now)
+    service, found = Service(rig.agent), Pilots(rig)
+    async with AsyncExitStack() as stack:
+        for name in ("first", "second"):
+            ours, its = memory_channels(as_bytes=True)
+            service.attach(its)
+            found.ways.append(its)
+            found.clients.append(await stack.enter_async_context(AgentClient(ours, name)))
+        yield found
+
+
+def session(pilots: Pilots, number: int = 0, **terms: object) -> ControlSession:
+    name = ("first", "second")[number]
+    return ControlSession(pilots.clients[number], name, Terms(**terms))  # type: ignore[arg-type]
+
+
+def at(one: ControlSession) -> ControlState:
+    return one.state
+
+
+async def test_taken_kept_and_given_back(pilots: Pilots) -> None:
+    one, agent = session(pilots), pilots.rig.agent
+    assert at(one) is S.ABSENT
+    with pytest.raises(NoAuthority, match=r"this client has no control; nothing was sent"):
+        one.held()
+    await one.obtain()
+    assert at(one) is S.HOLDING
+    assert one.has_control
+    for _ in range(20):  # longer than three lifetimes of a lease
+        await anyio.sleep(0.5)
+        one.heard()
+    assert agent.holding.has_authority
+    await one.give_back()
+    assert at(one) is S.ABSENT
+    assert pilots.clients[0].holder.number == 0
+    await pilots.rig.until(lambda: not agent.holding.has_authority)
+
+
+async def test_who_falls_silent_loses_it_after_a_lifetime(pilots: Pilots) -> None:
+    one = session(pilots)
+    await one.obtain()
+    await anyio.sleep(2.9)
+    assert one.has_lease
+    await anyio.sleep(0.3)
+    assert at(one) is S.LOST
+    assert one.lease_end is not None
+    one.heard()  # too late: an ended lease never returns
+    await anyio.sleep(0.1)
+    assert pilots.clients[0].holder.number == 0
+    await one.obtain()
+    assert at(one) is S.HOLDING
+    assert one.lease_end is None
+
+
+async def test_another_pilot_takes_over(pilots: Pilots) -> None:
+    one, other = session(pilots), session(pilots, 1)
+    await one.obtain()
+    with pytest.raises(LeaseHeld):
+        await other.obtain()
+    assert at(other) is S.ABSENT
+    await other.obtain(take_over=True)
+    assert (at(one), at(other)) == (S.TAKEN_OVER, S.HOLDING)
+    assert one.lease_end is not None
+    assert one.lease_end.name == "second"
+    one.let_go()  # which takes nothing from anybody
+    await anyio.sleep(0.1)
+    assert other.has_control
+
+
+async def test_stop_stands_until_it_is_begun_anew(pilots: Pilots) -> None:
+    one, other = session(pilots), pilots.clients[1]
+    await one.obtain()
+    await other.stop()
+    assert at(one) is S.STOPPED
+    refused: list[M100Error] = []
+    pilots.clients[0].on_steer_refused.append(lambda _, error: refused.append(error))
+    one.steer(NORTH)
+    await anyio.sleep(0.1)
+    assert "STOP was pressed" in refused[0].seen
+    one.begin_anew()
+    assert at(one) is S.HOLDING
+
+
+@pytest.mark.parametrize("gives_way", [False, True])
+async def test_the_pilot_takes_it_and_comes_back(pilots: Pilots, gives_way: bool) -> None:
+    one, rig = session(pilots, gives_way=gives_way), pilots.rig
+    await one.obtain()
+    keeping = rig.agent.background.spawn(one.keep(), "keep")
+    rig.aircraft.set_rc_mode("P")
+    await anyio.sleep(1.0)
+    assert at(one) is (S.ABSENT if gives_way else S.SUSPENDED)
+    assert one.has_lease is not gives_way
+    assert not one.has_control
+    rig.aircraft.set_rc_mode("F")
+    await anyio.sleep(2.0)
+    assert at(one) is (S.ABSENT if gives_way else S.HOLDING)
+    assert one.has_control is not gives_way
+    keeping.cancel()
+
+
+async def test_an_idle_pilot_gives_it_back(pilots: Pilots) -> None:
+    one = session(pilots, idle_s=5.0)
+    await one.obtain()
+    began = pilots.clients[0].now
+    while one.has_lease:
+        one.heard(is_idle=True)
+        await anyio.sleep(0.5)
+    assert pilots.clients[0].now - began == pytest.approx(5.5, abs=0.6)
+
+
+async def test_the_agent_goes(pilots: Pilots) -> None:
+    one = session(pilots)
+    await one.obtain()
+    pilots.ways[0].close("killed")
+    await anyio.sleep(0.1)
+    assert at(one) is S.LOST
+    assert not one.has_control
+    with pytest.raises(LinkError):
+        await one.obtain()
+    assert at(one) is S.ABSENT
+
+
+async def test_whenever_it_is_let_go_nothing_stays_held(pilots: Pilots) -> None:
+    """Let go, or cancelled, at any moment of the request: drawn, 60 of them."""
+    seed, agent = 31, pilots.rig.agent
+    draw = Random(seed)
+    for attempt in range(60):
+        one = session(pilots)
+        asking = asyncio.create_task(one.obtain())
+        for _ in range(draw.randrange(1, 40)):
+            await asyncio.sleep(draw.choice([0.0, 0.0, 0.0, 0.02]))
+        if is_cancelled := draw.random() < 0.5:
+            asking.cancel()
+        else:
+            one.let_go()
+        (ended,) = await asyncio.gather(asking, return_exceptions=True)
+        assert ended is None or isinstance(ended, NoAuthority | asyncio.CancelledError)
+        if is_cancelled and ended is None:
+            one.let_go()
+        await anyio.sleep(0.5)
+        assert at(one) is S.ABSENT, (seed, attempt)
+        assert agent.desk.holder(agent.now) is None, (seed, attempt)
+        assert not agent.holding.has_authority, (seed, attempt)
+        one.close()
+
+
+async def test_closed_it_hears_no_more(pilots: Pilots) -> None:
+    client = pilots.clients[0]
+    before = [len(one) for one in (client.on_lease, client.on_event, client.on_steer_refused)]
+    one = session(pilots)
+    await one.obtain()
+    one.close()
+    one.close()
+    assert before == [
+        len(one) for one in (client.on_lease, client.on_event, client.on_steer_refused)
+    ]
+    await anyio.sleep(0.1)
+    assert client.holder.number == 0
