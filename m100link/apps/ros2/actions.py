@@ -125,7 +125,7 @@ class Actions:
             try:
                 if identity in self._goals:
                     raise ValueError("there is a goal of that id")
-                self._helm.held()
+                self._helm.session.held()
                 self._helm.require_free(action.name)
                 flight = action.make(self._agent, self._helm, request["goal"])
             except (M100Error, ValueError) as error:
@@ -284,7 +284,7 @@ class _Guided:
     """Orders to the agent under the lease of their beginning, which end by a hover."""
 
     def __init__(self, agent: AgentClient, helm: Helm) -> None:
-        self._agent, self._lease = agent, helm.held()
+        self._agent, self._lease = agent, helm.session.held()
         self.is_ended = False
         self._hovering = asyncio.Event()
 

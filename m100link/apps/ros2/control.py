@@ -16,17 +16,10 @@ from typing import Any
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.control_session import ControlSession, ControlState, Terms
 from m100link.apps.agent.latency import MAX_LATE, WayTime
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.messages import Event, Topic
-from m100link.errors import (
-    BadSetpoint,
-    GuardRefused,
-    M100Error,
-    MissionRunning,
-    NoAuthority,
-    UsageError,
-)
+from m100link.errors import BadSetpoint, M100Error, MissionRunning, UsageError
 from m100link.protocol.records import FlightStatus
 from m100link.protocol.setpoint import Setpoint
 
@@ -214,36 +207,20 @@ LIFETIME = 0.3
 """Seconds that a setpoint flies when no other one comes: after that the aircraft brakes."""
 
 IDLE_S = 60.0  # seconds on the ground without an order after which control is given back
-_RENEWAL_S = 0.5
 _STATUS_S = 2.5
+TERMS = Terms(gives_way=True, idle_s=IDLE_S, who="ROS", remedy="call ~/obtain_control first")
 
 
 class Helm:
-    """The lease, and what is asked under it."""
+    """Control of the aircraft by ROS programs, and what is asked under it."""
 
     def __init__(self, agent: AgentClient) -> None:
         self._agent = agent
+        self.session = ControlSession(agent, "ROS 2", TERMS)
         self.stick = Stick()  # whose setpoints fly
         self.goal = ""  # what flies by itself for a program; empty for nothing
-        self._lease: Lease | None = None
-        # One request for control, or its end, at a time: they would cross.
-        self._changing = asyncio.Lock()
-        self._renewed_at = self._ordered_at = agent.now
-        agent.on_authority_taken.append(lambda _: self._lost())
-        agent.on_steer_refused.append(self._steer_refused)
-        agent.on_event.append(self._hear)
 
     # -- where it stands -------------------------------------------------------------------------
-
-    @property
-    def lease(self) -> Lease | None:
-        """The lease, if it is in force."""
-        return self._lease if self._agent.holds(self._lease) else None
-
-    @property
-    def has_control(self) -> bool:
-        """Whether the aircraft obeys ROS programs."""
-        return self.lease is not None and self._agent.has_authority
 
     @property
     def is_airborne(self) -> bool:
@@ -252,60 +229,17 @@ class Helm:
         status = None if telemetry is None else telemetry.fresh(FlightStatus, within=_STATUS_S)
         return status is not None and status.is_airborne
 
-    def held(self) -> Lease:
-        """The lease under which something can be asked.
-
-        Raises:
-            NoAuthority: Control is not held by ROS programs.
-        """
-        lease = self.lease
-        if lease is None or not self._agent.has_authority:
-            holder = self._agent.holder
-            other = f": {holder.name} has control" if holder.number and lease is None else ""
-            raise NoAuthority(
-                f"ROS has no control{other}",
-                cause="nobody called ~/obtain_control, or control was lost since",
-                remedy="call ~/obtain_control first",
-            )
-        return lease
-
     # -- control ---------------------------------------------------------------------------------
 
-    async def obtain(self, who: str) -> None:
-        """Take the lease and obtain control authority.
-
-        Raises:
-            LeaseHeld: Somebody else has control.
-            M100Error: As :meth:`m100link.apps.agent.client.AgentClient.ask`.
-        """
-        agent = self._agent
-        async with self._changing:
-            if self.lease is None:
-                self._lease = await agent.acquire(who)
-            try:
-                if not agent.state.is_activated:
-                    await agent.ask(orders.Activate(), self._lease)
-                await agent.ask(orders.Obtain(), self._lease)
-            except BaseException:
-                self._let_go()
-                raise
-            self._ordered_at = agent.now
-            self.stick.begin(agent.now)
+    async def obtain(self) -> None:
+        """Take the lease and obtain control authority. Raises as :meth:`ControlSession.obtain`."""
+        await self.session.obtain()
+        self.stick.begin(self._agent.now)
 
     async def release(self) -> None:
         """Give control back: motion ends, the pilot flies."""
-        async with self._changing:
-            self._let_go()
-
-    def _let_go(self) -> None:
-        lease, self._lease = self.lease, None
         self.stick.end()
-        if lease is not None:
-            self._agent.let_go(lease)
-
-    def _lost(self) -> None:
-        """The pilot, or the aircraft, took control: nothing goes on by itself when it is back."""
-        self._let_go()
+        self.session.let_go()
 
     # -- orders ----------------------------------------------------------------------------------
 
@@ -317,12 +251,11 @@ class Helm:
         Raises:
             M100Error: As :meth:`m100link.apps.agent.client.AgentClient.ask`.
         """
-        lease = self.held()
+        lease = self.session.held()
         if isinstance(task, orders.TakeOff):
             self.require_free("take-off")
         else:
             self._agent.halt(f"{task.label} was asked for")
-        self._ordered_at = self._agent.now
         begun = asyncio.Event()
         flying = self._agent.background.spawn(self._flown(lease, task, begun), task.label)
         waiting = asyncio.ensure_future(begun.wait())
@@ -356,7 +289,6 @@ class Helm:
             return
         if not isinstance(task, orders.TakeOff) and not self.is_airborne:
             await self.release()
-        self._ordered_at = self._agent.now
 
     def require_free(self, what: str) -> None:
         """Nothing else flies for a program.
@@ -373,23 +305,21 @@ class Helm:
         Raises:
             M100Error: As :meth:`m100link.apps.agent.client.AgentClient.ask`.
         """
-        lease = self.held()
-        self._ordered_at = self._agent.now
-        await self._agent.ask(order, lease)
+        self.session.held()
+        await self.session.ask(order)
 
     async def stop(self) -> None:
         """Stop whatever happens; anybody may. Setpoints fly after the next ~/obtain_control."""
-        self.stick.end()
-        await self._agent.stop()
+        await self.session.stop()
 
     # -- setpoints -------------------------------------------------------------------------------
 
     def refusal(self) -> str:
         """Why no setpoint can be flown now, empty where one can."""
         state = self._agent.state
-        if not self.has_control:
+        if not self.session.has_control:
             return "ROS has no control: call ~/obtain_control"
-        if not self.stick.is_open:
+        if self.session.state is not ControlState.HOLDING:
             return "it was stopped: call ~/obtain_control"
         if self.goal:
             return f"{self.goal} flies: cancel it first"
@@ -399,38 +329,14 @@ class Helm:
 
     def steer(self, setpoint: Setpoint) -> None:
         """Fly this until the next one, for :data:`LIFETIME` at most."""
-        self._ordered_at = self._agent.now
-        self._agent.steer(self.held(), setpoint, LIFETIME)
-
-    def _hear(self, event: Event) -> None:
-        """STOP, by whomever, is for those who send setpoints, too."""
-        if event.topic is Topic.STOPPED:
-            self.stick.end()
-
-    def _steer_refused(self, fence: int, error: M100Error) -> None:
-        lease = self._lease
-        if lease is None or lease.number != fence:
-            return
-        if isinstance(error, GuardRefused) and error.guard == "stopped":
-            self.stick.end()
+        self.session.steer(setpoint, LIFETIME)
 
     # -- time passes -----------------------------------------------------------------------------
 
     def advance(self) -> None:
         """Keep the lease; give it back when nobody has use for it."""
-        now = self._agent.now
-        self.stick.look(now)
-        lease = self.lease
-        if lease is None:
-            if self._lease is not None and not self._changing.locked():
-                self._lease = None
-                self.stick.end()
-            return
-        if now - self._renewed_at >= _RENEWAL_S:
-            self._renewed_at = now
-            self._agent.keep(lease)
-        if self.is_airborne or self.goal or self._agent.state.task:
-            self._ordered_at = now
-        elif now - self._ordered_at >= IDLE_S and not self._changing.locked():
-            self._agent.note(f"ROS gives control back: no order in {IDLE_S:g} s on the ground")
-            self._let_go()
+        self.stick.look(self._agent.now)
+        if self.session.state is not ControlState.HOLDING:
+            self.stick.end()  # STOP, by whomever, is for those who send setpoints, too
+        is_used = self.is_airborne or self.goal or self._agent.state.task
+        self.session.heard(is_idle=not is_used)

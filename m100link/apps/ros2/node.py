@@ -197,11 +197,11 @@ class Node:
                 cause="another m100link runs in this domain: what is called reaches both",
                 remedy="end one of them, or give it --namespace or --node",
             )
-        await self.helm.obtain("ROS 2")
+        await self.helm.obtain()
 
     async def _end(self, order: orders.Order) -> None:
         """A way to the ground ends what flies."""
-        self.helm.held()
+        self.helm.session.held()
         self.actions.end(f"{order.label} was asked for")
         await self.helm.fly(order)
 

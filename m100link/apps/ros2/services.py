@@ -68,11 +68,11 @@ class Missions:
         return trigger(lambda: self._helm.do(order), done)
 
     async def _upload(self, request: Mapping[str, Any]) -> None:
-        self._helm.held()
+        self._helm.session.held()
         await self._helm.do(orders.UploadPlan.of(plan_of(request)))
 
     async def _start(self, request: Mapping[str, Any]) -> None:
-        self._helm.held()
+        self._helm.session.held()
         self._helm.require_free("a mission")
         await self._helm.do(orders.StartMission(request["take_off"]))
 
