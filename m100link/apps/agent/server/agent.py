@@ -8,6 +8,7 @@ control authority goes back.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, Self
 
@@ -28,7 +29,7 @@ from m100link.apps.agent.server.authority import (
 from m100link.apps.agent.server.connection import Connect, Connection
 from m100link.apps.agent.server.flight import Flying, ignore, pattern
 from m100link.apps.agent.server.replays import Replays, refused
-from m100link.errors import GuardRefused, UsageError
+from m100link.errors import AuthorityLost, GuardRefused, UsageError
 from m100link.flight.guards import Envelope, Guards
 from m100link.flight.missions.hotpoint import HotpointFlight
 from m100link.flight.missions.waypoint import WaypointFlight
@@ -43,6 +44,10 @@ LONGEST_KEPT = 60.0
 _LEASE_CHECK = 0.1
 _LONGEST_STEP = 0.3
 """Seconds between two looks at the lease; in what is longer than that this program did not run."""
+
+_LOST_MEANWHILE = "control was lost meanwhile"
+_PAUSE_S = 1.0
+"""Seconds without a setpoint after which the next one is a new wish; not after STOP."""
 
 _LOST = (LeaseChange.EXPIRED, LeaseChange.FRONT_LOST)
 """How a lease ends when nobody wanted it to."""
@@ -101,8 +106,9 @@ class Agent:
         self._keep_authority = keep_authority
         # Ends a time in which authority is held for nobody.
         self._unclaimed: asyncio.TimerHandle | None = None
-        # After STOP nobody's stream of setpoints flies on: whoever sends it has to begin anew.
-        self._is_stopped = False
+        # Why no stream of setpoints flies on: its sender has to begin anew. Empty: it may.
+        self._begin_anew, self._steered_at = "", -math.inf
+        self.holding.on_lost.append(self._authority_lost)
         #: Called after each change with the reason, the lease in force, or None, and what was
         #: flown for the one before.
         self.on_lease: list[Callable[[LeaseChange, Lease | None, Flown], None]] = []
@@ -147,7 +153,7 @@ class Agent:
     def _lease_changed(self, why: LeaseChange, old: Lease | None, new: Lease | None) -> None:
         flown = self.holding.flown
         self.halt("control changed hands")  # before anybody is told
-        self._is_stopped = self._is_stopped and new is None
+        self._begin_anew = "" if new is not None else self._begin_anew
         self._claim()
         if new is not None:
             self.holding.feed(HoldingInput.TAKEN_OVER)
@@ -235,7 +241,7 @@ class Agent:
             AuthorityRefused, NotActivated, NoAuthority, LinkError, AckTimeout: See each class.
         """
         aircraft = self.connection.require_aircraft()
-        self._is_stopped = False  # a STOP from now on came after this was asked for
+        self._begin_anew = ""  # a STOP from now on came after this was asked for
         await self._inherited.settle()
         await self.holding.settle()
         self.desk.check(token, self.now)  # it may have ended while authority went back
@@ -255,13 +261,18 @@ class Agent:
 
         Raises:
             LeaseRefused: The token is not in force.
-            GuardRefused: STOP was pressed, and nothing has begun anew since; or see below.
+            GuardRefused: STOP was pressed, or somebody else had the aircraft, and nothing has begun
+                anew since; or see below.
             NoAuthority, GuardRefused, UsageError: See :meth:`m100link.Control.send`.
         """
         self.desk.renew(token, self.now)
-        if self._is_stopped:
+        since, self._steered_at = self.now - self._steered_at, self.now
+        is_new = since > _PAUSE_S and self.holding.has_authority
+        if is_new and self._begin_anew == _LOST_MEANWHILE:
+            self._begin_anew = ""
+        if self._begin_anew:
             raise GuardRefused(
-                "STOP was pressed; setpoints that go on are not flown",
+                f"{self._begin_anew}; setpoints that go on are not flown",
                 guard="stopped",
                 cause="whoever sends them has not begun anew since",
                 remedy="let go of the sticks, or ask for control once more",
@@ -271,13 +282,17 @@ class Agent:
     def halt(self, why: str = "", token: str = "") -> None:
         """Stop moving; anybody may call this at any time. A task goes on in the autopilot.
 
-        With the token of the lease it says that the holder let go. That lifts a STOP.
+        With the token of the lease it says that the holder let go: setpoints fly again after STOP.
         """
         if self.holding.flying is not None:
             self.holding.flying.halt(why)
         holder = self.desk.holder(self.now)
         if token and holder is not None and token == holder.token:
-            self._is_stopped = False
+            self._begin_anew = ""
+
+    def _authority_lost(self, _: AuthorityLost) -> None:
+        """The pilot or the app has the aircraft: a stream of before does not go on afterwards."""
+        self._begin_anew = self._begin_anew or _LOST_MEANWHILE
 
     async def stop(self) -> None:
         """Stop whatever happens: motion, program, and the task that the aircraft flies.
@@ -288,7 +303,7 @@ class Agent:
 
         No command ends a task: giving control authority back is all that this side can do.
         """
-        self._is_stopped = True
+        self._begin_anew = "STOP was pressed"
         self.journal.note("stop", topic=Topic.STOPPED)
         flying = self.holding.flying
         is_in_task = flying is not None and flying.is_in_task

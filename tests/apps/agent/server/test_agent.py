@@ -131,6 +131,29 @@ async def test_after_stop_a_stream_of_setpoints_is_refused_until_it_begins_anew(
         assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x > 0.0
 
 
+@pytest.mark.parametrize("pauses", [True, False])
+async def test_a_stream_does_not_go_on_after_the_pilot_gave_the_aircraft_back(
+    rig: Rig, pauses: bool
+) -> None:
+    await airborne(rig)
+    rig.agent.steer(rig.token, NORTH)
+    rig.aircraft.leave_f()
+    await rig.until(lambda: not rig.holding.has_authority)
+    await anyio.sleep(1.5)  # a pause while the pilot flies is none
+    for step in range(60):
+        if step == 20:
+            rig.aircraft.return_to_f()
+        with pytest.raises(GuardRefused, match="control was lost meanwhile"):
+            rig.agent.steer(rig.token, NORTH)
+        await anyio.sleep(0.05)
+    assert rig.holding.has_authority
+    if pauses:
+        await anyio.sleep(1.1)
+    else:
+        rig.agent.halt("let go", rig.token)
+    rig.agent.steer(rig.token, NORTH)
+
+
 async def test_a_stop_is_not_undone_by_control_that_was_asked_for_before_it(rig: Rig) -> None:
     await airborne(rig)
     await rig.agent.stop()
