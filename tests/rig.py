@@ -11,12 +11,25 @@ from typing import Any
 from m100link import Aircraft, Control, FlightPhase, Setpoint
 from m100link.protocol.commands.control import Move
 from m100link.protocol.records import Device
+from m100link.sim.vehicle.activation import Grant
+from m100link.sim.virtual import VirtualAircraft
 from m100link.testing import ConnectableAircraft
 
 FIRMWARES = ("1.0", "2.3", "3.1")
 
 NORTH = Setpoint.velocity(north=2.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 STILL = NORTH.neutral()
+
+
+def put_in_the_air(virtual: VirtualAircraft, height: float = 2.0) -> None:
+    """Activated before and hovering at that height, m: saves seconds of time per test."""
+    app = virtual.credentials
+    known = virtual.vehicle.activation.known
+    known[app.app_id] = Grant(app.app_id, app.key, app.level)
+    flight = virtual.vehicle.flight
+    flight.start_motors()
+    flight.dynamics.place(0.0, 0.0, height)
+    flight.phase = FlightPhase.IN_AIR
 
 
 class TimedMoves(deque[Move]):

@@ -22,11 +22,10 @@ import m100link
 from m100link import FlightPhase, GuardRefused
 from m100link.protocol.records import Device
 from m100link.sim import Driver, PtyPort, VirtualAircraft
-from m100link.sim.vehicle.activation import Grant
 from tests.flight import foreign_aircraft as foreign
 from tests.flight.foreign_aircraft import ForeignAircraft, foreign_aircraft
 from tests.flight.guarded_program import guardian_of
-from tests.rig import FIRMWARES, NORTH, TimedMoves
+from tests.rig import FIRMWARES, NORTH, TimedMoves, put_in_the_air
 from tests.waiting import PATIENCE, until
 
 pytestmark = [pytest.mark.pty, pytest.mark.anyio]
@@ -83,17 +82,6 @@ class Flight:
         assert motion.height > 0.8
         assert self.virtual.vehicle.flight.phase is FlightPhase.IN_AIR
         assert len(self.moves) == count
-
-
-def put_in_the_air(virtual: VirtualAircraft) -> None:
-    """Activated before and hovering at 2 m: saves seconds of real time per test."""
-    app = virtual.credentials
-    known = virtual.vehicle.activation.known
-    known[app.app_id] = Grant(app.app_id, app.key, app.level)
-    flight = virtual.vehicle.flight
-    flight.start_motors()
-    flight.dynamics.place(0.0, 0.0, 2.0)
-    flight.phase = FlightPhase.IN_AIR
 
 
 @asynccontextmanager

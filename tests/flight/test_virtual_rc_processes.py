@@ -15,7 +15,8 @@ import pytest
 
 from m100link.protocol.commands.virtual_rc import CENTRE, VirtualRcData, VirtualRcSettings
 from m100link.sim import AssistantSettings, Driver, PtyPort, VirtualAircraft
-from tests.flight.test_processes import ROOT, put_in_the_air
+from tests.flight.test_processes import ROOT
+from tests.rig import put_in_the_air
 from tests.waiting import PATIENCE, until
 
 pytestmark = [pytest.mark.pty, pytest.mark.anyio]

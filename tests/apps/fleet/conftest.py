@@ -63,7 +63,7 @@ class OnBoard:
                 )
             )
             self.service = Service(self.agent)
-            ours, its = memory_channels(as_bytes=True)
+            ours, its = self.channels = memory_channels(as_bytes=True)
             self.service.attach(its)
             self.client = await stack.enter_async_context(AgentClient(ours, "fleet"))
             self.fleet_agent = FleetAgent(
@@ -130,9 +130,9 @@ class Rig:
         """The pilot's cable is whole again."""
         self.network.join(_in_memory(fleet))
 
-    async def served(self, name: str) -> OnBoard:
+    async def served(self, name: str, **options: Any) -> OnBoard:
         """An aircraft whose agent tells fronts that are elsewhere, too."""
-        one = await self.aircraft(name)
+        one = await self.aircraft(name, **options)
         told = AgentTold(one.client, one.bus, Keys(SITE, name), one.fleet_agent.boot)
         one.agent.background.spawn(told.run(), "fronts")
         await anyio.sleep(0.01)  # it begins

@@ -156,7 +156,7 @@ class Rig:
         async with AsyncExitStack() as stack:
             await stack.enter_async_context(self.agent)
             self.service = Service(self.agent)
-            ours, its = memory_channels()
+            ours, its = self.channels = memory_channels()
             self.service.attach(its)
             self.client = await stack.enter_async_context(AgentClient(ours, "mavlink"))
             self.bridge = Bridge({1: self.client}, self._send, signer=self.signer)

@@ -191,7 +191,7 @@ class Rig:
         async with AsyncExitStack() as stack:
             await stack.enter_async_context(self.agent)
             self.service = Service(self.agent)
-            ours, its = memory_channels()
+            ours, its = self.channels = memory_channels()
             self.service.attach(its)
             self.client = await stack.enter_async_context(AgentClient(ours, "ROS 2"))
             self.node = Node(

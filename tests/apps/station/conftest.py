@@ -78,6 +78,15 @@ class FakeClient:
         self.session.close(self._rig.agent.now)
 
 
+def serve_rosbridge(agent: AgentClient, graph: Graph) -> None:
+    """What a station offers to clients of rosbridge."""
+    clients = Clients(agent, graph)
+    Node(agent, graph, clients)
+    DjiSdk(agent, graph, clients)
+    add_rosout({"m100": agent}, graph)
+    add_rosapi(graph)
+
+
 class Rig:
     """A station on a virtual aircraft."""
 
@@ -90,14 +99,11 @@ class Rig:
     @asynccontextmanager
     async def running(self) -> AsyncIterator[Rig]:
         # As bytes, so that every message of every test also goes through its codec.
-        ours, its = memory_channels(as_bytes=True)
+        ours, its = self.channels = memory_channels(as_bytes=True)
+        self.service = Service(self.agent)
         async with self.agent, AgentClient(ours, "station") as self.front:
-            Service(self.agent).attach(its)
-            clients = Clients(self.front, self.graph)
-            Node(self.front, self.graph, clients)
-            DjiSdk(self.front, self.graph, clients)
-            add_rosout({"m100": self.front}, self.graph)
-            add_rosapi(self.graph)
+            self.service.attach(its)
+            serve_rosbridge(self.front, self.graph)
             await self.until(lambda: self.front.is_connected)
             yield self
         self.driver.stop()

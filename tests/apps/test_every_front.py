@@ -1,0 +1,429 @@
+"""What ends or disturbs a flight, at every front: one table of what is to follow.
+
+Each cell flies the virtual aircraft to the north by the hand of one front, lets one thing happen,
+and goes on sending setpoints as a held key or a program does. Judged is what the aircraft did, by
+whom control is held then, and what the user of that front was told. Kills are of a channel here,
+on virtual time; :data:`BY_PROCESSES` names the tests that kill processes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from enum import Enum
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+import pytest
+
+from m100link.protocol.records import Device
+from m100link.sim.clock import virtual_clock_loop
+from tests.apps.every_front import (
+    OTHER,
+    Console,
+    FarConsole,
+    FleetPilot,
+    Front,
+    Mavlink,
+    Performer,
+    Ros2,
+    Rosbridge,
+    Sync,
+)
+
+pytestmark = pytest.mark.anyio
+
+FRONTS: tuple[type[Front], ...] = (
+    *(Console, Rosbridge, Mavlink, Ros2, FleetPilot, FarConsole, Performer, Sync),
+)
+
+
+@pytest.fixture
+def anyio_backend() -> tuple[str, dict[str, Any]]:
+    return "asyncio", {"loop_factory": virtual_clock_loop}
+
+
+class Event(Enum):
+    """What happens."""
+
+    STOP = "STOP at this front"
+    STOP_ELSEWHERE = "STOP at another front"
+    LAND = "this front lands it"
+    TAKE_OVER = "another client takes the lease over"
+    LEAVE_F = "the pilot leaves F and is back after 2 s"
+    SILENCE = "no setpoint any more; the sender is there"
+    HANG = "the sender hangs"
+    KILL = "the front is killed"
+    LOSE_AGENT = "the agent is killed"
+    LOSE_LINK = "the cable is pulled"
+    STALE = "setpoints come a second late"
+    JUNK = "bytes that mean nothing"
+
+
+class Does(Enum):
+    """What the aircraft does."""
+
+    HOVERS = "hovers"
+    LANDS = "lands and stops its motors"
+    GOES_ON = "flies on as before"
+
+
+class Has(Enum):
+    """Who has control afterwards: the lease, and whom the aircraft obeys."""
+
+    FRONT = "this front, as before"
+    OTHER = "the other"
+    NOBODY = "nobody: the pilot has the sticks"
+    UNHEARD = "the aircraft was told nothing; it obeys nobody's setpoints, and the pilot out of F"
+
+
+class End(NamedTuple):
+    """A cell."""
+
+    does: Does
+    within: float  # seconds
+    has: Has
+    told: str  # what the user reads, as a pattern; empty where nothing is to be told
+    # How the user flies again: "let go" of everything for a second, or by control taken anew;
+    # empty where that is another test's.
+    again: str = ""
+
+
+class Cannot(NamedTuple):
+    """A cell that cannot be, and why."""
+
+    why: str
+
+
+# A setpoint lasts 0.2 s (rosbridge, fleets, programs), 0.3 s (console, ROS 2) or 0.5 s (MAVLink);
+# the virtual aircraft waits 0.5 s for the next one. Braking from 2 m/s takes about a second.
+BRAKES, LASTS_02, LASTS_03, LASTS_05 = 1.2, 1.4, 1.5, 1.7
+LANDED = 11.0
+H, L, G = Does
+FRONT, OTHERS, NOBODY, UNHEARD = Has
+PAD_HELD = "something is still held; it was not flown"
+UNTOLD = ""
+
+TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
+    Event.STOP: {
+        Console: End(H, BRAKES, FRONT, f"STOP was pressed, and {PAD_HELD}", "let go"),
+        Rosbridge: Cannot(
+            "it has no STOP: a number below 0 of /sdk_request_simple_task ends what flies by "
+            "itself, and a setpoint of the same client behind it is the newer wish"
+        ),
+        Mavlink: End(H, BRAKES, FRONT, "is in HOLD", "control"),
+        Ros2: End(H, BRAKES, FRONT, r"it was stopped: call ~/obtain_control", "control"),
+        FleetPilot: End(H, BRAKES, FRONT, "STOP was pressed; setpoints that go on", "control"),
+        FarConsole: End(H, BRAKES, FRONT, f"STOP was pressed, and {PAD_HELD}", "let go"),
+        Performer: End(H, BRAKES, NOBODY, "a1 left"),
+        Sync: End(H, BRAKES, NOBODY, "is over with this block", "control"),
+    },
+    Event.STOP_ELSEWHERE: {
+        Console: End(H, BRAKES, FRONT, f"STOP was pressed, and {PAD_HELD}", "let go"),
+        Rosbridge: End(H, BRAKES, FRONT, "STOP was pressed", "control"),
+        Mavlink: End(H, BRAKES, FRONT, "Offboard: STOP was pressed", "control"),
+        Ros2: End(H, BRAKES, FRONT, r"it was stopped: call ~/obtain_control", "control"),
+        FleetPilot: End(H, BRAKES, FRONT, "STOP was pressed; setpoints that go on", "control"),
+        FarConsole: End(H, BRAKES, FRONT, f"STOP was pressed, and {PAD_HELD}", "let go"),
+        Performer: End(H, BRAKES, NOBODY, "a1 left: a1 was stopped"),
+        Sync: Cannot("a program without an agent is the only one at its line"),
+    },
+    Event.LAND: {
+        Console: End(L, LANDED, FRONT, "a setpoint was sent during land; nothing was sent"),
+        Rosbridge: End(L, LANDED, FRONT, "a setpoint was sent during land; nothing was sent"),
+        Mavlink: End(L, LANDED, NOBODY, "is in LAND"),
+        Ros2: End(L, LANDED, NOBODY, "~/cmd_vel: land flies"),
+        FleetPilot: End(L, LANDED, FRONT, "a setpoint was sent during land; nothing was sent"),
+        FarConsole: End(L, LANDED, FRONT, "a setpoint was sent during land; nothing was sent"),
+        Performer: End(L, LANDED, NOBODY, "a1 left: .*landing for pilot has control"),
+        Sync: End(L, LANDED, FRONT, UNTOLD),
+    },
+    Event.TAKE_OVER: {
+        Console: End(H, BRAKES, OTHERS, f"{OTHER} has control .taken over"),
+        Rosbridge: End(H, BRAKES, OTHERS, f"{OTHER} has control; nothing was sent"),
+        Mavlink: End(H, BRAKES, OTHERS, f"{OTHER} has control .taken over"),
+        Ros2: End(H, BRAKES, OTHERS, "ROS has no control: call ~/obtain_control"),
+        FleetPilot: End(H, BRAKES, OTHERS, f"StaleLease: .*{OTHER} has control"),
+        FarConsole: End(H, BRAKES, OTHERS, f"{OTHER} has control .taken over"),
+        Performer: End(H, BRAKES, OTHERS, f"a1 left: .*{OTHER} has control"),
+        Sync: Cannot("without an agent there is no lease; the app takes control as the pilot does"),
+    },
+    Event.LEAVE_F: {
+        Console: End(H, BRAKES, FRONT, f"control was lost meanwhile, and {PAD_HELD}", "let go"),
+        Rosbridge: End(H, BRAKES, FRONT, "control was lost meanwhile", "let go"),
+        Mavlink: End(H, BRAKES, FRONT, "is in POSCTL", "control"),
+        Ros2: End(H, BRAKES, NOBODY, "the pilot moved the mode switch out of F", "control"),
+        FleetPilot: End(H, BRAKES, FRONT, "control was lost meanwhile", "let go"),
+        FarConsole: End(H, BRAKES, FRONT, f"control was lost meanwhile, and {PAD_HELD}", "let go"),
+        Performer: End(H, BRAKES, NOBODY, "a1 left: the pilot moved the mode switch out of F"),
+        Sync: End(H, BRAKES, NOBODY, "AuthorityLost: the pilot moved the mode switch", "control"),
+    },
+    Event.SILENCE: {
+        Console: End(H, LASTS_03, FRONT, UNTOLD, "let go"),
+        Rosbridge: End(H, LASTS_02, FRONT, UNTOLD, "let go"),
+        Mavlink: End(H, LASTS_05, FRONT, "Offboard: no setpoint any more", "control"),
+        Ros2: End(H, LASTS_03, FRONT, UNTOLD, "let go"),
+        FleetPilot: End(H, LASTS_02, FRONT, UNTOLD, "let go"),
+        FarConsole: End(H, LASTS_03, FRONT, UNTOLD, "let go"),
+        Performer: Cannot("no setpoint comes over the network: it flies its track on board"),
+        Sync: End(H, LASTS_02, FRONT, UNTOLD, "let go"),
+    },
+    Event.HANG: {
+        Console: End(H, LASTS_03, NOBODY, r"gave control back \(expired\)"),
+        Rosbridge: End(H, LASTS_02, FRONT, UNTOLD, "let go"),  # its lease lives with its socket
+        Mavlink: End(H, LASTS_05, FRONT, "is lost", "control"),
+        Ros2: End(H, LASTS_03, FRONT, UNTOLD, "let go"),
+        FleetPilot: End(H, LASTS_02, NOBODY, "OutcomeUnknown: a1 gave no answer"),
+        FarConsole: End(H, LASTS_03, NOBODY, UNTOLD),
+        Performer: End(G, 0.0, FRONT, UNTOLD),
+        Sync: End(H, LASTS_02, FRONT, UNTOLD, "let go"),
+    },
+    Event.KILL: {
+        Console: End(H, BRAKES, NOBODY, UNTOLD),
+        Rosbridge: End(H, BRAKES, NOBODY, UNTOLD),
+        Mavlink: End(H, BRAKES, NOBODY, UNTOLD),
+        Ros2: End(H, BRAKES, NOBODY, UNTOLD),
+        FleetPilot: End(H, LASTS_02, NOBODY, UNTOLD),
+        FarConsole: End(H, LASTS_03, NOBODY, UNTOLD),
+        Performer: End(G, 0.0, FRONT, UNTOLD),
+        Sync: Cannot("a line in memory has no guardian, and dies with the program"),
+    },
+    Event.LOSE_AGENT: {
+        Console: End(H, LASTS_05, UNHEARD, "the pad shows no_control"),
+        Rosbridge: End(H, LASTS_05, UNHEARD, "the agent that owns the aircraft has gone"),
+        Mavlink: End(H, LASTS_05, UNHEARD, "no heartbeat"),
+        Ros2: End(H, LASTS_05, UNHEARD, "line: the agent is silent"),
+        FleetPilot: End(H, LASTS_05, UNHEARD, "OutcomeUnknown: a1 gave no answer for 3 s"),
+        FarConsole: End(H, LASTS_05, UNHEARD, "a1 has answered nothing"),
+        Performer: End(H, LASTS_05, UNHEARD, "a1 is silent"),
+        Sync: Cannot("it has no agent: the program is the owner of the line"),
+    },
+    Event.LOSE_LINK: {
+        Console: End(H, LASTS_05, UNHEARD, "connection lost"),
+        Rosbridge: End(H, LASTS_05, UNHEARD, "connection lost"),
+        Mavlink: End(H, LASTS_05, UNHEARD, "no heartbeat"),
+        Ros2: End(H, LASTS_05, UNHEARD, "connection lost"),
+        FleetPilot: End(H, LASTS_05, UNHEARD, "does not hold control authority"),
+        FarConsole: End(H, LASTS_05, UNHEARD, "connection lost"),
+        Performer: End(H, LASTS_05, UNHEARD, "a1 left: where a1 is, is not known"),
+        Sync: End(H, LASTS_05, UNHEARD, "LinkLost"),
+    },
+    Event.STALE: {
+        Console: End(H, 0.0, FRONT, "a key press was 1.0 s late on its way"),
+        Rosbridge: End(H, 0.0, FRONT, "a setpoint was 1.0 s late on its way"),
+        Mavlink: End(H, 0.0, FRONT, "Offboard: no setpoint any more"),  # they fly nothing in Hold
+        Ros2: End(H, 0.0, FRONT, "~/cmd_vel: "),
+        FleetPilot: End(H, 0.0, FRONT, UNTOLD),
+        FarConsole: End(H, 0.0, FRONT, "a key press was 1.0 s late on its way"),
+        Performer: End(G, 0.0, FRONT, "a1 is flying and cannot place"),
+        Sync: Cannot("there is no way between a program and its own control"),
+    },
+    Event.JUNK: dict.fromkeys(FRONTS, End(G, 0.0, FRONT, UNTOLD)),
+}
+"""By hand, from safety.md, the page of each front and agent.md."""
+
+
+BY_PROCESSES: dict[type[Front], tuple[str, ...]] = {
+    Console: (
+        "browser.long.test_disturbances.test_browser_killed",
+        "browser.long.test_disturbances.test_front_killed",
+        "browser.long.test_disturbances.test_agent_killed",
+    ),
+    Rosbridge: ("attacks.test_attacks.test_whoever_is_lost_costs_a_hover_and_the_next_flies_on",),
+    Mavlink: (
+        "interop.mavlink.test_programs.test_a_program_that_is_killed_leaves_a_hover",
+        "interop.mavlink.test_programs.test_a_front_that_is_killed_leaves_a_hover_and_comes_back",
+        "interop.mavlink.test_programs.test_a_bridge_that_is_ended_leaves_a_hover",
+    ),
+    Ros2: (
+        "interop.ros2.test_programs.test_the_commander_is_killed",
+        "interop.ros2.test_programs.test_the_node_is_killed",
+        "interop.ros2.test_programs.test_all_of_m100link_is_killed",
+    ),
+    FleetPilot: ("attacks.test_fleet.test_it_hovers_then_does_what_was_configured",),
+    FarConsole: ("attacks.test_fleet.test_it_hovers_then_does_what_was_configured",),
+    Performer: ("attacks.test_fleet_show.test_of_five_who_is_attacked_hovers_and_is_named",),
+    Sync: (
+        "flight.test_processes.test_after_sigkill_the_guardian_stops_it_and_gives_authority_back",
+    ),
+}
+"""Tests that kill processes of each front, or of what stands for it on the same way."""
+
+
+async def let_it_happen(front: Any, event: Event) -> None:
+    """What is not a verb of the front itself."""
+    if event is Event.SILENCE:
+        front.is_sending = False
+    elif event is Event.STALE:
+        front.let_go()
+        await front.passes(2.5)
+        for _ in range(20):
+            front.send_late()
+    elif event is Event.JUNK:
+        for _ in range(10):
+            front.send_junk()
+            await front.passes(0.1)
+    else:
+        await getattr(front, event.name.lower())()
+
+
+LONGER_S = {Event.HANG: 4.0, Event.LOSE_AGENT: 8.0, Event.LAND: 3.0}
+"""Seconds that are watched behind the end; a lease lasts 3 s, and a show waits 7 s for a word."""
+
+
+def assert_does(front: Front, end: End, since: float) -> None:
+    seen = [one for one in front.samples if one.time > since]
+    still = [one for one in seen if one.time > since + end.within]
+    assert still
+    if end.does is Does.LANDS:
+        assert not seen[-1].runs
+        assert seen[-1].height < 0.1
+        return
+    assert all(one.runs for one in seen)
+    assert min(one.height for one in seen) > 3.5, "it went down"
+    if end.does is Does.GOES_ON:
+        assert min(one.speed for one in seen) > 1.0
+    else:
+        assert max(one.speed for one in still) < 0.3, "it moves"
+
+
+async def assert_has(front: Front, end: End) -> None:
+    device = front.aircraft.vehicle.authority.device
+    assert (device is Device.RC) == (end.has is Has.NOBODY) or end.has is Has.OTHER
+    holder = await front.holder()
+    if holder is None or end.has is Has.UNHEARD:
+        return
+    if end.has is Has.FRONT:
+        assert holder not in ("", OTHER)
+    else:
+        assert holder == (OTHER if end.has is Has.OTHER else "")
+
+
+async def begin_again(front: Front, how: str) -> None:
+    """It can be flown again, and by nothing less."""
+    front.is_there = True
+    front.let_go()
+    await front.passes(1.5)
+    if how == "control":
+        front.is_sending = True
+        await front.passes(1.0)
+        assert front.samples[-1].speed < 0.3, "a pause was enough"
+        front.let_go()
+        await front.passes(0.5)
+    assert front.samples[-1].speed < 0.3
+    if how == "control":
+        await front.take_control()
+    front.is_sending = True
+    await front.passes(4.0, lambda: front.samples[-1].speed > 1.0)
+    assert front.samples[-1].speed > 1.0, front.words()
+
+
+class Cells:
+    """The events at one front; a class for each front, so that none of its tests is slow."""
+
+    front: ClassVar[type[Front]]
+
+    async def judge(self, event: Event) -> None:
+        end = TABLE[event][self.front]
+        if isinstance(end, Cannot):
+            pytest.skip(end.why)
+        front = self.front()
+        async with front.open():
+            await front.begin()
+            heard = Counter(front.words().split("\n"))
+            since = front.now()
+            await let_it_happen(front, event)
+            if event is Event.STALE:
+                since = front.now()
+            await front.passes(end.within + LONGER_S.get(event, 2.5))
+            since += 2.0 * (event is Event.LEAVE_F)  # the sticks' time is not counted
+            told = "\n".join((Counter(front.words().split("\n")) - heard).elements())
+            assert_does(front, end, since)
+            await assert_has(front, end)
+            assert re.search(end.told, told), told
+            if end.again:
+                await begin_again(front, end.again)
+
+    async def test_stop(self) -> None:
+        await self.judge(Event.STOP)
+
+    async def test_stop_elsewhere(self) -> None:
+        await self.judge(Event.STOP_ELSEWHERE)
+
+    async def test_land(self) -> None:
+        await self.judge(Event.LAND)
+
+    async def test_take_over(self) -> None:
+        await self.judge(Event.TAKE_OVER)
+
+    async def test_leave_f(self) -> None:
+        await self.judge(Event.LEAVE_F)
+
+    async def test_silence(self) -> None:
+        await self.judge(Event.SILENCE)
+
+    async def test_hang(self) -> None:
+        await self.judge(Event.HANG)
+
+    async def test_kill(self) -> None:
+        await self.judge(Event.KILL)
+
+    async def test_lose_agent(self) -> None:
+        await self.judge(Event.LOSE_AGENT)
+
+    async def test_lose_link(self) -> None:
+        await self.judge(Event.LOSE_LINK)
+
+    async def test_stale(self) -> None:
+        await self.judge(Event.STALE)
+
+    async def test_junk(self) -> None:
+        await self.judge(Event.JUNK)
+
+
+class TestConsole(Cells):
+    front = Console
+
+
+class TestRosbridge(Cells):
+    front = Rosbridge
+
+
+class TestMavlink(Cells):
+    front = Mavlink
+
+
+class TestRos2(Cells):
+    front = Ros2
+
+
+class TestFleetPilot(Cells):
+    front = FleetPilot
+
+
+class TestFarConsole(Cells):
+    front = FarConsole
+
+
+class TestPerformer(Cells):
+    front = Performer
+
+
+class TestSync(Cells):
+    front = Sync
+
+
+def test_every_pair_is_in_the_table() -> None:
+    pairs = {(event, front) for event, row in TABLE.items() for front in row}
+    assert pairs == {(event, front) for event in Event for front in FRONTS}
+    assert {one.front for one in Cells.__subclasses__()} == set(FRONTS) == set(BY_PROCESSES)
+    flown = {name.removeprefix("test_") for name in vars(Cells) if name.startswith("test_")}
+    assert flown == {event.name.lower() for event in Event}
+
+
+@pytest.mark.parametrize("front", FRONTS, ids=lambda front: front.__name__)
+def test_processes_of_each_front_are_killed_elsewhere(front: type[Front]) -> None:
+    for path in BY_PROCESSES[front]:
+        *module, function = path.split(".")
+        text = Path(__file__).parents[1].joinpath(*module).with_suffix(".py").read_text("utf-8")
+        assert f"def {function}(" in text, path
