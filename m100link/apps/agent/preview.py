@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import asdict
 
 from m100link.apps.agent.messages import Limits
 from m100link.apps.agent.orders import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedOrder
@@ -39,15 +40,7 @@ def preview(order: GuidedOrder, state: AircraftState | None, limits: Limits) -> 
         return Preview(refusals=(error,))
     guards = _guards_of(state, limits)
     if isinstance(order, FlyTo):
-        return foresee_flight(
-            state,
-            guards,
-            latitude_deg=order.latitude_deg,
-            longitude_deg=order.longitude_deg,
-            height=order.height,
-            speed=order.speed,
-            yaw_deg=order.yaw_deg,
-        )
+        return foresee_flight(state, guards, **asdict(order))
     if isinstance(order, FlyAround):
         return foresee_orbit(
             state,

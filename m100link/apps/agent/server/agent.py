@@ -8,7 +8,6 @@ control authority goes back.
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, Self
 
@@ -46,8 +45,7 @@ _LONGEST_STEP = 0.3
 """Seconds between two looks at the lease; in what is longer than that this program did not run."""
 
 _LOST_MEANWHILE = "control was lost meanwhile"
-_PAUSE_S = 1.0
-"""Seconds without a setpoint after which the next one is a new wish; not after STOP."""
+_PAUSE_S = 1.0  # without a setpoint; the next one is a new wish, though not after STOP
 
 _LOST = (LeaseChange.EXPIRED, LeaseChange.FRONT_LOST)
 """How a lease ends when nobody wanted it to."""
@@ -107,7 +105,7 @@ class Agent:
         # Ends a time in which authority is held for nobody.
         self._unclaimed: asyncio.TimerHandle | None = None
         # Why no stream of setpoints flies on: its sender has to begin anew. Empty: it may.
-        self._begin_anew, self._steered_at = "", -math.inf
+        self._begin_anew, self._steered_at = "", 0.0
         self.holding.on_lost.append(self._authority_lost)
         #: Called after each change with the reason, the lease in force, or None, and what was
         #: flown for the one before.
@@ -261,8 +259,7 @@ class Agent:
 
         Raises:
             LeaseRefused: The token is not in force.
-            GuardRefused: STOP was pressed, or somebody else had the aircraft, and nothing has begun
-                anew since; or see below.
+            GuardRefused: Nothing began anew since STOP or a loss of control; or see below.
             NoAuthority, GuardRefused, UsageError: See :meth:`m100link.Control.send`.
         """
         self.desk.renew(token, self.now)

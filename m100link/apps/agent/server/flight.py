@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Coroutine
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import anyio
@@ -412,15 +412,7 @@ class Guiding:
         expected = preview(order, control.state, Limits()).seconds
         timeout = _PATIENCE_S + _PATIENCE * expected
         if isinstance(order, orders.FlyTo):
-            await control.fly_to(
-                latitude_deg=order.latitude_deg,
-                longitude_deg=order.longitude_deg,
-                height=order.height,
-                yaw_deg=order.yaw_deg,
-                speed=order.speed,
-                timeout=timeout,
-                progress=progress,
-            )
+            await control.fly_to(**asdict(order), timeout=timeout, progress=progress)
         elif isinstance(order, orders.FlyAround):
             await control.orbit(
                 center_north=0.0,
