@@ -54,6 +54,8 @@ from tests.rig import NORTH, put_in_the_air
 HEIGHT_M = 5.0
 STEP_S = 0.05
 SPEED_M_S = 2.0
+PINGED_WITHIN_S = 5.0
+"""A ping each 2 s, and 3 s for its answer."""
 OTHER = "the other"
 
 
@@ -368,7 +370,12 @@ class Rosbridge(Station):
         self._joy()
 
     async def stop(self) -> None:
-        self.client.publish("/sdk_request_simple_task", data=-1.0)
+        """There is none: see the table."""
+
+    async def hang(self) -> None:
+        """The station's WebSockets cut a client off that answers no ping, at latest after this."""
+        await super().hang()
+        asyncio.get_running_loop().call_later(PINGED_WITHIN_S, self.client.leave)
 
     async def land(self) -> None:
         self.client.call("/dji_sdk/drone_task_control", task=6)
@@ -657,7 +664,7 @@ class Performer(OfAFleet):
     """A show of one, conducted from elsewhere."""
 
     name = "show"
-    flown = track("a1", (0, 0, 0, 4), (30, 60, 0, 4))
+    flown = track("a1", (0, 0, 0, 2), (30, 60, 0, 2))
 
     def make(self) -> VirtualAircraft:
         place = AircraftSettings(latitude_deg=ORIGIN[0], longitude_deg=ORIGIN[1])

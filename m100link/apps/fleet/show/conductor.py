@@ -241,7 +241,8 @@ class Conductor:
                 self._tell(f"{track.name} has flown its track")
                 return part
             if part.stage is not Stage.FLYING:
-                self._tell(f"{track.name} left: {part.why}; the others fly on")
+                why = part.why and f": {part.why}"  # none where it was told to leave
+                self._tell(f"{track.name} left{why}; the others fly on")
                 return part
             await asyncio.sleep(_LOOK_S)
 
