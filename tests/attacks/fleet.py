@@ -73,12 +73,41 @@ except m100link.M100Error as error:
 """
 
 
+_PAGE = """
+import asyncio, contextlib, sys
+from types import SimpleNamespace
+from m100link.apps.agent import orders
+from m100link.apps.fleet.client import connect
+from m100link.apps.station.fleet import Ships
+from tests.apps.station.console.test_tab import Browser, keep_alive
+
+async def main():
+    async with connect(sys.argv[1], name="flier") as fleet, contextlib.AsyncExitStack() as stack:
+        ships = Ships(fleet, stack)
+        await ships.show("a1")
+        far = ships.agents["a1"]
+        while not far.is_connected:
+            await asyncio.sleep(0.05)
+        page = Browser(SimpleNamespace(front=far, agent=far), "page")
+        page.say("alive")
+        await page.tab.activate()
+        await page.tab.obtain()
+        await keep_alive(page, page.tab.ask(orders.TakeOff()))
+        while True:
+            page.beat(2, y=3.0)
+            await asyncio.sleep(0.05)
+
+asyncio.run(main())
+"""
+"""A console of the fleet and its page in one process: both are lost with it."""
+
+
 @dataclass(frozen=True)
 class Loss:
     """What happens to whom.
 
     Attributes:
-        who: ``router``, ``agent`` or ``pilot``; ``cable`` for what is between them.
+        who: ``router``, ``agent``, ``pilot`` or ``page``; ``cable`` for what is between them.
         how: The signal; None for a cable, which is cut without a word to either end.
         lands: Whether ``--lost land`` can follow: somebody has to be left who does it, or come
             after him.
@@ -92,6 +121,7 @@ class Loss:
 LOSSES = (
     Loss("pilot", signal.SIGKILL, True),
     Loss("pilot", signal.SIGSTOP, True),
+    Loss("page", signal.SIGKILL, True),
     Loss("router", signal.SIGKILL, True),
     Loss("router", signal.SIGSTOP, True),
     Loss("agent", signal.SIGKILL, True),  # by the next one
@@ -166,6 +196,7 @@ class Site:
                 *("--ledger", str(self._folder)),
             ),
             "pilot": (sys.executable, "-c", _PILOT, self.place_of("pilot")),
+            "page": (sys.executable, "-c", _PAGE, self.place_of("pilot")),
         }
         process = await asyncio.create_subprocess_exec(
             *commands[who],
@@ -176,7 +207,7 @@ class Site:
         )
         self.processes[who] = process
         self._stack.push_async_callback(ended, process)
-        if who != "pilot":
+        if who not in ("pilot", "page"):
             assert process.stdout is not None
             assert json.loads(await process.stdout.readline())
 
@@ -230,12 +261,14 @@ async def ended(process: asyncio.subprocess.Process) -> None:
 
 
 @asynccontextmanager
-async def flying(seed: int, hosts: dict[str, str] | None = None) -> AsyncIterator[Site]:
+async def flying(
+    seed: int, hosts: dict[str, str] | None = None, *, by: str = "pilot"
+) -> AsyncIterator[Site]:
     """A site whose aircraft flies north."""
     async with AsyncExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         site = Site(stack, seed, folder, hosts)
-        for who in ("router", "agent", "pilot"):
+        for who in ("router", "agent", by):
             await site.start(who)
         await until(lambda: site.speed > 2.5)
         yield site
@@ -243,7 +276,8 @@ async def flying(seed: int, hosts: dict[str, str] | None = None) -> AsyncIterato
 
 async def lose(loss: Loss, seed: int = 1) -> Measured:
     """One loss and what follows."""
-    async with flying(seed) as site, connect(site.place, name="watcher") as watcher:
+    by = "page" if loss.who == "page" else "pilot"
+    async with flying(seed, by=by) as site, connect(site.place, name="watcher") as watcher:
         await until(lambda: "a1" in watcher.present)
         gone: list[float] = []
 

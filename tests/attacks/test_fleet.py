@@ -24,7 +24,7 @@ def anyio_backend() -> str:
 
 @pytest.mark.parametrize(
     "loss",
-    [loss for loss in LOSSES if loss.how is signal.SIGSTOP or loss.who == "agent"],
+    [loss for loss in LOSSES if loss.how is signal.SIGSTOP or loss.who in ("agent", "page")],
     ids=lambda loss: f"{loss.who} {loss.how.name}",
 )
 async def test_it_hovers_then_does_what_was_configured(loss: Loss) -> None:
