@@ -78,6 +78,7 @@ class Front(ABC):
     """
 
     name: ClassVar[str]
+    has_agent, has_stop = True, True
 
     def __init__(self) -> None:
         self.samples: list[Sample] = []
@@ -230,10 +231,17 @@ class BesideAnAgent(Front):
         found: dict[str, Any] = self.other.answers()[-1]
         return found
 
-    async def take_over(self) -> None:
-        """The other takes the lease over, as an operator does."""
+    async def take_over(self) -> str:
+        """The other takes the lease over, as an operator does; returns its proof."""
         offer = await self._lease(action="take_over", name=OTHER)
-        assert (await self._lease(action="confirm", token=offer["token"]))["success"]
+        if not offer.get("success"):
+            return ""  # nobody has it
+        return str((await self._lease(action="confirm", token=offer["token"]))["token"])
+
+    async def take_over_and_give_back(self) -> None:
+        proof = await self.take_over()
+        await self.passes(0.5)
+        await self._lease(action="release", token=proof)
 
     async def stop_elsewhere(self) -> None:
         """STOP at a page, which needs no control."""
@@ -344,6 +352,7 @@ class Rosbridge(Station):
     """A program with roslib."""
 
     name = "rosbridge"
+    has_stop = False
 
     async def come(self) -> None:
         self.client = self.rig.client("program")
@@ -717,6 +726,7 @@ class Sync(Front):
     """A program with ``m100link.sync``; its aircraft lives in a thread with a clock of its own."""
 
     name = "sync"
+    has_agent = False
 
     @asynccontextmanager
     async def open(self) -> AsyncIterator[None]:

@@ -8,6 +8,7 @@ on virtual time; :data:`BY_PROCESSES` names the tests that kill processes.
 
 from __future__ import annotations
 
+import random
 import re
 from collections import Counter
 from enum import Enum
@@ -203,7 +204,7 @@ TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
         Rosbridge: End(H, LASTS_05, UNHEARD, "connection lost"),
         Mavlink: End(H, LASTS_05, UNHEARD, "no heartbeat"),
         Ros2: End(H, LASTS_05, UNHEARD, "connection lost"),
-        FleetPilot: End(H, LASTS_05, UNHEARD, "does not hold control authority"),
+        FleetPilot: End(H, LASTS_05, UNHEARD, "the aircraft is not connected"),
         FarConsole: End(H, LASTS_05, UNHEARD, "connection lost"),
         Performer: End(H, LASTS_05, UNHEARD, "a1 left: where a1 is, is not known"),
         Sync: End(H, LASTS_05, UNHEARD, "LinkLost"),
@@ -316,6 +317,46 @@ async def begin_again(front: Front, how: str) -> None:
     front.is_sending = True
     await front.passes(4.0, lambda: front.samples[-1].speed > 1.0)
     assert front.samples[-1].speed > 1.0, front.words()
+
+
+async def at_once(front: Any, chance: random.Random) -> None:
+    """One thing after which nobody's stream may go on, for as long as it happens to last."""
+    match chance.choice(("stop", "stop elsewhere", "take over", "F", "plug", "app")):
+        case "stop" if front.has_stop:
+            await front.stop()
+        case "stop elsewhere" if front.has_agent:
+            await front.stop_elsewhere()
+        case "take over" if front.has_agent:
+            await front.take_over_and_give_back()
+        case "plug":
+            front.aircraft.unplug()
+            await front.passes(chance.choice((0.1, 1.0, 4.0)))
+            front.aircraft.replug()
+        case "app":
+            front.aircraft.app_takes_control()
+            await front.passes(chance.uniform(0.1, 2.0))
+            front.aircraft.app_releases_control()
+        case _:
+            front.aircraft.leave_f()
+            await front.passes(chance.choice((0.05, 0.3, 1.0, 3.0)))
+            front.aircraft.return_to_f()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("one", FRONTS, ids=lambda front: front.__name__)
+async def test_no_order_of_events_lets_a_stream_go_on(one: type[Front], seed: int) -> None:
+    """Whatever comes behind whatever: who goes on sending moves nothing until it begins anew."""
+    chance, front = random.Random(seed), one()
+    async with front.open():
+        await front.begin()
+        for _ in range(chance.randint(1, 4)):
+            await at_once(front, chance)
+            await front.passes(chance.choice((0.05, 0.2, 1.0, 3.0)))
+        await front.passes(2.0)
+        since = front.now()
+        await front.passes(5.0)
+        assert max(one.speed for one in front.samples if one.time > since) < 0.3, front.words()
 
 
 class Cells:

@@ -258,7 +258,7 @@ class Agent:
         """Fly this setpoint until it is renewed or its lifetime ends. Ends a program.
 
         Raises:
-            LeaseRefused: The token is not in force.
+            LeaseRefused, LinkError: The token is not in force. The aircraft is not connected.
             GuardRefused: Nothing began anew since STOP or a loss of control; or see below.
             NoAuthority, GuardRefused, UsageError: See :meth:`m100link.Control.send`.
         """
@@ -274,6 +274,7 @@ class Agent:
                 cause="whoever sends them has not begun anew since",
                 remedy="let go of the sticks, or ask for control once more",
             )
+        self.connection.require_aircraft()  # which says why control is over, if the line is lost
         self.holding.require().steer(setpoint, lifetime)
 
     def halt(self, why: str = "", token: str = "") -> None:
