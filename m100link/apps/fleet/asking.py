@@ -16,10 +16,10 @@ from typing import Self
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.codec import encode
+from m100link.apps.agent.latency import ClockEstimate
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.remote_error import Fault, MessageError
 from m100link.apps.bus.network import Answer, Bus
-from m100link.apps.fleet.expiry import ClockEstimate
 from m100link.apps.fleet.keys import Keys, session_in
 from m100link.apps.fleet.payloads import (
     Half,
@@ -198,10 +198,6 @@ class Asker:
         """Whether it comes from a session that shows the aircraft's token."""
         return answer.session in self._sessions
 
-    def its_now(self) -> float:
-        """What the agent's clock shows by now, at the earliest, s; 0: nobody knows."""
-        return self.its_clock.at_least(self._clock())
-
     def around(
         self,
         message: bytes,  # one of the agent's, or what is none, such as a question about logs
@@ -212,7 +208,8 @@ class Asker:
         key: bytes = b"",
     ) -> Order:
         """A new order, signed; see :meth:`ask`."""
-        named, clock = identity or uuid.uuid4().hex, clock or self.its_now()
+        clock = clock or self.its_clock.at_least(self._clock())
+        named = identity or uuid.uuid4().hex
         head = (named, self.keys.name, self._name, fence, self._utc())
         order = self._sign(Order(*head, message, clock, key=key))
         return order.under(token) if token else order
@@ -290,7 +287,7 @@ class Asker:
             self.doubtful_clocks = clocks_told(came, self.keys.name)
             raise
         if isinstance(found, Reply):
-            self.its_clock.heard(asked_at, found.clock, found.clock, self._clock())
+            self.its_clock.heard(asked_at, found.clock, self._clock())
         return found
 
 

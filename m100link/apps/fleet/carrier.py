@@ -187,7 +187,7 @@ class FleetChannel:
                 continue
             message = self._read(answer.payload)
             if isinstance(message, Hello) and self._greeted(message):
-                self._its_clock.heard(asked_at, message.at, message.at, answered_at)
+                self._its_clock.heard(asked_at, message.at, answered_at)
                 return True
         return False
 
@@ -290,7 +290,7 @@ class FleetChannel:
             return
         self._asks += 1
         # Stamped as it is said, not as its turn comes.
-        clock = self._asker.its_now()
+        clock = self._its_clock.at_least(self._clock())
 
         async def carry_out() -> None:
             try:

@@ -1,4 +1,4 @@
-"""Which orders and setpoints come too late to be wanted still, and what another clock shows.
+"""Which orders and setpoints come too late to be wanted still.
 
 What moves the aircraft says when it was made, by the agent's own clock. It may wait in a network,
 or before an agent that stands still, longer than whoever asked: then somebody may have pressed
@@ -8,8 +8,6 @@ STOP, or asked for something else, or have given up. Pure logic: times are argum
 from __future__ import annotations
 
 import math
-from collections import deque
-from dataclasses import dataclass
 from enum import Enum
 
 from m100link.apps.agent.messages import Steer
@@ -141,126 +139,3 @@ def broken() -> GuardRefused:
         cause=f"none came for {BROKEN_S:g} s: the network was cut, or a process stood still",
         remedy="look where the aircraft is, and begin anew",
     )
-
-
-# -- what time it is elsewhere, and by how much that may be wrong ----------------------------------
-# A question and its answer bracket the other clock: it was read after the question left and before
-# the answer came. Each round trip so gives an interval that holds the offset for certain, whatever
-# the network did; what several of them have in common is narrower. Between round trips the
-# intervals widen, because no two clocks run alike.
-
-
-DRIFT = 100e-6
-"""By how much two clocks may run apart, seconds per second: 50 ppm is a cheap crystal."""
-
-_TRIPS = 32
-_NEWEST = 8
-"""Round trips that say how slow the way is by now: what was fast before says nothing of it."""
-
-
-@dataclass(frozen=True, slots=True)
-class Offset:
-    """The other clock less our own."""
-
-    seconds: float  #: the middle of what it can be
-    bound: float  #: by how much it can be another, s
-
-
-@dataclass(frozen=True, slots=True)
-class _Seen:
-    """What one round trip says: the offset at that time lies between these."""
-
-    at: float
-    low: float
-    high: float
-
-    def widened(self, now: float) -> tuple[float, float]:
-        more = DRIFT * abs(now - self.at)
-        return self.low - more, self.high + more
-
-
-class ClockEstimate:
-    """Measures another clock by round trips."""
-
-    def __init__(self) -> None:
-        #: how often the other clock, or our own, was set; what had been measured before then
-        #: contradicts what came, and is forgotten
-        self.steps = 0
-        #: answers that no clock gives, by times that are no numbers or run backwards
-        self.refused = 0
-        self._told = -math.inf
-        self._seen: deque[_Seen] = deque(maxlen=_TRIPS)
-
-    def heard(self, sent: float, received_there: float, sent_there: float, received: float) -> bool:
-        """Take a round trip into account.
-
-        Args:
-            sent: When the question left, by our clock, s.
-            received_there: When it came, by the other clock.
-            sent_there: When the answer left, by the other clock.
-            received: When it came, by our clock.
-
-        Returns:
-            Whether it says anything; what comes by a network may be nonsense.
-        """
-        times = sent, received_there, sent_there, received
-        if not all(map(math.isfinite, times)) or received < sent or sent_there < received_there:
-            self.refused += 1
-            return False
-        # The other clock stood at `received_there` after we sent, and at `sent_there` before the
-        # answer came. Both are told for the time of the answer, so the first gets older by the way.
-        low = sent_there - received
-        high = received_there - sent + DRIFT * (received - sent)
-        if high < low:  # it says that it had the question for longer than the whole way took
-            self.refused += 1
-            return False
-        new = _Seen(received, low, high)
-        self._seen.append(new)
-        if self._common(received) is None:
-            self.steps += 1
-            self._told = -math.inf
-            self._seen.clear()
-            self._seen.append(new)
-        return True
-
-    def offset(self, now: float) -> Offset | None:
-        """What is known at a time of our clock; None before the first round trip.
-
-        While nobody answers the last that was known holds; its bound grows by 6 ms a minute.
-        """
-        common = self._common(now)
-        if common is None:
-            return None
-        low, high = common
-        return Offset((low + high) / 2, (high - low) / 2)
-
-    def at_least(self, now: float) -> float:
-        """What the other clock shows at the earliest; 0 before the first round trip.
-
-        It never goes back: no order was made before the one before it.
-        """
-        known = self.offset(now)
-        if known is None:
-            return 0.0
-        self._told = max(self._told, now + known.seconds - known.bound)
-        return self._told
-
-    @property
-    def way_s(self) -> float:
-        """Half of the shortest of the last eight round trips: how long what is sent now may take.
-
-        Infinite before the first.
-        """
-        last = list(self._seen)[-_NEWEST:]
-        return min((one.high - one.low for one in last), default=math.inf) / 2
-
-    def silent_s(self, now: float) -> float:
-        """Seconds since the last round trip; infinite before the first."""
-        return now - self._seen[-1].at if self._seen else math.inf
-
-    def _common(self, now: float) -> tuple[float, float] | None:
-        if not self._seen:
-            return None
-        each = [one.widened(now) for one in self._seen]
-        low, high = max(low for low, _ in each), min(high for _, high in each)
-        return (low, high) if low <= high else None

@@ -18,6 +18,7 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession, ControlState, Terms
 from m100link.apps.agent.latency import MAX_LATE, WayTime
+from m100link.apps.agent.latency import MAX_LATE, ClockEstimate
 from m100link.apps.agent.lease import Lease
 from m100link.errors import BadSetpoint, M100Error, MissionRunning, UsageError
 from m100link.protocol.records import FlightStatus
@@ -35,7 +36,7 @@ class _Sender:
     heard_at: float = -math.inf  # when it was heard last, s
     sent_at: float = -math.inf  # when that was sent, s, by the clock of its sender
     sequence: int = 0  # how many it had sent by then, as it counts
-    way: WayTime = field(default_factory=WayTime)  # how long its setpoints are on their way
+    way: ClockEstimate = field(default_factory=ClockEstimate)
 
 
 class Stick:

@@ -150,7 +150,7 @@ async def test_an_order_is_as_old_as_the_slowest_clock_would_have_it(rig: Rig) -
     asker = Asker(rig.network.session(), Keys(SITE, "a1"), "pilot")
     assert asker.lease_request().order.clock == 0.0, "it never answered"
     now = anyio.current_time()
-    assert asker.its_clock.heard(now, 500.0, 500.0, now)
+    assert asker.its_clock.heard(now, 500.0, now)
     await anyio.sleep(1000.0)
     assert asker.lease_request().order.clock == pytest.approx(1499.9, abs=0.001)
 

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import math
-import random
-
 import pytest
 
 from m100link.apps.agent.messages import Steer
 from m100link.apps.fleet.expiry import (
     BROKEN_S,
-    DRIFT,
     MAX_AGE_S,
     MOST_AGE_S,
-    ClockEstimate,
     Dropped,
     OrderAges,
     SetpointStream,
@@ -129,134 +124,3 @@ def test_a_stream_that_was_cut_does_not_go_on_until_it_is_begun(stream: Setpoint
     assert drop(stream, again + 0.05, again + 0.05) is Dropped.BROKEN, "that does not begin it"
     assert drop(stream, again + 0.1, again + 0.1, begins=True) is None
     assert drop(stream, again + 0.15, again + 0.15) is None
-
-
-# -- the time elsewhere: the bound is kept whatever the network does, and what is nonsense is n ----
-
-
-class Other:
-    """Another machine's clock, and the way there and back."""
-
-    def __init__(self, chance: random.Random, offset: float, drift: float) -> None:
-        self.chance = chance
-        self.offset = offset
-        self.drift = drift
-
-    def read(self, now: float) -> float:
-        return now * (1 + self.drift) + self.offset
-
-    def ask(self, now: float, estimate: ClockEstimate, fastest: float = 0.0002) -> float:
-        """One round trip with ways of any length; returns when it ended."""
-        there, stay, back = (fastest + self.chance.expovariate(1 / 0.005) for _ in range(3))
-        arrived, left = now + there, now + there + stay
-        assert estimate.heard(now, self.read(arrived), self.read(left), left + back)
-        return left + back
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_the_true_time_is_always_within_the_bound(seed: int) -> None:
-    chance = random.Random(seed)
-    drift = chance.uniform(-0.9, 0.9) * DRIFT
-    other, estimate, now = Other(chance, chance.uniform(-1e6, 1e6), drift), ClockEstimate(), 1000.0
-    for _ in range(200):
-        now = other.ask(now, estimate)
-        for later in (0.0, chance.uniform(0, 60)):
-            found = estimate.offset(now + later)
-            assert found is not None
-            wrong = other.read(now + later) - (now + later) - found.seconds
-            assert abs(wrong) <= found.bound + 1e-9
-        now += chance.uniform(0.05, 20)
-    assert (estimate.steps, estimate.refused) == (0, 0)
-
-
-def test_the_bound_is_half_of_the_round_trip_and_more_trips_narrow_it() -> None:
-    estimate = ClockEstimate()
-    assert estimate.heard(10.0, 110.004, 110.004, 10.010)  # 4 ms there, 6 ms back
-    found = estimate.offset(10.010)
-    assert found is not None
-    assert found.bound == pytest.approx(0.005, abs=1e-5)
-    assert found.seconds == pytest.approx(99.999, abs=1e-5)
-    assert estimate.heard(11.0, 111.001, 111.001, 11.010)  # 1 ms there, 9 ms back
-    narrower = estimate.offset(11.010)
-    assert narrower is not None
-    assert narrower.bound < 0.0037
-    assert abs(narrower.seconds - 100.0) <= narrower.bound
-
-
-def test_the_bound_widens_while_nobody_answers() -> None:
-    estimate = ClockEstimate()
-    assert estimate.offset(0.0) is None
-    estimate.heard(0.0, 100.0, 100.0, 0.002)
-    first, later = estimate.offset(0.002), estimate.offset(100.002)
-    assert first is not None
-    assert later is not None
-    assert later.bound - first.bound == pytest.approx(100 * DRIFT)
-    assert later.seconds == pytest.approx(first.seconds)
-
-
-@pytest.mark.parametrize(
-    "times",
-    [
-        (1.0, 101.0, 101.0, 0.9),  # came before it left
-        (1.0, 101.0, 100.9, 1.1),  # there, too
-        (1.0, 101.0, 102.0, 1.1),  # kept there for longer than all of it took
-        (1.0, math.nan, 101.0, 1.1),
-        (1.0, 101.0, math.inf, 1.1),
-    ],
-)
-def test_what_no_clock_says_is_not_believed(times: tuple[float, float, float, float]) -> None:
-    estimate = ClockEstimate()
-    assert not estimate.heard(*times)
-    assert estimate.refused == 1
-    assert estimate.offset(1.1) is None
-
-
-def test_a_clock_that_was_set_is_noticed_and_measured_anew() -> None:
-    estimate = ClockEstimate()
-    for second in range(5):
-        estimate.heard(second, second + 100, second + 100, second + 0.002)
-    estimate.heard(5.0, 135.0, 135.0, 5.002)
-    assert estimate.steps == 1
-    found = estimate.offset(5.002)
-    assert found is not None
-    assert found.seconds == pytest.approx(130.0, abs=0.002)
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_what_it_shows_at_the_earliest_is_never_later_and_never_goes_back(seed: int) -> None:
-    """Order ages count from it: too late a time would let an old order move the aircraft."""
-    chance = random.Random(seed)
-    drift = chance.uniform(-0.9, 0.9) * DRIFT
-    other, estimate, now, before = Other(chance, 1e3, drift), ClockEstimate(), 1000.0, 0.0
-    assert estimate.at_least(now) == 0.0, "nobody knows"
-    assert (estimate.way_s, estimate.silent_s(now)) == (math.inf, math.inf)
-    for _ in range(200):
-        now = other.ask(now, estimate)
-        assert estimate.silent_s(now) == 0.0
-        for later in (now, now + chance.uniform(0, 0.05)):
-            found = estimate.at_least(later)
-            assert before <= found <= other.read(later) + 1e-9
-            before = found
-        now += chance.uniform(0.05, 20)
-    assert estimate.silent_s(now) <= 20.0
-
-
-def test_after_a_clock_was_set_the_earliest_counts_anew() -> None:
-    estimate = ClockEstimate()
-    estimate.heard(0.0, 500.0, 500.0, 0.002)
-    assert estimate.at_least(0.002) == pytest.approx(500.0, abs=0.003)
-    estimate.heard(1.0, 20.0, 20.0, 1.002)  # its computer was started anew
-    assert estimate.at_least(1.002) == pytest.approx(20.0, abs=0.003)
-
-
-def test_a_way_that_became_slow_is_slow_however_well_the_clock_is_known() -> None:
-    estimate = ClockEstimate()
-    estimate.heard(0.0, 100.005, 100.005, 0.01)
-    for second in range(1, 8):
-        estimate.heard(second, second + 101.0, second + 101.0, second + 2.0)
-    assert estimate.way_s == pytest.approx(0.005, abs=1e-5)
-    estimate.heard(8.0, 109.0, 109.0, 10.0)
-    assert estimate.way_s == pytest.approx(1.0, abs=1e-3)
-    found = estimate.offset(10.0)
-    assert found is not None
-    assert found.bound < 0.01

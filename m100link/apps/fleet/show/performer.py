@@ -16,10 +16,11 @@ from typing import Literal
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.latency import DRIFT
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import Event, Topic
 from m100link.apps.agent.orders import ChangeHeight, FlyTo
-from m100link.apps.fleet.expiry import DRIFT, OrderAges
+from m100link.apps.fleet.expiry import OrderAges
 from m100link.apps.fleet.show.plan.conflicts import (
     Ahead,
     Neighbours,

@@ -25,7 +25,8 @@ from m100link.apps.agent.latency import (
     MAX_ORDER_LATE,
     MAX_ROUND_TRIP,
     MAX_UNHEARD,
-    WayTime,
+    PAGE_GRAIN,
+    ClockEstimate,
 )
 from m100link.apps.agent.lease import Lease, TakeOver
 from m100link.apps.agent.messages import Event, LeaseChanged, Topic
@@ -69,7 +70,7 @@ class Tab:
         # Who or what took authority while the tab had the lease; None when it is held again.
         self.loss: LossReason | None = None
         self._last_number = -1
-        self._way = WayTime()
+        self._way = ClockEstimate(PAGE_GRAIN)
         self._press = Press()
         self._stopped_at = -math.inf
         self._complained_at = -math.inf
@@ -207,11 +208,12 @@ class Tab:
     def check_order(self, said_at: object) -> None:
         """Refuse a button that was pressed too long ago, or nobody knows when.
 
-        ``said_at``: the station's time at the press, s, as the page reckoned it.
+        ``said_at``: the page's time at the press, ms.
 
         Raises ``GuardRefused``: it waited on its way for more than 2 s.
         """
-        late = self._agent.now - float(said_at) if _is_number(said_at) else math.inf
+        at = said_at / 1000.0 if _is_number(said_at) else math.inf
+        late = self._way.oldest(at, self._agent.now)
         if late > MAX_ORDER_LATE:
             waited = f"was {late:.0f} s on its way" if late < math.inf else "has no time"
             # A page that is loaded anew when the network is back does not show the problem.
@@ -247,10 +249,10 @@ class Tab:
         self._last_number = number
         now = self._agent.now
         self.kept.renew(now)
-        late = self._way.late(message["at"] / 1000.0, now)
-        held = message.get("held", math.inf) / 1000.0
+        at, held = message["at"] / 1000.0, message.get("held", math.inf) / 1000.0
+        late = self._way.late(at, now)
         if "told" in message:
-            self._way.echoed(message["told"], held, now)
+            self._way.heard(message["told"] + held, at, now)
         if self.lease is not None and self.has_lease:
             if message["op"] == "beat":
                 self._steer(self.lease, message, late, held)
@@ -390,7 +392,7 @@ class Tab:
 
     def lost(self) -> None:
         """The socket is gone: stop, and let others have control."""
-        self._way = WayTime()  # the next one may take another way
+        self._way = ClockEstimate(PAGE_GRAIN)  # the next one may take another way
         self.let_go()
         self.kept.let_go()
 

@@ -15,7 +15,7 @@ from functools import partial
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.latency import MAX_LATE, WayTime
+from m100link.apps.agent.latency import MAX_LATE, ClockEstimate
 from m100link.apps.agent.orders import CameraUse
 from m100link.apps.station.ros.graph import Call, Graph, Listener, Topic
 from m100link.apps.station.ros.leases import TASKS, Clients
@@ -243,7 +243,7 @@ def _check_way(session: Listener, stamp: Message, now: float) -> None:
     sent_at = stamp["secs"] + stamp["nsecs"] * 1e-9
     if not sent_at:
         return
-    way: WayTime = session.data.setdefault(_WAY, WayTime())
+    way: ClockEstimate = session.data.setdefault(_WAY, ClockEstimate())
     late = way.late(sent_at, now)
     if late > MAX_LATE:
         raise GuardRefused(

@@ -25,10 +25,10 @@ export const m100 = {
   // Each message of the instruments, at most once for a frame; {} when everything is old.
   onLive(callback) { listeners.push(callback); },
   onMap(callback) { this.map ? callback(this.map) : waiting.push(callback); },
-  // What is told with a press: when it was, its number, and what stood on the button as it began.
+  // What is told with a press: when it was by the page's clock, its number, and what stood on the button as it began.
   order(event) {
     const press = order(event.currentTarget, this.socket.isUnheard);
-    return {at: this.socket.saidAt, press, shown: event.detail?.shown};
+    return {at: performance.now(), press, shown: event.detail?.shown};
   },
   answered,
   // The view that was shown, and the secret of whoever looks at this tab; null where none is kept.

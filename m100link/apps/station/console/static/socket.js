@@ -24,7 +24,6 @@ export class Socket {
     this.told = null;  // the station's time that was heard last, and when
     this.live = null;
     this.fate = null;  // what became of what is held: of the beat of when, and when that was heard
-    this.clock = null;  // the station's, as it was told last by any message
     this.best = Infinity;  // of the differences between our clock and the station's, the smallest
   }
 
@@ -35,9 +34,8 @@ export class Socket {
     this.socket.onmessage = (event) => {
       this.heardAt = performance.now();
       const message = JSON.parse(event.data);
-      this.clock = {t: message.op === "echo" ? message.told : message.t, at: this.heardAt};
       if (message.op === "echo") {
-        this.told = {told: message.told, at: performance.now()};
+        this.hear(message.told);
         this.roundTrip(performance.now() - message.at);
         if (message.press !== undefined) answered(message.press);
         if (message.fate !== undefined) this.fate = {fate: message.fate, of: message.at, at: this.heardAt};
@@ -45,6 +43,7 @@ export class Socket {
         // The clocks may drift by a ten-thousandth.
         this.best = Math.min(this.best + 5e-6, performance.now() / 1000 - message.t);
         this.live = message;
+        this.hear(message.t);
         this.onMessage(message);
       }
     };
@@ -60,9 +59,11 @@ export class Socket {
     this.socket.send(JSON.stringify({...message, ...heard, n: ++this.count, at}));
   }
 
-  // The station's time now, s, or null. It is told with a button, which may be long on its way.
-  get saidAt() {
-    return this.clock ? this.clock.t + (performance.now() - this.clock.at) / 1000 : null;
+  // The station learns by what it is told again how long buttons are on their way: at once.
+  hear(told) {
+    const isFirst = !this.told;
+    this.told = {told, at: this.heardAt};
+    if (isFirst) this.send({op: "alive"});
   }
 
   // Seconds that what is shown is old, by the page's own clock.
