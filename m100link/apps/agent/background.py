@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from typing import Any
 
 from m100link.errors import M100Error
@@ -26,6 +26,23 @@ class BackgroundTasks:
         task = asyncio.create_task(work, name=f"m100link: {name}")
         self._tasks.add(task)
         task.add_done_callback(self._done)
+        return task
+
+    async def begin(
+        self, work: Callable[[asyncio.Event], Coroutine[Any, Any, Any]], name: str
+    ) -> asyncio.Task[Any]:
+        """Run what sets an event as it begins; returns its task then.
+
+        Raises what it raises at its beginning. Whoever waits here no more ends nothing.
+        """
+        begun = asyncio.Event()
+        task, beginning = self.spawn(work(begun), name), self.spawn(begun.wait(), name)
+        try:
+            await asyncio.wait((task, beginning), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            beginning.cancel()
+        if task.done():
+            task.result()
         return task
 
     def _done(self, task: asyncio.Task[Any]) -> None:

@@ -385,8 +385,8 @@ class Answers:
         self._send = send
         self._create_future = asyncio.get_running_loop().create_future
         self._count = 0
-        self._waiting: dict[int, asyncio.Future[Outcome]] = {}
-        self._accepted: dict[int, Callable[[], None]] = {}
+        # By number, and what is called when it has begun.
+        self._waiting: dict[int, tuple[asyncio.Future[Outcome], Callable[[], None] | None]] = {}
         # Why the agent will answer no more, once it has gone; None before.
         self.gone: str | None = None
 
@@ -404,16 +404,13 @@ class Answers:
             raise agent_gone(self.gone)
         self._count += 1
         number = self._count
-        answer = self._waiting[number] = self._create_future()
-        if accepted is not None:
-            self._accepted[number] = accepted
+        answer: asyncio.Future[Outcome] = self._create_future()
+        self._waiting[number] = answer, accepted
         try:
             self._send(Ask(number, order, fence))
-            outcome: Outcome = await answer
-            return outcome
+            return await answer
         finally:
             self._waiting.pop(number, None)
-            self._accepted.pop(number, None)
 
     def begin(self, send: Callable[[Message], None]) -> None:
         """Another agent answers from now on; nothing that the one before was asked is left."""
@@ -423,23 +420,22 @@ class Answers:
         """The agent has gone: nobody waits for it any longer."""
         self.gone = reason
         waiting, self._waiting = list(self._waiting.values()), {}
-        for answer in waiting:
+        for answer, _ in waiting:
             if not answer.done():
                 answer.set_exception(agent_lost(reason))
 
     # -- what comes in ---------------------------------------------------------------------------
 
     def outcome(self, outcome: Outcome) -> None:
-        """What became of a question."""
-        if outcome.stage is Stage.ACCEPTED:
-            accepted = self._accepted.get(outcome.id)
-            if accepted is not None:
-                accepted()
-            return
-        answer = self._waiting.get(outcome.id)
+        """What became of a question. What is over stays so, and begins once."""
+        answer, accepted = self._waiting.get(outcome.id, (None, None))
         if answer is None or answer.done():
             return
-        if outcome.fault is None:
+        if outcome.stage is Stage.ACCEPTED:
+            self._waiting[outcome.id] = answer, None
+            if accepted is not None:
+                accepted()
+        elif outcome.fault is None:
             answer.set_result(outcome)
         else:
             answer.set_exception(outcome.fault.error())

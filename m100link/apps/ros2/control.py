@@ -12,6 +12,7 @@ import asyncio
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from m100link.apps.agent import orders
@@ -257,13 +258,7 @@ class Helm:
             self.require_free("take-off")
         else:
             self._agent.halt(f"{task.label} was asked for")
-        begun = asyncio.Event()
-        flying = self._agent.background.spawn(self._flown(lease, task, begun), task.label)
-        waiting = asyncio.ensure_future(begun.wait())
-        await asyncio.wait((flying, waiting), return_when=asyncio.FIRST_COMPLETED)
-        waiting.cancel()
-        if flying.done():
-            flying.result()
+        await self._agent.background.begin(partial(self._flown, lease, task), task.label)
 
     async def _begin(self, lease: Lease, task: orders.Order, begun: asyncio.Event) -> None:
         """Fly a task. A mission of the aircraft's own has to be over before a landing."""

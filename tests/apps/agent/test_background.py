@@ -47,3 +47,42 @@ async def test_all_end_with_their_owner_also_those_that_take_a_while() -> None:
     await background.end()
     assert sorted(ended) == ["a", "b"]
     await background.end()
+
+
+async def test_what_begins_is_waited_for_until_then() -> None:
+    background = BackgroundTasks()
+
+    async def fly(begun: asyncio.Event, error: Exception | None = None) -> str:
+        await asyncio.sleep(0.01)
+        begun.set()
+        await asyncio.sleep(0.01)
+        if error is not None:
+            raise error
+        return "flown"
+
+    flying = await background.begin(fly, "flight")
+    assert not flying.done()
+    assert await flying == "flown"
+    fails = await background.begin(lambda begun: fly(begun, LinkLost("later")), "flight")
+    with pytest.raises(LinkLost, match="later"):
+        await fails
+    with pytest.raises(LinkLost, match="at once"):
+        await background.begin(lambda _: fail(LinkLost("at once")), "flight")
+    assert (await background.begin(lambda _: asyncio.sleep(0, "done"), "flight")).result() == "done"
+
+
+async def test_whoever_waits_no_more_for_a_beginning_ends_nothing_and_leaves_nothing() -> None:
+    background, landed = BackgroundTasks(), asyncio.Event()
+
+    async def land(begun: asyncio.Event) -> None:
+        await asyncio.sleep(0.02)
+        landed.set()
+
+    waiting = asyncio.create_task(background.begin(land, "landing"))
+    await asyncio.sleep(0.005)
+    waiting.cancel()
+    await asyncio.wait({waiting})
+    assert waiting.cancelled()
+    await asyncio.wait_for(landed.wait(), 5.0)
+    await asyncio.sleep(0.005)
+    assert [task for task in asyncio.all_tasks() if task.get_name().endswith("landing")] == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import random
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack
 from functools import partial
@@ -12,23 +13,34 @@ import anyio
 import pytest
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.client import AgentClient, OwnLoop
+from m100link.apps.agent.client import AgentClient, Answers, OwnLoop
 from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused
 from m100link.apps.agent.messages import (
     VERSION,
+    Ask,
     Hello,
     Message,
     Note,
+    Outcome,
     PlanTold,
+    Stage,
     State,
     Telemetry,
 )
 from m100link.apps.agent.orders import ChangeHeight
+from m100link.apps.agent.remote_error import Fault
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.server import Service
 from m100link.apps.agent.transports import MemoryChannel, memory_channels
-from m100link.errors import GuardRefused, LinkError, M100Error, NoAuthority, TaskRefused
+from m100link.errors import (
+    GuardRefused,
+    LinkError,
+    LinkLost,
+    M100Error,
+    NoAuthority,
+    TaskRefused,
+)
 from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.records import Attitude
 from m100link.protocol.setpoint import Setpoint
@@ -386,3 +398,98 @@ async def test_only_its_own_event_loop_uses_it(call: Callable[[OwnLoop], None]) 
     channel.close("done")
     assert bool(inbox) is not (closed == ["from elsewhere"])
     assert closed
+
+
+# -- questions: asked, begun, over or unknown ------------------------------------------------------
+
+
+REFUSED = Fault.of(TaskRefused("no"))
+TOLD: dict[str, Callable[[Answers, int], None]] = {
+    "begun": lambda answers, number: answers.outcome(Outcome(number, Stage.ACCEPTED)),
+    "done": lambda answers, number: answers.outcome(Outcome(number, Stage.DONE, text="it")),
+    "refused": lambda answers, number: answers.outcome(Outcome(number, Stage.FAILED, REFUSED)),
+    "gone": lambda answers, _: answers.end("killed"),
+    "another": lambda answers, number: answers.outcome(Outcome(number + 1, Stage.DONE)),
+}
+ENDS: dict[str, object] = {"done": "it", "refused": TaskRefused, "gone": LinkLost}
+
+
+async def became(asked: asyncio.Task[Outcome]) -> object:
+    """What whoever asked was told: a text, the kind of an error, or None for nothing."""
+    for _ in range(3):
+        await asyncio.sleep(0)
+    if not asked.done():
+        return None
+    error = asked.exception()
+    return asked.result().text if error is None else type(error)
+
+
+# A state and what is told in it: how often it has begun then, and what whoever asked was told.
+# What is over stays as it is, whatever comes in the same turn of the loop.
+AFTER: dict[tuple[str, str], tuple[int, object]] = {
+    ("asked", "begun"): (1, None),
+    ("asked", "done"): (0, "it"),
+    ("asked", "refused"): (0, TaskRefused),
+    ("asked", "gone"): (0, LinkLost),
+    ("asked", "another"): (0, None),
+    ("begun", "begun"): (1, None),
+    ("begun", "done"): (1, "it"),
+    ("begun", "refused"): (1, TaskRefused),
+    ("begun", "gone"): (1, LinkLost),
+    ("begun", "another"): (1, None),
+    **{(state, told): (0, end) for state, end in ENDS.items() for told in TOLD},
+}
+
+
+@pytest.mark.parametrize(("state", "told"), AFTER)
+async def test_what_becomes_of_a_question(state: str, told: str) -> None:
+    begun: list[int] = []
+    answers = Answers(lambda _: None)
+    asking = answers.question(orders.Land(), 0, lambda: begun.append(1))
+    asked = asyncio.create_task(asking)
+    await asyncio.sleep(0)
+    if state != "asked":
+        TOLD[state](answers, 1)
+    TOLD[told](answers, 1)
+    found = await became(asked)
+    assert (len(begun), found) == AFTER[state, told]
+    asked.cancel()
+    await asyncio.wait({asked})
+    TOLD["begun"](answers, 1)  # nobody waits for it any more
+    assert len(begun) == AFTER[state, told][0]
+
+
+def test_every_state_and_input_of_a_question_has_its_row() -> None:
+    assert set(AFTER) == {(state, told) for state in ("asked", "begun", *ENDS) for told in TOLD}
+
+
+@pytest.mark.parametrize("seed", range(5))
+async def test_many_answers_in_any_order_reach_whoever_asked(seed: int) -> None:
+    """Twice, after the end, of numbers that nobody asked; some wait no more, and the agent dies."""
+    chance, sent = random.Random(seed), list[Message]()
+    answers = Answers(sent.append)
+    begun: list[int] = []
+    expected: dict[int, object] = {}
+    asked: dict[int, asyncio.Task[Outcome]] = {}
+    for number in range(1, 301):
+        began = partial(begun.append, number)
+        asked[number] = asyncio.create_task(answers.question(orders.Land(), 0, began))
+    await asyncio.sleep(0)
+    assert [one.id for one in sent if isinstance(one, Ask)] == list(asked)
+    left = set(chance.sample(list(asked), 30))
+    for number in left:
+        asked[number].cancel()
+    for _ in range(1500):
+        number, told = chance.randrange(-5, 320), chance.choice(["begun", "done", "refused"])
+        TOLD[told](answers, number)
+        if told != "begun":
+            expected.setdefault(number, ENDS[told])
+    answers.end("killed")
+    answers.begin(sent.append)  # another agent
+    for number in asked:
+        TOLD["done"](answers, number)
+    for number, task in asked.items():
+        if number not in left:
+            assert await became(task) == expected.get(number, LinkLost)
+    assert len(begun) == len(set(begun))
+    assert not left & set(begun)

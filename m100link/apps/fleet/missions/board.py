@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
+from functools import partial
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease
@@ -99,17 +100,10 @@ class Missions:
                 )
             self.stage = after(self.stage, MissionInput.ASKED)
             self._clear()
-            begun = asyncio.Event()
-            flying = self._client.background.spawn(
-                self._fly(lease, replace(order, until_over=True, digest=self._digest), begun),
-                "mission of a fleet",
-            )
-            beginning = asyncio.ensure_future(begun.wait())
-            try:
-                await asyncio.wait((flying, beginning), return_when=asyncio.FIRST_COMPLETED)
-            finally:
-                beginning.cancel()
-        if flying.done() or order.until_over:
+            whole = replace(order, until_over=True, digest=self._digest)
+            work = partial(self._fly, lease, whole)
+            flying = await self._client.background.begin(work, "mission of a fleet")
+        if order.until_over:
             await asyncio.shield(flying)
 
     async def _fly(self, lease: Lease, order: StartMission, begun: asyncio.Event) -> None:

@@ -9,7 +9,6 @@ answers as soon as it is accepted, as DJI's does, and failure is told in the eve
 
 from __future__ import annotations
 
-import asyncio
 import math
 from functools import partial
 
@@ -197,14 +196,10 @@ class DjiSdk:
         number = call.request["task"]
         if number not in TASKS:
             raise UsageError("tasks are 4 (take-off), 6 (landing) and 1 (go-home)")
-        begun = asyncio.Event()
-        work = self._agent.ask(TASKS[number], self._clients.held(call.session), begun.set)
-        flying = self._agent.background.spawn(work, f"task {number}")
-        accepted = self._agent.background.spawn(begun.wait(), "acceptance")
-        await asyncio.wait((flying, accepted), return_when=asyncio.FIRST_COMPLETED)
-        accepted.cancel()
-        if flying.done():
-            flying.result()
+        lease = self._clients.held(call.session)
+        await self._agent.background.begin(
+            lambda begun: self._agent.ask(TASKS[number], lease, begun.set), f"task {number}"
+        )
         return {"result": True, "cmd_set": 1, "cmd_id": 1, "ack_data": 2}
 
     async def _version(self, call: Call) -> Message:
