@@ -16,7 +16,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.latency import MAX_ORDER_LATE
+from m100link.apps.agent.latency import (
+    MAX_ORDER_LATE,
+    MAX_ROUND_TRIP,
+    MAX_UNHEARD,
+    PAGE_GRAIN,
+)
 from m100link.apps.agent.lease import LeaseChange, LeaseHeld, LeaseRefused
 from m100link.apps.station.console.tab import BEAT_LIFETIME, Fate, Tab, _read
 from m100link.apps.station.console.view.fly import FIELDS, live, read
@@ -38,17 +43,23 @@ class Browser:
         # What the page knows of the station: its time, and when that was heard.
         self.told: dict[str, float] | None = None
         self.heard_at = 0.0
+        self.ahead = 0.0  # seconds that its clock is ahead of the station's
+
+    @property
+    def now(self) -> float:
+        """What its clock shows, s."""
+        return self.rig.agent.now + self.ahead
 
     def message(self, op: str, **fields: Any) -> str:
         """What the page sends at this moment."""
         self.count += 1
-        at = 1000 * self.rig.agent.now
+        at = 1000 * self.now
         told = {} if self.told is None else {"told": self.told, "held": at - 1000 * self.heard_at}
         return json.dumps({"op": op, "n": self.count, "at": at, **told, **fields})
 
     def hear(self, answer: dict[str, Any] | None) -> dict[str, Any] | None:
         if answer is not None:
-            self.told, self.heard_at = answer["told"], self.rig.agent.now
+            self.told, self.heard_at = answer["told"], self.now
         return answer
 
     def say(self, op: str, **fields: Any) -> dict[str, Any] | None:
@@ -112,6 +123,48 @@ async def test_keys_that_were_long_on_their_way_move_nothing(rig: Rig) -> None:
     assert "late on its way" in browser.tab.problem
     assert browser.tab.refused == 20
     assert rig.aircraft.position == pytest.approx(place, abs=0.3)
+
+
+@pytest.mark.parametrize("step", [3600.0, -3600.0, 10.0, -10.0])
+async def test_a_page_whose_clock_was_set_steers_on_and_moves_nothing_by_what_waited(
+    rig: Rig, step: float
+) -> None:
+    browser = await airborne(rig)
+    await browser.hold(0.5, x=-4)
+    waiting = [browser.message("beat", mode=1, x=-4, y=0, z=0, w=0) for _ in range(10)]
+    browser.ahead = step
+    before = browser.tab.beats
+    await browser.hold(0.5, x=-4)
+    assert browser.tab.beats - before >= 8, "once the station's time has come back"
+    await anyio.sleep(1.0)
+    before = browser.tab.beats
+    for number, text in enumerate(waiting, browser.count + 1):  # by their times alone they are old
+        browser.tab.receive(json.dumps(json.loads(text) | {"n": number}))
+    assert browser.tab.beats == before
+
+
+@pytest.mark.parametrize("seed", range(4))
+async def test_no_page_that_lies_about_its_time_flies_by_a_picture_that_is_old(
+    rig: Rig, seed: int
+) -> None:
+    """A picture is as old as what the station said with it, whatever the page says of times."""
+    browser, chance = await airborne(rig), random.Random(seed)
+    pictures, flown = [rig.agent.now], 0
+    for number in range(1000, 1200):
+        await anyio.sleep(chance.choice((0.01, 0.05, 0.3)))
+        now = rig.agent.now
+        pictures = [*pictures[-20:], now]
+        told = chance.choice(pictures)
+        held = 1000 * chance.choice((now - told, chance.uniform(-1, 3), now, 1e11, -1e11, 0.0))
+        at = 1000 * chance.choice((now, told, chance.uniform(0, 2 * now), now + 3600, 1e11))
+        message = {"op": "beat", "n": number, "at": at, "told": told, "held": held, "mode": 1}
+        before = browser.tab.beats
+        browser.tab.receive(json.dumps(message | {"x": -4, "y": 0, "z": 0, "w": 0}))
+        if browser.tab.beats > before:
+            flown += 1
+            assert now - told <= MAX_UNHEARD + MAX_ROUND_TRIP + 1e-6
+            assert held / 1000 <= now - told + PAGE_GRAIN + 1e-6, "it heard it before it was said"
+    assert flown > 0
 
 
 @pytest.mark.parametrize(("each_way", "flies"), [(0.1, True), (0.25, False), (1.0, False)])
