@@ -51,7 +51,6 @@ _CLOCK_S = 2.0
 _RENEWAL_S = 0.4
 """A tab renews with each beat; that often it goes over the network, be the last answered or not."""
 
-_UNANSWERED_S = 4.0
 _LET_GO_S = 1.0
 _MOST_LEASES = 8
 _MOST_ASKS = 64
@@ -316,7 +315,6 @@ class FleetChannel:
             # Who steers renews nothing else meanwhile. What comes too late to be flown renews no
             # lease, and that it was not flown, and how slow the way is, is told by renewals alone.
             self._keep(lease)
-            self._require_answers()
             self._setpoints.send(
                 steer.fence, lease.token, steer.setpoint, steer.lifetime, made_at=steer.sent_at
             )
@@ -324,17 +322,6 @@ class FleetChannel:
                 self._deliver(SteerRefused(steer.fence, self._unflown))
         except M100Error as error:
             self._deliver(SteerRefused(steer.fence, Fault.of(error)))
-
-    def _require_answers(self) -> None:
-        """What the agent's clock showed long ago says nothing of how slow the way is by now."""
-        silent = self._its_clock.silent_s(self._clock())
-        if silent > _UNANSWERED_S:
-            raise UsageError(
-                f"{self._keys.name} has answered nothing for {silent:.0f} s: nobody knows whether "
-                "it flies what is sent",
-                cause="the way there and back is cut, or takes too long",
-                remedy="let go, and look where the aircraft is",
-            )
 
     # -- the lease -------------------------------------------------------------------------------
 

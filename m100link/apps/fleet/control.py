@@ -400,6 +400,7 @@ class FleetHold:
 MOST_CLOCK_BOUND_S = 0.1
 """Seconds by which the agent's clock may be wrong; setpoints older than 0.2 s are not flown."""
 
+_UNANSWERED_S = 4.0
 _PAUSE_S = 0.5
 """Seconds after which whoever sends again has decided so anew."""
 
@@ -437,6 +438,14 @@ class SetpointSender:
                 f"the clock of {self._name} is not known to {MOST_CLOCK_BOUND_S:g} s",
                 cause="the way there and back takes too long for setpoints",
                 remedy="fly by tasks and fly_to(), whose loops are closed on board",
+            )
+        # What the agent's clock showed long ago says nothing of how slow the way is by now.
+        if (silent := self._agent_clock.silent_s(now)) > _UNANSWERED_S:
+            raise UsageError(
+                f"{self._name} has answered nothing for {silent:.0f} s: nobody knows whether it "
+                "flies what is sent",
+                cause="the way there and back is cut, or takes too long",
+                remedy="let go, and look where the aircraft is",
             )
         if begins is None:
             begins = now - self._sent_at > _PAUSE_S
