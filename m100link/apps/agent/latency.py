@@ -57,13 +57,12 @@ class _Way:
         self._least = self._before = math.inf
         self._window_ends_at = -math.inf
 
-    def take(self, passage: float, now: float) -> None:
-        if passage == math.inf:
-            return
+    def take(self, passage: float, now: float) -> float:
         if now >= self._window_ends_at:
             self._before, self._least = self._least, math.inf
             self._window_ends_at = now + _WINDOW
         self._least = min(self._least, passage - DRIFT * now)
+        return self.fastest(now)
 
     def fastest(self, now: float) -> float:
         return min(self._least, self._before) + DRIFT * now
@@ -93,8 +92,7 @@ class ClockEstimate:
         """
         if not abs(sent_at) < _MOST_S:  # NaN is none either
             return math.inf
-        self._take(now - sent_at, math.inf, now)
-        return max(0.0, now - sent_at - self._here.fastest(now))
+        return max(0.0, now - sent_at - self._take(now - sent_at, None, now))
 
     def heard(self, asked_at: float, there: float, now: float) -> bool:
         """Take an answer, or a message that says when the other side heard a time of ours.
@@ -113,16 +111,18 @@ class ClockEstimate:
         self._take(now - there, there - asked_at + DRIFT * abs(trip) + self._grain, now)
         return True
 
-    def _take(self, here: float, there: float, now: float) -> None:
-        self._here.take(here, now)
-        self._there.take(there, now)
-        if self._here.fastest(now) + self._there.fastest(now) < 0.0:
-            # Both ways together would take less than no time: a clock was set since.
-            self.steps += 1
-            self._told = -math.inf
-            self._here, self._there = _Way(), _Way()
-            self._here.take(here, now)
+    def _take(self, here: float, there: float | None, now: float) -> float:
+        fastest = self._here.take(here, now)
+        back = self._there.fastest(now) if there is None else self._there.take(there, now)
+        if fastest + back >= 0.0:
+            return fastest
+        # Both ways together would take less than no time: a clock was set since.
+        self.steps += 1
+        self._told = -math.inf
+        self._here, self._there = _Way(), _Way()
+        if there is not None:
             self._there.take(there, now)
+        return self._here.take(here, now)
 
     # -- what is known ---------------------------------------------------------------------------
 
