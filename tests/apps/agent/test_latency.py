@@ -250,6 +250,12 @@ def test_a_clock_that_stepped_is_believed_after_half_a_minute(step: float) -> No
     assert late[-1] == 0.0
 
 
+def test_a_constant_instead_of_times_is_late_for_ever() -> None:
+    way = ClockEstimate()
+    late = [way.late(5.0, 5.0 + number * 0.05) for number in range(4000)]
+    assert all(one > MAX_LATE for one in late[8:])
+
+
 def test_a_receiver_that_stood_still_for_ten_seconds_takes_nothing_that_waited() -> None:
     way = ClockEstimate()
     sent = [number * 0.05 for number in range(200)]
