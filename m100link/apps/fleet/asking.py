@@ -218,6 +218,7 @@ class Asker:
         payload, status = pack(order), self.keys.status(order.id)
         silent_since = began = self._clock()
         sent = 0  # the question that the order was; 0: it is to be sent
+        begun = 0  # the newest one to which it was told to have begun
         async with Questions(self.bus) as questions:
             while (left := silent_since + patience - self._clock()) > 0:
                 if not sent:
@@ -236,10 +237,12 @@ class Asker:
                 silent_since = self._clock()
                 if reply.progress is Progress.DONE:
                     return reply
+                if reply.progress is Progress.RUNNING:
+                    begun = max(begun, number)
                 # What was asked before the order was sent again says nothing of that.
-                if reply.progress is Progress.NEVER and number > sent:
-                    if self._clock() - began >= patience:
-                        raise self._never_arrives()
+                elif number > max(sent, begun):
+                    if begun or self._clock() - began >= patience:
+                        raise self._never_arrives(has_begun=bool(begun))
                     sent = 0
                     await asyncio.sleep(_AGAIN_S)
         raise OutcomeUnknown(
@@ -265,8 +268,13 @@ class Asker:
                 break
         return 0, None
 
-    def _never_arrives(self) -> OutcomeUnknown:
-        """It answers what became of the order, and the order does not come to it."""
+    def _never_arrives(self, *, has_begun: bool) -> OutcomeUnknown:
+        """It answers what became of the order, and does not know it, or not any more."""
+        if has_begun:
+            return OutcomeUnknown(
+                f"{self.keys.name} began the order, and has not heard of it by now",
+                cause="its agent was started anew without its ledger",
+            )
         return OutcomeUnknown(
             f"{self.keys.name} answers, and has not heard of the order",
             cause="the router routes no such order of this identity, or the way there loses it",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+import math
+import random
 from collections import Counter
 from contextlib import AsyncExitStack
 from dataclasses import replace
@@ -153,6 +156,72 @@ async def test_an_order_is_as_old_as_the_slowest_clock_would_have_it(rig: Rig) -
     assert asker.its_clock.heard(now, 500.0, now)
     await anyio.sleep(1000.0)
     assert asker.lease_request().order.clock == pytest.approx(1499.9, abs=0.001)
+
+
+class Forgetful:
+    """An agent whose answers come in any order, late or never, and that may be started anew.
+
+    Nothing outlives it, as if somebody had emptied its ledger.
+    """
+
+    def __init__(self, seed: int, forgets_after: float) -> None:
+        self.chance = random.Random(seed)
+        self.begun: list[float] = []  # when the order was carried out
+        self.heard: dict[str, tuple[Order, float]] = {}  # by id: until when it runs
+        self.forgets_at = anyio.current_time() + forgets_after
+        self.has_told = False  # that it has begun, in an answer that came
+        self.sent_after_told = 0  # how often the order was sent all the same
+
+    async def tokens(self, pattern: str, *, timeout: float) -> list[str]:
+        return [Keys(SITE, "a1").live_by("a")]
+
+    async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:
+        # What was sent when nothing was told yet may arrive whenever it likes.
+        self.sent_after_told += bool(payload) and self.has_told
+        try:
+            async with asyncio.timeout(timeout):
+                await self._travel()
+                reply = self._answer(key, payload)
+                await self._travel()
+        except TimeoutError:
+            return []
+        self.has_told = self.has_told or reply.progress is not Progress.NEVER
+        return [Answer(key, pack(reply), "a")]
+
+    async def _travel(self) -> None:
+        is_lost = self.chance.random() < 0.15
+        await asyncio.sleep(60.0 if is_lost else self.chance.choice((0.01, 0.2, 3.0)))
+
+    def _answer(self, key: str, payload: bytes) -> Reply:
+        now = anyio.current_time()
+        if now >= self.forgets_at:
+            self.heard, self.forgets_at = {}, math.inf
+        if payload:
+            order: Order = unpack(Order, payload)
+            if order.id not in self.heard:
+                self.heard[order.id] = order, now + self.chance.uniform(0.0, 6.0)
+                self.begun.append(now)
+        identity = key.rpartition("/")[2] if "/status/" in key else order.id
+        if identity not in self.heard:
+            return Reply(identity, "a1", "boot", Progress.NEVER)
+        order, until = self.heard[identity]
+        progress = Progress.RUNNING if now < until else Progress.DONE
+        return Reply(identity, "a1", "boot", progress, Outcome.OK, order=order.digest())
+
+
+@pytest.mark.parametrize("seed", range(60))
+async def test_what_has_begun_is_not_sent_again_to_an_agent_that_forgot_it(seed: int) -> None:
+    agent = Forgetful(seed, math.inf if seed % 2 else random.Random(seed).uniform(0.0, 10.0))
+    asker = Asker(cast(Bus, agent), Keys(SITE, "a1"), "pilot", patience=8.0)
+    try:
+        reply = await asker.ask(orders.TakeOff())
+    except OutcomeUnknown:
+        pass  # nobody knows: it may have begun, or never arrived
+    else:
+        assert (reply.progress, bool(agent.begun)) == (Progress.DONE, True)
+    assert agent.sent_after_told == 0
+    if seed % 2:
+        assert len(agent.begun) <= 1
 
 
 # -- whose answer is believed: as a table, and over zenoh itself -----------------------------------
