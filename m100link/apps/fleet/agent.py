@@ -111,7 +111,7 @@ class FleetAgent:
         self._aloft = Aloft(client, ledger)
         descend = partial(self._orders.descend, take_over=False)
         self._lost = Lost(client, self._lost_plan, descend, self._aloft)
-        self._ended: dict[str, asyncio.Event] = {}
+        self._running: dict[str, asyncio.Task[None]] = {}  # orders under way, by id
         # Long orders, which wait until short ones have been read.
         self._long: deque[Question] = deque()
         self._has_long = asyncio.Event()
@@ -340,8 +340,8 @@ class FleetAgent:
             self._book.end(refused, self.client.now)
             return
         self._book.begin(order.id, order.digest(), self.client.now)
-        self._ended[order.id] = asyncio.Event()
-        self.client.background.spawn(self._carry_out(order, asked), "order of the fleet")
+        work = self._carry_out(order, asked)
+        self._running[order.id] = self.client.background.spawn(work, "order of the fleet")
 
     def _admitted(self, order: Order) -> orders.Order:
         """What an order asks for, if it may begin now."""
@@ -380,7 +380,7 @@ class FleetAgent:
             reply = self._reply(order.id, error)
         finally:
             self._book.end(replace(reply, order=order.digest()), self.client.now)
-            self._ended.pop(order.id).set()
+            del self._running[order.id]
 
     def _reply(self, identity: str, error: M100Error | None, done: Done | None = None) -> Reply:
         done = done or Done()
@@ -398,13 +398,8 @@ class FleetAgent:
         )
 
     async def _wait(self, identity: str) -> None:
-        ended = self._ended.get(identity)
-        if ended is not None:
-            try:
-                async with asyncio.timeout(HOLD_S):
-                    await ended.wait()
-            except TimeoutError:
-                pass  # it runs, and that is what is told
+        if identity in self._running:  # where it runs on, that is what is told
+            await asyncio.wait({self._running[identity]}, timeout=HOLD_S)
 
     def _told(self, identity: str, *, is_repeated: bool) -> Reply:
         """What is known of an order now."""
