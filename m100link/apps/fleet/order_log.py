@@ -455,17 +455,14 @@ class Words:
 
 
 def words(data: bytes, mark: bytes) -> Words:
-    """Read a file and its mark.
-
-    A file of an older version has lines of JSON alone, and no mark.
-    """
+    """Read a file and its mark."""
     # What has no end was cut off by the loss of power as it was written: it had not begun.
     lines = data.decode("ascii", "replace").split("\n")[:-1]
     read = [_unsealed(line) for line in lines]
     known = {number: (first, content) for number, first, content in filter(None, read)}
     marked = Mark.read(mark)
-    if not known and (not mark or (marked is not None and not marked.newest)):
-        return _of_older_version(lines)
+    if not data and (not mark or (marked is not None and not marked.newest)):
+        return Words()  # it is the first time
     first, newest = (0, 0) if marked is None else (marked.first, marked.newest)
     if known and max(known) >= newest:
         newest = max(known)
@@ -479,19 +476,6 @@ def words(data: bytes, mark: bytes) -> Words:
         newest + 1 if is_odd and not missing else max(missing, default=-1) + 1,
         newest,
     )
-
-
-def _of_older_version(lines: list[str]) -> Words:
-    found = Words()
-    for number, line in enumerate(lines, 1):
-        content = _json(line)
-        if content is None:
-            found.damaged += 1
-            found.sure_from = number + 1
-        else:
-            found.kept[number] = content
-        found.newest = number
-    return found
 
 
 def _unsealed(line: str) -> tuple[int, int, dict[str, Any]] | None:

@@ -174,15 +174,22 @@ async def test_who_flew_is_known_and_since_when_whatever_the_calendar_does(tmp_p
     again.close()
 
 
+def sealed(*lines: str) -> str:
+    """The file of these lines; one with a NUL in it is as a bad disk left it."""
+    bodies = [f"{number} 1 {line}" for number, line in enumerate(lines, 1)]
+    sums = [crc32(body.replace("\x00", "").encode()) for body in bodies]
+    return "".join(f"{one:08x} {body}\n" for one, body in zip(sums, bodies, strict=True))
+
+
 @pytest.mark.parametrize("line", ['{"flies": "17"}', '{"flies": -1}', '{"flies": true}', "{}"])
 def test_a_line_of_nonsense_lands_nobody(tmp_path: Path, line: str) -> None:
     path = tmp_path / "a1.jsonl"
-    path.write_text(f"{line}\n")
+    path.write_text(sealed(line))
     ledger = FileLedger(path, lambda: 0.0)
     assert ledger.aloft is None
     ledger.close()
-    path.with_suffix(".lock").unlink()  # as of an older version
-    path.write_text('{"flies": 17, "at": "x", "up": "y", "boot": 3}\n')
+    path.with_suffix(".lock").unlink()
+    path.write_text(sealed('{"flies": 17, "at": "x", "up": "y", "boot": 3}'))
     ledger = FileLedger(path, lambda: 0.0)
     assert ledger.aloft == LeftAloft(17, None)
     ledger.close()
@@ -214,7 +221,7 @@ async def test_where_words_are_lost_leases_begin_above_all_that_may_have_been(
     tmp_path: Path,
 ) -> None:
     path, utc = tmp_path / "a1.jsonl", 1_800_000_000.0
-    path.write_text('{"fence": 3000}\n{"fence": 40\x00\x00}\n')
+    path.write_text(sealed('{"fence": 3000}', '{"fence": 40\x00\x00}'))
     ledger = opened(path, utc, "boot", 50.0)
     assert ledger.leases_before == 1_800_000_000
     ledger.close()
@@ -232,7 +239,8 @@ async def test_who_flew_is_not_believed_where_a_later_word_is_lost(
     """It may say that nobody flew any more, and somebody with a remote control does."""
     flies = '{"flies": 17, "at": 1000.0, "boot": "boot", "up": 50.0}'
     path = tmp_path / "a1.jsonl"
-    path.write_text("".join(f"{flies if word == 'flies' else word}\n" for word in words))
+    path.write_text(sealed(*(flies if word == "flies" else word for word in words)))
+    path.with_suffix(".lock").write_bytes(bytes(Mark(len(words), 1)))
     ledger = opened(path, 1001.0, "boot", 51.0)
     assert ledger.aloft == LeftAloft(17, ago_s)
     ledger.close()
@@ -352,22 +360,6 @@ async def test_no_file_is_left_behind_by_a_disk_without_room(
     ledger.close()
 
 
-async def test_one_of_an_older_version_is_read_and_sealed(tmp_path: Path) -> None:
-    path = tmp_path / "a1.jsonl"
-    path.write_text(
-        '{"fence": 3000}\n{"id": "one", "boot": "boot", "up": 50.0}\n'
-        '{"flies": 17, "at": 1000.0, "boot": "boot", "up": 50.0}\n'
-    )
-    path.with_suffix(".lock").touch()
-    for _ in range(2):
-        ledger = opened(path, 1001.0, "boot", 51.0)
-        assert ledger.damaged == 0
-        assert ledger.begun == {"one": 50.0}
-        assert ledger.leases_before >= 3000
-        assert ledger.aloft == LeftAloft(17, 1.0)
-        ledger.close()
-
-
 @pytest.fixture
 def disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Disk:
     return Disk(monkeypatch, tmp_path)
@@ -434,7 +426,7 @@ def test_a_start_after_damage_is_no_surer_who_flew_than_the_start_before(tmp_pat
 
 def test_a_number_that_no_float_holds_is_damage(tmp_path: Path) -> None:
     path = tmp_path / "a1.jsonl"
-    path.write_text('{"flies": 7, "at": 1' + "0" * 400 + "}\n")
+    path.write_text(sealed('{"flies": 7, "at": 1' + "0" * 400 + "}"))
     ledger = opened(path, 1004.0, "boot", 10.0)
     assert ledger.damaged == 1
 
