@@ -1,6 +1,5 @@
 """A fleet by zenoh alone: who is there, where each stands, a package of telemetry, STOP for all."""
 
-import base64
 import json
 import sys
 import time
@@ -17,11 +16,16 @@ def ask(session: zenoh.Session, key: str, payload: bytes | None = None) -> list[
     return [json.loads(bytes(one.ok.payload)[1:]) for one in replies if one.ok]
 
 
-def order(name: str, message: object) -> bytes:
-    told = {"id": uuid.uuid4().hex, "aircraft": name, "by": "plain zenoh", "fence": 0, "clock": 0.0}
-    told |= {"at": time.time(), "proof": "", "signer": "", "signature": "", "key": ""}
-    told |= {"message": base64.b64encode(json.dumps(message).encode()).decode()}
-    return b"\x02" + json.dumps(told).encode()
+def order(name: str, asked: object) -> bytes:
+    told: dict[str, Any] = {
+        "id": uuid.uuid4().hex,
+        "site": "site",
+        "aircraft": name,
+        "by": "plain zenoh",
+    }
+    told |= {"fence": 0, "at": time.time(), "order": asked, "clock": 0.0, "signer": "", "key": ""}
+    unsigned, unproved = bytes(64), bytes(16)
+    return b"\x03" + unsigned + unproved + json.dumps(told).encode()
 
 
 config = zenoh.Config()

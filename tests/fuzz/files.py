@@ -26,9 +26,8 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from mcap.writer import CompressionType, Writer
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.codec import encode as encode_message
 from m100link.apps.agent.messages import Steer
-from m100link.apps.agent.remote_error import Fault, MessageError
+from m100link.apps.agent.remote_error import Fault
 from m100link.apps.bus.network import Answer
 from m100link.apps.cli.decode import _from_hex
 from m100link.apps.cli.fleet import borrowed
@@ -64,7 +63,6 @@ from m100link.apps.fleet.show.conductor import _part
 from m100link.apps.fleet.show.plan.conflicts import Ahead
 from m100link.apps.fleet.show.plan.document import Show
 from m100link.apps.fleet.show.plan.track import TimedTrack
-from m100link.apps.fleet.signing import _needed
 from m100link.apps.mavlink.translator.codec import (
     LAYOUTS,
     Message,
@@ -434,7 +432,7 @@ def value_seeds() -> list[bytes]:
     fault = Fault.of(UsageError("seen", remedy="do"))
     reply = Reply("0" * 32, "a1", "boot", Progress.DONE, fault=fault, text=json.dumps(stage))
     values: list[Any] = [
-        Order("0" * 32, "a1", "anna", 1, _UTC, encode_message(orders.Land())),
+        Order("0" * 32, "field", "a1", "anna", 1, _UTC, orders.Land()),
         reply,
         Card("a1", "boot", _UTC, height_m=3.0),
         MissionCard("a1", "boot"),
@@ -459,8 +457,7 @@ def fleet_values(data: bytes) -> None:
         repr(found).encode()  # it is printed, and logged
         if isinstance(found, Order):
             found.proves("token")
-            with suppress(MessageError):
-                _needed(found)
+            assert found.order.right
         if isinstance(found, Reply):
             _part(found)
     elif number == 4:

@@ -24,7 +24,6 @@ import cbor2
 import crcmod
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.codec import decode_order
 from m100link.apps.agent.codec import encode as encode_message
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import VERSION as MESSAGES_VERSION
@@ -50,16 +49,24 @@ from m100link.apps.bus.network import Question, Received
 from m100link.apps.fleet.asking import Asker
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.logs.service import LogService
-from m100link.apps.fleet.logs.words import LogQuestion, What, pack_question, unpack_reply
+from m100link.apps.fleet.logs.words import unpack_reply
 from m100link.apps.fleet.payloads import (
-    SHOW,
     VERSION,
+    Asked,
+    AskShow,
     Card,
+    LeaveShow,
+    LoadTrack,
+    LogQuestion,
     MissionCard,
     Order,
     Outcome,
     Progress,
     Reply,
+    SendTrack,
+    StartShow,
+    TakePlace,
+    What,
     pack,
     pack_steer,
     unpack,
@@ -566,27 +573,25 @@ _ASKED = (_KEYS.command, _KEYS.lease, _KEYS.show, _KEYS.log, _KEYS.revoked)
 _TOLD = (_KEYS.setpoint, _KEYS.state, _KEYS.place)
 
 
-def _order(message: bytes) -> bytes:
-    return pack(Order("0" * 32, "a1", "anna", 1, 1.8e9, message, 20.0, proof=b"0" * 16))
+def _order(asked: Asked) -> bytes:
+    head = ("0" * 32, SITE, "a1", "anna", 1, 1.8e9)
+    return pack(Order(*head, asked, 20.0, proof=b"0" * 16))
 
 
 def fleet_seeds() -> list[bytes]:
     """A key by its number, and what is asked or told under it."""
-    seeds = [
-        (b"\1" if isinstance(one, LeaseOrder) else b"\0") + _order(encode_message(one))
-        for one in ORDERS
-    ]
+    seeds = [(b"\1" if isinstance(one, LeaseOrder) else b"\0") + _order(one) for one in ORDERS]
     flown = track("a1", (0, 0, 0, 4), (8, 12, 0, 5))
-    shown: list[dict[str, Any]] = [
-        {"do": "piece", "at": 0, "data": flown.to_bytes().hex()},
-        {"do": "load", "leave": "hover", "show": "s", "least_m": 3.0, "others": 1},
-        {"do": "start", "digest": flown.digest, "at": 30.0, "bound": 0.1},
-        *({"do": do, "run": "r"} for do in ("tell", "place", "leave")),
+    shown: list[Asked] = [
+        SendTrack("r", 0, flown.to_bytes()),
+        LoadTrack("r", "hover", "s", 3.0, 1),
+        StartShow("r", flown.digest, 30.0, 0.1),
+        *(AskShow("r"), TakePlace("r"), LeaveShow("r")),
     ]
-    seeds += [b"\2" + _order(SHOW + json.dumps(one).encode()) for one in shown]
+    seeds += [b"\2" + _order(one) for one in shown]
     questions = [LogQuestion(What.LIST), LogQuestion(What.PIECE, _LOG_NAME, 0, 100)]
     questions.append(LogQuestion(What.DIGEST, _LOG_NAME, 0, 100))
-    seeds += [b"\3" + _order(pack_question(one)) for one in questions]
+    seeds += [b"\3" + _order(one) for one in questions]
     seeds.append(b"\5" + pack_steer(Steer(1, 20.0, 0.3, _NORTH), "0" * 64, begins=True))
     seeds.append(b"\6" + pack(Card("a1", "boot", 1.8e9)))
     ahead = Ahead("s", "a2", 1.0, ((0.0, 1.0, 2.0), (1.0, 1.0, 2.0)), 9.0)
@@ -652,7 +657,8 @@ async def on_board() -> AsyncIterator[Take]:
 def _is_for_anybody(payload: bytes) -> bool:
     """Whether it is an order that needs no lease: to stop and to land."""
     try:
-        return decode_order(unpack(Order, payload).message).right is Right.STOP
+        order: Order = unpack(Order, payload)
+        return order.order.right is Right.STOP
     except MessageError:
         return False
 

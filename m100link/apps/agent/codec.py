@@ -12,7 +12,7 @@ import json
 import math
 import struct
 import types
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from enum import Enum
 from itertools import product
 from typing import Any, get_args, get_origin, get_type_hints
@@ -53,7 +53,8 @@ MAX_ENTRIES = 32
 MAX_PIECES = 99
 """Most pieces of a list, which are the waypoints of the longest plan."""
 
-_MAX_INTEGER = 1 << 63
+_MAX_INTEGER = 1 << 53
+"""A double holds every integer up to here: other readers of JSON round those above."""
 
 _Codec = tuple[Callable[[Any], Any], Callable[[Any], Any]]
 
@@ -68,7 +69,7 @@ def _same(value: Any) -> Any:
 
 def _read_int(value: Any) -> int:
     if type(value) is not int or not -_MAX_INTEGER <= value < _MAX_INTEGER:
-        raise BadValue("not an integer of 64 bits")
+        raise BadValue("not an integer below 2⁵³")
     return value
 
 
@@ -112,7 +113,8 @@ def _read_bytes(value: Any) -> bytes:
             data = base64.b64decode(value, validate=True)
         except (binascii.Error, ValueError):
             data = None
-        if data is not None and len(data) <= MAX_BYTES:
+        # Bits behind the last byte are ignored by some readers, and refused by others.
+        if data is not None and len(data) <= MAX_BYTES and _write_bytes(data) == value:
             return data
     raise BadValue(f"not base64 of at most {MAX_BYTES} bytes")
 
@@ -186,12 +188,12 @@ def _choice(kind: type[Enum]) -> _Codec:
 def _codec(kind: Any, name: str) -> _Codec:
     if kind in _PLAIN:
         return _PLAIN[kind]
-    if kind is Order:
-        kinds = Kinds(ORDERS.values())
+    parts = [one for one in get_args(kind) or [kind] if one is not type(None)]
+    if Order in parts or (isinstance(kind, types.UnionType) and len(parts) > 1):
+        kinds = Kinds([one for one in parts if one is not Order] + [*ORDERS.values()])
         return kinds.write, kinds.read
     if isinstance(kind, types.UnionType):
-        (one,) = (part for part in get_args(kind) if part is not type(None))
-        return _optional(_codec(one, name))
+        return _optional(_codec(parts[0], name))
     if kind == tuple[bytes, ...]:
         return _write_pieces, _read_pieces
     if isinstance(kind, type) and issubclass(kind, Enum):
@@ -207,10 +209,11 @@ def _codec(kind: Any, name: str) -> _Codec:
 class Fields:
     """The fields of one dataclass."""
 
-    def __init__(self, kind: type[Any]) -> None:
+    def __init__(self, kind: type[Any], beside: Container[str] = ()) -> None:
+        """``beside``: names of fields that go another way."""
         hints = get_type_hints(kind)
         self._kind = kind
-        names = [field.name for field in dataclasses.fields(kind)]
+        names = [one.name for one in dataclasses.fields(kind) if one.name not in beside]
         self._codecs = {one: _codec(hints[one], f"{kind.__name__}.{one}") for one in names}
 
     def write(self, value: Any) -> dict[str, Any]:
@@ -339,11 +342,11 @@ _UNPACK: dict[int, tuple[type[Any], Callable[[bytes], Message]]] = {
     _IS_STEER: (Steer, _unpack_steer),
     _IS_TELEMETRY: (Telemetry, _unpack_telemetry),
 }
-_KINDS = Kinds(kind for kind in (*Message.__args__, *ORDERS.values()) if kind not in _PACK)
+_KINDS = Kinds(kind for kind in Message.__args__ if kind not in _PACK)
 
 
-def encode(message: Message | Order) -> bytes:
-    """The bytes of a message, or of an order alone, at most :data:`MAX_SIZE`.
+def encode(message: Message) -> bytes:
+    """The bytes of a message, at most :data:`MAX_SIZE`.
 
     Raises:
         MessageError: A number in it is not finite or out of range, or it is too long. Long texts
@@ -376,37 +379,34 @@ def decode(data: bytes) -> Message:
             return unpack(data)
         except (ValueError, struct.error) as error:  # a setpoint out of range is a ValueError, too
             raise MessageError(f"not a message: {kind.__name__}: {str(error)[:200]}") from None
-    message: Message = _from_json(data)
-    if isinstance(message, Order):
-        raise MessageError("not a message: an order comes in an Ask")
-    return message
-
-
-def decode_order(data: bytes) -> Order:
-    """The order of these bytes. Raises MessageError: they are none."""
-    order = _from_json(data)
-    if not isinstance(order, Order):
-        raise MessageError(f"{type(order).__name__} is no order")
-    return order
-
-
-def _from_json(data: bytes) -> Any:
     if len(data) > MAX_SIZE:
         raise MessageError(f"{len(data)} bytes are not a message: at most {MAX_SIZE} are")
+    value = parsed(data, "a message")
     try:
-        value = read_json(data, constant=_refuse)
-    except ValueError:
-        raise MessageError("not a message: this is not JSON") from None
-    try:
-        message = _KINDS.read(value)
+        message: Message = _KINDS.read(value)
         require_possible(message)
     except BadValue as error:
         raise MessageError(f"not a message: {error}") from None
     return message
 
 
+def parsed(data: bytes, what: str) -> object:
+    """What stands in JSON that every reader of JSON understands alike; else MessageError."""
+    try:
+        return read_json(data, constant=_refuse, pairs=_object)
+    except ValueError:
+        raise MessageError(f"not {what}: this is not JSON, or one name stands twice") from None
+
+
 def _refuse(text: str) -> float:
     raise ValueError(f"{text} is not JSON")
+
+
+def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """Of two values with one name some readers take the first, others the last."""
+    if len(found := dict(pairs)) < len(pairs):
+        raise ValueError("one name stands twice")
+    return found
 
 
 # -- what a message of an agent may say besides being of the right types (pure logic) --------------

@@ -31,9 +31,9 @@ from m100link.apps.cli.plan import File, FileOptions, read_plan
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json, wants_json
 from m100link.apps.fleet.client import FleetAircraft
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
-from m100link.apps.fleet.payloads import MissionCard, MissionStage, Reply
+from m100link.apps.fleet.payloads import MissionCard, MissionStage, Reply, ShowStage
 from m100link.apps.fleet.show.conductor import Conductor
-from m100link.apps.fleet.show.performer import Leave, Stage
+from m100link.apps.fleet.show.performer import Leave
 from m100link.apps.fleet.show.plan.document import Report, Show, distances, places, svg
 from m100link.apps.fleet.show.plan.document import check as report_on
 from m100link.apps.fleet.show.plan.track import BadShow
@@ -484,7 +484,7 @@ def fly_show(
             words = part.why or f"at most {part.farthest_m:.2f} m from its track"
             facts = {"name": part.name, "stage": stage, "why": part.why}
             tell(facts, f"{part.name}: {stage}, {words}", as_json=options.json_output)
-        is_flown = all(part.stage is Stage.FLOWN for part in parts.values())
+        is_flown = all(part.stage is ShowStage.FLOWN for part in parts.values())
         return ExitCode.OK if is_flown else ExitCode.FAILED
 
     return run_async(run())

@@ -18,11 +18,11 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
+from typing import TypeVar
 
 import m100link
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.codec import decode_order
 from m100link.apps.agent.messages import Event, Telemetry
 from m100link.apps.agent.orders import Age, Right
 from m100link.apps.agent.remote_error import MessageError, fault_of
@@ -57,7 +57,7 @@ _CARD_S = 1.0
 _FRESH_S = 5.0
 _NAMESAKE_S = 2.0
 _SHORT = 2048
-"""Bytes of an order that is read at once: with its signature STOP has 600."""
+"""Bytes of an order that is read at once: with its signature STOP has 300."""
 _MOST_LONG = 16
 _MOST_WAITING = 16
 """Questions about its mission; of a flood the oldest are dropped."""
@@ -65,16 +65,22 @@ _AS_GOOD_AS_NEW_S = 0.05
 """Seconds in which all who ask that hear the same: whoever flies must not wait for who asks."""
 _LONG_S = 0.02
 
+T = TypeVar("T")
+
 Verify = Callable[[Order], None]
 """Looks at an order before anything is done; raises :class:`~m100link.errors.NotAllowed`."""
 
 
-def admit(order: Order, name: str, verify: Verify | None) -> None:
-    """Refuse an order for another aircraft, or of somebody who may not give it."""
-    if order.aircraft != name:
-        raise NotAllowed(f"an order to {order.aircraft} came to {name}")
+def admit(order: Order, keys: Keys, kind: type[T], verify: Verify | None) -> T:
+    """What is asked; refused of another kind, for another aircraft, or of who may not."""
+    if not isinstance(order.order, kind):
+        raise MessageError(f"nobody asks for {type(order.order).__name__} under this key")
+    if (order.site, order.aircraft) != (keys.site, keys.name):
+        there, here = f"{order.site}/{order.aircraft}", f"{keys.site}/{keys.name}"
+        raise NotAllowed(f"an order to {there} came to {here}")
     if verify is not None:
         verify(order)
+    return order.order
 
 
 class FleetAgent:
@@ -328,9 +334,9 @@ class FleetAgent:
         """Hear an order for the first time."""
         if not _ID.fullmatch(order.id):
             raise MessageError("the id of an order is 32 hexadecimal digits")
-        admit(order, self._keys.name, self._verify)
+        asked = admit(order, self._keys, orders.Order, self._verify)
         try:
-            asked = self._admitted(order)
+            self._require_now(order, asked)
         except M100Error as error:
             if self._verify is None:
                 raise
@@ -343,13 +349,13 @@ class FleetAgent:
         work = self._carry_out(order, asked)
         self._running[order.id] = self.client.background.spawn(work, "order of the fleet")
 
-    def _admitted(self, order: Order) -> orders.Order:
-        """What an order asks for, if it may begin now."""
-        asked, now = decode_order(order.message), self.client.now
+    def _require_now(self, order: Order, asked: orders.Order) -> None:
+        """Refuse an order that may not begin now."""
+        now = self.client.now
         if asked.moves:
             self.namesakes.require_none(now)
         if self._may_have_begun(order, asked):
-            return asked  # whatever it comes under now, it may have been done
+            return  # whatever it comes under now, it may have been done
         if asked.is_kept:
             # Looked at before a stranger's words are worth a disk's time.
             if self._orders.lease_for(order, asked) is not None:
@@ -358,7 +364,6 @@ class FleetAgent:
             require_young(order.clock, now)
         if asked.right is Right.STOP:
             self._ages.revoke(now)
-        return asked
 
     def _may_have_begun(self, order: Order, asked: orders.Order) -> bool:
         """Whether an agent before began it, or may have where its ledger is damaged."""

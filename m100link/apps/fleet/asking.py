@@ -15,13 +15,13 @@ from dataclasses import replace
 from typing import Self
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.codec import encode
 from m100link.apps.agent.latency import ClockEstimate
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.remote_error import Fault, MessageError
 from m100link.apps.bus.network import Answer, Bus
 from m100link.apps.fleet.keys import Keys, session_in
 from m100link.apps.fleet.payloads import (
+    Asked,
     Half,
     LeaseRequest,
     Order,
@@ -41,8 +41,8 @@ Over a way of 3 s an answer needs 6.5 s, and what is lost is asked for again.
 
 _AGAIN_S = 0.1
 
-Sign = Callable[[Order], Order]
-"""Signs an order."""
+Sign = Callable[[Order, str], Order]
+"""Signs an order, with the proof of the lease of which it gets the secret; empty for none."""
 
 
 def nobody_there(name: str) -> Unreachable:
@@ -53,9 +53,8 @@ def nobody_there(name: str) -> Unreachable:
     )
 
 
-def unsigned(order: Order) -> Order:
-    """Without an identity the router alone decides who may ask."""
-    return order
+unsigned: Sign = Order.under
+"""Without an identity the router alone decides who may ask."""
 
 
 class Asker:
@@ -123,7 +122,7 @@ class Asker:
         """
         if not await self.is_there():
             raise nobody_there(self.keys.name)
-        order = self.around(encode(asked), fence, token, clock, identity)
+        order = self.around(asked, fence, token, clock, identity)
         key = self.keys.lease if isinstance(asked, orders.LeaseOrder) else self.keys.command
         return _raised(await self._answered(key, order, patience or self.patience))
 
@@ -131,7 +130,7 @@ class Asker:
         """A request for the lease, for :meth:`take_lease`; an offer confirms a take-over."""
         half = Half()
         asked = orders.ConfirmTakeOver(offer) if offer else orders.AcquireLease(self._name)
-        return LeaseRequest(self.around(encode(asked), key=half.public), half)
+        return LeaseRequest(self.around(asked, key=half.public), half)
 
     async def take_lease(self, request: LeaseRequest) -> tuple[Lease, float]:
         """Ask for the lease, whose secret this side and the agent then know and nobody else.
@@ -151,8 +150,8 @@ class Asker:
 
         ``within``: seconds.
         """
-        renewal, asked_at = encode(orders.RenewLease()), self._clock()
-        order = self.around(renewal, lease.number, lease.token)
+        asked_at = self._clock()
+        order = self.around(orders.RenewLease(), lease.number, lease.token)
         answers = await self.bus.ask(self.keys.lease, pack(order), timeout=within)
         reply = self._read(answers, order, asked_at)
         if not isinstance(reply, Reply) or reply.progress is not Progress.DONE:
@@ -169,14 +168,14 @@ class Asker:
         Raises:
             OutcomeUnknown: Two agents answered, or the reply belongs to another order.
         """
-        asked = order or Order(uuid.uuid4().hex, self.keys.name, self._name, 0, 0.0, b"")
+        asked = order or self._order(orders.AskVersion())
         asked_at = self._clock()
         answers = await self.bus.ask(self.keys.status(asked.id), timeout=within)
         reply = self._read(answers, asked, asked_at)
         return reply if isinstance(reply, Reply) else None
 
-    async def once(self, key: str, message: bytes, *, within: float) -> Reply | None:
-        """Ask once, by a new order, what is no message of the agent.
+    async def once(self, key: str, asked: Asked, *, within: float) -> Reply | None:
+        """Ask once, by a new order, what is asked under a key of its own.
 
         Returns the answer, whatever it says; None when none came in time.
 
@@ -184,7 +183,7 @@ class Asker:
             MessageError: The answer cannot be read.
             OutcomeUnknown: Two agents answered, or the reply belongs to another order.
         """
-        order, asked_at = self.around(message), self._clock()
+        order, asked_at = self.around(asked), self._clock()
         # Looked for beside it: what ends a show waits for nothing.
         answers, _ = await asyncio.gather(
             self.bus.ask(key, pack(order), timeout=within), self.is_there()
@@ -200,7 +199,7 @@ class Asker:
 
     def around(
         self,
-        message: bytes,  # one of the agent's, or what is none, such as a question about logs
+        asked: Asked,
         fence: int = 0,
         token: str = "",
         clock: float = 0.0,
@@ -209,10 +208,18 @@ class Asker:
     ) -> Order:
         """A new order, signed; see :meth:`ask`."""
         clock = clock or self.its_clock.at_least(self._clock())
-        named = identity or uuid.uuid4().hex
-        head = (named, self.keys.name, self._name, fence, self._utc())
-        order = self._sign(Order(*head, message, clock, key=key))
-        return order.under(token) if token else order
+        return self._sign(self._order(asked, fence, clock, identity, key), token)
+
+    def _order(
+        self,
+        asked: Asked,
+        fence: int = 0,
+        clock: float = 0.0,
+        identity: str = "",
+        key: bytes = b"",
+    ) -> Order:
+        head = (identity or uuid.uuid4().hex, self.keys.site, self.keys.name, self._name)
+        return Order(*head, fence, self._utc(), asked, clock, key=key)
 
     async def _answered(self, key: str, order: Order, patience: float) -> Reply:
         payload, status = pack(order), self.keys.status(order.id)

@@ -10,7 +10,6 @@ import base64
 import json
 import math
 import re
-import struct
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -28,6 +27,7 @@ from cryptography.hazmat.primitives.hashes import SHA256
 
 from m100link.apps.agent.orders import Right
 from m100link.apps.fleet.keys import NAME
+from m100link.apps.fleet.payloads import Order
 from m100link.errors import NotAllowed, UsageError
 from m100link.errors.texts import read_json, read_toml
 from m100link.link.keyfile import read_watched
@@ -318,8 +318,6 @@ STOP_WINDOW_S = 600.0
 """The same for what stops: a wrong clock must keep nobody from stopping an aircraft. A recorded
 stop that somebody repeats in that time stops it once more, which is a nuisance and not a danger."""
 
-_MAGIC = b"m100link order 1\n"
-_NUMBERS = struct.Struct(">Qd")
 _PURGED_AT = 1024
 
 
@@ -351,33 +349,6 @@ class OrderRefused(
         self.signer = signer  # who says to have signed it
 
 
-@dataclass(frozen=True, slots=True)
-class Claim:
-    """What a signature is over."""
-
-    id: str  # of the order
-    fence: int  # number of the lease that it is asked under; 0 for none
-    aircraft: str  # for which one
-    at: float  # when it was made, POSIX time, s
-    signer: str  # whose signature it is
-    body: bytes  # what is ordered
-
-    def to_bytes(self) -> bytes:
-        """What is signed: the same bytes for the same order, and others for every other one.
-
-        ``m100link order 1`` and a line feed; fence and time as a 64-bit number and a double,
-        big-endian; then id, aircraft, signer and body, each behind its length in four bytes.
-
-        Raises:
-            UsageError: The fence is no number of 64 bits.
-        """
-        if not 0 <= self.fence < 2**64:
-            raise UsageError(f"a fence of {self.fence} is none", remedy="0 to 2⁶⁴-1")
-        parts = self.id.encode(), self.aircraft.encode(), self.signer.encode(), self.body
-        lengths = b"".join(struct.pack(">I", len(part)) + part for part in parts)
-        return _MAGIC + _NUMBERS.pack(self.fence, self.at + 0.0) + lengths
-
-
 class Signer:
     """Signs orders.
 
@@ -398,15 +369,15 @@ class Signer:
         """For the file of rights, 32 bytes."""
         return self._key.public_key().public_bytes_raw()
 
-    def sign(self, claim: Claim) -> bytes:
+    def sign(self, order: Order) -> bytes:
         """The signature, 64 bytes.
 
         Raises:
             UsageError: It names another signer.
         """
-        if claim.signer != self.name:
-            raise UsageError(f"{self.name} cannot sign for {claim.signer}")
-        return self._key.sign(claim.to_bytes())
+        if order.signer != self.name:
+            raise UsageError(f"{self.name} cannot sign for {order.signer}")
+        return self._key.sign(order.signed())
 
 
 class Gate:
@@ -436,19 +407,19 @@ class Gate:
         self._seen: dict[tuple[str, str], float] = {}
         self._purged_at = _PURGED_AT
 
-    def check(self, claim: Claim, signature: bytes, right: Right, now: float) -> None:
+    def check(self, order: Order, now: float) -> None:
         """Whether an order may be obeyed; the id of one that may is used up.
 
-        ``signature``: 64 bytes. ``now``: POSIX time, s.
+        ``now``: POSIX time, s.
 
         Raises:
             OrderRefused: It may not, with the reason.
         """
-        self._require_signature(claim, signature)
-        who = claim.signer
-        if claim.aircraft != self._aircraft:
+        self._require_signature(order)
+        who, right = order.signer, order.order.right
+        if order.aircraft != self._aircraft:
             raise OrderRefused(
-                f"an order of {who} to {claim.aircraft} came to {self._aircraft}",
+                f"an order of {who} to {order.aircraft} came to {self._aircraft}",
                 reason=Reason.WRONG_AIRCRAFT,
                 signer=who,
                 cause="somebody sent on what was meant for another aircraft",
@@ -472,45 +443,46 @@ class Gate:
                 cause="the file of rights on board does not allow it",
                 remedy=f"[identity.{who}] {right.name.lower()} = [{self._aircraft!r}] in it",
             )
-        until = self._require_fresh(claim, right, now)
-        if (who, claim.id) in self._seen:
+        until = self._require_fresh(order, now)
+        if (who, order.id) in self._seen:
             raise OrderRefused(
-                f"order {claim.id} of {who} came a second time",
+                f"order {order.id} of {who} came a second time",
                 reason=Reason.REPLAYED,
                 signer=who,
                 cause="somebody recorded and repeats it, or an id was used twice",
                 remedy="ask what became of the order; a new one has a new id",
             )
         self._purge(now)
-        self._seen[who, claim.id] = until
+        self._seen[who, order.id] = until
 
-    def _require_signature(self, claim: Claim, signature: bytes) -> None:
-        key = self._keys.get(claim.signer)
+    def _require_signature(self, order: Order) -> None:
+        key = self._keys.get(order.signer)
         if key is None:
-            who = claim.signer or "nobody"
+            who = order.signer or "nobody"
             raise OrderRefused(
                 f"an order is signed by {who}, whose key {self._aircraft} does not know",
                 reason=Reason.UNKNOWN_KEY,
-                signer=claim.signer,
+                signer=order.signer,
                 cause="the file of rights on board has no public_key of that name",
                 remedy="put it there, as `m100link fleet pki issue pilot` told it",
             )
         try:
-            key.verify(signature, claim.to_bytes())
-        except (InvalidSignature, UsageError, UnicodeEncodeError) as error:
+            key.verify(order.signature, order.signed())
+        except InvalidSignature as error:
             raise OrderRefused(
-                f"the signature of {claim.signer} does not fit the order",
+                f"the signature of {order.signer} does not fit the order",
                 reason=Reason.BAD_SIGNATURE,
-                signer=claim.signer,
+                signer=order.signer,
                 cause="the order was changed on its way, or signed by another key",
                 remedy="compare the public_key on board with that of the signer",
             ) from error
 
-    def _require_fresh(self, claim: Claim, right: Right, now: float) -> float:
+    def _require_fresh(self, order: Order, now: float) -> float:
         """Until when it could come again, POSIX time."""
-        window = STOP_WINDOW_S if right is Right.STOP else WINDOW_S
-        age = now - claim.at
-        is_before = right is not Right.STOP and claim.at < self._began_at
+        is_stop = order.order.right is Right.STOP
+        window = STOP_WINDOW_S if is_stop else WINDOW_S
+        age = now - order.at
+        is_before = not is_stop and order.at < self._began_at
         if not abs(age) <= window or is_before:
             seen = f"{age:.1f} s old" if age >= 0 else f"from {-age:.1f} s ahead"
             if not math.isfinite(age):
@@ -518,13 +490,13 @@ class Gate:
             elif abs(age) <= window:
                 seen = f"{age:.1f} s old, and older than this agent"
             raise OrderRefused(
-                f"the order of {claim.signer} is {seen}",
+                f"the order of {order.signer} is {seen}",
                 reason=Reason.EXPIRED,
-                signer=claim.signer,
+                signer=order.signer,
                 cause=f"clocks may differ by {window:g} s; or somebody recorded and repeats it",
                 remedy="let chrony or ntpd set the clocks of both, and order anew",
             )
-        return claim.at + window
+        return order.at + window
 
     def _purge(self, now: float) -> None:
         """Forget what would be refused as expired by now."""

@@ -2,8 +2,9 @@
 
 The first byte of every payload is :data:`VERSION`; who reads another one says so and reads no more.
 Behind it telemetry, events and setpoints are the messages of :mod:`m100link.apps.agent.messages`,
-by :mod:`m100link.apps.agent.codec`. What a fleet adds is in three values: :class:`Order`
-around a message that asks for something, :class:`Reply`, and :class:`Card`.
+by :mod:`m100link.apps.agent.codec`. What a fleet adds are values as JSON: :class:`Order`,
+:class:`Reply` and :class:`Card`. The bytes of an order as they are sent are what is proved and
+signed: nobody writes them again, and JSON that two readers could understand differently is refused.
 """
 
 from __future__ import annotations
@@ -14,14 +15,16 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import cache
-from typing import Any
+from functools import cache, cached_property
+from typing import Any, ClassVar
 
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
-from m100link.apps.agent.codec import BadValue, Fields, decode, encode
+from m100link.apps.agent import orders
+from m100link.apps.agent.codec import BadValue, Fields, decode, encode, parsed
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused
 from m100link.apps.agent.messages import Message, Steer
+from m100link.apps.agent.orders import Right
 from m100link.apps.agent.remote_error import Fault, MessageError
 from m100link.errors import (
     AckTimeout,
@@ -36,7 +39,6 @@ from m100link.errors import (
     StaleLease,
     Unreachable,
 )
-from m100link.errors.texts import read_json
 
 # -- what became of an order: six answers, and none of them is silence -----------------------------
 
@@ -172,14 +174,85 @@ def after(stage: MissionStage, happens: MissionInput) -> MissionStage:
 
 # -- payloads --------------------------------------------------------------------------------------
 
-VERSION = 2
+VERSION = 3
 """Of these payloads."""
 
-SHOW = b"show\n"
-"""What the message of an order to take part in a show begins with; behind it is JSON."""
-
-_PROOF = 16
+_SIGNED = b"m100link order 3\n"
+_ABOUT = b"m100link lease 3\n"
+_SIGNATURE, _PROOF = 64, 16
 _MOST = 64 * 1024
+
+
+class What(Enum):
+    """What is wanted of the logs on board."""
+
+    LIST = "list"
+    PIECE = "piece"
+    DIGEST = "digest"  # SHA-256 of the first bytes
+
+
+@dataclass(frozen=True, slots=True)
+class LogQuestion:
+    """Something is asked of the logs of one aircraft."""
+
+    right: ClassVar[Right] = Right.WATCH
+    what: What  # what is wanted
+    log: str = ""  # name of the log; empty for a list
+    offset: int = 0  # first byte of a piece
+    length: int = 0  # bytes of a piece, or over how many of them the digest is
+
+
+@dataclass(frozen=True, slots=True)
+class ShowOrder:
+    """Something is asked of an aircraft that takes part in a show, or is to."""
+
+    right: ClassVar[Right] = Right.FLY
+    run: str  # which run of which conductor asks; another one is refused meanwhile
+
+
+class AskShow(ShowOrder):
+    """Tell where it stands."""
+
+
+@dataclass(frozen=True, slots=True)
+class SendTrack(ShowOrder):
+    """A piece of its track."""
+
+    at: int  # first byte
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class LoadTrack(ShowOrder):
+    """Take the pieces for its track."""
+
+    leave: str  # ``"hover"`` or ``"land"`` behind the track, or when it has to leave
+    show: str = ""  # names the show, for the others that fly it; empty to look at none
+    least_m: float = 0.0  # least distance to another one, m
+    others: int = 0  # how many others fly it
+
+
+class TakePlace(ShowOrder):
+    """Take off, and fly to the first point of its track."""
+
+
+@dataclass(frozen=True, slots=True)
+class StartShow(ShowOrder):
+    """Begin its track."""
+
+    digest: str  # of the track
+    at: float  # when, by its own clock, s
+    bound: float  # by how much that may be wrong, s
+
+
+class LeaveShow(ShowOrder):
+    """Leave the show, wherever it is."""
+
+
+Asked = (
+    orders.Order | LogQuestion | AskShow | SendTrack | LoadTrack | TakePlace | StartShow | LeaveShow
+)
+"""What an order can ask for. Each has the right that it needs."""
 
 
 class Progress(Enum):
@@ -190,41 +263,75 @@ class Progress(Enum):
     NEVER = "never"  # this id was not seen by this agent, nor by one of its name before
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Order:
     """Something is asked of one aircraft."""
 
     id: str  # chosen by who asks, 32 hex digits. An order is carried out once for each id
-    aircraft: str  # for which one it is meant
+    site: str  # where the aircraft is for which it is meant
+    aircraft: str  # its name
     by: str  # who asks, for people; what a signature proves is in :attr:`signer`
     fence: int  # number of the lease that it is asked under; 0 for none
     at: float  # when it was made, POSIX time, s
-    message: bytes  # the agent's message, by :mod:`m100link.apps.agent.codec`
+    order: Asked  # what is asked
     # When it was made at the earliest, by the agent's own clock, s; 0: nobody knows.
     clock: float = 0.0
-    proof: bytes = b""  # that whoever asks has the lease; empty without one
     signer: str = ""  # whose signature it is; empty for none
-    signature: bytes = b""  # over :meth:`signed`; empty for none
     # Public half of the secret of the lease that it asks for; see
     # :class:`Half`. Empty where it asks for none.
     key: bytes = b""
+    # Before the JSON, zeros for none: of whom, and that whoever asks has the lease.
+    signature: bytes = bytes(_SIGNATURE)
+    proof: bytes = bytes(_PROOF)
+
+    @cached_property
+    def document(self) -> bytes:
+        """The order as JSON, in the bytes in which it came or goes."""
+        return to_json(self)
 
     def signed(self) -> bytes:
-        """What proof and signature are over: everything that must not be changed on the way."""
-        head = [self.id, self.aircraft, self.by, self.fence, self.at, self.clock, self.signer]
-        return json.dumps([*head, self.key.hex()]).encode() + b"\n" + self.message
+        """What the signature is over. The proof is in it: nobody takes it away on the way."""
+        return _SIGNED + self.proof + self.document
 
     def digest(self) -> bytes:
         """What a reply names the order by, 16 bytes: an id is heard by all, and said again."""
-        return hashlib.sha256(self.signed()).digest()[:16]
+        return hashlib.sha256(self.document).digest()[:16]
 
     def under(self, token: str) -> Order:
-        """The order with the proof that whoever asks has the lease."""
-        return replace(self, proof=_proof(token, self.signed()))
+        """The order with the proof that whoever asks has the lease; as it is without a token."""
+        return self.sealed(proof=_proof(token, self.document)) if token else self
 
     def proves(self, token: str) -> bool:
         """Whether the proof is one of this lease."""
-        return hmac.compare_digest(self.proof, _proof(token, self.signed()))
+        return hmac.compare_digest(self.proof, _proof(token, self.document))
+
+    def sealed(self, document: bytes = b"", **seals: bytes) -> Order:
+        """The order with proof or signature, in the same bytes or in those that came."""
+        made = replace(self, **seals)  # type: ignore[arg-type]  # both are bytes
+        vars(made)["document"] = document or self.document
+        return made
+
+
+class ShowStage(Enum):
+    """How far an aircraft is in a show."""
+
+    EMPTY = "empty"
+    LOADED = "loaded"
+    PLACING = "placing"  # it takes off and flies to its first point
+    READY = "ready"  # it hovers there
+    FLYING = "flying"  # it waits for the beginning, or flies
+    FLOWN = "flown"
+    LEFT = "left"  # it gave up: the reason stands beside it
+
+
+@dataclass(frozen=True, slots=True)
+class ShowCard:
+    """Where an aircraft stands in a show."""
+
+    stage: ShowStage
+    digest: str  # of its track; empty without one
+    farthest_m: float  # farthest from it until now, by its own telemetry
+    why: str  # why it left; empty where it did not
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,6 +352,7 @@ class Reply:
     is_repeated: bool = False  # the order had been heard before
     # :meth:`Order.digest` of the order that was heard under the id; empty where none was.
     order: bytes = b""
+    show: ShowCard | None = None  # where a show was asked
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,7 +408,7 @@ Value = Order | Reply | Card | MissionCard
 
 @cache
 def _fields(kind: Any) -> Fields:
-    return Fields(kind)
+    return Fields(kind, ("signature", "proof") if kind is Order else ())
 
 
 def _proof(token: str, data: bytes) -> bytes:
@@ -317,14 +425,6 @@ def to_json(value: Any) -> bytes:
     return text.encode()
 
 
-def parsed(text: bytes, what: str) -> object:
-    """What stands in JSON that came; MessageError where it is none."""
-    try:
-        return read_json(text)
-    except ValueError:
-        raise MessageError(f"not {what}: this is not JSON") from None
-
-
 def value_of(kind: Any, found: object, what: str = "") -> Any:
     """The value that JSON means; MessageError where it is none of that kind."""
     try:
@@ -335,6 +435,8 @@ def value_of(kind: Any, found: object, what: str = "") -> Any:
 
 def pack(value: Value | Message) -> bytes:
     """The bytes of a value of a fleet, or of a message of the agent; MessageError for none."""
+    if isinstance(value, Order):
+        return b"".join((bytes([VERSION]), value.signature, value.proof, value.document))
     return bytes([VERSION]) + (to_json(value) if isinstance(value, Value) else encode(value))
 
 
@@ -357,7 +459,12 @@ def body(payload: bytes, most: int = _MOST) -> bytes:
 
 def unpack(kind: type[Any], payload: bytes) -> Any:
     """The value of these bytes; MessageError for another kind or version."""
-    return value_of(kind, parsed(body(payload), f"a {kind.__name__}"))
+    found, begin = body(payload), _SIGNATURE + _PROOF if kind is Order else 0
+    value = value_of(kind, parsed(found[begin:], f"a {kind.__name__}"))
+    if kind is not Order:
+        return value
+    signature, proof = found[:_SIGNATURE], found[_SIGNATURE:begin]
+    return value.sealed(found[begin:], signature=signature, proof=proof)
 
 
 def unpack_message(payload: bytes) -> Message:
@@ -395,9 +502,6 @@ def unpack_steer(
 # one: X25519. Every order under the lease carries a proof made with the secret.
 
 
-_ABOUT = b"m100link lease 2\n"
-
-
 class Half:
     """The private half of one side, for one order only."""
 
@@ -422,7 +526,7 @@ class Half:
                 cause=f"{len(theirs)} bytes came that are none",
                 remedy="use the same release on both sides",
             ) from None
-        return hmac.new(shared, _ABOUT + agents + order.signed(), hashlib.sha256).hexdigest()
+        return hmac.new(shared, _ABOUT + agents + order.document, hashlib.sha256).hexdigest()
 
 
 def agree(order: Order) -> tuple[bytes, str]:

@@ -7,36 +7,19 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from m100link.apps.agent.codec import decode_order
-from m100link.apps.agent.orders import Right
 from m100link.apps.fleet.agent import Verify
 from m100link.apps.fleet.asking import Sign
-from m100link.apps.fleet.identity import Claim, Gate, Rights, Signer, Since, nobody
-from m100link.apps.fleet.logs.words import LOG
-from m100link.apps.fleet.payloads import SHOW, Order
+from m100link.apps.fleet.identity import Gate, Rights, Signer, Since, nobody
+from m100link.apps.fleet.payloads import Order
 from m100link.link.keyfile import read_key
-
-_BESIDE = {SHOW: Right.FLY, LOG: Right.WATCH}
-
-
-def _needed(order: Order) -> Right:
-    """What somebody needs who asks for it."""
-    for begin, right in _BESIDE.items():
-        if order.message.startswith(begin):
-            return right
-    return decode_order(order.message).right
-
-
-def _claim(order: Order) -> Claim:
-    return Claim(order.id, order.fence, order.aircraft, order.at, order.signer, order.signed())
 
 
 def signing(signer: Signer) -> Sign:
     """What signs orders in somebody's name."""
 
-    def sign(order: Order) -> Order:
-        named = replace(order, signer=signer.name)
-        return replace(named, signature=signer.sign(_claim(named)))
+    def sign(order: Order, token: str) -> Order:
+        named = replace(order, signer=signer.name).under(token)
+        return named.sealed(signature=signer.sign(named))
 
     return sign
 
@@ -51,7 +34,7 @@ def verifying(
     gates = {name: Gate(rights, name, began_at=utc(), revoked=revoked) for name in names}
 
     def verify(order: Order) -> None:
-        gates[order.aircraft].check(_claim(order), order.signature, _needed(order), utc())
+        gates[order.aircraft].check(order, utc())
 
     return verify
 

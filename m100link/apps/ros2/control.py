@@ -18,7 +18,6 @@ from typing import Any
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession, ControlState, Terms
-from m100link.apps.agent.latency import MAX_LATE, WayTime
 from m100link.apps.agent.latency import MAX_LATE, ClockEstimate
 from m100link.apps.agent.lease import Lease
 from m100link.errors import BadSetpoint, M100Error, MissionRunning, UsageError

@@ -17,8 +17,7 @@ from m100link.apps.agent import orders
 from m100link.apps.fleet.asking import Asker
 from m100link.apps.fleet.client import open_fleet
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.logs.words import LogQuestion, What, pack_question
-from m100link.apps.fleet.payloads import Outcome, pack
+from m100link.apps.fleet.payloads import LogQuestion, Outcome, What, pack
 from m100link.log import read
 from tests.apps.cli.test_fleet import Site, site
 from tests.waiting import PATIENCE
@@ -154,7 +153,7 @@ def test_stop_is_quick_however_many_fetch(site: Site, board: Path) -> None:
             open_fleet("client", connect=(site.place,)) as pilot,
         ):
             strangers = Asker(flood, keys, "everybody")
-            question = pack_question(LogQuestion(What.PIECE, OLD, 0, 256 * 1024))
+            question = LogQuestion(What.PIECE, OLD, 0, 256 * 1024)
             answered = 0
 
             async def fetch() -> None:

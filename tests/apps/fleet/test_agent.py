@@ -11,7 +11,6 @@ import anyio
 import pytest
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.codec import encode
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import Event, Steer, Telemetry
 from m100link.apps.agent.orders import FlyTo
@@ -46,8 +45,8 @@ NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 def order(message: orders.Order, fence: int = 0, token: str = "", key: bytes = b"") -> Order:
     """Made now: agents on virtual time go by the clock of the loop."""
     now = anyio.current_time()
-    made = Order(uuid.uuid4().hex, "a1", "by hand", fence, 1.8e9, encode(message), now, key=key)
-    return made.under(token) if token else made
+    head = (uuid.uuid4().hex, SITE, "a1", "by hand", fence, 1.8e9)
+    return Order(*head, message, now, key=key).under(token)
 
 
 async def send(rig: Rig, what: Order, key: str = KEYS.command) -> Reply:
@@ -236,9 +235,7 @@ async def test_movement_needs_the_lease_and_its_proof(rig: Rig) -> None:
     for fence, token in ((got.number, "guessed"), (got.number, ""), (got.number + 1, got.token)):
         reply = await send(rig, order(orders.Obtain(), fence, token))
         assert reply.outcome is Outcome.STALE_LEASE
-    changed = replace(
-        order(orders.GoHome(), got.number, got.token), message=encode(orders.Obtain())
-    )
+    changed = replace(order(orders.GoHome(), got.number, got.token), order=orders.Obtain())
     assert (await send(rig, changed)).outcome is Outcome.STALE_LEASE
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hmac
 import math
 import random
 from collections import defaultdict
@@ -11,18 +12,19 @@ from typing import Any
 
 import pytest
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.orders import Right
 from m100link.apps.fleet.identity import (
     STOP_WINDOW_S,
     WINDOW_S,
     BadRights,
-    Claim,
     Gate,
     OrderRefused,
     Reason,
     Rights,
     Signer,
 )
+from m100link.apps.fleet.payloads import Order, pack
 from m100link.errors import UsageError
 
 NOW = 1_800_000_000.0
@@ -41,8 +43,17 @@ watch = ["*"]
 )
 
 
-def order(number: str = "1", **changes: Any) -> Claim:
-    return replace(Claim(number, 7, "a1", NOW, "anna", b"take off"), **changes)
+NEEDS = {Right.WATCH: orders.AskVersion(), Right.STOP: orders.Stop(), Right.FLY: orders.TakeOff()}
+"""An order for each right."""
+
+
+def order(number: str = "1", **changes: Any) -> Order:
+    made = Order(number, "field", "a1", "anna", 7, NOW, orders.TakeOff(), signer="anna")
+    return replace(made, **changes)
+
+
+def signed(made: Order, signer: Signer = ANNA) -> Order:
+    return made.sealed(signature=signer.sign(made))
 
 
 def gate(aircraft: str = "a1") -> Gate:
@@ -50,18 +61,19 @@ def gate(aircraft: str = "a1") -> Gate:
 
 
 def reason(
-    claim: Claim,
+    made: Order,
     signature: bytes | None = None,
     *,
-    right: Right = Right.FLY,
+    right: Right | None = None,
     now: float = NOW,
     at: Gate | None = None,
 ) -> Reason | None:
     """Why it is refused; None if it is let through."""
-    signer = BERT if claim.signer == "bert" else ANNA
-    signature = signer.sign(claim) if signature is None else signature
+    made = made if right is None else replace(made, order=NEEDS[right])
+    signer = BERT if made.signer == "bert" else ANNA
+    made = made.sealed(signature=signer.sign(made) if signature is None else signature)
     try:
-        (at or gate()).check(claim, signature, right, now)
+        (at or gate()).check(made, now)
     except OrderRefused as error:
         return error.reason
     return None
@@ -69,7 +81,7 @@ def reason(
 
 def test_a_refusal_names_who_says_to_have_signed() -> None:
     with pytest.raises(OrderRefused) as caught:
-        gate().check(order(signer="eve"), bytes(64), Right.FLY, NOW)
+        gate().check(order(signer="eve"), NOW)
     assert caught.value.signer == "eve"
 
 
@@ -83,39 +95,24 @@ def test_an_order_of_somebody_who_may_is_let_through() -> None:
 
 
 def test_what_is_signed_is_as_the_manual_says() -> None:
-    by_hand = b"m100link order 1\n" + bytes.fromhex("0000000000000007 41dad27480000000")
-    by_hand += b"\0\0\0\x011\0\0\0\x02a1\0\0\0\x04anna\0\0\0\x08take off"
-    assert order().to_bytes() == by_hand
+    document = (
+        b'{"id":"1","site":"field","aircraft":"a1","by":"anna","fence":7,"at":1800000000.0,'
+        b'"order":{"kind":"TakeOff"},"clock":0.0,"signer":"anna","key":""}'
+    )
+    assert order().signed() == b"m100link order 3\n" + bytes(16) + document
+    proof = hmac.digest(b"secret", document, "sha256")[:16]
+    made = order().under("secret")
+    assert made.signed() == b"m100link order 3\n" + proof + document
+    assert pack(signed(made)) == b"\3" + ANNA.sign(made) + proof + document
 
 
-def test_no_two_orders_have_the_same_bytes() -> None:
-    """Also where one part ends with what the next one begins with."""
-    several = [
-        order(),
-        order("1a", aircraft="1"),
-        order("", aircraft="1a1"),
-        order(aircraft="a1anna", signer=""),
-        order(signer="annat", body=b"ake off"),
-        order(fence=8),
-        order(at=NOW + 1e-6),
-    ]
-    assert len({one.to_bytes() for one in several}) == len(several)
-    with pytest.raises(UsageError):
-        order(fence=-1).to_bytes()
-
-
-@pytest.mark.parametrize("field", [field.name for field in fields(Claim)])
+@pytest.mark.parametrize("field", [one.name for one in fields(Order) if one.name != "signature"])
 def test_whatever_is_changed_breaks_the_signature(field: str) -> None:
-    changes = {
-        "id": "2",
-        "fence": 8,
-        "aircraft": "a2",
-        "at": NOW + 1,
-        "signer": "bert",
-        "body": b"land",
+    changes: dict[str, Any] = {
+        **{"id": "2", "site": "wood", "aircraft": "a2", "by": "bert", "fence": 8, "at": NOW + 1},
+        **{"order": orders.Land(), "clock": 1.0, "signer": "bert", "key": b"1", "proof": b"1" * 16},
     }
-    changes_one: dict[str, Any] = {field: changes[field]}
-    changed = order(**changes_one)
+    changed = order(**{field: changes[field]})
     assert reason(changed, ANNA.sign(order())) is Reason.BAD_SIGNATURE
 
 
@@ -131,8 +128,7 @@ def test_no_damaged_signature_is_taken(seed: int) -> None:
 
 
 def test_texts_that_are_no_text_break_nothing() -> None:
-    claim = order(signer="anna", id="\ud800")
-    assert reason(claim, bytes(64)) is Reason.BAD_SIGNATURE
+    assert reason(order(id="\ud800"), bytes(64)) is Reason.BAD_SIGNATURE
 
 
 # -- who ------------------------------------------------------------------------------------------
@@ -172,13 +168,14 @@ def test_who_may_not_is_refused() -> None:
 def test_orders_are_fresh(right: Right, window: float, sense: int) -> None:
     for age, expected in ((0.99, None), (1.01, Reason.EXPIRED)):
         long_there = Gate(RIGHTS, "a1", began_at=NOW - 10_000)
-        claim = order(at=NOW - sense * age * window)
-        assert reason(claim, right=right, at=long_there) is expected
+        made = order(at=NOW - sense * age * window)
+        assert reason(made, right=right, at=long_there) is expected
 
 
 @pytest.mark.parametrize("at", [math.nan, math.inf, -math.inf])
 def test_an_order_has_a_time(at: float) -> None:
-    assert reason(order(at=at), right=Right.STOP) is Reason.EXPIRED
+    timeless = order(at=at, order=orders.Stop()).sealed(b"nobody can write it")
+    assert reason(timeless) is Reason.EXPIRED
 
 
 def test_what_was_signed_before_the_agent_began_is_refused_but_a_stop_is_not() -> None:
@@ -196,7 +193,7 @@ def test_who_is_revoked_is_told_so_but_only_who_proves_to_be_it() -> None:
     assert reason(order(), bytes(64), at=at) is Reason.BAD_SIGNATURE
     assert reason(order(signer="bert"), at=at, right=Right.STOP) is None
     with pytest.raises(OrderRefused, match="anna is revoked since 2026-11-22"):
-        at.check(order(), ANNA.sign(order()), Right.STOP, NOW)
+        at.check(signed(order()), NOW)
 
 
 # -- once -----------------------------------------------------------------------------------------
@@ -206,7 +203,7 @@ def test_a_recorded_order_is_not_obeyed_again() -> None:
     one = gate()
     assert reason(order(), at=one) is None
     assert reason(order(), at=one) is Reason.REPLAYED
-    assert reason(order(body=b"land"), at=one) is Reason.REPLAYED
+    assert reason(order(order=orders.Land()), at=one) is Reason.REPLAYED
     assert reason(order(signer="bert"), at=one, right=Right.STOP) is None, "an id of his own"
     assert reason(order("2"), at=one) is None
 
@@ -222,17 +219,17 @@ def test_what_was_refused_uses_up_no_id() -> None:
 def test_nothing_is_obeyed_twice_whatever_is_repeated_when(seed: int) -> None:
     """A recorder repeats anything at any time; its memory is not the agent's."""
     chance, one, now = random.Random(seed), gate(), NOW
-    recorded: list[tuple[Claim, bytes, Right]] = []
+    recorded: list[Order] = []
     obeyed: set[str] = set()
     for number in range(1500):
         now += chance.expovariate(2)
         if not recorded or chance.random() < 0.3:
-            claim = order(str(number), at=now + chance.uniform(-4, 4))
-            recorded.append((claim, ANNA.sign(claim), chance.choice([Right.FLY, Right.STOP])))
-        claim, signature, right = chance.choice(recorded[-20:])
-        if reason(claim, signature, at=one, right=right, now=now) is None:
-            assert claim.id not in obeyed
-            obeyed.add(claim.id)
+            what = NEEDS[chance.choice([Right.FLY, Right.STOP])]
+            recorded.append(order(str(number), at=now + chance.uniform(-4, 4), order=what))
+        made = chance.choice(recorded[-20:])
+        if reason(made, at=one, now=now) is None:
+            assert made.id not in obeyed
+            obeyed.add(made.id)
     assert len(obeyed) > 100
 
 

@@ -11,7 +11,16 @@ from m100link.apps.fleet.agent import GONE_S, Namesakes
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.expiry import Dropped
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.payloads import SHOW, Order, Outcome, Reply, pack, unpack
+from m100link.apps.fleet.payloads import (
+    Asked,
+    Order,
+    Outcome,
+    Reply,
+    StartShow,
+    TakePlace,
+    pack,
+    unpack,
+)
 from m100link.apps.fleet.show.service import ShowService
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.setpoint import Setpoint
@@ -141,8 +150,10 @@ async def test_a_show_begins_with_neither(rig: Rig) -> None:
     await anyio.sleep(0.1)
     for at in (0.0, 1.0):
         namesakes.hear("other", one.client.now - 1.0 + at)
-    for do in (b'{"do": "place"}', b'{"do": "start", "digest": "", "at": 1.0, "bound": 0.0}'):
-        order = Order(f"{len(do):032x}", "a1", "anna", 0, 0.0, SHOW + do, one.client.now)
+    asked: list[Asked] = [TakePlace("r"), StartShow("r", "", 1.0, 0.0)]
+    for number, do in enumerate(asked):
+        head = (f"{number:032x}", SITE, "a1", "anna", 0, 0.0)
+        order = Order(*head, do, one.client.now)
         [answer] = await rig.network.session().ask(Keys(SITE, "a1").show, pack(order), timeout=1.0)
         reply: Reply = unpack(Reply, answer.payload)
         assert reply.fault is not None

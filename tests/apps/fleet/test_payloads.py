@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from m100link.apps.agent.lease import LeaseHeld, LeaseRefused
 from m100link.apps.agent.messages import Steer, Telemetry
+from m100link.apps.agent.orders import Land, TakeOff
 from m100link.apps.agent.remote_error import Fault, MessageError
 from m100link.apps.fleet.payloads import (
     VERSION,
@@ -42,7 +43,7 @@ from m100link.errors import (
 )
 from m100link.protocol.setpoint import Setpoint
 
-ORDER = Order("ab" * 16, "a1", "pilot", 3, 1.8e9, b"\x01message")
+ORDER = Order("ab" * 16, "field", "a1", "pilot", 3, 1.8e9, TakeOff())
 NORTH = Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 
 
@@ -85,7 +86,7 @@ def test_a_proof_is_of_one_lease_and_of_every_byte() -> None:
     assert not order.proves("other")
     assert not replace(order, fence=4).proves("secret")
     assert not replace(order, aircraft="a2").proves("secret")
-    assert not replace(order, message=b"\x01other").proves("secret")
+    assert not replace(order, order=Land()).proves("secret")
     assert not replace(order, id="cd" * 16).proves("secret")
     assert not ORDER.proves("secret")
 

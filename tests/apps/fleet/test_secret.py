@@ -13,7 +13,6 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.codec import decode_order, encode
 from m100link.apps.agent.messages import Steer
 from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.bus.network import Answer, Question
@@ -44,7 +43,7 @@ NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 
 
 def an_order(key: bytes) -> Order:
-    return Order("ab" * 16, "a1", "anna", 0, 1.8e9, b"message", 2.5, key=key)
+    return Order("ab" * 16, SITE, "a1", "anna", 0, 1.8e9, orders.AcquireLease(), 2.5, key=key)
 
 
 def test_both_sides_find_the_secret_of_the_page_and_nobody_else() -> None:
@@ -66,7 +65,7 @@ def test_the_secret_is_what_the_page_says() -> None:
     order = an_order(ours.public_key().public_bytes_raw())
     agents, secret = agree(order)
     shared = ours.exchange(X25519PublicKey.from_public_bytes(agents))
-    told = b"m100link lease 2\n" + agents + order.signed()
+    told = b"m100link lease 3\n" + agents + order.document
     assert secret == hmac.new(shared, told, hashlib.sha256).hexdigest()
 
 
@@ -102,8 +101,8 @@ class Listener:
         return found
 
 
-def words(payload: bytes) -> Any:
-    """Each text in it, at any depth: a reply or an order of any release."""
+def words(document: bytes) -> Any:
+    """Each text in it, at any depth."""
 
     def within(value: Any) -> Any:
         if isinstance(value, str):
@@ -111,7 +110,7 @@ def words(payload: bytes) -> Any:
         for one in value.values() if isinstance(value, dict) else ():
             yield from within(one)
 
-    return list(within(json.loads(payload[1:])))
+    return list(within(json.loads(document)))
 
 
 async def test_a_listener_is_told_no_secret_and_flies_nothing_with_what_it_hears(
@@ -128,7 +127,7 @@ async def test_a_listener_is_told_no_secret_and_flies_nothing_with_what_it_hears
         await rig.until(lambda: one.speed < 0.2)
         heard = list(listener.heard)
         sent = listener.orders()
-        said = {type(decode_order(order.message)) for _, order in sent}
+        said = {type(order.order) for _, order in sent}
         assert {orders.AcquireLease, orders.RenewLease} <= said
         for key, order in sent:
             await listener.ask(KEYS.status(order.id))
@@ -137,8 +136,8 @@ async def test_a_listener_is_told_no_secret_and_flies_nothing_with_what_it_hears
         place = moves.north, moves.east
         number, secret = control.proof
         # Whatever word was told or heard is tried as if it were the secret.
-        told = {word for payload in listener.told for word in words(payload)}
-        asked = {word for key, data in heard if key != KEYS.setpoint for word in words(data)}
+        told = {word for payload in listener.told for word in words(payload[1:])}
+        asked = {word for _, order in sent for word in words(order.document)}
         assert secret not in told | asked
         assert all(secret.encode() not in data for _, data in heard)
         outlet = listener.bus.publish(KEYS.setpoint)
@@ -258,9 +257,8 @@ async def test_another_order_of_the_same_id_gives_no_outcome(rig: Rig, is_first:
     asks = rig.network.session()
 
     async def squat(found: Order) -> None:
-        ask = encode(orders.Stop())
-        mine = Order(found.id, "a1", "bert", 0, rig.utc(), ask, signer="bert")
-        signed = signing(BERT)(mine)
+        mine = Order(found.id, SITE, "a1", "bert", 0, rig.utc(), orders.Stop())
+        signed = signing(BERT)(mine, "")
         await asks.ask(KEYS.command, pack(signed), timeout=2.0)
 
     sent = anna.bus.ask

@@ -11,12 +11,19 @@ import anyio
 import pytest
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.codec import encode
 from m100link.apps.fleet.asking import Sign
 from m100link.apps.fleet.client import Fleet, FleetAircraft
 from m100link.apps.fleet.identity import STOP_WINDOW_S, Rights, Signer
-from m100link.apps.fleet.logs.words import LogQuestion, What, pack_question
-from m100link.apps.fleet.payloads import Order, Outcome, Progress, Reply, pack, unpack
+from m100link.apps.fleet.payloads import (
+    LogQuestion,
+    Order,
+    Outcome,
+    Progress,
+    Reply,
+    What,
+    pack,
+    unpack,
+)
 from m100link.apps.fleet.signing import read_signer, signing, tls_options, verifying
 from m100link.errors import NotAllowed, UsageError
 from tests.apps.fleet.conftest import SITE, UTC, Rig
@@ -73,7 +80,7 @@ async def test_the_reason_is_what_the_pilot_reads(rig: Rig) -> None:
 
 
 def order(message: orders.Order, at: float, name: str = "a1", number: int = 1) -> Order:
-    return Order(f"{number:032x}", name, "anna", 0, at, encode(message))
+    return Order(f"{number:032x}", SITE, name, "anna", 0, at, message)
 
 
 async def asked(fleet: Fleet, given: Order, name: str = "a1") -> Reply:
@@ -85,18 +92,18 @@ async def asked(fleet: Fleet, given: Order, name: str = "a1") -> Reply:
 async def test_what_a_recorder_sends_on_changes_or_keeps_is_refused(rig: Rig) -> None:
     pilots = await fleet_of(rig)
     recorder, sign = pilots[""], signing(ANNA)
-    given = sign(order(orders.AskVersion(), rig.utc()))
+    given = sign(order(orders.AskVersion(), rig.utc()), "")
     assert (await asked(recorder, given)).outcome is Outcome.OK
     again = await asked(recorder, given)  # the agent tells what became of it, and does nothing
     assert (again.outcome, again.is_repeated) == (Outcome.OK, True)
     await anyio.sleep(10.0)
-    late = sign(order(orders.Land(), rig.utc(), number=9))  # by no clock of the agent
+    late = sign(order(orders.Land(), rig.utc(), number=9), "")  # by no clock of the agent
     for is_repeated in (False, True):  # a network brings it twice: it is late, not forbidden
         refused = await asked(recorder, late)
         assert (refused.outcome, refused.is_repeated) == (Outcome.REFUSED, is_repeated)
-    fresh = sign(order(orders.AskVersion(), rig.utc(), number=2))
+    fresh = sign(order(orders.AskVersion(), rig.utc(), number=2), "")
     for changed, name in (
-        (replace(fresh, message=encode(orders.TakeOff())), "a1"),
+        (replace(fresh, order=orders.TakeOff()), "a1"),
         (replace(fresh, at=fresh.at + 1), "a1"),
         (replace(fresh, by="eve"), "a1"),
         (replace(fresh, fence=9), "a1"),
@@ -120,7 +127,7 @@ async def test_a_wrong_clock_keeps_nobody_from_stopping(rig: Rig) -> None:
             (orders.Stop(), STOP_WINDOW_S + 60, Outcome.NOT_ALLOWED),
         )
     ):
-        given = signing(ANNA)(order(action, UTC + rig.utc() - UTC + off, number=number))
+        given = signing(ANNA)(order(action, UTC + rig.utc() - UTC + off, number=number), "")
         reply = await asked(pilots[""], given)
         assert (reply.progress, reply.outcome) == (Progress.DONE, outcome)
 
@@ -144,9 +151,9 @@ async def test_who_may_watch_may_fetch_logs_and_nobody_else(rig: Rig) -> None:
     verify = verifying(RIGHTS, ["a1", "a2"], rig.utc)
 
     def question(signer: Signer | None, aircraft: str) -> Order:
-        text = pack_question(LogQuestion(What.LIST))
-        order = Order(uuid.uuid4().hex, aircraft, "x", 0, rig.utc(), text)
-        return order if signer is None else signing(signer)(order)
+        head = (uuid.uuid4().hex, SITE, aircraft, "x", 0, rig.utc())
+        order = Order(*head, LogQuestion(What.LIST))
+        return order if signer is None else signing(signer)(order, "")
 
     for signer, aircraft in ((ANNA, "a1"), (BERT, "a1"), (BERT, "a2")):
         verify(question(signer, aircraft))

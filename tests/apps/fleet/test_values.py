@@ -25,6 +25,7 @@ pytest.importorskip("zenoh")
 
 import m100link
 from m100link.apps.agent.messages import Event, LeaseChanged, State, Steer, Telemetry
+from m100link.apps.agent.orders import TakeOff
 from m100link.apps.agent.remote_error import Fault
 from m100link.apps.cli import fleet_verbs, fleet_watch
 from m100link.apps.fleet.agent import FleetAgent
@@ -39,6 +40,8 @@ from m100link.apps.fleet.payloads import (
     Outcome,
     Progress,
     Reply,
+    ShowCard,
+    ShowStage,
     pack,
     pack_steer,
     unpack,
@@ -155,14 +158,14 @@ MISSION: dict[str, Any] = {
 
 def test_a_card_has_each_value_under_its_name() -> None:
     payload = pack(card(heard(), task="going home"))
-    assert payload[:1] == b"\x02"
+    assert payload[:1] == b"\x03"
     assert json.loads(payload[1:]) == CARD
     assert unpack(Card, payload) == card(heard(), task="going home")
 
 
 def test_the_card_of_a_mission_has_each_value_under_its_name() -> None:
     payload = pack(mission(heard(), mission_status=5))
-    assert payload[:1] == b"\x02"
+    assert payload[:1] == b"\x03"
     assert json.loads(payload[1:]) == MISSION
 
 
@@ -209,14 +212,14 @@ def test_below_the_ground_is_negative_and_what_nobody_knows_is_null() -> None:
 @pytest.mark.parametrize("firmware", ["1.0", "2.3", "3.1"])
 def test_telemetry_is_version_kind_time_profile_and_the_package(firmware: str) -> None:
     value = known.package(firmware)
-    head = b"\x02\x02" + struct.pack("<dB", 40.25, 3) + firmware.encode()
+    head = b"\x03\x02" + struct.pack("<dB", 40.25, 3) + firmware.encode()
     assert pack(Telemetry(value, firmware, 40.25)) == head + value
     assert unpack_message(head + value) == Telemetry(value, firmware, 40.25)
 
 
 def test_an_event_has_its_fields() -> None:
     payload = pack(Event(7, 12.5, "info", "taken off"))
-    assert payload[:1] == b"\x02"
+    assert payload[:1] == b"\x03"
     told = {"kind": "Event", "number": 7, "at": 12.5, "level": "info", "text": "taken off"}
     assert json.loads(payload[1:]) == told | {"topic": ""}
 
@@ -237,35 +240,32 @@ def test_a_setpoint_is_proved_and_packed_as_the_page_says() -> None:
     proof = hmac.new(b"5e" * 32, data, hashlib.sha256).digest()[:16]
     steer = Steer(17, 40.25, 0.4, SETPOINT)
     token = "5e" * 32
-    assert pack_steer(steer, token, begins=True) == b"\x02" + proof + data
-    assert unpack_steer(b"\x02" + proof + data, {17: token}.get) == (steer, True)
-    assert unpack_steer(b"\x02" + proof + data, {18: token}.get) is None
-    assert unpack_steer(b"\x02" + bytes(16) + data, {17: token}.get) is None
-    assert unpack_steer(b"\x02" + proof + data, {17: "5f" * 32}.get) is None
+    assert pack_steer(steer, token, begins=True) == b"\x03" + proof + data
+    assert unpack_steer(b"\x03" + proof + data, {17: token}.get) == (steer, True)
+    assert unpack_steer(b"\x03" + proof + data, {18: token}.get) is None
+    assert unpack_steer(b"\x03" + bytes(16) + data, {17: token}.get) is None
+    assert unpack_steer(b"\x03" + proof + data, {17: "5f" * 32}.get) is None
 
 
 ORDER = Order(
-    *("0b" * 16, "kite", "anna", 17, 1_795_420_802.25, b'{"kind": "Ask"}'),
-    clock=83.25,
-    signer="anna",
+    *("0b" * 16, "field", "kite", "anna", 17, 1_795_420_802.25, TakeOff(), 83.25, "anna"),
     key=bytes(range(32)),
 )
+DOCUMENT = (
+    '{"id":"' + "0b" * 16 + '","site":"field","aircraft":"kite","by":"anna","fence":17,'
+    '"at":1795420802.25,"order":{"kind":"TakeOff"},"clock":83.25,"signer":"anna",'
+    '"key":"AAECAwQFBgcICQoLDA0ODxAREhMUFRYXGBkaGxwdHh8="}'
+).encode()
 
 
 def test_an_order_is_what_the_page_says() -> None:
-    first = '["' + "0b" * 16 + '", "kite", "anna", 17, 1795420802.25, 83.25, "anna", "'
-    signed = (first + bytes(range(32)).hex() + '"]\n{"kind": "Ask"}').encode()
-    assert ORDER.signed() == signed
-    assert ORDER.digest() == hashlib.sha256(signed).digest()[:16]
-    proof = hmac.new(b"secret", signed, hashlib.sha256).digest()[:16]
-    told = json.loads(pack(ORDER.under("secret"))[1:])
-    assert told == {
-        **{"id": "0b" * 16, "aircraft": "kite", "by": "anna", "fence": 17},
-        **{"at": 1_795_420_802.25, "message": base64.b64encode(b'{"kind": "Ask"}').decode()},
-        **{"clock": 83.25, "proof": base64.b64encode(proof).decode(), "signer": "anna"},
-        **{"signature": "", "key": base64.b64encode(bytes(range(32))).decode()},
-    }
-    assert ORDER.under("secret").proves("secret")
+    assert pack(ORDER) == b"\x03" + bytes(64) + bytes(16) + DOCUMENT
+    assert ORDER.digest() == hashlib.sha256(DOCUMENT).digest()[:16]
+    proof = hmac.new(b"secret", DOCUMENT, hashlib.sha256).digest()[:16]
+    payload = pack(ORDER.under("secret"))
+    assert payload == b"\x03" + bytes(64) + proof + DOCUMENT
+    assert unpack(Order, payload) == ORDER.under("secret")
+    assert unpack(Order, payload).proves("secret")
     assert not ORDER.under("secret").proves("another")
     for name, value in (("fence", 18), ("at", 1.0), ("clock", 1.0), ("aircraft", "crow")):
         changed: Any = {name: value}
@@ -277,6 +277,7 @@ def test_a_reply_is_what_the_page_says() -> None:
     reply = Reply(
         *("0b" * 16, "kite", "5c0f8b1e", Progress.DONE, Outcome.REFUSED, fault, "words", 4),
         *("offer", b"key", 83.25, True, ORDER.digest()),
+        show=ShowCard(ShowStage.READY, "ab", 0.25, ""),
     )
     assert json.loads(pack(reply)[1:]) == {
         **{"id": "0b" * 16, "name": "kite", "boot": "5c0f8b1e", "progress": "done"},
@@ -287,6 +288,7 @@ def test_a_reply_is_what_the_page_says() -> None:
         },
         **{"text": "words", "number": 4, "offer": "offer", "key": "a2V5", "clock": 83.25},
         **{"is_repeated": True, "order": base64.b64encode(ORDER.digest()).decode()},
+        "show": {"stage": "ready", "digest": "ab", "farthest_m": 0.25, "why": ""},
     }
 
 

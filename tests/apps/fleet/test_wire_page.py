@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import hmac
 import json
 import re
@@ -19,13 +20,23 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.orders import ORDERS, AskVersion, Ending, LeaseOrder
 from m100link.apps.agent.remote_error import Fault
 from m100link.apps.bus.network import Bus, fits
 from m100link.apps.fleet.identity import Rights
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.logs.words import LogEntry, LogQuestion, LogReply, What
-from m100link.apps.fleet.payloads import Order, Outcome, Progress, Reply
+from m100link.apps.fleet.logs.words import LogEntry, LogReply
+from m100link.apps.fleet.payloads import (
+    Asked,
+    Order,
+    Outcome,
+    Progress,
+    Reply,
+    ShowCard,
+    ShowStage,
+    What,
+)
 from m100link.apps.fleet.pki import router_config
 from m100link.apps.fleet.signing import verifying
 from tests.apps.fleet.conftest import SITE, Rig
@@ -45,7 +56,7 @@ class Foreigner:
 
     async def ask(self, what: str, payload: bytes = b"") -> dict[str, Any]:
         [answer] = await self._bus.ask(f"m100/{SITE}/a1/{what}", payload, timeout=2.0)
-        assert answer.payload[0] == 2
+        assert answer.payload[0] == 3
         found: dict[str, Any] = json.loads(answer.payload[1:])
         return found
 
@@ -56,33 +67,29 @@ class Foreigner:
 
     def order(
         self,
-        message: bytes,
+        asked: dict[str, Any],
         lease: tuple[int, str] = (0, ""),
         clock: float = 0.0,
         key: bytes = b"",
-    ) -> Any:
+    ) -> tuple[str, bytes]:
         fence, token = lease
-        told: dict[str, Any] = {"id": uuid.uuid4().hex, "aircraft": "a1", "by": "Jürgen"}
-        told |= {"fence": fence, "at": self._utc(), "clock": clock, "signer": self._signer}
-        names = ("id", "aircraft", "by", "fence", "at", "clock", "signer")
-        head = [*(told[name] for name in names), key.hex()]
-        self.body = body = json.dumps(head).encode() + b"\n" + message
-        claim = b"m100link order 1\n" + struct.pack(">Qd", fence, told["at"])
-        for part in (told["id"].encode(), b"a1", self._signer.encode(), body):
-            claim += struct.pack(">I", len(part)) + part
-        parts = {
-            "message": message,
-            "proof": hmac.digest(token.encode(), body, "sha256")[:16] if token else b"",
-            "signature": KEY.sign(claim) if self._signer else b"",
-            "key": key,
-        }
-        return told | {name: base64.b64encode(one).decode() for name, one in parts.items()}
+        told: dict[str, Any] = {"order": asked, "signer": self._signer, "by": "Jürgen"}
+        told |= {"id": uuid.uuid4().hex, "site": SITE, "aircraft": "a1", "fence": fence}
+        told |= {"at": self._utc(), "clock": clock, "key": base64.b64encode(key).decode()}
+        # Its own order of names, its own spaces, and letters as they are.
+        self.document = document = json.dumps(told, indent=1, ensure_ascii=False).encode()
+        proof = hmac.digest(token.encode(), document, "sha256")[:16] if token else bytes(16)
+        signed = b"m100link order 3\n" + proof + document
+        signature = KEY.sign(signed) if self._signer else bytes(64)
+        return told["id"], b"\x03" + signature + proof + document
 
-    async def do(self, what: str, message: dict[str, Any], **around: Any) -> dict[str, Any]:
-        order = self.order(json.dumps(message).encode(), **around)
-        told = await self.ask(what, b"\x02" + json.dumps(order).encode())
+    async def do(self, what: str, asked: dict[str, Any], **around: Any) -> dict[str, Any]:
+        identity, payload = self.order(asked, **around)
+        told = await self.ask(what, payload)
         while told["progress"] == "running":
-            told = await self.ask(f"status/{order['id']}")
+            told = await self.ask(f"status/{identity}")
+        digest = hashlib.sha256(self.document).digest()[:16]
+        assert told["order"] in ("", base64.b64encode(digest).decode())
         return told
 
     async def lease(self, message: dict[str, Any]) -> tuple[int, str]:
@@ -90,7 +97,7 @@ class Foreigner:
         told = await self.do("lease", message, key=half.public_key().public_bytes_raw())
         agents = base64.b64decode(told["key"])
         shared = half.exchange(X25519PublicKey.from_public_bytes(agents))
-        about = b"m100link lease 2\n" + agents + self.body
+        about = b"m100link lease 3\n" + agents + self.document
         return told["number"], hmac.digest(shared, about, "sha256").hex()
 
 
@@ -117,7 +124,7 @@ async def test_by_the_page_alone_somebody_flies_and_stops(rig: Rig) -> None:
         values = (anyio.current_time() + ahead, 0.2, 0x40, 3.0, 0.0, 0.0, 0.0)
         data = bytes([number == 0]) + struct.pack("<BQddB4d", 1, lease[0], *values)
         assert len(data) == 59
-        setpoints.put(b"\x02" + hmac.digest(lease[1].encode(), data, "sha256")[:16] + data)
+        setpoints.put(b"\x03" + hmac.digest(lease[1].encode(), data, "sha256")[:16] + data)
         await anyio.sleep(0.05)
     assert one.speed > 2.5
     assert (await anna.do("cmd", {"kind": "Stop"}))["outcome"] == "ok"
@@ -135,7 +142,7 @@ async def test_telemetry_is_what_the_page_says(rig: Rig) -> None:
     await rig.until(lambda: len(heard) > 20)
     for payload in heard:
         version, kind, _, length = struct.unpack_from("<BBdB", payload)
-        assert (version, kind, payload[11 : 11 + length]) == (2, 2, b"1.0")
+        assert (version, kind, payload[11 : 11 + length]) == (3, 2, b"1.0")
 
 
 def keys() -> dict[str, str]:
@@ -159,21 +166,25 @@ def names(*kinds: type[Any]) -> list[str]:
     return found
 
 
+BESIDE = [one for one in Asked.__args__ if one is not orders.Order]
+"""What is asked of a fleet alone."""
+
 # A token is no key to ask or to hear by; the page tells of tokens in words.
 TOLD = {
     **{f"the key Keys.{name}": f"`{key}`" for name, key in keys().items() if key != "live"},
     "the key Keys.status": "`status/<id>`",
     **{
         f"{kind.__name__} {name}": name
-        for kind in (Order, Reply, Fault, LogQuestion, LogReply, LogEntry)
+        for kind in (Order, Reply, Fault, LogReply, LogEntry, ShowCard, *BESIDE)
         for name in names(kind)
         if name not in ("name", "id")  # words of the page whatever it tells
     },
     **{
         f"{kind.__name__} {name}": name
-        for kind in (Outcome, Progress, What)
+        for kind in (Outcome, Progress, What, ShowStage)
         for name in names(kind)
     },
+    **{f"the order {one.__name__}": one.__name__ for one in BESIDE},
     # The page on the agent lists the others.
     **{
         f"the order {name}": name

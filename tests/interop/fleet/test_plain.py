@@ -97,7 +97,7 @@ def test_keys_tokens_and_bytes(site: tuple[Site, ExitStack], tmp_path: Path) -> 
     [token] = tokens["tokens"]
     assert re.fullmatch("m100-live/site/a1/[0-9a-f]+", token)
     [(key, (version, state))] = states["states"].items()
-    assert (key, version, state["connection"]) == ("m100/site/a1/state", 2, "connected")
+    assert (key, version, state["connection"]) == ("m100/site/a1/state", 3, "connected")
     by_key: dict[str, list[bytes]] = {}
     for sample in samples:
         by_key.setdefault(sample["key"], []).append(bytes.fromhex(sample["payload"]))

@@ -15,15 +15,12 @@ from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.fleet.asking import PATIENCE_S, Asker, nobody_there, reason_of
 from m100link.apps.fleet.logs.words import (
     LogEntry,
-    LogQuestion,
     LogReply,
     Part,
-    What,
-    pack_question,
     unpack_entries,
     unpack_reply,
 )
-from m100link.apps.fleet.payloads import Outcome, pack
+from m100link.apps.fleet.payloads import LogQuestion, Outcome, What, pack
 from m100link.errors import FleetError, M100Error, Unreachable, UsageError
 from m100link.log.folder import is_log_name
 
@@ -165,7 +162,7 @@ class LogFetcher:
         unread: MessageError | None = None
         while self._clock() - silent_since < self._patience:
             # A new one each time, for a signature ages.
-            order = self._asker.around(pack_question(question))
+            order = self._asker.around(question)
             found = None
             answers = await self._asker.bus.ask(self._keys.log, pack(order), timeout=_ANSWER_S)
             for answer in filter(self._asker.is_of_aircraft, answers):

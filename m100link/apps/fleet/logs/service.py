@@ -27,14 +27,12 @@ from m100link.apps.fleet.agent import Verify, admit
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.logs.words import (
     LogEntry,
-    LogQuestion,
     LogReply,
-    What,
     pack_entries,
     pack_reply,
-    unpack_question,
+    require_possible,
 )
-from m100link.apps.fleet.payloads import Order, outcome_of, unpack
+from m100link.apps.fleet.payloads import LogQuestion, Order, What, outcome_of, unpack
 from m100link.errors import M100Error, UsageError
 from m100link.errors.texts import read_path
 from m100link.log.folder import is_log_name
@@ -145,8 +143,8 @@ class LogService:
         question.answer(self._keys.log, payload)
 
     async def _answered(self, order: Order) -> bytes:
-        admit(order, self._keys.name, self._verify)
-        question = unpack_question(order.message)
+        question = admit(order, self._keys, LogQuestion, self._verify)
+        require_possible(question)
         return await self._doing[question.what](question, order)
 
     async def _may_go(self, size: int) -> float:

@@ -1,7 +1,7 @@
 """What is asked of the logs on board, and what is answered (pure logic).
 
-A question is an order like any other, so that it is signed like any other; its message begins with
-:data:`LOG`. An answer is the version, a line of JSON, and behind it the bytes of a log as they are.
+A question is an order, and signed as all are. An answer is the version, a line of JSON, and behind
+it the bytes of a log as they are.
 """
 
 from __future__ import annotations
@@ -13,19 +13,24 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from enum import Enum
 from io import FileIO
 from pathlib import Path
 
+from m100link.apps.agent.codec import parsed
 from m100link.apps.agent.remote_error import Fault, MessageError
-from m100link.apps.fleet.payloads import VERSION, Outcome, body, parsed, to_json, value_of
+from m100link.apps.fleet.payloads import (
+    VERSION,
+    LogQuestion,
+    Outcome,
+    What,
+    body,
+    to_json,
+    value_of,
+)
 from m100link.errors import UsageError
 from m100link.errors.texts import read_path
 from m100link.link.keyfile import is_at, keep_names
 from m100link.log.folder import is_log_name
-
-LOG = b"log\n"
-"""What the message of an order about logs begins with; behind it is JSON."""
 
 MOST_PIECE = 256 * 1024
 """Bytes of a log that go in one answer at most."""
@@ -36,24 +41,6 @@ MOST_ENTRIES = 1000
 _MOST_HEAD = 32 * 1024
 _LAST_UTC = 253_402_300_799.0
 """End of the year 9999: no date can be said of what is later."""
-
-
-class What(Enum):
-    """What is wanted."""
-
-    LIST = "list"
-    PIECE = "piece"
-    DIGEST = "digest"  # SHA-256 of the first bytes
-
-
-@dataclass(frozen=True, slots=True)
-class LogQuestion:
-    """Something is asked of the logs of one aircraft."""
-
-    what: What  # what is wanted
-    log: str = ""  # name of the log; empty for a list
-    offset: int = 0  # first byte of a piece
-    length: int = 0  # bytes of a piece, or over how many of them the digest is
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,17 +67,8 @@ class LogEntry:
     is_written: bool  #: whether it is being written still
 
 
-def pack_question(question: LogQuestion) -> bytes:
-    """The message of the order that asks it."""
-    return LOG + to_json(question)
-
-
-def unpack_question(message: bytes) -> LogQuestion:
-    """What the message of an order asks."""
-    if not message.startswith(LOG):
-        raise MessageError("an order came where logs are asked, and is about none")
-    what = "a question about logs"
-    question: LogQuestion = value_of(LogQuestion, parsed(message[len(LOG) :], what), what)
+def require_possible(question: LogQuestion) -> None:
+    """Refuse what names no log, or no part of one."""
     if question.what is not What.LIST and not is_log_name(question.log):
         raise MessageError(
             f"{question.log[:80]!r} is no name of a log", remedy="m100link fleet log list NAME"
@@ -98,7 +76,6 @@ def unpack_question(message: bytes) -> LogQuestion:
     is_piece = question.what is What.PIECE
     if question.offset < 0 or not 0 <= question.length <= (MOST_PIECE if is_piece else 1 << 50):
         raise MessageError(f"{question.length} bytes from {question.offset} are no part of a log")
-    return question
 
 
 def pack_reply(reply: LogReply, data: bytes = b"") -> bytes:

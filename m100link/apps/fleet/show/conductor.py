@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-import json
 import math
 import time
 import uuid
@@ -21,13 +20,22 @@ from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.bus.network import Bus
 from m100link.apps.fleet.asking import Asker, Sign, unsigned
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.payloads import SHOW, Reply
-from m100link.apps.fleet.show.performer import Leave, Stage
+from m100link.apps.fleet.payloads import (
+    Asked,
+    AskShow,
+    LeaveShow,
+    LoadTrack,
+    Reply,
+    SendTrack,
+    ShowStage,
+    StartShow,
+    TakePlace,
+)
+from m100link.apps.fleet.show.performer import Leave
 from m100link.apps.fleet.show.plan.document import SKEW_S, Show
 from m100link.apps.fleet.show.plan.steering import ShowRefused, Why
 from m100link.apps.fleet.show.plan.track import BadShow, TimedTrack
 from m100link.errors import M100Error, Unreachable
-from m100link.errors.texts import read_json
 
 _ANSWER_S = 1.0
 _TRIES = 5
@@ -46,7 +54,7 @@ class Part:
     """Where one aircraft stands in a show."""
 
     name: str  #: which one
-    stage: Stage | None  #: how far it is; None when nobody knows, for it does not answer
+    stage: ShowStage | None  #: how far it is; None when nobody knows, for it does not answer
     digest: str = ""  #: of its track
     farthest_m: float = 0.0  #: farthest from its track, by its own telemetry
     why: str = ""  #: why it left, or tells nothing
@@ -121,13 +129,13 @@ class Conductor:
         """Be heard by those that are ready while others are not: they would leave."""
         while True:
             await asyncio.sleep(_ATTENDING_S)
-            asked = (self._ask(track, {"do": "tell"}) for track in self._tracks.values())
+            asked = map(self._look, self._tracks.values())
             await asyncio.gather(*asked, return_exceptions=True)
 
     async def leave(self) -> None:
         """Let all of them leave, wherever they are; who does not answer is not waited for."""
         await asyncio.gather(
-            *(self._ask(track, {"do": "leave"}) for track in self._tracks.values()),
+            *(self._ask(track, LeaveShow(self._run)) for track in self._tracks.values()),
             return_exceptions=True,
         )
 
@@ -143,12 +151,15 @@ class Conductor:
 
     # -- one of them -----------------------------------------------------------------------------
 
-    async def _ask(self, track: TimedTrack, wanted: dict[str, Any]) -> Part:
+    async def _look(self, track: TimedTrack) -> Part:
+        """Where it stands."""
+        return await self._ask(track, AskShow(self._run))
+
+    async def _ask(self, track: TimedTrack, asked: Asked) -> Part:
         """One question; each try is an order of its own, which the stage admits once."""
         asker = self._askers[track.name]
-        message = SHOW + json.dumps(wanted | {"run": self._run}).encode()
         for _ in range(_TRIES):
-            reply = await asker.once(asker.keys.show, message, within=_ANSWER_S)
+            reply = await asker.once(asker.keys.show, asked, within=_ANSWER_S)
             if reply is not None:
                 if reply.fault is not None:
                     raise reply.fault.error()
@@ -160,27 +171,25 @@ class Conductor:
             remedy="m100link fleet list; m100link fleet acl check",
         )
 
-    async def _do(self, track: TimedTrack, wanted: dict[str, Any], *done: Stage) -> Part:
+    async def _do(self, track: TimedTrack, asked: Asked, *done: ShowStage) -> Part:
         """An order; one that was done although its answer was lost is refused and yet done."""
         try:
-            return await self._ask(track, wanted)
+            return await self._ask(track, asked)
         except Unreachable:
             raise
         except M100Error:
-            part = await self._ask(track, {"do": "tell"})
+            part = await self._look(track)
             if part.stage in done:
                 return part
             raise
 
     async def _load(self, track: TimedTrack) -> None:
-        await self._ask(track, {"do": "tell"})  # from then on each order says when it was made
+        await self._look(track)  # from then on each order says when it was made
         data = track.to_bytes()
         for at in range(0, len(data), _PIECE):
-            piece = data[at : at + _PIECE].hex()
-            await self._ask(track, {"do": "piece", "at": at, "data": piece})
-        wanted = {"do": "load", "leave": self._leave, "show": self._digest, "least_m": self._least}
-        wanted["others"] = len(self._tracks) - 1
-        part = await self._ask(track, wanted)
+            await self._ask(track, SendTrack(self._run, at, data[at : at + _PIECE]))
+        how = (self._leave, self._digest, self._least, len(self._tracks) - 1)
+        part = await self._ask(track, LoadTrack(self._run, *how))
         if part.digest != track.digest:
             raise BadShow(
                 f"{track.name} has another track than was sent to it",
@@ -189,11 +198,11 @@ class Conductor:
             )
 
     async def _place(self, track: TimedTrack) -> None:
-        await self._do(track, {"do": "place"}, Stage.PLACING, Stage.READY)
+        await self._do(track, TakePlace(self._run), ShowStage.PLACING, ShowStage.READY)
         began = self._clock()
-        while (part := await self._ask(track, {"do": "tell"})).stage is not Stage.READY:
+        while (part := await self._look(track)).stage is not ShowStage.READY:
             took = self._clock() - began
-            if part.stage is not Stage.PLACING or took > _PLACING_S:
+            if part.stage is not ShowStage.PLACING or took > _PLACING_S:
                 raise ShowRefused(
                     f"{track.name} did not take its place: {part.why or f'not in {took:.0f} s'}",
                     why=Why.PLACE,
@@ -205,7 +214,7 @@ class Conductor:
     async def _measure(self, track: TimedTrack) -> None:
         """Learn what its clock shows: the most that several round trips have in common."""
         for _ in range(_ROUND_TRIPS):
-            await self._ask(track, {"do": "tell"})
+            await self._look(track)
 
     async def _start(self, track: TimedTrack, start_at: float) -> None:
         found = self._askers[track.name].its_clock.offset(self._clock())
@@ -217,16 +226,15 @@ class Conductor:
                 measured=bound,
                 limit=SKEW_S,
             )
-        at = start_at + found.seconds
-        wanted = {"do": "start", "digest": track.digest, "at": at, "bound": found.bound}
-        await self._do(track, wanted, Stage.FLYING)
+        start = StartShow(self._run, track.digest, start_at + found.seconds, found.bound)
+        await self._do(track, start, ShowStage.FLYING)
 
     async def _watch(self, track: TimedTrack) -> Part:
         """Until it has flown its track, has left, or is silent."""
         heard_at = self._clock()
         while True:
             try:
-                part = await self._ask(track, {"do": "tell"})
+                part = await self._look(track)
                 heard_at = self._clock()
             except M100Error as error:
                 if self._clock() - heard_at >= _GONE_S:
@@ -237,10 +245,10 @@ class Conductor:
                     return Part(track.name, None, why=why)
                 await asyncio.sleep(_LOOK_S)
                 continue
-            if part.stage is Stage.FLOWN:
+            if part.stage is ShowStage.FLOWN:
                 self._tell(f"{track.name} has flown its track")
                 return part
-            if part.stage is not Stage.FLYING:
+            if part.stage is not ShowStage.FLYING:
                 why = part.why and f": {part.why}"  # none where it was told to leave
                 self._tell(f"{track.name} left{why}; the others fly on")
                 return part
@@ -248,19 +256,7 @@ class Conductor:
 
 
 def _part(reply: Reply) -> Part:
-    try:
-        told = read_json(reply.text)
-        return Part(
-            reply.name,
-            Stage(told["stage"]),
-            str(told["digest"]),
-            float(told["farthest_m"]),
-            str(told["why"]),
-            reply.clock,
-        )
-    except (ValueError, TypeError, KeyError) as error:
-        raise MessageError(
-            f"where {reply.name} stands in the show cannot be read: {error!r}",
-            cause="its agent has another release",
-            remedy="install the same release on both",
-        ) from error
+    told = reply.show
+    if told is None:
+        raise MessageError(f"{reply.name} does not say where it stands in the show")
+    return Part(reply.name, told.stage, told.digest, told.farthest_m, told.why, reply.clock)

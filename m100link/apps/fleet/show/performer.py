@@ -21,6 +21,8 @@ from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import Event, Topic
 from m100link.apps.agent.orders import ChangeHeight, FlyTo
 from m100link.apps.fleet.expiry import OrderAges
+from m100link.apps.fleet.expiry import DRIFT, OrderAges
+from m100link.apps.fleet.payloads import ShowStage
 from m100link.apps.fleet.show.plan.conflicts import (
     Ahead,
     Neighbours,
@@ -53,18 +55,6 @@ _TOLD_S = 600.0
 """Seconds after its track in which one still tells the others where it is."""
 
 
-class Stage(Enum):
-    """How far an aircraft is in a show."""
-
-    EMPTY = "empty"
-    LOADED = "loaded"
-    PLACING = "placing"  # it takes off and flies to its first point
-    READY = "ready"  # it hovers there
-    FLYING = "flying"  # it waits for the beginning, or flies
-    FLOWN = "flown"
-    LEFT = "left"  # it gave up: the reason stands beside it
-
-
 class Order(Enum):
     """What it is told."""
 
@@ -74,17 +64,17 @@ class Order(Enum):
     LEAVE = "leave"
 
 
-ALLOWED: dict[Order, frozenset[Stage]] = {
-    Order.LOAD: frozenset({Stage.EMPTY, Stage.LOADED, Stage.FLOWN, Stage.LEFT}),
-    Order.PLACE: frozenset({Stage.LOADED}),
-    Order.START: frozenset({Stage.READY}),
+ALLOWED: dict[Order, frozenset[ShowStage]] = {
+    Order.LOAD: frozenset({ShowStage.EMPTY, ShowStage.LOADED, ShowStage.FLOWN, ShowStage.LEFT}),
+    Order.PLACE: frozenset({ShowStage.LOADED}),
+    Order.START: frozenset({ShowStage.READY}),
     # Whoever wants out gets out, and may say so any number of times.
-    Order.LEAVE: frozenset(Stage),
+    Order.LEAVE: frozenset(ShowStage),
 }
 
 
-_BUSY = (Stage.PLACING, Stage.READY, Stage.FLYING)
-_IN_SHOW = (Stage.LOADED, *_BUSY)
+_BUSY = (ShowStage.PLACING, ShowStage.READY, ShowStage.FLYING)
+_IN_SHOW = (ShowStage.LOADED, *_BUSY)
 
 
 class Performer:
@@ -93,7 +83,7 @@ class Performer:
     def __init__(self, client: AgentClient, name: str) -> None:
         self._client = client
         self._name = name
-        self.stage = Stage.EMPTY  # how far it is
+        self.stage = ShowStage.EMPTY  # how far it is
         self.fault: M100Error | None = None  # why it left; None otherwise
         self.track: TimedTrack | None = None  # what it is loaded with; None for nothing
         self.farthest_m = 0.0  # farthest from its track, by its own telemetry
@@ -106,7 +96,7 @@ class Performer:
         self._rest: RestOfTrack | None = None
         # When its show begins, by the agent's clock; None before that is known.
         self._start_at: float | None = None
-        self._leave: Leave = "land"
+        self._leave = "land"
         self._lease: Lease | None = None
         self._refused: M100Error | None = None  # why the last setpoint was not flown
         self._work: asyncio.Task[None] | None = None
@@ -141,7 +131,7 @@ class Performer:
         if self.stage in _IN_SHOW:
             self.fault = error
             self.leave()
-        elif self.stage is Stage.LEFT and isinstance(self.fault, NoAuthority):
+        elif self.stage is ShowStage.LEFT and isinstance(self.fault, NoAuthority):
             # It was told that nothing is flown before it was told who took the aircraft.
             self.fault = error
 
@@ -157,7 +147,9 @@ class Performer:
     def require_run(self, run: str) -> None:
         """Refuse an order of somebody who does not conduct the show that it is in."""
         silent = self._client.now - self._heard_at
-        is_over = self.stage is Stage.LOADED and silent > ATTENDED_S  # nobody conducts it any more
+        is_over = (
+            self.stage is ShowStage.LOADED and silent > ATTENDED_S
+        )  # nobody conducts it any more
         if run not in ("", self.run) and self.stage in _IN_SHOW and not is_over:
             raise UsageError(
                 f"{self._name} is {self.stage.value} in a show that another one conducts",
@@ -179,7 +171,7 @@ class Performer:
             )
 
     def load(
-        self, data: bytes, leave: Leave, neighbours: Neighbours | None = None, run: str = ""
+        self, data: bytes, leave: str, neighbours: Neighbours | None = None, run: str = ""
     ) -> str:
         """Take a track.
 
@@ -201,7 +193,7 @@ class Performer:
         self.neighbours, self._rest = neighbours, RestOfTrack(track)
         self._start_at, self.run = None, run
         self.heard()
-        self.stage = Stage.LOADED
+        self.stage = ShowStage.LOADED
         return track.digest
 
     def place(self, who: str) -> None:
@@ -209,7 +201,7 @@ class Performer:
         self._require(Order.PLACE)
         TrackSteering(self._loaded(), self._fastest).require_fast_enough()
         self.heard()
-        self.stage = Stage.PLACING
+        self.stage = ShowStage.PLACING
         self._do(lambda: self._place(who))
 
     def start(self, digest: str, start_at: float, bound: float) -> None:
@@ -228,7 +220,7 @@ class Performer:
             raise UsageError(f"{self._name} is loaded with another track", remedy="load it anew")
         steering = TrackSteering(track, self._fastest)
         steering.require_ready(start_at - self._client.now, bound, self._here(track))
-        self.stage, self._start_at = Stage.FLYING, start_at
+        self.stage, self._start_at = ShowStage.FLYING, start_at
         self._do(lambda: self._fly(track, steering, start_at, bound))
 
     def leave(self) -> None:
@@ -241,7 +233,7 @@ class Performer:
             return
         if self._work is not None:
             self._work.cancel()
-        self.stage = Stage.LEFT
+        self.stage = ShowStage.LEFT
         self._let_go()
 
     def ahead(self) -> Ahead | None:
@@ -256,7 +248,7 @@ class Performer:
             here = self._here(track)
         except TelemetryStalled:
             return None  # nobody knows; it leaves for that, or has left
-        if self.stage is Stage.FLYING:
+        if self.stage is ShowStage.FLYING:
             return by_track(show.show, track, at, here)
         telemetry = self._client.telemetry
         speed = None if telemetry is None else telemetry.finite(Velocity, within=_FRESH_S)
@@ -282,7 +274,7 @@ class Performer:
             try:
                 await work()
             except M100Error as error:
-                self.fault, self.stage = error, Stage.LEFT
+                self.fault, self.stage = error, ShowStage.LEFT
                 self._client.note(f"show: {error.seen}", "error")
                 await self._end()
 
@@ -309,7 +301,7 @@ class Performer:
             await client.ask(ChangeHeight(height), lease)
             place = LocalFrame(*track.origin).to_geodetic(first.north, first.east)
             await client.ask(FlyTo(*place, height, yaw_deg=track.heading_deg), lease)
-            self.stage = Stage.READY
+            self.stage = ShowStage.READY
             await asyncio.Event().wait()  # it keeps the lease until it is told to begin
         finally:
             attending.cancel()
@@ -365,7 +357,7 @@ class Performer:
                 break
             north, east, up = velocity
             client.steer(lease, Setpoint.velocity(north=north, east=east, up=up, yaw_deg=heading))
-        self.stage = Stage.FLOWN
+        self.stage = ShowStage.FLOWN
         client.note(f"show: {self._name} has flown its track")
         await self._end()
 

@@ -7,10 +7,8 @@ in, so that one that comes twice does nothing. Whoever conducts learns by asking
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import Any
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.remote_error import MessageError, fault_of
@@ -19,14 +17,20 @@ from m100link.apps.fleet.agent import Namesakes, Verify, admit
 from m100link.apps.fleet.identity import Since
 from m100link.apps.fleet.keys import Keys, name_in
 from m100link.apps.fleet.payloads import (
-    SHOW,
     VERSION,
+    AskShow,
+    LeaveShow,
+    LoadTrack,
     Order,
     Progress,
     Reply,
+    SendTrack,
+    ShowCard,
+    ShowOrder,
+    StartShow,
+    TakePlace,
     outcome_of,
     pack,
-    parsed,
     unpack,
 )
 from m100link.apps.fleet.show.performer import Performer
@@ -132,8 +136,8 @@ class ShowService:
             order: Order = unpack(Order, question.payload)
             identity, digest = order.id, order.digest()
             if digest not in self._known:  # by its id somebody else's would be taken for it
-                admit(order, self._keys.name, self._verify)
-                self._known[digest] = self._obey(order)
+                asked = admit(order, self._keys, ShowOrder, self._verify)
+                self._known[digest] = self._obey(order, asked)
                 if len(self._known) > _MOST_KNOWN:
                     del self._known[next(iter(self._known))]
             fault = self._known[digest]
@@ -141,62 +145,42 @@ class ShowService:
             fault = error
         question.answer(self._keys.show, pack(self._reply(identity, fault)))
 
-    def _obey(self, order: Order) -> M100Error | None:
+    def _obey(self, order: Order, asked: ShowOrder) -> M100Error | None:
         """Do it; what it is refused for, if it is."""
         try:
-            self._do(order, _read(order.message))
+            self._do(order, asked)
         except M100Error as error:
             return error
         return None
 
-    def _do(self, order: Order, wanted: dict[str, Any]) -> None:
-        performer, run, do = self.performer, str(wanted.get("run", "")), wanted.pop("do", None)
-        if do != "tell":
-            performer.require_run(run)
-        performer.heard(run)
-        try:
-            match do:
-                case "tell":
-                    pass  # the answer says where it stands
-                case "piece":
-                    self._take_piece(int(wanted["at"]), bytes.fromhex(wanted["data"]))
-                case "load":
-                    self._require_wanted(order)
-                    others = self._others(wanted)
-                    performer.load(bytes(self._pieces), wanted["leave"], others, run)
-                case "place":
-                    # It takes off: not minutes later, when whoever conducts has given up.
-                    self._require_wanted(order)
-                    self._require_name()
-                    self._placed_by = order.signer
-                    performer.place(order.signer or order.by)
-                case "start":
-                    self._require_wanted(order)
-                    self._require_name()
-                    performer.start(
-                        str(wanted["digest"]), float(wanted["at"]), float(wanted["bound"])
-                    )
-                case "leave":
-                    performer.leave()
-                case other:
-                    raise MessageError(f"a show knows no order {other!r}")
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            if isinstance(error, M100Error):
-                raise
-            raise MessageError(f"an order to a show cannot be read: {error!r}") from error
-
-    def _others(self, wanted: dict[str, Any]) -> Neighbours | None:
-        show, least = str(wanted.get("show", "")), float(wanted.get("least_m", 0.0))
-        count = int(wanted.get("others", 0))
-        return Neighbours(show, self._keys.name, least, count) if show else None
+    def _do(self, order: Order, asked: ShowOrder) -> None:
+        performer = self.performer
+        if not isinstance(asked, AskShow):  # the answer says where it stands
+            performer.require_run(asked.run)
+        performer.heard(asked.run)
+        if isinstance(asked, LoadTrack | TakePlace | StartShow):
+            # It takes off: not minutes later, when whoever conducts has given up.
+            self._require_wanted(order)
+        if isinstance(asked, TakePlace | StartShow) and self._namesakes is not None:
+            self._namesakes.require_none(self._client.now)
+        match asked:
+            case SendTrack():
+                self._take_piece(asked.at, asked.data)
+            case LoadTrack():
+                others = Neighbours(asked.show, self._keys.name, asked.least_m, asked.others)
+                known = others if asked.show else None
+                performer.load(bytes(self._pieces), asked.leave, known, asked.run)
+            case TakePlace():
+                self._placed_by = order.signer
+                performer.place(order.signer or order.by)
+            case StartShow():
+                performer.start(asked.digest, asked.at, asked.bound)
+            case LeaveShow():
+                performer.leave()
 
     def _require_wanted(self, order: Order) -> None:
         """Refuse what nobody waits for still, or was made before whatever ended a show here."""
         self.performer.ages.check(order.clock, self._client.now)
-
-    def _require_name(self) -> None:
-        if self._namesakes is not None:
-            self._namesakes.require_none(self._client.now)
 
     def _take_piece(self, at: int, data: bytes) -> None:
         """A track comes in pieces: from the beginning, and each where the one before ended."""
@@ -210,12 +194,7 @@ class ShowService:
 
     def _reply(self, identity: str, error: M100Error | None) -> Reply:
         performer = self.performer
-        told = {
-            "stage": performer.stage.value,
-            "digest": "" if performer.track is None else performer.track.digest,
-            "farthest_m": performer.farthest_m,
-            "why": "" if performer.fault is None else performer.fault.seen,
-        }
+        track, why = performer.track, performer.fault
         return Reply(
             id=identity,
             name=self._keys.name,
@@ -223,15 +202,11 @@ class ShowService:
             progress=Progress.DONE,
             outcome=outcome_of(error),
             fault=fault_of(error),
-            text=json.dumps(told),
             clock=self._client.now,
+            show=ShowCard(
+                performer.stage,
+                "" if track is None else track.digest,
+                performer.farthest_m,
+                "" if why is None else why.seen,
+            ),
         )
-
-
-def _read(message: bytes) -> dict[str, Any]:
-    if not message.startswith(SHOW):
-        raise MessageError("an order came where shows are asked, and is about none")
-    found = parsed(message[len(SHOW) :], "an order to a show")
-    if not isinstance(found, dict):
-        raise MessageError("an order to a show is no object")
-    return found

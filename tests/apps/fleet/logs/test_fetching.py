@@ -14,7 +14,7 @@ from m100link.apps.bus.network import Question
 from m100link.apps.fleet.asking import PATIENCE_S
 from m100link.apps.fleet.logs.fetching import PIECE, Fetched, LogFetcher
 from m100link.apps.fleet.logs.words import LogEntry, LogReply, pack_entries, pack_reply
-from m100link.apps.fleet.payloads import Order, unpack
+from m100link.apps.fleet.payloads import VERSION, Order, unpack
 from m100link.errors import FleetError, Unreachable, UsageError
 from tests.apps.bus.memory import Weather
 from tests.apps.fleet.logs.conftest import FIRST, KEYS, SECOND, Road, bytes_of
@@ -235,6 +235,7 @@ async def test_a_name_that_is_not_there_is_told_with_what_to_do(road: Road) -> N
 
 
 async def test_junk_in_place_of_answers_is_said_and_never_believed(road: Road) -> None:
-    road.board.serve(KEYS.log, lambda question: question.answer(KEYS.log, b"\x02junk\n"))
+    junk = bytes([VERSION]) + b"junk\n"
+    road.board.serve(KEYS.log, lambda question: question.answer(KEYS.log, junk))
     with pytest.raises(MessageError, match="not an answer about logs: this is not JSON"):
         await LogFetcher(road.asker(), patience=2.0).logs()

@@ -8,6 +8,7 @@ import random
 import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,10 @@ from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.logs.service import LogService, OwnThreads, Shelf
 from m100link.apps.fleet.logs.words import (
     MOST_PIECE,
-    LogQuestion,
     LogReply,
-    What,
-    pack_question,
     unpack_reply,
 )
-from m100link.apps.fleet.payloads import Order, Outcome, pack
+from m100link.apps.fleet.payloads import AskShow, LogQuestion, Order, Outcome, What, pack
 from m100link.errors import NotAllowed, UsageError
 from m100link.log.recorder import Recorder
 from tests.apps.fleet.logs.conftest import FIRST, KEYS, SECOND, Road, bytes_of
@@ -43,9 +41,8 @@ async def serving(road: Road, **options: Any) -> AsyncIterator[LogService]:
 
 
 async def asked(road: Road, question: LogQuestion, **changes: Any) -> tuple[LogReply, bytes]:
-    order = road.asker().around(pack_question(question))
-    for name, value in changes.items():
-        object.__setattr__(order, name, value)
+    order = road.asker().around(question)
+    order = replace(order, **changes)
     [answer] = await road.here.ask(KEYS.log, pack(order), timeout=600.0)
     assert answer.key == KEYS.log
     return unpack_reply(answer.payload)
@@ -67,7 +64,7 @@ async def test_what_is_not_there_or_not_for_it_is_refused_with_its_reason(road: 
         assert isinstance(reply.fault.error(), UsageError)
         reply, _ = await asked(road, LogQuestion(What.LIST), aircraft="a2")
         assert reply.outcome is Outcome.NOT_ALLOWED
-        reply, _ = await asked(road, LogQuestion(What.LIST), message=b"show\n{}")
+        reply, _ = await asked(road, LogQuestion(What.LIST), order=AskShow("r"))
         assert reply.outcome is Outcome.REFUSED
 
 
@@ -114,7 +111,7 @@ async def test_of_a_flood_few_wait_and_the_rest_is_not_even_read(road: Road) -> 
         reads += 1
 
     async with serving(road, verify=verify, rate=1000.0) as service:
-        order = pack(road.asker().around(pack_question(LogQuestion(What.PIECE, FIRST, 0, 200))))
+        order = pack(road.asker().around(LogQuestion(What.PIECE, FIRST, 0, 200)))
         async with anyio.create_task_group() as group:
             for _ in range(2000):
                 group.start_soon(lambda: road.here.ask(KEYS.log, order, timeout=0.05))
@@ -161,7 +158,7 @@ async def test_a_digest_is_made_once_for_all_who_ask_and_one_at_a_time(
 
 async def test_junk_is_answered_or_dropped_and_ends_nothing(road: Road) -> None:
     chance = random.Random(7)
-    good = pack(road.asker().around(pack_question(LogQuestion(What.PIECE, FIRST, 0, MOST_PIECE))))
+    good = pack(road.asker().around(LogQuestion(What.PIECE, FIRST, 0, MOST_PIECE)))
     async with serving(road):
         for _ in range(300):
             data = bytearray(good)
@@ -189,7 +186,7 @@ async def test_nothing_leaves_at_no_rate(road: Road) -> None:
 
 async def test_a_pattern_is_answered_under_its_own_key(road: Road) -> None:
     async with serving(road):
-        order = pack(road.asker().around(pack_question(LogQuestion(What.LIST))))
+        order = pack(road.asker().around(LogQuestion(What.LIST)))
         [answer] = await road.here.ask(Keys("field").log, order, timeout=1.0)
         assert answer.key == KEYS.log
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import hashlib
-import json
 import os
 import random
 import resource
@@ -17,21 +16,17 @@ import pytest
 
 from m100link.apps.agent.remote_error import MessageError, fault_of
 from m100link.apps.fleet.logs.words import (
-    LOG,
     MOST_PIECE,
     LogEntry,
-    LogQuestion,
     LogReply,
     Part,
-    What,
     pack_entries,
-    pack_question,
     pack_reply,
+    require_possible,
     unpack_entries,
-    unpack_question,
     unpack_reply,
 )
-from m100link.apps.fleet.payloads import VERSION, Outcome
+from m100link.apps.fleet.payloads import VERSION, LogQuestion, Outcome, What
 from m100link.errors import UsageError
 from tests.disk import Disk
 
@@ -44,7 +39,7 @@ def test_what_is_said_comes_out_as_it_went_in() -> None:
         LogQuestion(What.PIECE, NAME, 5, MOST_PIECE),
         LogQuestion(What.DIGEST, "m100link-20260101-000000-12.mcap", 0, 1 << 40),
     ):
-        assert unpack_question(pack_question(question)) == question
+        require_possible(question)
     fault = fault_of(UsageError("no", remedy="none"))
     reply = LogReply("i" * 32, "a1", Outcome.REFUSED, fault, 0.5, 3, 7, True)
     assert unpack_reply(pack_reply(reply, b"\n\0{}")) == (reply, b"\n\0{}")
@@ -69,7 +64,7 @@ def test_what_is_said_comes_out_as_it_went_in() -> None:
 def test_a_name_that_no_recorder_gives_is_no_log(name: str) -> None:
     for what in (What.PIECE, What.DIGEST):
         with pytest.raises(MessageError, match="no name of a log"):
-            unpack_question(pack_question(LogQuestion(what, name)))
+            require_possible(LogQuestion(what, name))
     assert unpack_entries(pack_entries([LogEntry(name, 3, 0.0, False)])) == []
 
 
@@ -82,7 +77,7 @@ def test_a_log_of_no_time_is_not_listed(at: float) -> None:
 @pytest.mark.parametrize(("offset", "length"), [(-1, 5), (0, -1), (0, MOST_PIECE + 1)])
 def test_no_more_than_a_piece_can_be_asked_for(offset: int, length: int) -> None:
     with pytest.raises(MessageError, match="no part of a log"):
-        unpack_question(pack_question(LogQuestion(What.PIECE, NAME, offset, length)))
+        require_possible(LogQuestion(What.PIECE, NAME, offset, length))
 
 
 def test_another_version_is_said_and_too_much_is_not_read() -> None:
@@ -96,18 +91,14 @@ def test_another_version_is_said_and_too_much_is_not_read() -> None:
 
 def test_junk_is_refused_and_raises_nothing_else() -> None:
     chance = random.Random(4)
-    good = [pack_question(LogQuestion(What.PIECE, NAME, 1, 2)), pack_reply(LogReply("", "a1"))]
-    good.append(pack_entries([LogEntry(NAME, 3, 1.0, True)]))
+    good = [pack_reply(LogReply("", "a1")), pack_entries([LogEntry(NAME, 3, 1.0, True)])]
     for number in range(6000):
-        data = bytearray(good[number % 3])
+        data = bytearray(good[number % 2])
         for _ in range(chance.randrange(1, 6)):
             data[chance.randrange(len(data))] = chance.randrange(256)
-        for read in (unpack_question, unpack_reply, unpack_entries):
+        for read in (unpack_reply, unpack_entries):
             with contextlib.suppress(MessageError):
                 read(bytes(data))
-    for text in ("[" * 100_000, "{}", "null", json.dumps({"what": "list"})):
-        with pytest.raises(MessageError):
-            unpack_question(LOG + text.encode())
 
 
 # -- A log on its way: what is there is a beginning of it, whatever ended the one before -----------

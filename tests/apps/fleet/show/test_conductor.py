@@ -14,9 +14,10 @@ import pytest
 
 from m100link.apps.fleet.identity import Rights, Signer
 from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.payloads import ShowStage
 from m100link.apps.fleet.show import performer
 from m100link.apps.fleet.show.conductor import Conductor, Part
-from m100link.apps.fleet.show.performer import Leave, Stage
+from m100link.apps.fleet.show.performer import Leave
 from m100link.apps.fleet.show.plan.document import Show, check
 from m100link.apps.fleet.show.plan.steering import ShowRefused
 from m100link.apps.fleet.show.plan.track import TimedTrack
@@ -101,7 +102,7 @@ async def company(rig: Rig, count: int) -> AsyncIterator[Company]:
     await asyncio.gather(*made.services, return_exceptions=True)
 
 
-def stages(parts: dict[str, Part]) -> list[Stage | None]:
+def stages(parts: dict[str, Part]) -> list[ShowStage | None]:
     return [part.stage for part in parts.values()]
 
 
@@ -109,7 +110,7 @@ async def test_five_fly_a_show_and_land(rig: Rig) -> None:
     async with company(rig, 5) as made:
         watching = asyncio.ensure_future(made.nearest())
         parts = await made.conductor().fly()
-        assert stages(parts) == [Stage.FLOWN] * 5
+        assert stages(parts) == [ShowStage.FLOWN] * 5
         assert max(part.farthest_m for part in parts.values()) < 0.3
         await rig.until(lambda: all(one.height == 0 for one in made.on_board))
         watching.cancel()
@@ -125,14 +126,14 @@ async def test_those_that_are_ready_wait_for_one_that_is_long_on_its_way(
         high = points_track("a2", (0, 0, 10, 45), (4, 4, 10, 45))
         made.show = Show("", (made.show.tracks[0], high))
         parts = await made.conductor().fly()
-        assert stages(parts) == [Stage.FLOWN] * 2
+        assert stages(parts) == [ShowStage.FLOWN] * 2
 
 
 async def test_through_a_network_that_loses_and_delays_they_fly_all_the_same(rig: Rig) -> None:
     async with company(rig, 2) as made:
         rig.network.weather = Weather(loss=0.1, repeat=0.1, delay_s=0.005, jitter_s=0.02)
         parts = await made.conductor().fly()
-        assert stages(parts) == [Stage.FLOWN] * 2
+        assert stages(parts) == [ShowStage.FLOWN] * 2
 
 
 async def test_one_that_is_cut_off_flies_on_and_one_that_is_killed_hovers(rig: Rig) -> None:
@@ -148,7 +149,7 @@ async def test_one_that_is_cut_off_flies_on_and_one_that_is_killed_hovers(rig: R
         assert killed.speed < 0.3
         place = made.places()[1]
         parts = await conducting
-        assert stages(parts) == [None, None, Stage.FLOWN]
+        assert stages(parts) == [None, None, ShowStage.FLOWN]
         assert "a2 is silent; the others fly on" in made.told
         assert dist(made.places()[1], place) < 0.5
         assert dist(made.places()[0], made.show.tracks[0].points[-1].place) < 0.5
@@ -161,7 +162,7 @@ async def test_one_that_has_to_leave_is_named_and_the_others_fly_on(rig: Rig) ->
         await anyio.sleep(9.0)
         made.on_board[1].aircraft.vehicle.flight.dynamics.east += 2.0
         parts = await conducting
-        assert stages(parts) == [Stage.FLOWN, Stage.LEFT, Stage.FLOWN]
+        assert stages(parts) == [ShowStage.FLOWN, ShowStage.LEFT, ShowStage.FLOWN]
         assert "left its track" in parts["a2"].why
         assert any(text.startswith("a2 left: ") for text in made.told)
 
@@ -186,7 +187,7 @@ async def test_a_track_of_many_points_arrives(rig: Rig) -> None:
         made.show = Show("", (points_track("a1", *points),))
         parts = await made.conductor().fly()
         assert parts["a1"].digest == made.show.tracks[0].digest
-        assert parts["a1"].stage is Stage.FLOWN
+        assert parts["a1"].stage is ShowStage.FLOWN
 
 
 async def test_one_that_is_not_there_is_named_and_nobody_takes_off(rig: Rig) -> None:
@@ -254,7 +255,7 @@ async def test_five_whose_ways_cross_at_different_times_fly_them_to_the_end(rig:
     async with crossing(rig) as made:
         assert check(made.show).ok
         parts = await made.conductor(leave="hover").fly()
-        assert stages(parts) == [Stage.FLOWN] * 5
+        assert stages(parts) == [ShowStage.FLOWN] * 5
 
 
 @pytest.mark.parametrize("leave", ["hover", "land"])
@@ -270,10 +271,10 @@ async def test_one_that_is_blown_off_in_anothers_way_is_not_flown_into(
         parts = await conducting
         await anyio.sleep(10.0)
         watching.cancel()
-        second = Stage.LEFT if leave == "hover" else Stage.FLOWN
-        assert stages(parts) == [Stage.LEFT, second, *[Stage.FLOWN] * 3]
+        second = ShowStage.LEFT if leave == "hover" else ShowStage.FLOWN
+        assert stages(parts) == [ShowStage.LEFT, second, *[ShowStage.FLOWN] * 3]
         assert "left its track" in parts["a1"].why
-        if second is Stage.LEFT:
+        if second is ShowStage.LEFT:
             assert "a1 would come as near as" in parts["a2"].why
             assert any("a2 left: " in text for text in made.told)
         assert await watching > made.show.least_distance_m
@@ -290,7 +291,7 @@ async def test_one_that_is_killed_in_anothers_way_is_not_flown_into(rig: Rig) ->
         parts = await conducting
         await anyio.sleep(10.0)
         watching.cancel()
-        assert stages(parts) == [None, Stage.LEFT, *[Stage.FLOWN] * 3]
+        assert stages(parts) == [None, ShowStage.LEFT, *[ShowStage.FLOWN] * 3]
         assert "a1 would come as near as" in parts["a2"].why
         assert await watching > made.show.least_distance_m
 
@@ -303,7 +304,7 @@ async def test_a_second_show_with_one_of_them_is_refused_and_the_first_goes_on(r
         made.show = Show("", made.show.tracks[1:])
         with pytest.raises(UsageError, match="a2 is flying in a show that another one conducts"):
             await made.conductor().fly()
-        assert stages(await conducting) == [Stage.FLOWN] * 2
+        assert stages(await conducting) == [ShowStage.FLOWN] * 2
 
 
 async def test_when_not_all_were_told_to_begin_none_begins(
@@ -320,13 +321,13 @@ async def test_when_not_all_were_told_to_begin_none_begins(
         monkeypatch.setattr(conductor, "_start", start_the_first)
         conducting = asyncio.ensure_future(conductor.fly())
         first, second = (service.performer for service in made.performing)
-        await rig.until(lambda: first.stage is Stage.FLYING, within=120.0)
+        await rig.until(lambda: first.stage is ShowStage.FLYING, within=120.0)
         monkeypatch.setattr(conductor, "leave", anyio.sleep_forever)  # of a process nothing is left
         rig.network.cut(made.ground)
         place = made.places()[0]
         await anyio.sleep(20.0)
         conducting.cancel()
-        assert (first.stage, second.stage) == (Stage.LEFT, Stage.LEFT)
+        assert (first.stage, second.stage) == (ShowStage.LEFT, ShowStage.LEFT)
         assert "1 of the others are not heard to" in str(first.fault)
         assert dist(made.places()[0], place) < 0.3
 
@@ -345,7 +346,7 @@ async def test_a_clock_that_is_set_in_flight_ends_no_show_and_what_it_costs_is_t
         assert parts["a1"].stage is None
         assert made.told[-1].startswith("a1 tells nothing more: ")
         assert "3600.0 s ahead" in made.told[-1]
-        await rig.until(lambda: made.performing[0].performer.stage is Stage.FLOWN)
+        await rig.until(lambda: made.performing[0].performer.stage is ShowStage.FLOWN)
 
 
 @asynccontextmanager
@@ -394,8 +395,8 @@ async def test_when_nobody_hears_anybody_no_two_meet_whoever_leaves(
         watching.cancel()
         assert await watching > made.show.least_distance_m
         first, second = (service.performer.stage for service in made.performing)
-        assert first is Stage.FLOWN, "the other one's way lies behind it, or is not reached by then"
-        assert second in (Stage.FLOWN, Stage.LEFT)
+        assert first is ShowStage.FLOWN, "the other one's way lies behind it, or is not reached"
+        assert second in (ShowStage.FLOWN, ShowStage.LEFT)
 
 
 async def test_a_track_that_the_guards_on_board_do_not_let_fly_is_not_begun(rig: Rig) -> None:

@@ -9,7 +9,8 @@ from typing import Any, cast
 import anyio
 import pytest
 
-from m100link.apps.fleet.show.performer import ALLOWED, ATTENDED_S, Leave, Order, Performer, Stage
+from m100link.apps.fleet.payloads import ShowStage
+from m100link.apps.fleet.show.performer import ALLOWED, ATTENDED_S, Leave, Order, Performer
 from m100link.apps.fleet.show.plan.steering import MOST_EARLY_S, LeftShow, ShowRefused, Why
 from m100link.apps.fleet.show.plan.track import BadShow
 from m100link.errors import AuthorityLost, M100Error, NoAuthority, TelemetryStalled, UsageError
@@ -26,7 +27,7 @@ __all__ = ["anyio_backend", "rig"]
 pytestmark = pytest.mark.anyio
 
 FLOWN = track("a1", (0, 0, 0, 4), (8, 12, 0, 5))
-EMPTY, LOADED, PLACING, READY, FLYING, OVER, LEFT = Stage
+EMPTY, LOADED, PLACING, READY, FLYING, OVER, LEFT = ShowStage
 
 
 class Stand:
@@ -36,7 +37,7 @@ class Stand:
         self.one, self.rig = one, rig
         self.performer = Performer(one.client, "a1")
 
-    async def to(self, stage: Stage, *, leave: Leave = "hover") -> Performer:
+    async def to(self, stage: ShowStage, *, leave: Leave = "hover") -> Performer:
         """Bring it to a stage as a conductor would."""
         performer = self.performer
         if stage is EMPTY:
@@ -111,9 +112,9 @@ TABLE = {
 }
 
 
-@pytest.mark.parametrize("stage", Stage)
+@pytest.mark.parametrize("stage", ShowStage)
 @pytest.mark.parametrize("what", Order)
-async def test_every_order_in_every_stage(stand: Stand, stage: Stage, what: Order) -> None:
+async def test_every_order_in_every_stage(stand: Stand, stage: ShowStage, what: Order) -> None:
     performer = await stand.to(stage)
     after = TABLE.get((what, stage))
     assert (stage in ALLOWED[what]) == (after is not None)
@@ -146,7 +147,7 @@ async def test_an_activation_that_takes_longer_than_a_lease_lasts_is_waited_for(
 @pytest.mark.parametrize("stage", [PLACING, READY])
 @pytest.mark.parametrize("leave", ["hover", "land"])
 async def test_who_conducts_is_missed_before_the_beginning(
-    stand: Stand, stage: Stage, leave: Leave
+    stand: Stand, stage: ShowStage, leave: Leave
 ) -> None:
     performer = await stand.to(stage, leave=leave)
     await anyio.sleep(ATTENDED_S - 2.0)
@@ -210,7 +211,7 @@ async def test_one_that_lands_because_it_left_lands_on_whatever_else_it_is_told(
 
 @pytest.mark.parametrize("stage", [PLACING, READY, FLYING])
 async def test_stop_by_anybody_ends_it_and_it_does_not_even_land(
-    stand: Stand, stage: Stage
+    stand: Stand, stage: ShowStage
 ) -> None:
     performer = await stand.to(stage, leave="land")
     if stage is not READY:
