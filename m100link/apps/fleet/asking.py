@@ -168,7 +168,7 @@ class Asker:
         Raises:
             OutcomeUnknown: Two agents answered, or the reply belongs to another order.
         """
-        asked = order or self._order(orders.AskVersion())
+        asked = order or self.around(orders.AskVersion())
         asked_at = self._clock()
         answers = await self.bus.ask(self.keys.status(asked.id), timeout=within)
         reply = self._read(answers, asked, asked_at)
@@ -207,19 +207,9 @@ class Asker:
         key: bytes = b"",
     ) -> Order:
         """A new order, signed; see :meth:`ask`."""
-        clock = clock or self.its_clock.at_least(self._clock())
-        return self._sign(self._order(asked, fence, clock, identity, key), token)
-
-    def _order(
-        self,
-        asked: Asked,
-        fence: int = 0,
-        clock: float = 0.0,
-        identity: str = "",
-        key: bytes = b"",
-    ) -> Order:
         head = (identity or uuid.uuid4().hex, self.keys.site, self.keys.name, self._name)
-        return Order(*head, fence, self._utc(), asked, clock, key=key)
+        clock = clock or self.its_clock.at_least(self._clock())
+        return self._sign(Order(*head, fence, self._utc(), asked, clock, key=key), token)
 
     async def _answered(self, key: str, order: Order, patience: float) -> Reply:
         payload, status = pack(order), self.keys.status(order.id)

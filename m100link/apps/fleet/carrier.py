@@ -61,7 +61,7 @@ async def reach(asker: Callable[[str], Asker]) -> FleetChannel:
     channel, own = FleetChannel(asker), asker("")
     if not await own.is_there() or not await channel.look_at_clock():
         channel.close()
-        raise agent_gone(f"{own.keys.name} does not answer, or has an older release")
+        raise agent_gone(channel.unread_why or f"{own.keys.name} does not answer")
     return channel
 
 
@@ -95,6 +95,7 @@ class FleetChannel:
         # Messages that this version cannot read, that were too long on their way to say anything,
         # and that this side failed over.
         self.unread = self.old = self.untaken = 0
+        self.unread_why = ""
 
     # -- the channel -----------------------------------------------------------------------------
 
@@ -209,7 +210,7 @@ class FleetChannel:
                     self._keys.name,
                     error.seen,
                 )
-            self.unread += 1
+            self.unread, self.unread_why = self.unread + 1, error.seen
             return None
 
     def _hear(self, _key: str, payload: bytes) -> None:

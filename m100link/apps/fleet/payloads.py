@@ -249,9 +249,8 @@ class LeaveShow(ShowOrder):
     """Leave the show, wherever it is."""
 
 
-Asked = (
-    orders.Order | LogQuestion | AskShow | SendTrack | LoadTrack | TakePlace | StartShow | LeaveShow
-)
+AboutShow = AskShow | SendTrack | LoadTrack | TakePlace | StartShow | LeaveShow
+Asked = orders.Order | LogQuestion | AboutShow
 """What an order can ask for. Each has the right that it needs."""
 
 
@@ -425,12 +424,12 @@ def to_json(value: Any) -> bytes:
     return text.encode()
 
 
-def value_of(kind: Any, found: object, what: str = "") -> Any:
+def value_of(kind: Any, found: object) -> Any:
     """The value that JSON means; MessageError where it is none of that kind."""
     try:
         return _fields(kind).read(found)
     except BadValue as error:
-        raise MessageError(f"not {what or f'a {kind.__name__}'}: {error}") from None
+        raise MessageError(f"not a {kind.__name__}: {error}") from None
 
 
 def pack(value: Value | Message) -> bytes:

@@ -88,9 +88,7 @@ def unpack_reply(payload: bytes) -> tuple[LogReply, bytes]:
     head, _, data = body(payload, MOST_PIECE + _MOST_HEAD).partition(b"\n")
     if len(data) > MOST_PIECE:
         raise MessageError(f"{len(data)} bytes of a log in one answer")
-    what = "an answer about logs"
-    reply: LogReply = value_of(LogReply, parsed(head, what), what)
-    return reply, data
+    return value_of(LogReply, parsed(head, "a LogReply")), data
 
 
 def pack_entries(entries: list[LogEntry]) -> bytes:
@@ -103,7 +101,7 @@ def unpack_entries(data: bytes) -> list[LogEntry]:
     found = parsed(data, "a list of logs")
     if not isinstance(found, list) or len(found) > MOST_ENTRIES:
         raise MessageError("not a list of logs")
-    entries = [value_of(LogEntry, one, "a list of logs") for one in found]
+    entries = [value_of(LogEntry, one) for one in found]
     return [
         one
         for one in entries

@@ -21,7 +21,7 @@ from m100link.apps.bus.network import Bus
 from m100link.apps.fleet.asking import Asker, Sign, unsigned
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.payloads import (
-    Asked,
+    AboutShow,
     AskShow,
     LeaveShow,
     LoadTrack,
@@ -155,7 +155,7 @@ class Conductor:
         """Where it stands."""
         return await self._ask(track, AskShow(self._run))
 
-    async def _ask(self, track: TimedTrack, asked: Asked) -> Part:
+    async def _ask(self, track: TimedTrack, asked: AboutShow) -> Part:
         """One question; each try is an order of its own, which the stage admits once."""
         asker = self._askers[track.name]
         for _ in range(_TRIES):
@@ -171,7 +171,7 @@ class Conductor:
             remedy="m100link fleet list; m100link fleet acl check",
         )
 
-    async def _do(self, track: TimedTrack, asked: Asked, *done: ShowStage) -> Part:
+    async def _do(self, track: TimedTrack, asked: AboutShow, *done: ShowStage) -> Part:
         """An order; one that was done although its answer was lost is refused and yet done."""
         try:
             return await self._ask(track, asked)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from enum import Enum
 from typing import Literal
 
 from m100link.apps.agent import orders
@@ -22,7 +21,14 @@ from m100link.apps.agent.messages import Event, Topic
 from m100link.apps.agent.orders import ChangeHeight, FlyTo
 from m100link.apps.fleet.expiry import OrderAges
 from m100link.apps.fleet.expiry import DRIFT, OrderAges
-from m100link.apps.fleet.payloads import ShowStage
+from m100link.apps.fleet.payloads import (
+    LeaveShow,
+    LoadTrack,
+    ShowOrder,
+    ShowStage,
+    StartShow,
+    TakePlace,
+)
 from m100link.apps.fleet.show.plan.conflicts import (
     Ahead,
     Neighbours,
@@ -55,21 +61,12 @@ _TOLD_S = 600.0
 """Seconds after its track in which one still tells the others where it is."""
 
 
-class Order(Enum):
-    """What it is told."""
-
-    LOAD = "load"
-    PLACE = "place"
-    START = "start"
-    LEAVE = "leave"
-
-
-ALLOWED: dict[Order, frozenset[ShowStage]] = {
-    Order.LOAD: frozenset({ShowStage.EMPTY, ShowStage.LOADED, ShowStage.FLOWN, ShowStage.LEFT}),
-    Order.PLACE: frozenset({ShowStage.LOADED}),
-    Order.START: frozenset({ShowStage.READY}),
+ALLOWED: dict[type[ShowOrder], frozenset[ShowStage]] = {
+    LoadTrack: frozenset({ShowStage.EMPTY, ShowStage.LOADED, ShowStage.FLOWN, ShowStage.LEFT}),
+    TakePlace: frozenset({ShowStage.LOADED}),
+    StartShow: frozenset({ShowStage.READY}),
     # Whoever wants out gets out, and may say so any number of times.
-    Order.LEAVE: frozenset(ShowStage),
+    LeaveShow: frozenset(ShowStage),
 }
 
 
@@ -159,13 +156,13 @@ class Performer:
 
     # -- what it is told -------------------------------------------------------------------------
 
-    def _require(self, order: Order) -> None:
-        is_landing = order is Order.LOAD and self._lease is not None
+    def _require(self, order: type[ShowOrder], what: str) -> None:
+        is_landing = order is LoadTrack and self._lease is not None
         if self.stage not in ALLOWED[order] or is_landing:
             stage = f"{self.stage.value}{' and landing' * is_landing}"
             left = "" if self.fault is None else f"it left: {self.fault.seen}"
             raise UsageError(
-                f"{self._name} is {stage} and cannot {order.value}",
+                f"{self._name} is {stage} and cannot {what}",
                 cause=left or "two conduct the same show, or an order came late",
                 remedy="let it leave, and begin anew: load, place, start",
             )
@@ -183,7 +180,7 @@ class Performer:
             BadShow: It is none, or another aircraft's.
             UsageError: It is in a show.
         """
-        self._require(Order.LOAD)
+        self._require(LoadTrack, "load")
         track = TimedTrack.from_bytes(data)
         if track.name != self._name:
             raise BadShow(f"the track of {track.name} came to {self._name}", aircraft=(self._name,))
@@ -198,7 +195,7 @@ class Performer:
 
     def place(self, who: str) -> None:
         """Begin to take off and to fly to the first point."""
-        self._require(Order.PLACE)
+        self._require(TakePlace, "place")
         TrackSteering(self._loaded(), self._fastest).require_fast_enough()
         self.heard()
         self.stage = ShowStage.PLACING
@@ -214,7 +211,7 @@ class Performer:
             ShowRefused: The clock, the time or the place is wrong.
             UsageError: It is not ready, or loaded with another track.
         """
-        self._require(Order.START)
+        self._require(StartShow, "start")
         track = self._loaded()
         if digest != track.digest:
             raise UsageError(f"{self._name} is loaded with another track", remedy="load it anew")

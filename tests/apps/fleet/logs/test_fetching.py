@@ -237,5 +237,5 @@ async def test_a_name_that_is_not_there_is_told_with_what_to_do(road: Road) -> N
 async def test_junk_in_place_of_answers_is_said_and_never_believed(road: Road) -> None:
     junk = bytes([VERSION]) + b"junk\n"
     road.board.serve(KEYS.log, lambda question: question.answer(KEYS.log, junk))
-    with pytest.raises(MessageError, match="not an answer about logs: this is not JSON"):
+    with pytest.raises(MessageError, match="not a LogReply: this is not JSON"):
         await LogFetcher(road.asker(), patience=2.0).logs()

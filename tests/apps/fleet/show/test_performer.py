@@ -9,8 +9,15 @@ from typing import Any, cast
 import anyio
 import pytest
 
-from m100link.apps.fleet.payloads import ShowStage
-from m100link.apps.fleet.show.performer import ALLOWED, ATTENDED_S, Leave, Order, Performer
+from m100link.apps.fleet.payloads import (
+    LeaveShow,
+    LoadTrack,
+    ShowOrder,
+    ShowStage,
+    StartShow,
+    TakePlace,
+)
+from m100link.apps.fleet.show.performer import ALLOWED, ATTENDED_S, Leave, Performer
 from m100link.apps.fleet.show.plan.steering import MOST_EARLY_S, LeftShow, ShowRefused, Why
 from m100link.apps.fleet.show.plan.track import BadShow
 from m100link.errors import AuthorityLost, M100Error, NoAuthority, TelemetryStalled, UsageError
@@ -82,44 +89,45 @@ async def stand(rig: Rig) -> Stand:
     return Stand(one, rig)
 
 
-def order(performer: Performer, what: Order, now: float) -> None:
-    match what:
-        case Order.LOAD:
-            performer.load(FLOWN.to_bytes(), "hover")
-        case Order.PLACE:
-            performer.place("anna")
-        case Order.START:
-            performer.start(FLOWN.digest, now + 2.0, 0.0)
-        case Order.LEAVE:
-            performer.leave()
+def order(performer: Performer, what: type[ShowOrder], now: float) -> None:
+    if what is LoadTrack:
+        performer.load(FLOWN.to_bytes(), "hover")
+    elif what is TakePlace:
+        performer.place("anna")
+    elif what is StartShow:
+        performer.start(FLOWN.digest, now + 2.0, 0.0)
+    else:
+        performer.leave()
 
 
 # By hand: what each order makes of each stage; what is not here is refused and changes nothing.
 TABLE = {
-    (Order.LOAD, EMPTY): LOADED,
-    (Order.LOAD, LOADED): LOADED,
-    (Order.LOAD, OVER): LOADED,
-    (Order.LOAD, LEFT): LOADED,
-    (Order.PLACE, LOADED): PLACING,
-    (Order.START, READY): FLYING,
-    (Order.LEAVE, EMPTY): EMPTY,
-    (Order.LEAVE, LOADED): LEFT,  # an order to take its place may be on its way
-    (Order.LEAVE, PLACING): LEFT,
-    (Order.LEAVE, READY): LEFT,
-    (Order.LEAVE, FLYING): LEFT,
-    (Order.LEAVE, OVER): OVER,
-    (Order.LEAVE, LEFT): LEFT,
+    (LoadTrack, EMPTY): LOADED,
+    (LoadTrack, LOADED): LOADED,
+    (LoadTrack, OVER): LOADED,
+    (LoadTrack, LEFT): LOADED,
+    (TakePlace, LOADED): PLACING,
+    (StartShow, READY): FLYING,
+    (LeaveShow, EMPTY): EMPTY,
+    (LeaveShow, LOADED): LEFT,  # an order to take its place may be on its way
+    (LeaveShow, PLACING): LEFT,
+    (LeaveShow, READY): LEFT,
+    (LeaveShow, FLYING): LEFT,
+    (LeaveShow, OVER): OVER,
+    (LeaveShow, LEFT): LEFT,
 }
 
 
 @pytest.mark.parametrize("stage", ShowStage)
-@pytest.mark.parametrize("what", Order)
-async def test_every_order_in_every_stage(stand: Stand, stage: ShowStage, what: Order) -> None:
+@pytest.mark.parametrize("what", ALLOWED)
+async def test_every_order_in_every_stage(
+    stand: Stand, stage: ShowStage, what: type[ShowOrder]
+) -> None:
     performer = await stand.to(stage)
     after = TABLE.get((what, stage))
     assert (stage in ALLOWED[what]) == (after is not None)
     if after is None:
-        with pytest.raises(UsageError, match=f"cannot {what.value}"):
+        with pytest.raises(UsageError, match=r"cannot (load|place|start)"):
             order(performer, what, stand.one.client.now)
         assert performer.stage is stage
     else:
