@@ -17,24 +17,33 @@ from m100link.apps.agent.orders import FlyTo
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.expiry import Dropped
 from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.logs.service import LogService
+from m100link.apps.fleet.logs.words import unpack_reply
 from m100link.apps.fleet.order_log import MemoryLedger
 from m100link.apps.fleet.payloads import (
     Card,
     Half,
     LeaseRequest,
+    LeaveShow,
+    LogQuestion,
     Order,
     Outcome,
     Progress,
     Reply,
+    TakePlace,
+    What,
     pack,
     pack_steer,
     unpack,
     unpack_message,
 )
+from m100link.apps.fleet.show.service import ShowService
 from m100link.errors import NotAllowed, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.fleet.conftest import SITE, OnBoard, Rig, with_camera
+from tests.apps.fleet.logs.conftest import AtOnce
+from tests.apps.fleet.test_payloads import BOTH, OLD_ORDERS
 
 pytestmark = pytest.mark.anyio
 
@@ -485,3 +494,34 @@ async def test_why_a_setpoint_was_not_flown_is_told_to_no_later_pilot(rig: Rig) 
     offer = await send(rig, order(orders.AskTakeOver()), KEYS.lease)
     other = await lease(rig, request(offer.offer))
     assert (await keep(rig, other)).fault is None
+
+
+async def test_an_old_pilot_is_told_both_versions_and_nothing_is_done(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    spawn, bus = one.agent.background.spawn, rig.network.session()
+    spawn(ShowService(one.client, one.bus, KEYS).run(), "shows")
+    spawn(LogService(one.bus, KEYS, None, apart=AtOnce()).run(), "logs")
+    await anyio.sleep(0.1)
+    for key, payload in OLD_ORDERS.items():
+        [answer] = await bus.ask(KEYS.of(key), payload, timeout=2.0)
+        reply = unpack_reply(answer.payload)[0] if key == "log" else unpack(Reply, answer.payload)
+        assert (reply.id, reply.outcome) == ("", Outcome.REFUSED)
+        assert reply.fault is not None
+        assert (reply.fault.kind, reply.fault.seen) == ("MessageError", BOTH)
+    steer = pack_steer(Steer(1, one.client.now, 0.2, NORTH), "", begins=True)
+    bus.publish(KEYS.setpoint).put(b"\x02" + steer[1:])
+    await anyio.sleep(0.1)
+    assert one.fleet_agent.dropped == {Dropped.DAMAGED: 1}
+    assert one.client.holder.number == 0
+
+
+async def test_what_is_asked_under_the_key_of_something_else_is_not_done(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    head = (SITE, "a1", "eve", 0, 1.8e9)
+    for asked in (LogQuestion(What.LIST), TakePlace("r"), LeaveShow("r")):
+        made = Order(uuid.uuid4().hex, *head, asked, one.client.now)
+        for key in (KEYS.command, KEYS.lease):
+            reply = await send(rig, made, key)
+            assert reply.outcome is Outcome.REFUSED
+            assert reply.fault is not None
+            assert reply.fault.seen == f"nobody asks for {type(asked).__name__} under this key"

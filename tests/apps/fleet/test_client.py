@@ -10,12 +10,14 @@ import anyio
 import pytest
 
 from m100link.apps.agent import orders
+from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.fleet.client import Change, FleetAircraft
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.payloads import Card, Outcome, pack
-from m100link.errors import OutcomeUnknown
+from m100link.apps.fleet.payloads import AskShow, Card, Outcome, pack
+from m100link.errors import LinkError, OutcomeUnknown
 from tests.apps.bus.memory import Weather
 from tests.apps.fleet.conftest import SITE, OnBoard, Rig, with_camera
+from tests.apps.fleet.test_payloads import BOTH, OLD_CARD, OLD_HELLO, OLD_LOGS, OLD_REPLY
 
 pytestmark = pytest.mark.anyio
 
@@ -68,6 +70,38 @@ async def test_each_method_of_an_aircraft_gives_its_order(
 async def test_a_name_that_is_not_there_is_unreachable(rig: Rig) -> None:
     results = await (await rig.pilot()).land(["a7"])
     assert results["a7"].outcome is Outcome.UNREACHABLE
+
+
+OLD: dict[str, bytes] = {
+    **dict.fromkeys(("cmd", "lease", "show", "status/*"), OLD_REPLY),
+    **{"log": OLD_LOGS, "state": OLD_CARD, "mission": OLD_CARD, "told": OLD_HELLO},
+}
+"""What an agent of an old release answers under each key."""
+
+ASKING: dict[str, Callable[[FleetAircraft], Awaitable[object]]] = {
+    **{name: getattr(FleetAircraft, name) for name in ORDERS if name != "fetch_log"},
+    "look at a show": lambda one: one.asker.once(one.keys.show, AskShow("r"), within=1.0),
+}
+
+
+@pytest.mark.parametrize("what", ASKING)
+async def test_an_old_agent_is_told_with_both_versions(rig: Rig, what: str) -> None:
+    board, pilot = rig.network.session(), await rig.pilot()
+    board.declare(Keys(SITE, "a1").live_by(board.session))
+
+    def serve(key: str, payload: bytes) -> None:
+        board.serve(Keys(SITE, "a1").of(key), lambda asked: asked.answer(asked.key, payload))
+
+    for key, payload in OLD.items():
+        serve(key, payload)
+    if what == "card":
+        assert str((await pilot.cards())["a1"].fault).count(BOTH)
+        with pytest.raises(LinkError, match=BOTH):
+            await pilot.reach("a1")
+        return
+    with pytest.raises((MessageError, OutcomeUnknown), match=BOTH) as caught:
+        await ASKING[what](pilot["a1"])
+    assert caught.value.remedy == "install the same release on both"
 
 
 async def test_who_appears_and_who_is_gone(rig: Rig) -> None:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import random
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -11,16 +14,29 @@ from hypothesis import strategies as st
 
 from m100link.apps.agent.lease import LeaseHeld, LeaseRefused
 from m100link.apps.agent.messages import Steer, Telemetry
-from m100link.apps.agent.orders import Land, TakeOff
+from m100link.apps.agent.orders import (
+    AcquireLease,
+    Land,
+    SetMissionSpeed,
+    Stop,
+    TakeOff,
+    UploadPlan,
+)
 from m100link.apps.agent.remote_error import Fault, MessageError
+from m100link.apps.fleet.identity import Gate, Rights, Signer
 from m100link.apps.fleet.payloads import (
     VERSION,
+    Asked,
     Card,
+    LogQuestion,
     Order,
     Outcome,
     Progress,
     Reply,
     Result,
+    SendTrack,
+    TakePlace,
+    What,
     outcome_of,
     pack,
     pack_steer,
@@ -28,6 +44,7 @@ from m100link.apps.fleet.payloads import (
     unpack_message,
     unpack_steer,
 )
+from m100link.apps.fleet.signing import signing
 from m100link.errors import (
     AckTimeout,
     AuthorityLost,
@@ -42,6 +59,7 @@ from m100link.errors import (
     Unreachable,
 )
 from m100link.protocol.setpoint import Setpoint
+from tests.fuzz.mutation import changed
 
 ORDER = Order("ab" * 16, "field", "a1", "pilot", 3, 1.8e9, TakeOff())
 NORTH = Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
@@ -110,6 +128,224 @@ def test_whatever_comes_nothing_but_a_message_error_is_raised(data: bytes) -> No
                 unpack(kind, payload)
         with contextlib.suppress(MessageError):
             unpack_steer(payload, {0: ""}.get)
+
+
+# -- one order, one meaning -----------------------------------------------------------------------
+
+ANNA = Signer("anna", b"a" * 32)
+RIGHTS = Rights.parse(
+    f"""
+    [identity.anna]
+    public_key = "{ANNA.public_key.hex()}"
+    fly = ["a1"]
+    """
+)
+PLAN = UploadPlan(b"mission", (b"one", b"two"))
+GIVEN: list[Asked] = [
+    *(TakeOff(), Land(), Stop(), AcquireLease("anna"), SetMissionSpeed(2.5), PLAN),
+    *(LogQuestion(What.PIECE, "x.mcap", 5, 7), SendTrack("r", 3, b"data"), TakePlace("r")),
+]
+
+
+def signed_order(number: int = 0) -> Order:
+    """Signed, and under a lease."""
+    order = replace(ORDER, order=GIVEN[number % len(GIVEN)], id=f"{number:032x}", clock=83.25)
+    return signing(ANNA)(order, "secret")
+
+
+def changed_document(old: str, new: str) -> bytes:
+    """A payload whose signature is right: of a pilot who wants two readers to differ."""
+    document = signed_order().document
+    assert document.count(old.encode()) == 1
+    order = signed_order().sealed(document.replace(old.encode(), new.encode()))
+    return pack(order.sealed(signature=ANNA.sign(order)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"fence":3,', '"fence":3,"fence":4,'),
+        ('"fence":3,', '"fence":4,"fence":3,'),
+        ('"order":{', '"order":{"kind":"Land"},"order":{'),
+        ('{"kind":"TakeOff"}', '{"kind":"TakeOff","kind":"TakeOff"}'),
+        ('{"kind":"TakeOff"}', '{"kind":"Halt","why":"","why":""}'),
+        ('{"kind":"TakeOff"}', '{"kind":"TakeOff","token":""}'),
+        ('{"kind":"TakeOff"}', '{"Kind":"TakeOff"}'),
+        ('{"kind":"TakeOff"}', '{"kind":"takeoff"}'),
+        ('{"kind":"TakeOff"}', '{"kind":"TakeOff\\u0000"}'),
+        ('{"kind":"TakeOff"}', '{"kind":"Order"}'),
+        ('{"kind":"TakeOff"}', '{"kind":"Ask","id":1,"order":{"kind":"TakeOff"},"fence":0}'),
+        ('{"kind":"TakeOff"}', '"eyJraW5kIjoiVGFrZU9mZiJ9"'),
+        ('{"kind":"TakeOff"}', '[{"kind":"TakeOff"}]'),
+        ('{"kind":"TakeOff"}', "null"),
+        ('"by":"pilot"', '"by":"pilot","message":""'),
+        ('"by":"pilot"', '"by":"pilot","BY":"eve"'),
+        ('"by":"pilot"', '"by":"\\ud800"'),
+        ('"by":"pilot",', ""),
+        ('"fence":3', '"fence":9007199254740993'),
+        ('"fence":3', '"fence":18446744073709551619'),
+        ('"fence":3', '"fence":3.0'),
+        ('"fence":3', '"fence":3e0'),
+        ('"fence":3', '"fence":true'),
+        ('"fence":3', '"fence":"3"'),
+        ('"fence":3', '"fence":03'),
+        ('"fence":3', '"fence":0x3'),
+        ('"clock":83.25', '"clock":NaN'),
+        ('"clock":83.25', '"clock":-Infinity'),
+        ('"clock":83.25', '"clock":1e400'),
+        ('"clock":83.25', '"clock":' + "9" * 400),
+        ('"clock":83.25', '"clock":.5'),
+        ('"key":""', '"key":"AAE"'),
+        ('"key":""', '"key":"AAF="'),
+        ('"key":""', '"key":"AA E="'),
+        ('"key":""', '"key":"AAE=AAE="'),
+        ('"key":""', '"key":"_-8="'),
+        ('"key":""}', '"key":""}{}'),
+        ('"key":""}', '"key":""}\0'),
+        ('"key":""}', '"key":"",}'),
+        ('{"id"', '\ufeff{"id"'),
+        ('{"id"', '/**/{"id"'),
+    ],
+)
+def test_what_two_readers_could_understand_differently_is_refused(old: str, new: str) -> None:
+    with pytest.raises(MessageError):
+        unpack(Order, changed_document(old, new))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('{"kind":"TakeOff"}', '{ "kind" :\t"Take\\u004fff"\n}'),
+        ('"clock":83.25', '"clock":8.325e+1'),
+        ('"at":1800000000.0', '"at":1800000000'),
+    ],
+)
+def test_another_writer_writes_as_it_likes_and_its_bytes_are_what_is_signed(
+    old: str, new: str
+) -> None:
+    payload = changed_document(old, new)
+    order: Order = unpack(Order, payload)
+    assert order == signed_order().sealed(signature=order.signature)
+    assert pack(order) == payload
+    gate().check(order, 1.8e9)
+    assert order.digest() != signed_order().digest(), "a reply names the bytes that came"
+
+
+def gate() -> Gate:
+    return Gate(RIGHTS, "a1", began_at=0.0)
+
+
+def first_wins(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    return dict(reversed(pairs))
+
+
+def meaning(document: bytes) -> str:
+    """What one reader understands that takes the first of two, and knows no numbers but doubles."""
+    value = json.loads(
+        document, object_pairs_hook=first_wins, parse_int=lambda one: float(one) + 0.0
+    )
+    return json.dumps(value, sort_keys=True)
+
+
+WORDS = [
+    *(
+        b'"order":',
+        b'{"kind":"Land"}',
+        b'"kind":"Stop",',
+        b'"fence":4,',
+        b'"clock":',
+        b'"proof":"",',
+    ),
+    *(
+        b"NaN",
+        b"-0",
+        b"0.1e1",
+        b"9007199254740993",
+        b"1e308",
+        b"\\u0061",
+        b"\\",
+        b"A==",
+        b" ",
+        b"\t",
+    ),
+    *(b'"signer":"bert",', b'"by":"', b",", b":", b"true", b"}", b"{"),
+]
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_no_changed_order_is_obeyed_or_proved_and_what_is_read_has_one_meaning(seed: int) -> None:
+    chance = random.Random(seed)
+    seeds = [pack(signed_order(number)) for number in range(len(GIVEN))]
+    read = 0
+    for number in range(3000):
+        payload = changed(chance, seeds, WORDS)
+        if number % 2:  # the JSON alone
+            one = chance.choice(seeds)
+            payload = one[:81] + changed(chance, [one[81:]], WORDS)
+        try:
+            order: Order = unpack(Order, payload)
+        except MessageError:
+            continue
+        read += 1
+        ours = json.dumps(json.loads(replace(order).document, parse_int=float), sort_keys=True)
+        assert meaning(order.document) == ours
+        if payload in seeds:
+            continue
+        with pytest.raises(NotAllowed):
+            gate().check(order, 1.8e9)
+        is_same = order.document in {one[81:] for one in seeds}
+        assert is_same or not order.proves("secret")
+    assert read > 200
+
+
+# -- releases that speak another version ----------------------------------------------------------
+
+# As a release wrote them that spoke version 2: bytes, not what this code would write.
+OLD_ORDERS = {
+    "cmd": b'\x02{"id":"0b0b0b0b0b0b0b0b0b0b0b0b0b0b0b0b","aircraft":"a1","by":"anna","fence":0,'
+    b'"at":1800000000.0,"message":"eyJraW5kIjoiU3RvcCJ9","clock":0.0,"proof":"","signer":"",'
+    b'"signature":"","key":""}',
+    "lease": b'\x02{"id":"0b0b0b0b0b0b0b0b0b0b0b0b0b0b0b0b","aircraft":"a1","by":"anna","fence":0,'
+    b'"at":1800000000.0,"message":"eyJraW5kIjoiQWNxdWlyZUxlYXNlIiwibmFtZSI6ImFubmEifQ==",'
+    b'"clock":0.0,"proof":"","signer":"anna","signature":"roJ0Xvxniyo1DuNXOEmv4C5ZYGqsp2j+abk/'
+    b'jGNNzFFGoGN7dZ67YCuS7kNqcUobCM2ApuOa0GS1BM/9COufCg==","key":"AAECAwQFBgcICQoLDA0ODxAREhMU'
+    b'FRYXGBkaGxwdHh8="}',
+    "log": b'\x02{"id":"0b0b0b0b0b0b0b0b0b0b0b0b0b0b0b0b","aircraft":"a1","by":"anna","fence":0,'
+    b'"at":1800000000.0,"message":"bG9nCnsid2hhdCI6Imxpc3QiLCJsb2ciOiIiLCJvZmZzZXQiOjAsImxlbmd0'
+    b'aCI6MH0=","clock":0.0,"proof":"","signer":"","signature":"","key":""}',
+    "show": b'\x02{"id":"0b0b0b0b0b0b0b0b0b0b0b0b0b0b0b0b","aircraft":"a1","by":"anna","fence":0,'
+    b'"at":1800000000.0,"message":"c2hvdwp7ImRvIjogInRlbGwiLCAicnVuIjogInIifQ==","clock":0.0,'
+    b'"proof":"","signer":"","signature":"","key":""}',
+}
+OLD_REPLY = (
+    b'\x02{"id":"","name":"a1","boot":"5c0f8b1e","progress":"done","outcome":"refused","fault":'
+    b'{"kind":"MessageError","seen":"it speaks version 3 of the fleet\'s messages, this side 2",'
+    b'"cause":"an old agent and a new pilot, or the other way round","remedy":"install the same '
+    b'release on both","details":{}},"text":"","number":0,"offer":"","key":"","clock":12.5,'
+    b'"is_repeated":false,"order":""}'
+)
+OLD_CARD = (
+    b'\x02{"name":"a1","boot":"5c0f8b1e","at":1800000000.0,"connection":"connecting","fault":null,'
+    b'"firmware":"","holder":"","fence":0,"has_authority":false,"task":"","phase":"",'
+    b'"height_m":null,"latitude_deg":null,"longitude_deg":null,"battery_percent":null,'
+    b'"lost":"hover","lost_after":10.0,"version":""}'
+)
+OLD_LOGS = (
+    b'\x02{"id":"","name":"a1","outcome":"refused","fault":null,"again_s":0.0,"offset":0,"size":0,'
+    b'"is_written":false}\n'
+)
+OLD_HELLO = b'\x02{"kind":"Hello","version":1,"name":"5c0f8b1e","at":12.5}'
+BOTH = "it speaks version 2 of the fleet's messages, this side 3"
+
+
+@pytest.mark.parametrize(
+    ("kind", "payload"),
+    [*((Order, one) for one in OLD_ORDERS.values()), (Reply, OLD_REPLY), (Card, OLD_CARD)],
+)
+def test_what_an_old_release_wrote_is_told_with_both_versions(kind: Any, payload: bytes) -> None:
+    with pytest.raises(MessageError, match=BOTH) as caught:
+        unpack(kind, payload)
+    assert caught.value.remedy == "install the same release on both"
 
 
 # -- what an error means for whoever asked ---------------------------------------------------------

@@ -117,6 +117,30 @@ async def test_what_a_recorder_sends_on_changes_or_keeps_is_refused(rig: Rig) ->
     assert (await asked(recorder, fresh)).outcome is Outcome.NOT_ALLOWED, "too old by now"
 
 
+async def test_who_takes_the_proof_away_and_is_first_uses_up_no_order(rig: Rig) -> None:
+    pilots = await fleet_of(rig)
+    async with pilots["anna"]["a1"].control() as control:
+        number, token = control.proof
+        clock = control._asker.its_now()
+        given = replace(order(orders.Obtain(), rig.utc()), fence=number, clock=clock)
+        signed = signing(ANNA)(given, token)
+        for proof in (bytes(16), signed.under("guessed").proof):
+            stripped = signed.sealed(proof=proof)
+            assert (await asked(pilots[""], stripped)).outcome is Outcome.NOT_ALLOWED
+        reply = await asked(pilots[""], signed)
+        assert (reply.outcome, reply.is_repeated) == (Outcome.OK, False)
+
+
+async def test_an_order_to_an_aircraft_of_that_name_elsewhere_is_refused(rig: Rig) -> None:
+    pilots = await fleet_of(rig)
+    elsewhere = replace(order(orders.Stop(), rig.utc()), site="wood")
+    reply = await asked(pilots[""], signing(ANNA)(elsewhere, ""))
+    assert (reply.outcome, reply.fault and reply.fault.seen) == (
+        Outcome.NOT_ALLOWED,
+        "an order to wood/a1 came to field/a1",
+    )
+
+
 async def test_a_wrong_clock_keeps_nobody_from_stopping(rig: Rig) -> None:
     pilots = await fleet_of(rig)
     for number, (action, off, outcome) in enumerate(

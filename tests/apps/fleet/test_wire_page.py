@@ -36,6 +36,8 @@ from m100link.apps.fleet.payloads import (
     ShowCard,
     ShowStage,
     What,
+    pack,
+    unpack,
 )
 from m100link.apps.fleet.pki import router_config
 from m100link.apps.fleet.signing import verifying
@@ -133,6 +135,24 @@ async def test_by_the_page_alone_somebody_flies_and_stops(rig: Rig) -> None:
     told = await anna.do("cmd", {"kind": "Land"}, clock=await anna.clock())
     assert told["outcome"] == "ok"
     assert one.height < 0.1
+
+
+def test_the_example_of_the_page_is_an_order_that_is_proved_and_signed() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    [block] = re.findall(r"```text\n(signature .*?)```", text, re.DOTALL)
+    names = re.split(r"^(\w+) +", block, flags=re.MULTILINE)[1:]
+    parts = {
+        name: re.sub(r"\s", "", part) for name, part in zip(names[::2], names[1::2], strict=True)
+    }
+    document = parts["document"].encode()
+    payload = b"\x03" + bytes.fromhex(parts["signature"] + parts["proof"]) + document
+    assert f"The payload has {len(payload)} bytes" in text
+    order: Order = unpack(Order, payload)
+    assert order.order == orders.TakeOff()
+    assert order.proves("5e" * 32)
+    KEY.public_key().verify(order.signature, b"m100link order 3\n" + order.proof + document)
+    assert f"`{order.digest().hex()}`" in text
+    assert pack(order) == payload
 
 
 async def test_telemetry_is_what_the_page_says(rig: Rig) -> None:
