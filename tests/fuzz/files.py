@@ -52,6 +52,8 @@ from m100link.apps.fleet.payloads import (
     Order,
     Progress,
     Reply,
+    ShowCard,
+    ShowStage,
     pack,
     pack_steer,
     unpack,
@@ -324,7 +326,7 @@ def _all_of(path: Path) -> int:
 
 
 def ledger_seeds() -> list[bytes]:
-    """A ledger, sealed and of an older version, with its mark or without."""
+    """A ledger, sealed and without checksums, with its mark or without."""
     words: list[dict[str, Any]] = [
         {"fence": 1000},
         {"id": "0" * 32, "boot": "boot", "up": 5.0},
@@ -428,9 +430,9 @@ _TRACK = track("a1", (0, 0, 0, 4), (8, 12, 0, 5))
 
 def value_seeds() -> list[bytes]:
     """A value by the number of its kind."""
-    stage = {"stage": "flying", "digest": "0", "farthest_m": 0.1, "why": ""}
+    stands = ShowCard(ShowStage.FLYING, "0", 0.1, "")
     fault = Fault.of(UsageError("seen", remedy="do"))
-    reply = Reply("0" * 32, "a1", "boot", Progress.DONE, fault=fault, text=json.dumps(stage))
+    reply = Reply("0" * 32, "a1", "boot", Progress.DONE, fault=fault, show=stands)
     values: list[Any] = [
         Order("0" * 32, "field", "a1", "anna", 1, _UTC, orders.Land()),
         reply,
