@@ -25,6 +25,7 @@ from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.bus.network import Received
 from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.payloads import TakePlace
 from m100link.apps.fleet.show.conductor import Conductor
 from m100link.apps.fleet.show.plan.document import Show
 from m100link.apps.fleet.show.service import ShowService
@@ -710,7 +711,7 @@ class Performer(OfAFleet):
 
     def send_late(self) -> None:
         """The order to take its place, once more."""
-        self.spawn(self.conductor._ask(self.flown, {"do": "place"}))
+        self.spawn(self.conductor._ask(self.flown, TakePlace(self.conductor._run)))
 
     def send_junk(self) -> None:
         self.junk_for(Keys(fleet.SITE).place)

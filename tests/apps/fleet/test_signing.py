@@ -121,7 +121,7 @@ async def test_who_takes_the_proof_away_and_is_first_uses_up_no_order(rig: Rig) 
     pilots = await fleet_of(rig)
     async with pilots["anna"]["a1"].control() as control:
         number, token = control.proof
-        clock = control._asker.its_now()
+        clock = control._asker.its_clock.at_least(control._clock())
         given = replace(order(orders.Obtain(), rig.utc()), fence=number, clock=clock)
         signed = signing(ANNA)(given, token)
         for proof in (bytes(16), signed.under("guessed").proof):

@@ -20,7 +20,6 @@ from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import Event, Topic
 from m100link.apps.agent.orders import ChangeHeight, FlyTo
 from m100link.apps.fleet.expiry import OrderAges
-from m100link.apps.fleet.expiry import DRIFT, OrderAges
 from m100link.apps.fleet.payloads import (
     LeaveShow,
     LoadTrack,
