@@ -8,6 +8,7 @@ rosbridge, frames of MAVLink, CDR, orders of a fleet. Each has the same verbs, s
 from __future__ import annotations
 
 import asyncio
+import json
 import math
 import random
 from abc import ABC, abstractmethod
@@ -294,11 +295,11 @@ class Page(BesideAnAgent):
         self.page.say("rest")
 
     def send_late(self) -> None:
-        """A second ago by the page's clock, which the station knows."""
-        page, now = self.page, 1000 * self.page.rig.agent.now
-        text = page.message("beat", mode=2, x=0, y=SPEED_M_S, z=0, w=0)
-        assert f'"at": {now!r}' in text
-        page.hear(page.tab.receive(text.replace(f'"at": {now!r}', f'"at": {now - 1000!r}')))
+        """Said a second ago, when the station was heard a second ago as well."""
+        page = self.page
+        said = json.loads(page.message("beat", mode=2, x=0, y=SPEED_M_S, z=0, w=0))
+        said["at"], said["told"] = said["at"] - 1000, said["told"] - 1.0
+        page.hear(page.tab.receive(json.dumps(said)))
         self.heard.append(page.tab.problem)
 
     def send_junk(self) -> None:
