@@ -15,15 +15,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from m100link.errors import GuardRefused, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.protocol.items import BY_RECORD
-from m100link.protocol.records import (
-    Attitude,
-    Battery,
-    ControlDevice,
-    FlightStatus,
-    Position,
-    RemoteControl,
-)
+from m100link.protocol.records import Attitude, Battery, Position
 from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Setpoint, Vertical
+from m100link.telemetry.state import FRESH_S, is_possible
 
 if TYPE_CHECKING:
     from m100link.telemetry.state import AircraftState
@@ -36,34 +30,14 @@ __all__ = ["Envelope", "Guards"]
 
 R = TypeVar("R", bound=tuple[Any, ...])
 
-AGE_LIMITS_S: dict[type[Any], float] = {
-    Position: 1.2,
-    Attitude: 1.2,
-    ControlDevice: 1.2,
-    RemoteControl: 1.2,
-    FlightStatus: 2.5,
-    Battery: 5.0,
-}
-"""Seconds after which the value of an item counts as unknown: more than one period of an item that
-is sent once a second; the charge changes slowly and may miss four packages."""
-
 
 def known(state: AircraftState, record: type[R], *, within: float | None = None) -> R | None:
     """The newest value of an item, None when it is old or impossible: nobody knows it then.
 
-    ``within``: seconds that it may be old; by default those of :data:`AGE_LIMITS_S`.
+    ``within``: seconds that it may be old; by default those of the table that all share.
     """
-    value = state.fresh(record, within=AGE_LIMITS_S[record] if within is None else within)
-    return value if value is not None and _is_possible(value) else None
-
-
-def _is_possible(value: tuple[Any, ...]) -> bool:
-    numbers = value if None not in value else [field for field in value if field is not None]
-    if not all(map(math.isfinite, numbers)):
-        return False
-    if isinstance(value, Attitude):
-        return 0.5 < sum(part * part for part in value) < 2.0  # a unit quaternion, roughly
-    return value.is_possible if isinstance(value, Position | Battery) else True
+    value = state.fresh(record, within=within)
+    return value if value is not None and is_possible(value) else None
 
 
 def over_ground(forward: float, right: float, attitude: Attitude) -> tuple[float, float]:
@@ -347,7 +321,7 @@ class GuardKeeper:
         age, name = self._state.age(record), BY_RECORD[record].name
         if age is None:
             seen = f"the {name} item has never come"
-        elif age > AGE_LIMITS_S[record]:
+        elif age > FRESH_S[record]:
             seen = f"the {name} item is {age:.1f} s old"
         else:
             seen = f"the {name} item is impossible: {self._state.get(record)}"

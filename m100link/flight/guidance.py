@@ -13,13 +13,12 @@ from m100link.flight.pacing import Ticker
 from m100link.flight.tasks import describe_situation, is_on_ground
 from m100link.protocol.records import Attitude, Position, Velocity
 from m100link.protocol.setpoint import Setpoint
+from m100link.telemetry.state import STEER_S
 
 if TYPE_CHECKING:
     from m100link.telemetry.state import AircraftState
 
 __all__ = ["Arrival", "GuidanceProgress"]
-
-FRESH_S = 0.5  # seconds after which what was measured is too old to steer by
 
 STOOD_STILL_S = 0.25
 """A loop that ticks so many seconds late stood still: what arrived meanwhile is read only now."""
@@ -67,7 +66,7 @@ Progress = Callable[[GuidanceProgress], None]
 
 def position_of(state: AircraftState) -> Position:
     """Where the aircraft is now; ``TelemetryStalled`` where that is not told, or impossible."""
-    position = known(state, Position, within=FRESH_S)
+    position = known(state, Position, within=STEER_S)
     if position is None:
         age = state.age(Position)
         raise TelemetryStalled(
@@ -76,7 +75,7 @@ def position_of(state: AircraftState) -> Position:
                 "was never received"
                 if age is None
                 else f"is {age:.1f} s old"
-                if age > FRESH_S
+                if age > STEER_S
                 else f"is impossible: {state.get(Position)}"
             ),
             cause="the position item is not sent, or the line is broken",
@@ -87,7 +86,7 @@ def position_of(state: AircraftState) -> Position:
 
 def heading_of(state: AircraftState) -> float:
     """Where its nose points now, °; ``TelemetryStalled`` where that is not told, or impossible."""
-    attitude = known(state, Attitude, within=FRESH_S)
+    attitude = known(state, Attitude, within=STEER_S)
     if attitude is None:
         raise TelemetryStalled(
             "the heading is needed and the attitude item does not arrive, or is impossible",
@@ -114,7 +113,7 @@ class _Settling:
         self._since: float | None = None
 
     def update(self, is_within: bool) -> bool:
-        velocity = known(self._state, Velocity, within=FRESH_S)
+        velocity = known(self._state, Velocity, within=STEER_S)
         is_slow = velocity is None or (
             velocity.ground_speed_m_s < _SETTLED_M_S and abs(velocity.up_m_s) < _SETTLED_M_S
         )
@@ -178,7 +177,7 @@ class Guidance:
         if self._has_fresh_position():
             return
         clock = asyncio.get_running_loop().time
-        until = clock() + FRESH_S
+        until = clock() + STEER_S
         async for _ in Ticker():
             if self._has_fresh_position() or clock() >= until:
                 break
@@ -187,7 +186,7 @@ class Guidance:
     def _has_fresh_position(self) -> bool:
         """Whether no newer one is to be awaited: there is one, or there has never been one."""
         age = self._state.age(Position)
-        return age is None or age <= FRESH_S
+        return age is None or age <= STEER_S
 
     async def run(
         self,
@@ -206,7 +205,7 @@ class Guidance:
             async for _ in Ticker():
                 now = clock()
                 if now - ticked_at > STOOD_STILL_S:
-                    reading_until = now + FRESH_S
+                    reading_until = now + STEER_S
                 ticked_at = now
                 try:
                     setpoint, found = step()

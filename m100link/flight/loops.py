@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 from m100link.errors import UsageError
 from m100link.flight.guards import MAX_COMMAND_M_S, GuardKeeper, known
 from m100link.flight.guidance import (
-    FRESH_S,
     Arrival,
     Guidance,
     GuidanceProgress,
@@ -27,6 +26,7 @@ from m100link.flight.path import LAG_S, Path
 from m100link.geodesy import LocalFrame, normalize_degrees
 from m100link.protocol.records import Attitude, Position, Velocity
 from m100link.protocol.setpoint import Setpoint
+from m100link.telemetry.state import STEER_S
 
 if TYPE_CHECKING:
     from m100link.telemetry.state import AircraftState
@@ -507,7 +507,7 @@ class ClosedLoops:
         def step() -> tuple[Setpoint, GuidanceProgress]:
             nonlocal before
             here = position_of(self._state)
-            attitude = known(self._state, Attitude, within=FRESH_S)
+            attitude = known(self._state, Attitude, within=STEER_S)
             now = clock()
             steering = orbit.steer(
                 center.to_local(here.latitude_deg, here.longitude_deg),
@@ -530,7 +530,7 @@ class ClosedLoops:
 
 
 def _velocity(state: AircraftState) -> tuple[float, float] | None:
-    velocity = known(state, Velocity, within=FRESH_S)
+    velocity = known(state, Velocity, within=STEER_S)
     return None if velocity is None else (velocity.north_m_s, velocity.east_m_s)
 
 

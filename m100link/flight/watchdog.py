@@ -19,7 +19,7 @@ from m100link.flight.lifecycle import StopCause
 from m100link.geodesy import normalize_degrees
 from m100link.protocol.records import Attitude, FlightPhase, FlightStatus, Position, Velocity
 from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Setpoint, Vertical, Yaw
-from m100link.telemetry.state import AircraftState
+from m100link.telemetry.state import STEER_S, AircraftState
 
 # -- detect that the computer slept: the event loop's clock stopped, the aircraft did not ----------
 
@@ -64,7 +64,6 @@ FOLLOW_S = 1.2
 caomuqing/mav_system_identification-DJI_M100_sysID show a tilt 0.24 s after it was asked for; the
 failsafes of ArduPilot act after one second (ekf_check: ten in a row at 10 Hz)."""
 
-_FRESH_S = 0.5
 _LEAST_M_S = 1.0  # slower setpoints drown in gusts
 _LEAST_CLIMB_M_S = 0.5
 _LEAST_TURN_DEG = 20.0
@@ -152,7 +151,7 @@ class FollowCheck:
                 self._begin()
             return ""
         self._asked = setpoint
-        velocity = known(self._state, Velocity, within=_FRESH_S)
+        velocity = known(self._state, Velocity, within=STEER_S)
         return (
             self._look_at_way(now, passed, setpoint, velocity)
             or self._look_at_climb(now, setpoint, velocity)
@@ -160,7 +159,7 @@ class FollowCheck:
         )
 
     def _attitude(self) -> Attitude | None:
-        return known(self._state, Attitude, within=_FRESH_S)
+        return known(self._state, Attitude, within=STEER_S)
 
     # -- horizontally ----------------------------------------------------------------------------
 
@@ -225,7 +224,7 @@ class FollowCheck:
         if self._place is None or _apart_m(self._place, place) > _STILL_M:
             self._place, self._unseen = place, _NOWHERE
             return ""
-        passed = min(passed, _FRESH_S)
+        passed = min(passed, STEER_S)
         self._unseen_s = self._unseen_s + passed if self._unseen != _NOWHERE else passed
         self._unseen = self._unseen[0] + asked[0] * passed, self._unseen[1] + asked[1] * passed
         unseen = math.hypot(*self._unseen)

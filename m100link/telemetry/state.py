@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 from m100link.protocol.items import BY_RECORD, ITEMS, RecordViews
 from m100link.protocol.packet import remember
-from m100link.protocol.records import Time
+from m100link.protocol.records import Attitude, Battery, FlightStatus, Position, Time
 from m100link.telemetry.integrity import Integrity, IntegrityMonitor
 from m100link.telemetry.sample import Sample
 
@@ -23,9 +24,47 @@ _WINDOW_S = 2.5  # long enough for the rate of an item at 1 Hz
 _ARRIVALS = 512  # twice what an item at 100 Hz has in that time
 
 
+# -- how long a value is believed: one table for the guards, and for every front -------------------
+
+_ONE_PERIOD_S = 1.2
+"""An item that is sent once a second, the slowest rate of the PC assistant, is known all the time.
+What moves with the aircraft may not be older: at 10 m/s it is 12 m elsewhere by then."""
+
+FRESH_S: Mapping[type[Any], float] = MappingProxyType(
+    dict.fromkeys(BY_RECORD, _ONE_PERIOD_S)
+    | {
+        # One package of an item at 1 Hz may be lost, and not two: it changes a few times in a
+        # flight, and where it is unknown the watchdog of setpoints does not judge.
+        FlightStatus: 2.5,
+        # The charge falls by a percent in ten seconds at the most, and may miss four packages.
+        Battery: 5.0,
+    }
+)
+"""Seconds after which the newest value of an item is known to nobody, by its record."""
+
+STEER_S = 0.5
+"""The same for what a closed loop steers by: at 5 m/s it would aim 2.5 m beside the place."""
+
+
 def is_finite(record: tuple[Any, ...]) -> bool:
     """Whether there is none of NaN and infinity in it: those are no values, however new."""
     return all(math.isfinite(one) for one in record if isinstance(one, float))
+
+
+def _is_told(value: object) -> bool:
+    return value is not None
+
+
+def is_possible(record: tuple[Any, ...]) -> bool:
+    """Whether a record can be true: finite numbers, an attitude that is one, a place, a charge."""
+    if isinstance(record, Position):
+        return record.is_possible
+    # No call for each number: a front asks it of each item in each of its steps.
+    if not all(map(math.isfinite, record if None not in record else filter(_is_told, record))):
+        return False
+    if isinstance(record, Attitude):
+        return 0.5 < sum([part * part for part in record]) < 2.0  # a unit quaternion, roughly
+    return not isinstance(record, Battery) or record.is_possible
 
 
 def _told(field: tuple[str, object]) -> str:
@@ -194,12 +233,24 @@ class AircraftState(RecordViews):
         """Seconds since any telemetry arrived, None when none ever did."""
         return None if self.newest_at is None else self._clock() - self.newest_at
 
-    def fresh(self, record: type[R], *, within: float) -> R | None:
-        """The newest record if it is at most ``within`` seconds old, else None."""
+    def fresh(
+        self, record: type[R], *, within: float | None = None, now: float | None = None
+    ) -> R | None:
+        """The newest record if it is at most ``within`` seconds old, else None.
+
+        Args:
+            record: Its class.
+            within: Seconds; by default those of the item in the table of the library: 1.2 s, for
+                :class:`FlightStatus` 2.5 s and for :class:`Battery` 5 s.
+            now: Time on the event loop's clock, s; by default that clock is read.
+        """
         sample = self._cells[record].sample
-        if sample is None or self._clock() - sample.received_at > within:
+        if sample is None:
             return None
-        return self.get(record)
+        age = (self._clock() if now is None else now) - sample.received_at
+        limit = FRESH_S[record] if within is None else within
+        # What came at no time, or far in the future, is as unknown as what is old.
+        return sample.get(record) if -limit <= age <= limit else None
 
     def finite(self, record: type[R], *, within: float) -> R | None:
         """As :meth:`fresh`; None also where one of its numbers is NaN or infinite."""

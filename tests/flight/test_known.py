@@ -7,14 +7,20 @@ from typing import Any
 
 import pytest
 
-from m100link.flight.guards import AGE_LIMITS_S, known
+from m100link.flight.guards import known
 from m100link.protocol import Attitude, Battery, FlightStatus, Position, encode_telemetry, profile
 from m100link.protocol.items import BY_RECORD
 from m100link.telemetry.sample import Sample
-from m100link.telemetry.state import AircraftState
+from m100link.telemetry.state import FRESH_S, AircraftState
 
 FIRMWARE = profile("3.1")
 POSSIBLE: dict[str, tuple[float, ...]] = {
+    "time": (5, 0, 1),
+    "acceleration": (0.0, 0.0, 0.0),
+    "velocity": (0.0, 0.0, 0.0, 7),
+    "angular_velocity": (0.0, 0.0, 0.0),
+    "magnetometer": (1, 2, 3),
+    "gimbal": (0.0, 0.0, 0.0, 0),
     "quaternion": (1.0, 0.0, 0.0, 0.0),
     "position": (0.8, 0.1, 400.0, 5.0, 5),
     "rc": (0, 0, 0, 0, 8000, -10000),
@@ -31,9 +37,9 @@ def told(name: str, values: tuple[float, ...], age: float = 0.0) -> AircraftStat
     return state
 
 
-@pytest.mark.parametrize("record", AGE_LIMITS_S, ids=lambda record: record.__name__)
+@pytest.mark.parametrize("record", FRESH_S, ids=lambda record: record.__name__)
 def test_a_value_is_known_until_its_age_limit_and_no_longer(record: type[Any]) -> None:
-    name, limit = BY_RECORD[record].name, AGE_LIMITS_S[record]
+    name, limit = BY_RECORD[record].name, FRESH_S[record]
     assert limit > 1.0, "an item that is sent once a second is known all the time"
     assert known(told(name, POSSIBLE[name], limit - 1e-3), record) is not None
     assert known(told(name, POSSIBLE[name], limit + 1e-3), record) is None
