@@ -28,6 +28,7 @@ from m100link.apps.agent.messages import (
 )
 from m100link.apps.agent.orders import LeaseOrder
 from m100link.apps.agent.transports import MemoryChannel
+from m100link.apps.agent.view import VehicleView
 from m100link.protocol.firmware import FIRMWARE_3_1, PROFILES
 from m100link.protocol.records import (
     Acceleration,
@@ -125,14 +126,32 @@ class Known:
         self.is_connected = True
         self.has_authority = False
         self.newest_age: float | None = 0.0
-        self.within: dict[type[Any], float] = {}
+        self.within: dict[type[Any], float | None] = {}
         self.integrity = Integrity(IntegrityState.GOOD, "", 0.25, 0.375)
+
+    @property
+    def newest_at(self) -> float | None:
+        return None if self.newest_age is None else -self.newest_age
+
+    @property
+    def view(self) -> VehicleView:
+        """At the time 0."""
+        connection = "connected" if self.is_connected else "lost"
+        state = replace(self.state, connection=connection, has_authority=self.has_authority)
+        return VehicleView(0.0, 0.0, False, state, self.holder, self.telemetry)
 
     def get(self, record: type[Any]) -> Any:
         return self.items.get(record)
 
-    def fresh(self, record: type[Any], *, within: float) -> Any:
-        self.within[record] = within
+    def received_at(self, record: type[Any]) -> float | None:
+        return 0.0 if record in self.items else None
+
+    def fresh(
+        self, record: type[Any], *, within: float | None = None, now: float | None = None
+    ) -> Any:
+        if now is not None:
+            assert (now, within) != (0.0, None)
+            self.within[record] = within
         return self.items.get(record)
 
     def without(self, *records: type[Any]) -> Known:

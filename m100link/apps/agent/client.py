@@ -40,6 +40,7 @@ from m100link.apps.agent.messages import (
 from m100link.apps.agent.orders import SETPOINT_LIFETIME
 from m100link.apps.agent.remote_error import Fault, MessageError, agent_gone, agent_lost
 from m100link.apps.agent.transports import Channel
+from m100link.apps.agent.view import MOMENT_S, Hearing, VehicleView
 from m100link.errors import AuthorityLost, BadPlan, LayoutMismatch, M100Error
 from m100link.link.gate import require_loop
 from m100link.missions.plan import WaypointPlan
@@ -49,9 +50,6 @@ from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 from m100link.telemetry.subscription import Hub, Policy, Subscription
-
-MAX_SILENCE = 2.0
-"""Seconds without a word after which the agent counts as silent; it tells its state at 4 Hz."""
 
 _MAX_EVENTS = 200
 
@@ -79,6 +77,7 @@ class AgentClient:
         #: Newest values and their ages; None while no aircraft is connected. When the agent itself
         #: is gone the values stay, and grow old.
         self.telemetry: AircraftState | None = None
+        self._view: VehicleView | None = None  # of this moment; None once something has arrived
         self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)  #: what happened lately
         self.background = BackgroundTasks()  #: tasks that end with this client
         self.unread = 0  #: telemetry packages and plans that this version cannot read
@@ -129,19 +128,29 @@ class AgentClient:
         return self._answers.gone is not None
 
     @property
+    def view(self) -> VehicleView:
+        """What may be believed of the aircraft now: one for a step, until something arrives."""
+        now, view = self._clock(), self._view
+        if view is None or now - view.at > MOMENT_S:
+            view = self._view = VehicleView(
+                now, self.heard_at, self.is_gone, self.state, self.holder, self.telemetry
+            )
+        return view
+
+    @property
     def is_silent(self) -> bool:
         """Whether nothing was heard of the agent for 2 s; it may hang."""
-        return self.now - self.heard_at > MAX_SILENCE
+        return self.view.hearing is Hearing.SILENT
 
     @property
     def is_connected(self) -> bool:
         """Whether the aircraft is connected, by an agent that is heard."""
-        return self.state.connection == "connected" and not self.is_silent
+        return self.view.is_connected
 
     @property
     def has_authority(self) -> bool:
         """Whether setpoints and tasks are obeyed, by an agent that is heard."""
-        return self.state.has_authority and not self.is_silent
+        return self.view.has_authority
 
     async def __aenter__(self) -> Self:
         self._greet()
@@ -166,14 +175,16 @@ class AgentClient:
         if self.events:
             self._known_until = self.events[-1].at
         self.state, self.heard_at = State(at=self.now), self.now
+        self.telemetry = self.link = None  # of another aircraft, maybe
         self._channel = OwnLoop(channel)
         self._answers.begin(self._channel.send)
+        self._view = None
         self._greet()
 
     # -- what comes in ---------------------------------------------------------------------------
 
     def _receive(self, message: Message) -> None:
-        self.heard_at = self.now
+        self.heard_at, self._view = self.now, None
         handler = self._handlers.get(type(message))
         if handler is not None:
             handler(message)
@@ -193,6 +204,7 @@ class AgentClient:
         )
         self.holder = LeaseChanged(0, "")
         self._answers.end(reason)
+        self._view = None
 
     def _on_hello(self, hello: Hello) -> None:
         if hello.version != VERSION:

@@ -15,7 +15,6 @@ from dataclasses import replace
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.background import BackgroundTasks
-from m100link.apps.agent.client import MAX_SILENCE
 from m100link.apps.agent.lease import TAKE_OVER_LIFETIME, Lease, LeaseRefused, TakeOver
 from m100link.apps.agent.messages import (
     VERSION,
@@ -36,6 +35,7 @@ from m100link.apps.agent.messages import (
 )
 from m100link.apps.agent.orders import Right
 from m100link.apps.agent.remote_error import Fault, MessageError, agent_gone
+from m100link.apps.agent.view import MAX_SILENCE
 from m100link.apps.bus.network import Held
 from m100link.apps.fleet.asking import Asker
 from m100link.apps.fleet.control import SetpointSender

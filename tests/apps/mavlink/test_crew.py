@@ -9,7 +9,7 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent import view
 from m100link.apps.mavlink.translator.modes import Mode
 from m100link.apps.mavlink.translator.numbers import Command, MissionType, Result
 from m100link.sim.line import LineFaults
@@ -285,7 +285,7 @@ async def test_an_agent_that_was_not_heard_for_a_while_flies_on_nothing(
 ) -> None:
     await begin(rig, ground, FAR)
     with monkeypatch.context() as silent:
-        silent.setattr(AgentClient, "is_silent", True)
+        silent.setattr(view, "MAX_SILENCE", -1.0)
         await anyio.sleep(0.5)
     await assert_hovers(rig)
     assert not flies_itself(rig)

@@ -13,6 +13,7 @@ from m100link.apps.mavlink.translator.codec import Message
 from m100link.apps.mavlink.translator.numbers import Frame
 from m100link.apps.mavlink.translator.parameters import Parameters
 from m100link.apps.mavlink.translator.world import World
+from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
 
 _PLACE, _HEIGHT = 0b11, 0b100
@@ -166,9 +167,9 @@ class Offboard:
         )
 
     def _climb(self, target: Target) -> float:
-        height = self._world.height
         climb = target.climb or 0.0
         if target.height is not None:
+            height = self._world.height if self._is_located else None
             climb = 0.0 if height is None else climb + _GAIN * (target.height - height)
         return max(
             -self._parameters["MPC_Z_VEL_MAX_DN"],
@@ -178,7 +179,7 @@ class Offboard:
     def _speed(self, target: Target) -> tuple[float, float]:
         first, second = target.velocity or (0.0, 0.0)
         if target.place is not None:
-            here = self._world.local
+            here = self._world.local if self._is_located else None
             if here is None:
                 return 0.0, 0.0  # without a place of its own nothing leads there
             first += _GAIN * (target.place[0] - here[0])
@@ -187,8 +188,13 @@ class Offboard:
         scale = max(1.0, math.hypot(first, second) / fastest)
         return first / scale, second / scale
 
+    @property
+    def _is_located(self) -> bool:
+        """Whether a loop may be closed over where it is; where it was a second ago leads astray."""
+        return self._world.view.to_steer_by(Position) is not None
+
     def _fastest(self) -> float:
-        limit = self._world.known.state.limits.max_speed_m_s
+        limit = self._world.view.state.limits.max_speed_m_s
         return min(self._parameters["MPC_XY_VEL_MAX"], 10.0 if limit is None else limit)
 
 
@@ -247,7 +253,7 @@ class Manual:
             return Setpoint.tilt(
                 roll_deg=roll * tilt, pitch_deg=-pitch * tilt, up=up, yaw_rate_deg_s=yaw_rate
             )
-        limit = self._world.known.state.limits.max_speed_m_s
+        limit = self._world.view.state.limits.max_speed_m_s
         speed = min(values["MPC_XY_VEL_MAX"], 10.0 if limit is None else limit)
         scale = max(1.0, (pitch * pitch + roll * roll) ** 0.5)
         return Setpoint.velocity(

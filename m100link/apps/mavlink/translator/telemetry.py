@@ -23,18 +23,19 @@ from m100link.apps.mavlink.translator.numbers import (
     SystemStatus,
 )
 from m100link.apps.mavlink.translator.peers import MOST_PEERS, Address, Peer
-from m100link.apps.mavlink.translator.world import GPS_NEEDED, World
+from m100link.apps.mavlink.translator.world import World
 from m100link.protocol.records import (
     Acceleration,
     AngularVelocity,
     Attitude,
     Battery,
     FlightPhase,
-    FlightStatus,
     Magnetometer,
     Position,
     RemoteControl,
+    Velocity,
 )
+from m100link.telemetry.integrity import GOOD_GPS
 
 LOWEST_BATTERY = 20  # percent below which the agent refuses to take off: not ready to arm
 
@@ -61,7 +62,7 @@ def _cm(value: float) -> int:
 def heartbeat(world: World, mode: Mode, autopilot: int) -> Fields:
     """HEARTBEAT."""
     row, is_armed = MODES[mode], world.is_armed
-    battery = world.fresh(Battery)
+    battery = world.view.get(Battery)
     is_low = battery is not None and battery.percent < LOWEST_BATTERY and is_armed
     status = SystemStatus.ACTIVE if is_armed else SystemStatus.STANDBY
     return {
@@ -75,7 +76,8 @@ def heartbeat(world: World, mode: Mode, autopilot: int) -> Fields:
 
 
 def _sys_status(world: World, now: float) -> Fields:
-    present = health = 0
+    view = world.view
+    place, present, health = view.place, 0, 0
     for record, bit in (
         (AngularVelocity, Sensor.GYRO),
         (Acceleration, Sensor.ACCELEROMETER),
@@ -83,16 +85,15 @@ def _sys_status(world: World, now: float) -> Fields:
         (Position, Sensor.GPS),
         (RemoteControl, Sensor.RC),
     ):
-        telemetry = world.known.telemetry
-        if telemetry is not None and telemetry.get(record) is not None:
+        if view.age(record) is not None:
             present |= bit
-        is_true = bit is not Sensor.GPS or (world.position and world.integrity.is_plausible)
-        if world.fresh(record) is not None and is_true:
+        is_true = bit is not Sensor.GPS or (place and view.integrity.is_plausible)
+        if view.get(record) is not None and is_true:
             health |= bit
-    battery = world.fresh(Battery)
-    percent = battery.percent if battery is not None and battery.is_possible else -1
-    remote = world.fresh(RemoteControl)
-    if world.position and remote is not None and remote.is_in_f and percent >= LOWEST_BATTERY:
+    battery = view.get(Battery)
+    percent = battery.percent if battery is not None else -1
+    remote = view.get(RemoteControl)
+    if place and remote is not None and remote.is_in_f and percent >= LOWEST_BATTERY:
         health |= Sensor.PREARM
     present |= Sensor.PREARM
     return {
@@ -103,19 +104,19 @@ def _sys_status(world: World, now: float) -> Fields:
         "current_battery": -1,
         "battery_remaining": percent,
         "drop_rate_comm": 0,
-        "errors_comm": min(_U16, world.known.state.discards),
+        "errors_comm": min(_U16, view.state.discards),
     }
 
 
 def _extended(world: World, now: float) -> Fields:
-    status = world.fresh(FlightStatus)
-    phase = None if status is None else status.phase
+    phase = world.view.phase
     landed = LandedState.UNDEFINED if phase is None else _LANDED[phase]
     return {"vtol_state": 0, "landed_state": landed}
 
 
 def _attitude(world: World, now: float) -> Fields | None:
-    attitude, rates = world.fresh(Attitude), world.fresh(AngularVelocity)
+    view = world.view
+    attitude, rates = view.get(Attitude), view.get(AngularVelocity)
     if attitude is None:
         return None
     return {
@@ -132,7 +133,8 @@ def _rates(rates: AngularVelocity | None) -> Fields:
 
 
 def _quaternion(world: World, now: float) -> Fields | None:
-    attitude, rates = world.fresh(Attitude), world.fresh(AngularVelocity)
+    view = world.view
+    attitude, rates = view.get(Attitude), view.get(AngularVelocity)
     if attitude is None:
         return None
     parts = zip(("q1", "q2", "q3", "q4"), attitude, strict=True)
@@ -140,8 +142,9 @@ def _quaternion(world: World, now: float) -> Fields | None:
 
 
 def _global(world: World, now: float) -> Fields | None:
-    position, velocity, yaw = world.position, world.velocity, world.yaw_deg
-    if position is None or velocity is None or (world.home is None and world.is_on_ground):
+    view = world.view
+    position, velocity, yaw = view.place, view.get(Velocity), world.yaw_deg
+    if position is None or velocity is None or (world.home is None and view.is_on_ground):
         return None
     return {
         "time_boot_ms": _ms(now),
@@ -157,7 +160,7 @@ def _global(world: World, now: float) -> Fields | None:
 
 
 def _local(world: World, now: float) -> Fields | None:
-    place, velocity = world.local, world.velocity
+    place, velocity = world.local, world.view.get(Velocity)
     if place is None or velocity is None:
         return None
     north, east, up = place
@@ -183,13 +186,14 @@ def _home(world: World, now: float) -> Fields | None:
 
 
 def _gps(world: World, now: float) -> Fields | None:
-    position, velocity = world.fresh(Position), world.velocity
-    if position is None or not position.is_possible or position.gps_health is None:
+    view = world.view
+    position, velocity = view.get(Position), view.get(Velocity)
+    if position is None or position.gps_health is None:
         return None
     health = position.gps_health
     fields: Fields = {
         "time_usec": int(now * 1e6),
-        "fix_type": 3 if health >= GPS_NEEDED else 2 if health else 0,
+        "fix_type": 3 if health >= GOOD_GPS else 2 if health else 0,
         "eph": _U16,
         "epv": _U16,
         "vel": _U16,
@@ -205,8 +209,8 @@ def _gps(world: World, now: float) -> Fields | None:
 
 
 def _battery(world: World, now: float) -> Fields | None:
-    battery = world.fresh(Battery)
-    if battery is None or not battery.is_possible:
+    battery = world.view.get(Battery)
+    if battery is None:
         return None
     return {
         "temperature": 0x7FFF,
@@ -220,7 +224,7 @@ def _battery(world: World, now: float) -> Fields | None:
 
 
 def _rc(world: World, now: float) -> Fields | None:
-    remote = world.fresh(RemoteControl)
+    remote = world.view.get(RemoteControl)
     if remote is None:
         return None
     given = (remote.roll, remote.pitch, remote.throttle, remote.yaw, remote.mode, remote.gear)
@@ -232,7 +236,8 @@ def _rc(world: World, now: float) -> Fields | None:
 
 
 def _vfr(world: World, now: float) -> Fields | None:
-    position, velocity, yaw = world.position, world.velocity, world.yaw_deg
+    view = world.view
+    position, velocity, yaw = view.place, view.get(Velocity), world.yaw_deg
     if position is None or velocity is None or yaw is None:
         return None
     return {
@@ -246,7 +251,7 @@ def _vfr(world: World, now: float) -> Fields | None:
 
 
 def _altitude(world: World, now: float) -> Fields | None:
-    position, height = world.fresh(Position), world.height
+    position, height = world.view.get(Position), world.height
     if position is None or height is None:
         return None
     return {
@@ -261,12 +266,13 @@ def _altitude(world: World, now: float) -> Fields | None:
 
 
 def _estimator(world: World, now: float) -> Fields | None:
-    integrity, velocity = world.integrity, world.velocity
-    flags = Estimator.ATTITUDE if world.fresh(Attitude) is not None else Estimator(0)
+    view = world.view
+    integrity, velocity = view.integrity, view.get(Velocity)
+    flags = Estimator.ATTITUDE if view.get(Attitude) is not None else Estimator(0)
     if not integrity.is_plausible:
         flags |= Estimator.GPS_GLITCH
     elif integrity.is_timely:
-        if world.position is not None:
+        if view.place is not None:
             flags |= Estimator.POS_HORIZ_ABS | Estimator.POS_VERT_ABS
         if velocity is not None:
             flags |= Estimator.VELOCITY_HORIZ | Estimator.VELOCITY_VERT
@@ -281,8 +287,9 @@ def _estimator(world: World, now: float) -> Fields | None:
 
 
 def _imu(world: World, now: float) -> Fields | None:
-    rates, attitude = world.fresh(AngularVelocity), world.fresh(Attitude)
-    acceleration = world.fresh(Acceleration)
+    view = world.view
+    rates, attitude = view.get(AngularVelocity), view.get(Attitude)
+    acceleration = view.get(Acceleration)
     if rates is None:
         return None
     names = ("zacc", "yacc", "xacc", "xmag", "ymag", "zmag", "abs_pressure", "diff_pressure")

@@ -267,7 +267,7 @@ class Vehicle:
 
         ``begin``: None for where the aircraft is.
         """
-        fence, position = self._missions.fence, self.world.position
+        fence, position = self._missions.fence, self.world.view.place
         why = fence.refusal(*end, radius)
         if why or not fence.areas:
             return why
@@ -291,19 +291,20 @@ class Vehicle:
         farther away than it was at its least. A mission that is to pause may still fly. Where it is
         now follows from what was told last, and nobody flies on who does not know that.
         """
-        fence, position = self._missions.fence, self.world.position
+        fence, position = self._missions.fence, self.world.view.place
         if not fence.areas or self.deck.phase is not Phase.AIRBORNE:
             self._breach_m = None
             return
         if self.deck.running not in (*_FLIGHTS, Running.STREAM):
             self._breach_m = math.inf  # what begins outside has been asked for its direction
             return
-        velocity, telemetry = self.world.velocity, self.world.known.telemetry
-        if position is None or velocity is None or telemetry is None:
+        view = self.world.view
+        velocity = view.get(Velocity)
+        if position is None or velocity is None:
             self.deck.hold("hold: nobody knows how near the fence is")
             return
         here = position.latitude_deg, position.longitude_deg
-        late = _AHEAD_S + max(telemetry.age(one) or 0.0 for one in (Position, Velocity))
+        late = _AHEAD_S + max(view.age(one) or 0.0 for one in (Position, Velocity))
         way = complex(velocity.north_m_s, velocity.east_m_s) * late
         ahead = self._ahead(LocalFrame(*here), way)
         depth, least = fence.depth_m(*here), self._breach_m
@@ -418,7 +419,7 @@ class Vehicle:
         for text in self._texts.due(now):
             self._send(text)
         # A vehicle that nobody hears is silent: whoever looks at it has to see that it is lost.
-        if self.world.is_heard:
+        if self.world.view.is_heard:
             self._tell_state(now, audience)
 
     def _heartbeat(self) -> Message:

@@ -8,7 +8,7 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.messages import State
+from m100link.apps.agent.messages import LeaseChanged, State
 from m100link.apps.agent.orders import ChangeHeight, FlyTo, PauseMission, ResumeMission
 from m100link.apps.mavlink.crew import MissionFlights
 from m100link.apps.mavlink.translator.deck import REMEMBERED_S, Deck
@@ -43,6 +43,7 @@ from m100link.errors import GuardRefused, LinkError, TaskRefused
 from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.mavlink.conftest import Ground, Rig
+from tests.known import Known
 
 PEER, OTHER = Peer(("127.0.0.1", 1), 245, 190), Peer(("127.0.0.1", 2), 255, 190)
 
@@ -83,15 +84,8 @@ class Still(World):
     """A world that stands where the test says."""
 
     def __init__(self, phase: Phase) -> None:
-        class Known:
-            telemetry = None
-            state = State(at=0.0)
-            is_connected = has_authority = False
-
-            class holder:  # noqa: N801 - an attribute
-                name, number = "the console", 3
-
-        known: Any = Known()
+        known = Known()
+        known.is_connected, known.holder = False, LeaseChanged(3, "the console")
         super().__init__(known)
         self.now_phase = phase
 
@@ -381,8 +375,8 @@ def test_a_stop_that_was_not_heard_ends_the_stream_that_waits_for_it() -> None:
 
 def test_a_mission_of_somebody_who_is_gone_is_shown_and_ends_when_it_is_armed() -> None:
     deck, world, told = deck_in(Phase.AIRBORNE)
-    world.known.state = State(at=0.0, mission="waypoint mission")
-    world.known.is_connected = True  # type: ignore[misc] # it is, of this one
+    known: Any = world.known
+    known.state, known.is_connected = State(at=0.0, mission="waypoint mission"), True
     assert shown(deck) is Mode.MISSION
     deck.armed(None, 0.0)
     assert [type(order) for order in deck.orders] == [Halt]

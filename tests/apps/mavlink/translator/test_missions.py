@@ -10,12 +10,12 @@ from typing import Any
 import anyio
 import pytest
 
+from m100link.apps.agent.view import VehicleView
 from m100link.apps.mavlink.translator.codec import Message
 from m100link.apps.mavlink.translator.missions import read_fence
 from m100link.apps.mavlink.translator.modes import MODES, Mode
 from m100link.apps.mavlink.translator.numbers import Command, MissionResult, MissionType, Result
 from m100link.apps.mavlink.translator.route import Refused
-from m100link.apps.mavlink.translator.world import World
 from m100link.geodesy import LocalFrame, geodesic
 from m100link.protocol.records import Position, Velocity
 from m100link.sim.line import LineFaults
@@ -471,15 +471,15 @@ async def test_who_does_not_know_where_it_is_flies_on_before_no_fence(
     await upload_fence(ground, *corners((-20, -20), (50, -20), (50, 20), (-20, 20)))
     await ground.fly(5.0)
     await deepest_m(rig, 3.0, lambda: fly_north(ground, 10.0))
-    known = World.fresh
+    known = VehicleView.get
 
-    def fresh(world: World, record: type[Any]) -> Any:
-        found = known(world, record)
+    def get(view: VehicleView, record: type[Any]) -> Any:
+        found = known(view, record)
         if record is (Velocity if lost == "velocity" else Position):
             return found._replace(gps_health=1) if lost == "GPS" and found else None
         return found
 
-    monkeypatch.setattr(World, "fresh", fresh)
+    monkeypatch.setattr(VehicleView, "get", get)
     assert await deepest_m(rig, 8.0, lambda: fly_north(ground, 10.0)) < 0.5
     assert rig.speed < 0.1
     assert "hold: nobody knows how near the fence is" in ground.texts

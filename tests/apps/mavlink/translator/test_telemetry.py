@@ -14,6 +14,7 @@ import anyio
 import pytest
 
 from m100link.apps.agent.messages import LeaseChanged, State
+from m100link.apps.agent.view import VehicleView
 from m100link.apps.mavlink.translator.codec import LAYOUTS, Message, read_datagram, write_frame
 from m100link.apps.mavlink.translator.modes import Mode
 from m100link.apps.mavlink.translator.numbers import Command, Result, Severity
@@ -39,7 +40,6 @@ from m100link.protocol.records import (
     Velocity,
 )
 from m100link.telemetry.integrity import IntegrityState
-from m100link.telemetry.state import AircraftState
 from tests.apps.mavlink.conftest import Ground, Rig, world_of
 from tests.known import LATITUDE, LONGITUDE, Known, felt, position, quaternion
 
@@ -394,10 +394,7 @@ NEIGHBOUR = Peer(PEER_HERE, 247, 190)
 class NoAircraft:
     """Nothing is known; messages that need nothing are sent all the same."""
 
-    state = State(at=0.0)
-    holder = LeaseChanged(0, "")
-    telemetry: AircraftState | None = None
-    is_connected = has_authority = False
+    view = VehicleView(0.0, 0.0, False, State(at=0.0), LeaseChanged(0, ""), None)
 
 
 def rates() -> Rates:

@@ -1,0 +1,234 @@
+"""What a front may believe: each item by its age, and the agent by its silence."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import FrozenInstanceError, replace
+from itertools import product
+from typing import Any
+
+import anyio
+import pytest
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.messages import VERSION, Hello, LeaseChanged, State
+from m100link.apps.agent.transports import memory_channels
+from m100link.apps.agent.view import Hearing, VehicleView
+from m100link.protocol.items import BY_RECORD
+from m100link.protocol.records import (
+    Attitude,
+    Battery,
+    FlightStatus,
+    Position,
+    RcMode,
+    RemoteControl,
+    Velocity,
+)
+from m100link.sim.clock import virtual_clock_loop
+from m100link.telemetry.state import AircraftState
+from tests.known import KnownAgent, position, sample
+
+AGES_S = dict.fromkeys(BY_RECORD, 1.2) | {FlightStatus: 2.5, Battery: 5.0}
+"""An item at 1 Hz is known all the time; of the status one package may be lost, of the charge four.
+As docs/explanation/safety.md has them for the guards."""
+
+CONNECTED = State(0.0, connection="connected", has_authority=True)
+NOBODY = LeaseChanged(0, "")
+
+
+@pytest.fixture
+def anyio_backend() -> tuple[str, dict[str, Any]]:
+    return "asyncio", {"loop_factory": virtual_clock_loop}
+
+
+def told(*changed: Any, at: float = 0.0, without: tuple[type[Any], ...] = ()) -> AircraftState:
+    state = AircraftState(lambda: pytest.fail("a view has a time of its own"))
+    state.update(sample(at=at, changed=changed, without=without))
+    return state
+
+
+def seen(telemetry: AircraftState | None, at: float = 0.0, **more: Any) -> VehicleView:
+    given: dict[str, Any] = {"heard_at": at, "is_gone": False, "state": CONNECTED, **more}
+    return VehicleView(at, holder=NOBODY, telemetry=telemetry, **given)
+
+
+@pytest.mark.parametrize("record", AGES_S, ids=lambda record: record.__name__)
+def test_an_item_is_known_until_its_age_and_no_longer(record: type[Any]) -> None:
+    limit, one = AGES_S[record], told()
+    assert seen(one, limit - 1e-3).get(record) is not None
+    assert seen(one, limit + 1e-3).get(record) is None
+    assert seen(one, 0.499).to_steer_by(record) is not None
+    assert seen(one, 0.501).to_steer_by(record) is None
+    assert seen(one, 0.299).together(record) is not None
+    assert seen(one, 0.301).together(record) is None
+    assert seen(one, -limit - 1e-3).get(record) is None, "of a time that is to come"
+    assert seen(told(at=math.nan)).get(record) is None, "of no time at all"
+    assert seen(None).get(record) is None
+    assert seen(AircraftState(lambda: 0.0)).get(record) is None
+
+
+@pytest.mark.parametrize(
+    ("age", "is_heard"), [(0.0, True), (1.199, True), (1.201, False), (-2.0, False)]
+)
+def test_an_aircraft_is_heard_that_tells_something_once_a_second(
+    age: float, is_heard: bool
+) -> None:
+    assert seen(told(), age).is_heard is is_heard
+    assert not seen(None).is_heard
+    assert not seen(AircraftState(lambda: 0.0)).is_heard
+
+
+HEARD = {Hearing.HEARD: (0.0, 2.0), Hearing.SILENT: (2.001, 60.0, -3.0, math.nan)}
+
+
+@pytest.mark.parametrize(
+    ("connection", "has_authority", "hearing"),
+    list(product(("connecting", "connected", "lost"), (True, False), Hearing)),
+)
+def test_each_state_of_the_agent_at_each_silence(
+    connection: str, has_authority: bool, hearing: Hearing
+) -> None:
+    state = State(0.0, connection=connection, has_authority=has_authority)
+    is_gone = hearing is Hearing.GONE
+    for silence in (1.0, 99.0) if is_gone else HEARD[hearing]:
+        one = seen(told(), 0.0, state=state, is_gone=is_gone, heard_at=-silence)
+        is_believed = hearing is Hearing.HEARD and connection == "connected"
+        assert one.hearing is hearing
+        assert one.is_connected is is_believed
+        assert one.is_heard is is_believed
+        assert one.has_authority is (hearing is Hearing.HEARD and has_authority)
+        assert one.connection == ("silent" if hearing is Hearing.SILENT else connection)
+        assert (one.get(Position) is not None) is is_believed
+        assert (one.to_steer_by(Position) is not None) is is_believed
+        assert (one.is_on_ground is None) is not is_believed
+        assert one.is_airborne is is_believed
+
+
+@pytest.mark.parametrize(
+    ("status", "on_ground", "is_airborne"),
+    [(1, True, False), (2, False, False), (3, False, True), (4, False, True), (9, False, False)],
+)
+def test_what_is_not_seen_on_the_ground_is_not_on_it(
+    status: int, on_ground: bool, is_airborne: bool
+) -> None:
+    one = seen(told(FlightStatus(status)))
+    assert (one.is_on_ground, one.is_airborne) == (on_ground, is_airborne)
+    gone = seen(told(FlightStatus(status), without=(FlightStatus,)))
+    assert (gone.is_on_ground, gone.is_airborne, gone.phase) == (None, False, None)
+
+
+@pytest.mark.parametrize(("health", "is_place"), [(0, False), (2, False), (3, True), (5, True)])
+def test_a_place_is_one_by_gps_alone(health: int, is_place: bool) -> None:
+    one = seen(told(position(health=health)))
+    assert one.get(Position) is not None
+    assert (one.place is not None) is is_place
+    assert seen(told(RemoteControl(0, 0, 0, 0, -8000, -4545))).switch is RcMode.P
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("record", [Velocity, Attitude, Position], ids=lambda one: one.__name__)
+def test_a_number_that_is_none_hides_its_item_and_no_other(record: type[Any], wrong: float) -> None:
+    values = {
+        Velocity: Velocity(0.0, wrong, 0.0, 3),
+        Attitude: Attitude(1.0, 0.0, wrong, 0.0),
+        Position: position(altitude=wrong),
+    }
+    one = seen(told(values[record]))
+    others = [other for other in values if one.get(other) is not None]
+    assert others == [other for other in values if other is not record]
+    assert one.is_heard
+
+
+def test_a_charge_and_an_attitude_that_cannot_be_are_unknown() -> None:
+    one = seen(told(Battery(101), Attitude(0.0, 0.0, 0.0, 0.0)))
+    assert (one.get(Battery), one.get(Attitude)) == (None, None)
+
+
+def test_an_item_that_comes_beside_an_old_one_does_not_make_it_young() -> None:
+    one = told()
+    one.update(sample(at=3.0, without=(Position, FlightStatus, Battery)))
+    found = seen(one, 3.0)
+    assert found.is_heard
+    assert found.get(Attitude) is not None
+    assert (found.get(Position), found.place, found.is_on_ground) == (None, None, None)
+    assert found.get(Battery) is not None
+    assert (found.age(Position), found.age(Attitude)) == (3.0, 0.0)
+    assert found.rate_hz(Position) == 0.0
+
+
+def test_a_view_is_asked_once_and_cannot_be_changed() -> None:
+    one = told()
+    found = seen(one)
+    before = found.get(Position), found.is_on_ground
+    one.update(sample(at=0.0, changed=(FlightStatus(1), position(height=1.0))))
+    assert (found.get(Position), found.is_on_ground) == before, "one step sees one aircraft"
+    with pytest.raises(FrozenInstanceError):
+        found.is_connected = True  # type: ignore[misc] # that is what is tried
+    with pytest.raises(FrozenInstanceError):
+        found.holder = NOBODY  # type: ignore[misc] # the same
+
+
+# -- of a client -----------------------------------------------------------------------------------
+
+
+def both() -> tuple[AgentClient, KnownAgent]:
+    ours, its = memory_channels()
+    return AgentClient(ours, "front"), KnownAgent(its)
+
+
+@pytest.mark.anyio
+async def test_what_arrives_is_seen_at_once_and_nothing_is_asked_twice() -> None:
+    client, agent = both()
+    async with client:
+        agent.tell(CONNECTED)
+        agent.tell_package(client.now)
+        first = client.view
+        assert client.view is first
+        assert first.is_airborne
+        agent.tell_package(client.now, changed=[FlightStatus(1)])
+        assert client.view.is_on_ground is True, "at the same instant"
+        agent.tell(replace(CONNECTED, has_authority=False))
+        assert not client.view.has_authority
+        agent.tell(LeaseChanged(9, "another"))
+        assert client.view.holder.number == 9
+        agent.tell(replace(CONNECTED, connection="lost"))
+        assert (client.view.is_connected, client.view.telemetry) == (False, None)
+
+
+@pytest.mark.anyio
+async def test_an_agent_that_hangs_is_believed_for_two_seconds() -> None:
+    client, agent = both()
+    async with client:
+        agent.tell(CONNECTED)
+        agent.tell_package(client.now)
+        await anyio.sleep(1.9)
+        assert client.view.has_authority
+        assert client.view.get(Battery) is not None
+        await anyio.sleep(0.2)
+        assert client.view.hearing is Hearing.SILENT
+        assert (client.has_authority, client.is_connected) == (False, False)
+        assert client.view.get(Battery) is None, "it is young enough, and nobody told it"
+
+
+def place_of(client: AgentClient) -> Position | None:
+    return client.view.place
+
+
+@pytest.mark.anyio
+async def test_nothing_of_the_aircraft_before_is_known_of_the_next_one() -> None:
+    client, agent = both()
+    async with client:
+        agent.tell(CONNECTED)
+        agent.tell_package(client.now)
+        assert place_of(client) is not None
+        before = client.telemetry
+        client._closed("it was killed")
+        assert client.view.hearing is Hearing.GONE
+        assert place_of(client) is None
+        ours, its = memory_channels()
+        client.reopen(ours)
+        assert place_of(client) is None
+        KnownAgent(its).tell(Hello(VERSION, "next", 0.0), CONNECTED)
+        assert client.view.is_connected
+        assert client.telemetry is not before
+        assert place_of(client) is None, "that was of another aircraft, at the same instant"
