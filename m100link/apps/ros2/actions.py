@@ -334,8 +334,7 @@ class _TakeOff(_Guided):
             await self.guide(ChangeHeight(self._height))
 
     def _now(self) -> float:
-        telemetry = self._agent.telemetry
-        position = None if telemetry is None else telemetry.fresh(Position, within=1.0)
+        position = self._agent.view.get(Position)
         return math.nan if position is None else position.height_m
 
     def feedback(self) -> Mapping[str, Any]:

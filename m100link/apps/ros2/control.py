@@ -21,7 +21,6 @@ from m100link.apps.agent.control_session import ControlSession, ControlState, Te
 from m100link.apps.agent.latency import MAX_LATE, ClockEstimate
 from m100link.apps.agent.lease import Lease
 from m100link.errors import BadSetpoint, M100Error, MissionRunning, UsageError
-from m100link.protocol.records import FlightStatus
 from m100link.protocol.setpoint import Setpoint
 
 SILENCE_S = 0.5  # seconds without a setpoint after which a publisher has let go
@@ -208,7 +207,6 @@ LIFETIME = 0.3
 """Seconds that a setpoint flies when no other one comes: after that the aircraft brakes."""
 
 IDLE_S = 60.0  # seconds on the ground without an order after which control is given back
-_STATUS_S = 2.5
 TERMS = Terms(gives_way=True, idle_s=IDLE_S, who="ROS", remedy="call ~/obtain_control first")
 
 
@@ -226,9 +224,7 @@ class Helm:
     @property
     def is_airborne(self) -> bool:
         """Whether it is seen to be off the ground."""
-        telemetry = self._agent.telemetry
-        status = None if telemetry is None else telemetry.fresh(FlightStatus, within=_STATUS_S)
-        return status is not None and status.is_airborne
+        return self._agent.view.is_airborne
 
     # -- control ---------------------------------------------------------------------------------
 
@@ -282,7 +278,7 @@ class Helm:
                 raise
             self._agent.note(f"{task.label}: {error.seen}", "error")
             return
-        if not isinstance(task, orders.TakeOff) and not self.is_airborne:
+        if not isinstance(task, orders.TakeOff) and self._agent.view.is_on_ground:
             await self.release()
 
     def require_free(self, what: str) -> None:
@@ -333,5 +329,6 @@ class Helm:
         self.stick.look(self._agent.now)
         if self.session.state is not ControlState.HOLDING:
             self.stick.end()  # STOP, by whomever, is for those who send setpoints, too
-        is_used = self.is_airborne or self.goal or self._agent.state.task
-        self.session.heard(is_idle=not is_used)
+        # What nobody knows counts as the air: control is not let go of there.
+        is_on_ground = self._agent.view.is_on_ground and not self._agent.state.task
+        self.session.heard(is_idle=bool(is_on_ground) and not self.goal)

@@ -44,7 +44,6 @@ _STEP_SOONEST_S = 0.015
 _STOOD_STILL_S = 1.0  # seconds without a step after which what waits is old
 _DEAF_S = 0.3  # seconds after such a standstill in which what comes was sent before
 _LOOK_S = 0.5
-_POSITION_S = 1.0
 _TELL_S = 2.0
 _MOST_TOLD = 16
 
@@ -131,8 +130,7 @@ class Node:
         frame = message["header"]["frame_id"]
         if self._frames.is_body(frame, "a place") and frame:
             raise UsageError("a place in the frame of the body", remedy="give it in odom or map")
-        telemetry = self._agent.telemetry
-        position = None if telemetry is None else telemetry.fresh(Position, within=_POSITION_S)
+        position = self._agent.view.to_steer_by(Position)
         here = None if position is None else self.teller.places.local(position)
         if here is None:
             raise UsageError("a place, and nobody knows where the aircraft is")

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event, MissionTold
+from m100link.apps.agent.view import Hearing, VehicleView
 from m100link.apps.ros2.endpoints import Topic
 from m100link.apps.ros2.graph import Names
 from m100link.apps.ros2.topics import DJI_OUTPUTS, OUTPUTS, dji_makers
@@ -40,9 +41,8 @@ Place = tuple[float, float, float]  # east, north, up, m
 
 _Make = Callable[[Sample, Stamp], bytes | None]
 
-_FRESH_S = 0.3  # seconds for which an item of another package belongs to this one
 _EARLY = 0.2  # part of the time between two messages by which a package may be early
-_STATE_S, _LOOK_S, _OLD_S = 1.0, 0.1, 2.5
+_STATE_S, _LOOK_S = 1.0, 0.1
 _LEVELS = {"info": 20, "warning": 30, "error": 40}
 _UNKNOWN = 255
 _UNREAD: Any = object()
@@ -179,9 +179,7 @@ class Teller:
     def _near(self, record: type[R], sample: Sample) -> R | None:
         """An item of this package, or of one just before."""
         found = self._read(record, sample)
-        if found is not None or self._agent.telemetry is None:
-            return found
-        return self._agent.telemetry.fresh(record, within=_FRESH_S)
+        return self._agent.view.together(record) if found is None else found
 
     def _imu(self, sample: Sample, stamp: Stamp) -> bytes | None:
         attitude, rates = self._read(Attitude, sample), self._read(AngularVelocity, sample)
@@ -243,7 +241,7 @@ class Teller:
             self._due["/diagnostics"] = now + _STATE_S
             told = {"stamp": _time(self._stamps.at(now)), "frame_id": ""}
             named = self._names.full("~/x")[1:-2]
-            status_of = diagnostics(self._agent, self._stamps.clock, self._counted())
+            status_of = diagnostics(self._agent.view, self._stamps.clock, self._counted())
             self._topics["/diagnostics"].say(
                 {"header": told, "status": [one.told(named) for one in status_of]}
             )
@@ -252,25 +250,20 @@ class Teller:
         return {"stamp": _time(stamp), "frame_id": self._names.frame("base_link")}
 
     def _flight_status(self) -> dict[str, Any]:
-        agent = self._agent
-
-        def known(record: type[R]) -> R | None:
-            telemetry = agent.telemetry
-            return None if telemetry is None else telemetry.fresh(record, within=_OLD_S)
-
-        status, remote = known(FlightStatus), known(RemoteControl)
-        position, battery = known(Position), known(Battery)
+        view = self._agent.view
+        status, switch = view.get(FlightStatus), view.switch
+        position, battery = view.get(Position), view.get(Battery)
         health = None if position is None else position.gps_health
         return {
             "phase": _UNKNOWN if status is None else status.status,
-            "has_authority": agent.has_authority,
-            "holder": agent.holder.name,
-            "task": agent.state.task,
-            "mode_switch": "" if remote is None else remote.mode_switch.name,
+            "has_authority": view.has_authority,
+            "holder": view.holder.name,
+            "task": view.state.task,
+            "mode_switch": "" if switch is None else switch.name,
             "gps_health": _UNKNOWN if health is None else health,
-            "battery_percent": battery.percent if battery and battery.is_possible else _UNKNOWN,
-            "firmware": agent.state.firmware,
-            "connection": "silent" if agent.is_silent else agent.state.connection,
+            "battery_percent": battery.percent if battery else _UNKNOWN,
+            "firmware": view.state.firmware,
+            "connection": view.connection,
         }
 
     def _event(self, event: Event) -> None:
@@ -312,7 +305,6 @@ def _of(
 
 _LOW_PERCENT = 30
 _BOUND_S = 0.05
-_DIAGNOSTICS_OLD_S = 5.0
 
 
 class Level(IntEnum):
@@ -345,24 +337,24 @@ class Status:
 
 
 def diagnostics(
-    agent: AgentClient, clock: DeviceClock | None, counted: Mapping[str, int]
+    view: VehicleView, clock: DeviceClock | None, counted: Mapping[str, int]
 ) -> list[Status]:
     """How everything is.
 
     ``clock``: its clock; None before its first tick.
     """
     return [
-        _line(agent),
+        _line(view),
         _clock(clock),
-        _navigation(agent),
-        _control(agent),
-        _battery(agent),
+        _navigation(view),
+        _control(view),
+        _battery(view),
         _node(counted),
     ]
 
 
-def _line(agent: AgentClient) -> Status:
-    state = agent.state
+def _line(view: VehicleView) -> Status:
+    state = view.state
     values = {
         "firmware": state.firmware,
         "round trip ms": "" if state.round_trip is None else round(1000 * state.round_trip, 2),
@@ -371,11 +363,11 @@ def _line(agent: AgentClient) -> Status:
         "dropped writes": state.dropped_writes,
         "packages that do not fit": state.mismatches,
     }
-    if not agent.is_connected:
-        message = "the agent is silent" if agent.is_silent else state.connection
+    if not view.is_connected:
+        is_silent = view.hearing is Hearing.SILENT
+        message = "the agent is silent" if is_silent else state.connection
         return Status("line", Level.ERROR, message, values)
-    age = None if agent.telemetry is None else agent.telemetry.newest_age
-    if age is None or age > _DIAGNOSTICS_OLD_S:
+    if not view.is_heard:
         return Status("line", Level.STALE, "no telemetry", values)
     return Status("line", Level.OK, "connected", values)
 
@@ -394,11 +386,11 @@ def _clock(clock: DeviceClock | None) -> Status:
     return Status("clock", Level.OK, "stamps are by the clock of the aircraft", values)
 
 
-def _navigation(agent: AgentClient) -> Status:
+def _navigation(view: VehicleView) -> Status:
     """Whether what comes can be true; on the ground there is nothing to judge."""
-    if agent.telemetry is None:
+    if not view.is_heard:
         return Status("navigation", Level.STALE, "unknown")
-    found = agent.telemetry.integrity
+    found = view.integrity
     values = {
         "position test ratio": round(found.test_ratio, 2),
         "height test ratio": round(found.height_test_ratio, 2),
@@ -409,16 +401,15 @@ def _navigation(agent: AgentClient) -> Status:
     return Status("navigation", Level.ERROR, found.seen, values)
 
 
-def _control(agent: AgentClient) -> Status:
-    values = {"lease": agent.holder.name, "task": agent.state.task}
-    held = "programs have control" if agent.has_authority else "the pilot flies"
+def _control(view: VehicleView) -> Status:
+    values = {"lease": view.holder.name, "task": view.state.task}
+    held = "programs have control" if view.has_authority else "the pilot flies"
     return Status("control", Level.OK, held, values)
 
 
-def _battery(agent: AgentClient) -> Status:
-    telemetry = agent.telemetry
-    battery = None if telemetry is None else telemetry.fresh(Battery, within=_DIAGNOSTICS_OLD_S)
-    if battery is None or not battery.is_possible:
+def _battery(view: VehicleView) -> Status:
+    battery = view.get(Battery)
+    if battery is None:
         return Status("battery", Level.STALE, "unknown")
     values = {"percent": battery.percent}
     if battery.percent <= _LOW_PERCENT:
