@@ -115,6 +115,20 @@ def position(
     return Position(math.radians(latitude), math.radians(longitude), altitude, height, health)
 
 
+CONNECTED = State(0.0, connection="connected", has_authority=True)
+
+
+def seen(telemetry: AircraftState | None, at: float | None = None, **more: Any) -> VehicleView:
+    """The view of a front that hears a connected agent, unless ``more`` says otherwise.
+
+    By default it is of now by the clock of the telemetry.
+    """
+    if at is None:
+        at = 0.0 if telemetry is None else telemetry._clock()
+    given: dict[str, Any] = {"heard_at": at, "is_gone": False, "state": CONNECTED}
+    return VehicleView(at, telemetry=telemetry, **{"holder": LeaseChanged(0, ""), **given, **more})
+
+
 class Known:
     """What an agent would tell; each item can be taken away, or be another one."""
 

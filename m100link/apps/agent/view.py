@@ -120,10 +120,15 @@ class VehicleView:
         at = None if self.telemetry is None else self.telemetry.received_at(record)
         return None if at is None else self.now - at
 
+    def is_new(self, record: type[Any]) -> bool:
+        """Whether an item arrives, whatever it says."""
+        age = self.age(record)
+        return self.is_connected and age is not None and abs(age) <= FRESH_S[record]
+
     def rate_hz(self, record: type[Any]) -> float:
         """How often an item arrives, per second; 0 where it does not any more."""
         age = self.age(record)
-        if self.telemetry is None or age is None or not age <= FRESH_S[record]:
+        if self.telemetry is None or age is None or abs(age) > HEARD_S:
             return 0.0
         return self.telemetry.statistics(record).rate_hz or 0.0
 

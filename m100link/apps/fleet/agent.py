@@ -26,6 +26,7 @@ from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event, Telemetry
 from m100link.apps.agent.orders import Age, Right
 from m100link.apps.agent.remote_error import MessageError, fault_of
+from m100link.apps.agent.view import Hearing
 from m100link.apps.bus.network import Bus, Held, Question
 from m100link.apps.fleet.expiry import Dropped, OrderAges, SetpointStream, broken, require_young
 from m100link.apps.fleet.identity import Since, nobody
@@ -54,7 +55,6 @@ HOLD_S = 0.5
 
 _ID = re.compile(r"[0-9a-f]{32}")
 _CARD_S = 1.0
-_FRESH_S = 5.0
 _NAMESAKE_S = 2.0
 _SHORT = 2048
 """Bytes of an order that is read at once: with its signature STOP has 300."""
@@ -250,33 +250,27 @@ class FleetAgent:
 
     def card(self) -> Card:
         """Where the agent stands."""
-        client, state = self.client, self.client.state
-        position = battery = None
-        if client.telemetry is not None:
-            position = client.telemetry.fresh(Position, within=_FRESH_S)
-            battery = client.telemetry.fresh(Battery, within=_FRESH_S)
-        is_place = position is not None and position.is_possible
-        is_charge = battery is not None and battery.percent <= 100
-        phase = self._orders.phase
+        view, state = self.client.view, self.client.state
+        position, battery, phase = view.get(Position), view.get(Battery), view.phase
         return Card(
             name=self._keys.name,
             boot=self.boot,
             at=self._utc(),
-            connection=state.connection if not client.is_silent else "lost",
+            connection="lost" if view.hearing is Hearing.SILENT else state.connection,
             fault=state.connection_fault,
             firmware=state.firmware,
-            holder=client.holder.name,
-            fence=client.holder.number,
-            has_authority=client.has_authority,
+            holder=view.holder.name,
+            fence=view.holder.number,
+            has_authority=view.has_authority,
             task=state.task
             or state.pattern
             or (state.guided.what if state.guided else "")
             or self.missions.words,
             phase="" if phase is None else phase.name.lower().replace("_", " "),
-            height_m=position.height_m if position is not None and is_place else None,
-            latitude_deg=position.latitude_deg if position is not None and is_place else None,
-            longitude_deg=position.longitude_deg if position is not None and is_place else None,
-            battery_percent=battery.percent if battery is not None and is_charge else None,
+            height_m=position.height_m if position is not None else None,
+            latitude_deg=position.latitude_deg if position is not None else None,
+            longitude_deg=position.longitude_deg if position is not None else None,
+            battery_percent=battery.percent if battery is not None else None,
             lost=self._lost_plan.action,
             lost_after=self._lost_plan.after_s,
             version=m100link.__version__,

@@ -23,7 +23,7 @@ from m100link.apps.agent.messages import Event, LeaseChanged, Topic
 from m100link.apps.agent.orders import GoHome, Land, Order
 from m100link.apps.fleet.order_log import Ledger, LeftAloft
 from m100link.errors import AuthorityLost, LossReason, M100Error, UsageError
-from m100link.protocol.records import FlightPhase, FlightStatus, RemoteControl
+from m100link.protocol.records import FlightPhase, RemoteControl
 
 INHERITED_S = 300.0
 """Seconds after which an aircraft in the air is not taken for the one that the agent before flew:
@@ -37,7 +37,6 @@ _GROUND = (FlightPhase.STANDBY, FlightPhase.FINISHING_LANDING)
 _LOST = (LeaseChange.EXPIRED, LeaseChange.FRONT_LOST)
 _AGAIN_S = 5.0
 _LOOK_S = 0.1
-_FRESH_S = 2.5
 _STICK = 1000  # of 10000: more than a stick moves by itself
 _MOST_S = 3600.0
 
@@ -175,10 +174,8 @@ class Lost:
         client = self._client
         until = client.now + seconds
         while client.now < until:
-            telemetry = client.telemetry
-            status = None if telemetry is None else telemetry.fresh(FlightStatus, within=_FRESH_S)
-            if status is not None and status.phase is not None:
-                return status.phase
+            if (phase := client.view.phase) is not None:
+                return phase
             await asyncio.sleep(_LOOK_S)
         return None
 
@@ -220,8 +217,7 @@ class Lost:
 
     def _by_remote(self) -> str:
         """What the remote control shows of its pilot; empty when he leaves it alone."""
-        telemetry = self._client.telemetry
-        remote = None if telemetry is None else telemetry.fresh(RemoteControl, within=_FRESH_S)
+        remote = self._client.view.get(RemoteControl)
         if remote is None:
             return ""
         if not remote.is_in_f:

@@ -20,10 +20,9 @@ from m100link.apps.fleet.missions.board import Missions
 from m100link.apps.fleet.order_log import Ledger
 from m100link.apps.fleet.payloads import Order, agree
 from m100link.errors import M100Error, MissionRunning, NotAllowed, StaleLease, TaskRefused
-from m100link.protocol.records import FlightPhase, FlightStatus
+from m100link.protocol.records import FlightPhase
 
 _RENEWAL_S = 0.5
-_STATUS_S = 2.5
 _LOOK_S = 0.1
 _REFUSED_S = 5.0
 
@@ -200,9 +199,7 @@ class Orders:
     @property
     def phase(self) -> FlightPhase | None:
         """What the aircraft says of being on the ground or in the air; None when nobody knows."""
-        telemetry = self._client.telemetry
-        status = None if telemetry is None else telemetry.fresh(FlightStatus, within=_STATUS_S)
-        return None if status is None else status.phase
+        return self._client.view.phase
 
     async def descend(
         self, task: orders.Order, who: str, *, take_over: bool = True, signer: str = ""

@@ -13,7 +13,7 @@ import pytest
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import VERSION, Hello, LeaseChanged, State
 from m100link.apps.agent.transports import memory_channels
-from m100link.apps.agent.view import Hearing, VehicleView
+from m100link.apps.agent.view import Hearing
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
     Attitude,
@@ -26,13 +26,12 @@ from m100link.protocol.records import (
 )
 from m100link.sim.clock import virtual_clock_loop
 from m100link.telemetry.state import AircraftState
-from tests.known import KnownAgent, position, sample
+from tests.known import CONNECTED, KnownAgent, position, sample, seen
 
 AGES_S = dict.fromkeys(BY_RECORD, 1.2) | {FlightStatus: 2.5, Battery: 5.0}
 """An item at 1 Hz is known all the time; of the status one package may be lost, of the charge four.
 As docs/explanation/safety.md has them for the guards."""
 
-CONNECTED = State(0.0, connection="connected", has_authority=True)
 NOBODY = LeaseChanged(0, "")
 
 
@@ -42,14 +41,9 @@ def anyio_backend() -> tuple[str, dict[str, Any]]:
 
 
 def told(*changed: Any, at: float = 0.0, without: tuple[type[Any], ...] = ()) -> AircraftState:
-    state = AircraftState(lambda: pytest.fail("a view has a time of its own"))
+    state = AircraftState(lambda: 0.0)
     state.update(sample(at=at, changed=changed, without=without))
     return state
-
-
-def seen(telemetry: AircraftState | None, at: float = 0.0, **more: Any) -> VehicleView:
-    given: dict[str, Any] = {"heard_at": at, "is_gone": False, "state": CONNECTED, **more}
-    return VehicleView(at, holder=NOBODY, telemetry=telemetry, **given)
 
 
 @pytest.mark.parametrize("record", AGES_S, ids=lambda record: record.__name__)

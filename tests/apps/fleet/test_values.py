@@ -51,7 +51,7 @@ from m100link.apps.fleet.payloads import (
 from m100link.apps.fleet.publisher import FleetTelemetry
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
-from m100link.protocol.records import Battery, FlightPhase
+from m100link.protocol.records import Battery
 from m100link.protocol.setpoint import (
     ControlMode,
     Horizontal,
@@ -76,12 +76,10 @@ def heard(*changed: Any, age: float = 0.25, clock: float = 40.0) -> AircraftStat
 
 
 def client(telemetry: AircraftState | None, **state: Any) -> Any:
+    told = State(0.0, "connected", firmware="3.1", has_authority=True, **state)
     return SimpleNamespace(
-        telemetry=telemetry,
-        state=State(0.0, "connected", firmware="3.1", **state),
-        is_silent=False,
-        holder=LeaseChanged(17, "tower"),
-        has_authority=True,
+        view=known.seen(telemetry, 40.0, state=told, holder=LeaseChanged(17, "tower")),
+        state=told,
         now=40.0,
         on_mission_told=[],
         on_lease=[],
@@ -95,7 +93,7 @@ def card(telemetry: AircraftState | None, **state: Any) -> Card:
     one.boot, one._keys, one._utc = "5c0f8b1e", Keys("field", "kite"), lambda: AT
     one._lost_plan = LostPlan("land", 7.5)
     missions = SimpleNamespace(words="")
-    one._orders = cast(Any, SimpleNamespace(phase=FlightPhase.TAKING_OFF, missions=missions))
+    one._orders = cast(Any, SimpleNamespace(missions=missions))
     return one.card()
 
 
@@ -126,7 +124,7 @@ CARD: dict[str, Any] = {
     "fence": 17,
     "has_authority": True,
     "task": "going home",
-    "phase": "taking off",
+    "phase": "in air",
     "height_m": pytest.approx(12.34, rel=1e-6),
     "latitude_deg": pytest.approx(-33.1234567, rel=1e-12),
     "longitude_deg": pytest.approx(151.2345678, rel=1e-12),
@@ -170,26 +168,29 @@ def test_the_card_of_a_mission_has_each_value_under_its_name() -> None:
 
 
 UNKNOWN = {"height_m", "latitude_deg", "longitude_deg"}
+NOTHING = UNKNOWN | {"battery_percent", "phase"}
 
 
 @pytest.mark.parametrize(
     ("telemetry", "missing"),
     [
-        (None, UNKNOWN | {"battery_percent"}),
-        (heard(age=5.1), UNKNOWN | {"battery_percent"}),
-        (heard(age=4.9), set()),
+        (None, NOTHING),
+        (heard(age=5.1), NOTHING),
+        (heard(age=2.6), UNKNOWN | {"phase"}),
+        (heard(age=1.3), UNKNOWN),
+        (heard(age=1.1), set()),
         (heard(known.position(height=math.nan)), UNKNOWN),
         (heard(known.position(height=-math.inf)), UNKNOWN),
         (heard(known.position(latitude=math.nan)), UNKNOWN),
         (heard(known.position(latitude=90.0)), UNKNOWN),
     ],
-    ids=["never", "old", "young", "nan", "inf", "no place", "pole"],
+    ids=["never", "old", "later", "late", "young", "nan", "inf", "no place", "pole"],
 )
 def test_what_is_not_known_is_null_and_the_card_goes_out(
     telemetry: AircraftState | None, missing: set[str]
 ) -> None:
     told = json.loads(pack(card(telemetry))[1:])
-    assert {name for name in (*UNKNOWN, "battery_percent") if told[name] is None} == missing
+    assert {name for name in NOTHING if told[name] in (None, "")} == missing
     of_mission = json.loads(pack(mission(telemetry))[1:])
     assert (of_mission["distance_m"] is None) is bool(missing)
 
@@ -307,7 +308,7 @@ def test_the_list_of_the_fleet() -> None:
     assert rows == [
         ["name", "link", "phase", "height", "battery", "flies", "control", "when lost"],
         [
-            *("kite", "connected", "taking off", "12.3 m", "63 %", "going home", "tower"),
+            *("kite", "connected", "in air", "12.3 m", "63 %", "going home", "tower"),
             "land after 7.5 s",
         ],
     ]

@@ -22,7 +22,6 @@ from m100link.geodesy import distance_m
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.records import Position
 
-_FRESH_S = 5.0
 _REACHED, _FINISHED = 2, 1
 _ARRIVED = 4
 """The second byte of a push that a waypoint was reached; it says, too, that its actions ended."""
@@ -160,12 +159,10 @@ class Missions:
         client, state, plan = self._client, self._client.state, self._plan
         until = client.now if self._ended_at is None else self._ended_at
         index = state.mission_index
-        position = None
-        if client.telemetry is not None:
-            position = client.telemetry.finite(Position, within=_FRESH_S)
+        position = client.view.get(Position)
         ahead = plan.waypoints[index:] if plan is not None and index >= 0 else ()
         distance = None
-        if self.stage is MissionStage.FLYING and ahead and position and position.is_possible:
+        if self.stage is MissionStage.FLYING and ahead and position:
             there = (ahead[0].latitude_deg, ahead[0].longitude_deg)
             distance = distance_m(position.latitude_deg, position.longitude_deg, *there)
         return MissionCard(

@@ -41,7 +41,7 @@ from m100link.errors import M100Error, NoAuthority, TelemetryStalled, UsageError
 from m100link.flight.guards import MAX_COMMAND_M_S
 from m100link.flight.pacing import Ticker
 from m100link.geodesy import LocalFrame
-from m100link.protocol.records import Attitude, FlightStatus, Position, Velocity
+from m100link.protocol.records import Attitude, Position, Velocity
 from m100link.protocol.setpoint import Setpoint
 
 Leave = Literal["hover", "land"]
@@ -50,8 +50,6 @@ ATTENDED_S = 10.0
 """Seconds without a word of whoever conducts after which an aircraft that takes or has its place
 leaves: nobody waits for it there any more."""
 
-_FRESH_S = 0.5
-_STATUS_S = 2.5
 _RENEWAL_S = 0.5
 _LOOK_S = 0.2
 _ASSURED_S = 1.0
@@ -246,8 +244,7 @@ class Performer:
             return None  # nobody knows; it leaves for that, or has left
         if self.stage is ShowStage.FLYING:
             return by_track(show.show, track, at, here)
-        telemetry = self._client.telemetry
-        speed = None if telemetry is None else telemetry.finite(Velocity, within=_FRESH_S)
+        speed = self._client.view.to_steer_by(Velocity)
         moves = (0.0, 0.0, 0.0)
         if speed is not None:
             moves = speed.north_m_s, speed.east_m_s, speed.up_m_s
@@ -288,9 +285,7 @@ class Performer:
             if not client.state.is_activated:
                 await client.ask(orders.Activate(), lease)
             await client.ask(orders.Obtain(), lease)
-            telemetry = client.telemetry
-            status = None if telemetry is None else telemetry.fresh(FlightStatus, within=_STATUS_S)
-            if status is None or not status.is_airborne:
+            if not client.view.is_airborne:
                 await client.ask(orders.TakeOff(), lease)
             first = track.points[0]
             height = first.height - track.ground_m
@@ -416,16 +411,14 @@ class Performer:
     # -- where it is -----------------------------------------------------------------------------
 
     def _here(self, track: TimedTrack) -> Vector:
-        telemetry = self._client.telemetry
-        found = None if telemetry is None else telemetry.fresh(Position, within=_FRESH_S)
-        if found is None or not found.is_possible:
+        found = self._client.view.to_steer_by(Position)
+        if found is None:
             raise TelemetryStalled(f"where {self._name} is, is not known")
         north, east = LocalFrame(*track.origin).to_local(found.latitude_deg, found.longitude_deg)
         return north, east, found.height_m + track.ground_m
 
     def _heading(self) -> float:
-        telemetry = self._client.telemetry
-        found = None if telemetry is None else telemetry.finite(Attitude, within=_FRESH_S)
+        found = self._client.view.to_steer_by(Attitude)
         if found is None:
             raise TelemetryStalled(f"where the nose of {self._name} points is not known")
         return found.yaw_deg

@@ -343,7 +343,11 @@ async def test_what_is_no_number_is_neither_flown_by_nor_told_to_the_others() ->
     state = AircraftState(lambda: 0.25)
     state.update(known.sample(changed=[Attitude(math.nan, 0, 0, 1), Velocity(math.nan, 1, 2, 7)]))
     client: Any = SimpleNamespace(
-        telemetry=state, now=5.0, on_event=[], on_steer_refused=[], on_authority_taken=[]
+        view=known.seen(state, 0.25),
+        now=5.0,
+        on_event=[],
+        on_steer_refused=[],
+        on_authority_taken=[],
     )
     performer = Performer(client, "a1")
     with pytest.raises(TelemetryStalled, match="nose"):
