@@ -265,15 +265,15 @@ class Feed:
         """How the agent stands now."""
         if not self._wants(name, STATE):
             return
-        state = agent.state
+        view, state = agent.view, agent.state
         said = {
-            "connection": "silent" if agent.is_silent else state.connection,
+            "connection": view.connection,
             "firmware": state.firmware,
-            "has_authority": agent.has_authority,
+            "has_authority": view.has_authority,
             "task": state.task,
             "mission": state.mission,
             "round_trip_ms": None if state.round_trip is None else 1000.0 * state.round_trip,
-            "holder": agent.holder.name,
+            "holder": view.holder.name,
         }
         self._tell(name, STATE, agent.now, said)
 

@@ -211,8 +211,7 @@ class DjiSdk:
         return {"version": packed & 0xFFFFFFFF, "hardware": name}
 
     async def _set_origin(self, call: Call) -> Message:
-        telemetry = self._agent.telemetry
-        position = telemetry.fresh(Position, within=1.0) if telemetry is not None else None
+        position = self._agent.view.get(Position)
         if position is None:
             return {"result": False}
         holder = self._agent.holder

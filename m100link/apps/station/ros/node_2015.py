@@ -59,7 +59,6 @@ NO_AUTHORITY = 8.0
 """On ``/activation_status``: an answer said that something is missing (codes 0xFF00 to 0xFF02)."""
 
 _CLOSED_BY_APP = 4.0
-_STALE = 3.0
 _VERSION_PAUSE = 10.0
 _MODE, _LAST = "control mode", "last setpoint"
 _Order = Callable[[Listener, float], Coroutine[Any, Any, None]]  # whose, and the number that came
@@ -97,9 +96,8 @@ class Node:
     async def _publish_each_second(self) -> None:
         while True:
             await asyncio.sleep(1.0)
-            telemetry = self._agent.telemetry
-            status = telemetry.fresh(FlightStatus, within=_STALE) if telemetry else None
-            battery = telemetry.fresh(Battery, within=_STALE) if telemetry else None
+            view = self._agent.view
+            status, battery = view.get(FlightStatus), view.get(Battery)
             self._tell(self._flight_status, float(status.status) if status else 0.0)
             self._tell(self._battery, float(battery.percent) if battery else 0.0)
 

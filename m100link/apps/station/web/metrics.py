@@ -28,12 +28,12 @@ from starlette.routing import Route
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import LinkCounted
+from m100link.apps.agent.view import Hearing
 from m100link.apps.station.listeners import Fronts
 from m100link.apps.station.ros.client import Client
 from m100link.apps.station.web.access_control import AccessControl
 from m100link.apps.station.web.server import Bridge, serve_http
 from m100link.protocol.items import ITEMS
-from m100link.telemetry.state import AircraftState
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -48,7 +48,6 @@ DASHBOARD = files("m100link.apps.station.web") / "grafana.json"
 _in_openmetrics: Callable[[CollectorRegistry], bytes] = openmetrics.generate_latest
 
 _STATES = ("connecting", "connected", "lost", "silent", "gone")
-_STALE_AFTER = 2.0  # items at 1 Hz are there
 
 _COUNTED: tuple[tuple[str, str, str, Mapping[str, str]], ...] = (
     (
@@ -157,27 +156,24 @@ class StationMetrics(Collector):
         yield from self._clients()
 
     def _telemetry(self) -> Iterator[_Family]:
-        connected = [
-            (name, agent, agent.telemetry)
-            for name, agent in self._bridge.agents.items()
-            if agent.telemetry is not None and agent.is_connected
-        ]
+        agents = self._bridge.agents.items()
+        connected = [(name, view) for name, agent in agents if (view := agent.view).is_connected]
         yield (
             *(GaugeMetricFamily, "m100_telemetry_rate_hertz"),
             "Arrivals of a telemetry item per second, 0 when it stopped",
             ["aircraft", "item"],
             [
-                ([name, item.name], _rate(telemetry, item.record))
-                for name, _, telemetry in connected
+                ([name, item.name], view.rate_hz(item.record))
+                for name, view in connected
                 for item in ITEMS
-                if telemetry.statistics(item.record).count
+                if view.age(item.record) is not None
             ],
         )
         yield (
             *(CounterMetricFamily, "m100_telemetry_mismatches"),
             "Telemetry packages that do not fit the firmware",
             ["aircraft"],
-            [([name], agent.state.mismatches) for name, agent, _ in connected],
+            [([name], view.state.mismatches) for name, view in connected],
         )
 
     def _clients(self) -> Iterator[_Family]:
@@ -202,15 +198,8 @@ def _buckets(link: LinkCounted) -> list[tuple[str, int]]:
     return list(zip(bounds, accumulate(link.round_trips.values()), strict=True))
 
 
-def _rate(telemetry: AircraftState, record: type[tuple[Any, ...]]) -> float:
-    is_fresh = telemetry.fresh(record, within=_STALE_AFTER) is not None
-    return (telemetry.statistics(record).rate_hz or 0.0) if is_fresh else 0.0
-
-
 def _state_of(agent: AgentClient) -> str:
-    if agent.is_gone:
-        return "gone"
-    return "silent" if agent.is_silent else agent.state.connection
+    return "gone" if agent.view.hearing is Hearing.GONE else agent.view.connection
 
 
 def metrics_app(

@@ -245,7 +245,7 @@ class Bridge:
 def _health_of(agent: AgentClient) -> dict[str, Any]:
     fault = agent.state.connection_fault
     return {
-        "connection": "silent" if agent.is_silent else agent.state.connection,
+        "connection": agent.view.connection,
         "error": str(fault.error()) if fault else "",
     }
 

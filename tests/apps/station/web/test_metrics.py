@@ -239,12 +239,12 @@ COUNTED = LinkCounted(
 
 
 def heard() -> AircraftState:
-    """Items at 10 Hz, the gimbal at 5 until 1.9 s ago, position and battery until 2.1 s ago."""
+    """Items at 10 Hz, the gimbal at 5 until 1.1 s ago, position and battery until 2.1 s ago."""
     now = [0.0]
     state = AircraftState(lambda: now[0])
     for number in range(122):
         gone = [Position, Battery] if number > 100 else []
-        without = [*gone, *([Gimbal] if number % 2 or number > 102 else [])]
+        without = [*gone, *([Gimbal] if number % 2 or number > 110 else [])]
         state.update(known.sample(at=number / 10, without=without))
     now[0] = 12.1
     return state
@@ -252,22 +252,15 @@ def heard() -> AircraftState:
 
 def told() -> list[Metric]:
     """What is told of three aircraft: one that flies, one that is silent, one that is lost."""
-    flies = SimpleNamespace(
-        **{"is_gone": False, "is_silent": False, "is_connected": True, "has_authority": True},
-        state=State(at=50.0, connection="connected", mismatches=17),
-        telemetry=heard(),
-        link=COUNTED,
-    )
-    silent = SimpleNamespace(
-        **{"is_gone": False, "is_silent": True, "is_connected": False, "has_authority": False},
-        state=State(at=1.0, connection="connected", mismatches=18),
-        telemetry=heard(),
-        link=COUNTED,
-    )
-    gone = SimpleNamespace(**{**vars(silent), "is_gone": True})
-    lost = SimpleNamespace(
-        **{**vars(silent), "is_silent": False, "state": State(at=1.0, connection="lost")}
-    )
+
+    def agent(connection: str = "connected", *, mismatches: int = 18, **more: Any) -> Any:
+        state = State(1.0, connection, has_authority=mismatches == 17, mismatches=mismatches)
+        view = known.seen(heard(), 12.1, state=state, **more)
+        authority = {"is_connected": view.is_connected, "has_authority": view.has_authority}
+        return SimpleNamespace(view=view, state=state, link=COUNTED, **authority)
+
+    flies, silent = agent(mismatches=17), agent(heard_at=1.0)
+    gone, lost = agent(is_gone=True), agent("lost")
     bridge = SimpleNamespace(
         agents={"a1": flies, "b2": silent, "c3": lost, "d4": gone},
         graph=SimpleNamespace(sessions=[slow("tablet", 19), object(), slow("laptop", 21)]),
