@@ -133,7 +133,12 @@ class AgentClient:
         now, view = self._clock(), self._view
         if view is None or now - view.at > MOMENT_S:
             view = self._view = VehicleView(
-                now, self.heard_at, self.is_gone, self.state, self.holder, self.telemetry
+                now,
+                self.heard_at,
+                self._answers.gone is not None,
+                self.state,
+                self.holder,
+                self.telemetry,
             )
         return view
 
@@ -184,7 +189,7 @@ class AgentClient:
     # -- what comes in ---------------------------------------------------------------------------
 
     def _receive(self, message: Message) -> None:
-        self.heard_at, self._view = self.now, None
+        self.heard_at, self._view = self._clock(), None
         handler = self._handlers.get(type(message))
         if handler is not None:
             handler(message)
@@ -372,7 +377,7 @@ class AgentClient:
 
     def steer(self, lease: Lease, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
         """Fly this for its lifetime; renews the lease. A refusal comes to ``on_steer_refused``."""
-        self._channel.send(Steer(lease.number, self.now, lifetime, setpoint))
+        self._channel.send(Steer(lease.number, self._clock(), lifetime, setpoint))
 
     def halt(self, why: str = "", lease: Lease | None = None) -> None:
         """Stop moving; anybody may. With the lease: it was let go, which begins anew after STOP."""

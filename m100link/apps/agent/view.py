@@ -96,10 +96,10 @@ class VehicleView:
 
     def get(self, record: type[R]) -> R | None:
         """The newest value of an item; None when it is old, or cannot be."""
-        found: R | None = self._known.get(record, _NOT_ASKED)
-        if found is _NOT_ASKED:
-            found = self._known[record] = self._within(record, FRESH_S[record])
-        return found
+        known: R | None = self._known.get(record, _NOT_ASKED)
+        if known is _NOT_ASKED:
+            known = self._known[record] = self._within(record, FRESH_S[record])
+        return known
 
     def to_steer_by(self, record: type[R]) -> R | None:
         """The same where a loop is closed over it: none that is older than half a second."""

@@ -98,6 +98,8 @@ class Bridge:
         self._clock = asyncio.get_running_loop().time
         self.peers = Peers(to)
         self._crafts = [_Craft(agent, system, autopilot) for system, agent in agents.items()]
+        self.vehicles = [craft.vehicle for craft in self._crafts]  # as they are translated
+        self._ours = {0, *agents}  # system ids of our own words, and of nobody's
         # What may still be read of whom, and when that was shared out: not by each step, whose rest
         # is longer while nothing waits.
         self._shares: dict[Address | None, int] = {None: _READ_PER_STEP}
@@ -109,11 +111,6 @@ class Bridge:
         self._rest: asyncio.Future[None] | None = None
         self._stepped_at = 0.0
         self._is_short = False
-
-    @property
-    def vehicles(self) -> list[Vehicle]:
-        """The aircraft, as they are translated."""
-        return [craft.vehicle for craft in self._crafts]
 
     def received(self, data: bytes, address: Address) -> None:
         """A datagram came."""
@@ -135,8 +132,8 @@ class Bridge:
         self._hurry()
 
     def _take(self, message: Message, peer: Peer, now: float) -> None:
-        if message.system == 0 or any(one.system == message.system for one in self.vehicles):
-            return  # our own words, or nobody's
+        if message.system in self._ours:
+            return
         if message.name == "HEARTBEAT":
             is_trusted = self._signer is None or message.is_signed
             self.peers.heartbeat(peer, now, is_trusted=is_trusted)
@@ -173,16 +170,15 @@ class Bridge:
 
     def _flush(self, now: float) -> None:
         """Send what waits, as few datagrams as there can be."""
-        everybody = self.peers.addresses(now)
+        everybody: Iterable[Address] | None = None
         packed: dict[Address, bytearray] = {}
         for craft in self._crafts:
             waiting, craft.vehicle.outbox = craft.vehicle.outbox, []
             for message, to in waiting:
-                addresses: Iterable[Address] = everybody if to is None else ()
-                if isinstance(to, tuple):
-                    addresses = to
-                elif to is not None:
-                    addresses = (to.address,)
+                if to is None:
+                    addresses = everybody = everybody or self.peers.audience(now)
+                else:
+                    addresses = to if isinstance(to, tuple) else (to.address,)
                 for address in addresses:
                     frame = self._frame(craft, message, address)
                     if frame is None:

@@ -189,7 +189,7 @@ class Crew:
             await self._agent.ask(orders.Release(), self._world.lease)
             # It may have been taking off until now: what counts is what it does after a while.
             await asyncio.sleep(_TAKES_OFF_WITHIN_S)
-            if self._world.view.is_on_ground is not True:
+            if self._world.known.view.is_on_ground is not True:
                 await self._agent.ask(orders.Obtain(), self._world.lease)
                 await self._land_at_last()
         finally:
@@ -203,7 +203,7 @@ class Crew:
             try:
                 await self._agent.ask(orders.Land(), self._world.lease)
             except TaskRefused:
-                if self._world.view.is_on_ground:
+                if self._world.known.view.is_on_ground:
                     return
                 if self._agent.now >= until:
                     raise
@@ -360,7 +360,7 @@ class MissionFlights:
         plan, why = self._plan(legs, route.then)
         flown: list[GuidedOrder] = [leg.order for leg in legs]
         waits, items = [leg.wait for leg in legs], [leg.item for leg in legs]
-        takes_off = self._world.view.is_on_ground is not False
+        takes_off = self._world.known.view.is_on_ground is not False
         climb: list[None] = []
         if takes_off and legs:
             # Up first, in place: what stands between the ground and the first leg is not known.
@@ -379,7 +379,7 @@ class MissionFlights:
 
     def _plan(self, legs: list[Leg], then: Mode) -> tuple[WaypointPlan | None, str]:
         """What the aircraft flies by itself; None with the reason where it does not."""
-        firmware = self._world.view.state.firmware
+        firmware = self._world.known.view.state.firmware
         if not flies_missions(firmware):
             return None, f"firmware {firmware or 'unknown'} has no missions"
         try:
@@ -387,7 +387,7 @@ class MissionFlights:
         except Unfit as unfit:
             return None, str(unfit)
         for refusal in preview_plan(
-            plan, self._world.view.telemetry, self._world.view.state.limits
+            plan, self._world.known.view.telemetry, self._world.known.view.state.limits
         ):
             if refusal.guard == "allow_far":
                 return None, f"it begins {refusal.measured:.0f} m from here"

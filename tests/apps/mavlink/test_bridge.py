@@ -62,7 +62,7 @@ async def test_a_peer_is_forgotten_when_it_is_silent(rig: Rig, ground: Ground) -
 async def test_there_are_never_more_than_a_few_peers(rig: Rig) -> None:
     for place in range(5 * MOST_PEERS):
         Ground(rig, ("127.0.0.1", 20000 + place), 100).beat()
-    addresses = rig.bridge.peers.addresses(rig.client.now)
+    addresses = rig.bridge.peers.audience(rig.client.now)
     assert len(addresses) == MOST_PEERS
     assert rig.bridge.peers.refused > 0
 
@@ -367,12 +367,12 @@ async def test_who_signs_is_not_kept_out_by_those_who_do_not() -> None:
         beat = write_frame(Message("HEARTBEAT", {}), system=9, sequence=0)
         for port in range(5 * MOST_PEERS):
             rig.bridge.received(beat, ("127.0.0.1", 20000 + port))
-        assert len(rig.bridge.peers.addresses(rig.client.now)) == MOST_PEERS
+        assert len(rig.bridge.peers.audience(rig.client.now)) == MOST_PEERS
         rig.ground_signer = Signer(key, sent=2**47)  # later than any real clock says
         late = Ground(rig, ("127.0.0.1", 7000), 246)
         late.beat()
         await late.arm()
-        assert len(rig.bridge.peers.addresses(rig.client.now)) == MOST_PEERS
+        assert len(rig.bridge.peers.audience(rig.client.now)) == MOST_PEERS
 
 
 async def test_short_messages_are_as_few_as_long_ones(rig: Rig, ground: Ground) -> None:

@@ -226,7 +226,7 @@ class Commands:
         frame at "relative" and means that.
         """
         radius, speed = asked.parameters[:2]
-        position = self._world.view.place
+        position = self._world.known.view.place
         if not math.isfinite(radius) or radius == 0.0:
             self._tell(Severity.WARNING, f"orbit: a radius of {radius:g} m")
             return Result.DENIED
@@ -288,7 +288,7 @@ class Commands:
         Raises:
             GuardRefused: Outside of the envelope, or the battery does not last.
         """
-        known = self._world.view
+        known = self._world.known.view
         for refusal in preview_plan(plan, known.telemetry, known.state.limits):
             raise refusal
 
@@ -365,7 +365,7 @@ class Commands:
             why = self._fence(begin, end, radius)
             if why:
                 raise UsageError(f"{order.label}: {why}")
-        known = self._world.view
+        known = self._world.known.view
         is_standing = known.is_on_ground is not False or self._deck.phase is Phase.DISARMED
         for error in preview(order, known.telemetry, known.state.limits).refusals:
             if isinstance(error, GuardRefused) and error.guard == "envelope":

@@ -65,14 +65,15 @@ class Offboard:
 
     def receive(self, message: Message, now: float) -> str:
         """Take a setpoint over. Returns why it cannot be flown, empty where it can."""
-        numbers = [one for one in message.fields.values() if isinstance(one, float)]
         if message.name == "SET_ATTITUDE_TARGET":
             return self._attitude(message, now)
-        mask, frame = message["type_mask"], message["coordinate_frame"]
+        fields = message.fields
+        numbers = [one for one in fields.values() if isinstance(one, float)]
+        mask, frame = fields["type_mask"], fields["coordinate_frame"]
         if any(map(math.isinf, numbers)):
             return "a setpoint that is not finite"
         # The bit that makes a force of an acceleration means nothing where there is none.
-        if mask & _NO_FORCE != _NO_FORCE and any(message[f"af{axis}"] for axis in "xyz"):
+        if mask & _NO_FORCE != _NO_FORCE and any(fields[f"af{axis}"] for axis in "xyz"):
             return "the M100 takes no acceleration and no force"
         is_body = frame in (Frame.BODY_NED, Frame.BODY_OFFSET_NED, Frame.BODY_FRD)
         if not is_body and frame != Frame.LOCAL_NED:
@@ -86,13 +87,13 @@ class Offboard:
             return f"a place in frame {frame}: places count from home, in LOCAL_NED"
         target = Target(
             now,
-            place=(message["x"], message["y"]) if has_place else None,
-            height=-message["z"] if has_height else None,
-            velocity=(message["vx"], message["vy"]) if has_speed else None,
-            climb=-message["vz"] if has_climb else None,
+            place=(fields["x"], fields["y"]) if has_place else None,
+            height=-fields["z"] if has_height else None,
+            velocity=(fields["vx"], fields["vy"]) if has_speed else None,
+            climb=-fields["vz"] if has_climb else None,
             is_body=is_body,
-            yaw_deg=None if mask & _YAW else _turn(message["yaw"]),
-            yaw_rate=None if mask & _YAW_RATE else math.degrees(message["yaw_rate"]),
+            yaw_deg=None if mask & _YAW else _turn(fields["yaw"]),
+            yaw_rate=None if mask & _YAW_RATE else math.degrees(fields["yaw_rate"]),
         )
         return self._take(target)
 
@@ -117,14 +118,10 @@ class Offboard:
         return self._take(Target(now, tilt=tilt, climb=up, yaw_deg=math.degrees(yaw)))
 
     def _take(self, target: Target) -> str:
-        parts = (target.place, target.velocity, target.tilt)
-        flat = [one for part in parts if part is not None for one in part]
-        flat += [
-            one
-            for one in (target.height, target.climb, target.yaw_deg, target.yaw_rate)
-            if one is not None
-        ]
-        if not flat or any(not math.isfinite(one) for one in flat):
+        flat = [*(target.place or ()), *(target.velocity or ()), *(target.tilt or ())]
+        ones = (target.height, target.climb, target.yaw_deg, target.yaw_rate)
+        flat += [one for one in ones if one is not None]
+        if not flat or not all(map(math.isfinite, flat)):
             return "a setpoint that says nothing, or is not a number"
         self.target = target
         return ""
@@ -191,10 +188,10 @@ class Offboard:
     @property
     def _is_located(self) -> bool:
         """Whether a loop may be closed over where it is; where it was a second ago leads astray."""
-        return self._world.view.to_steer_by(Position) is not None
+        return self._world.known.view.to_steer_by(Position) is not None
 
     def _fastest(self) -> float:
-        limit = self._world.view.state.limits.max_speed_m_s
+        limit = self._world.known.view.state.limits.max_speed_m_s
         return min(self._parameters["MPC_XY_VEL_MAX"], 10.0 if limit is None else limit)
 
 
@@ -253,7 +250,7 @@ class Manual:
             return Setpoint.tilt(
                 roll_deg=roll * tilt, pitch_deg=-pitch * tilt, up=up, yaw_rate_deg_s=yaw_rate
             )
-        limit = self._world.view.state.limits.max_speed_m_s
+        limit = self._world.known.view.state.limits.max_speed_m_s
         speed = min(values["MPC_XY_VEL_MAX"], 10.0 if limit is None else limit)
         scale = max(1.0, (pitch * pitch + roll * roll) ** 0.5)
         return Setpoint.velocity(

@@ -51,17 +51,17 @@ PARAMETERS: Mapping[str, Parameter] = {
     "GF_MAX_HOR_DIST": Parameter(
         None,
         "the agent's envelope: m from where control was obtained; 0 without",
-        told=lambda world, _: world.view.state.limits.max_radius_m,
+        told=lambda world, _: world.known.view.state.limits.max_radius_m,
     ),
     "GF_MAX_VER_DIST": Parameter(
         None,
         "the agent's envelope: m above the take-off point; 0 without",
-        told=lambda world, _: world.view.state.limits.max_height_m,
+        told=lambda world, _: world.known.view.state.limits.max_height_m,
     ),
     "COM_ARM_BAT_MIN": Parameter(
         None,
         "the agent's floor of the battery, 0 to 1",
-        told=lambda world, _: (world.view.state.limits.battery_floor_percent or 0) / 100,
+        told=lambda world, _: (world.known.view.state.limits.battery_floor_percent or 0) / 100,
     ),
 }
 """By name."""

@@ -72,20 +72,17 @@ class Peers:
 
     def forget(self, now: float) -> None:
         """Leave out those that are silent."""
-        for peer in [one for one, at in self._heard.items() if now - at >= FORGOTTEN_AFTER]:
-            del self._heard[peer]
-            self._trusted.pop(peer, None)
-
-    def addresses(self, now: float) -> set[Address]:
-        """Where telemetry goes."""
-        self.forget(now)
-        return {*self._always, *(one.address for one in self._heard)}
+        for peer, at in tuple(self._heard.items()):
+            if now - at >= FORGOTTEN_AFTER:
+                del self._heard[peer]
+                self._trusted.pop(peer, None)
 
     def audience(self, now: float) -> dict[Address, tuple[Peer, ...]]:
-        """The same, with the peers that are there."""
-        found: dict[Address, tuple[Peer, ...]] = dict.fromkeys(self.addresses(now), ())
+        """Where telemetry goes, with the peers that are there."""
+        self.forget(now)
+        found: dict[Address, tuple[Peer, ...]] = dict.fromkeys(self._always, ())
         for peer in self._heard:
-            found[peer.address] += (peer,)
+            found[peer.address] = (*found.get(peer.address, ()), peer)
         return found
 
     def __iter__(self) -> Iterator[Peer]:

@@ -62,7 +62,7 @@ def _cm(value: float) -> int:
 def heartbeat(world: World, mode: Mode, autopilot: int) -> Fields:
     """HEARTBEAT."""
     row, is_armed = MODES[mode], world.is_armed
-    battery = world.view.get(Battery)
+    battery = world.known.view.get(Battery)
     is_low = battery is not None and battery.percent < LOWEST_BATTERY and is_armed
     status = SystemStatus.ACTIVE if is_armed else SystemStatus.STANDBY
     return {
@@ -76,7 +76,7 @@ def heartbeat(world: World, mode: Mode, autopilot: int) -> Fields:
 
 
 def _sys_status(world: World, now: float) -> Fields:
-    view = world.view
+    view = world.known.view
     place, present, health = view.place, 0, 0
     for record, bit in (
         (AngularVelocity, Sensor.GYRO),
@@ -109,13 +109,13 @@ def _sys_status(world: World, now: float) -> Fields:
 
 
 def _extended(world: World, now: float) -> Fields:
-    phase = world.view.phase
+    phase = world.known.view.phase
     landed = LandedState.UNDEFINED if phase is None else _LANDED[phase]
     return {"vtol_state": 0, "landed_state": landed}
 
 
 def _attitude(world: World, now: float) -> Fields | None:
-    view = world.view
+    view = world.known.view
     attitude, rates = view.get(Attitude), view.get(AngularVelocity)
     if attitude is None:
         return None
@@ -133,7 +133,7 @@ def _rates(rates: AngularVelocity | None) -> Fields:
 
 
 def _quaternion(world: World, now: float) -> Fields | None:
-    view = world.view
+    view = world.known.view
     attitude, rates = view.get(Attitude), view.get(AngularVelocity)
     if attitude is None:
         return None
@@ -142,7 +142,7 @@ def _quaternion(world: World, now: float) -> Fields | None:
 
 
 def _global(world: World, now: float) -> Fields | None:
-    view = world.view
+    view = world.known.view
     position, velocity, yaw = view.place, view.get(Velocity), world.yaw_deg
     if position is None or velocity is None or (world.home is None and view.is_on_ground):
         return None
@@ -160,7 +160,7 @@ def _global(world: World, now: float) -> Fields | None:
 
 
 def _local(world: World, now: float) -> Fields | None:
-    place, velocity = world.local, world.view.get(Velocity)
+    place, velocity = world.local, world.known.view.get(Velocity)
     if place is None or velocity is None:
         return None
     north, east, up = place
@@ -186,7 +186,7 @@ def _home(world: World, now: float) -> Fields | None:
 
 
 def _gps(world: World, now: float) -> Fields | None:
-    view = world.view
+    view = world.known.view
     position, velocity = view.get(Position), view.get(Velocity)
     if position is None or position.gps_health is None:
         return None
@@ -209,7 +209,7 @@ def _gps(world: World, now: float) -> Fields | None:
 
 
 def _battery(world: World, now: float) -> Fields | None:
-    battery = world.view.get(Battery)
+    battery = world.known.view.get(Battery)
     if battery is None:
         return None
     return {
@@ -224,7 +224,7 @@ def _battery(world: World, now: float) -> Fields | None:
 
 
 def _rc(world: World, now: float) -> Fields | None:
-    remote = world.view.get(RemoteControl)
+    remote = world.known.view.get(RemoteControl)
     if remote is None:
         return None
     given = (remote.roll, remote.pitch, remote.throttle, remote.yaw, remote.mode, remote.gear)
@@ -236,7 +236,7 @@ def _rc(world: World, now: float) -> Fields | None:
 
 
 def _vfr(world: World, now: float) -> Fields | None:
-    view = world.view
+    view = world.known.view
     position, velocity, yaw = view.place, view.get(Velocity), world.yaw_deg
     if position is None or velocity is None or yaw is None:
         return None
@@ -251,7 +251,7 @@ def _vfr(world: World, now: float) -> Fields | None:
 
 
 def _altitude(world: World, now: float) -> Fields | None:
-    position, height = world.view.get(Position), world.height
+    position, height = world.known.view.get(Position), world.height
     if position is None or height is None:
         return None
     return {
@@ -266,7 +266,7 @@ def _altitude(world: World, now: float) -> Fields | None:
 
 
 def _estimator(world: World, now: float) -> Fields | None:
-    view = world.view
+    view = world.known.view
     integrity, velocity = view.integrity, view.get(Velocity)
     flags = Estimator.ATTITUDE if view.get(Attitude) is not None else Estimator(0)
     if not integrity.is_plausible:
@@ -287,7 +287,7 @@ def _estimator(world: World, now: float) -> Fields | None:
 
 
 def _imu(world: World, now: float) -> Fields | None:
-    view = world.view
+    view = world.known.view
     rates, attitude = view.get(AngularVelocity), view.get(Attitude)
     acceleration = view.get(Acceleration)
     if rates is None:

@@ -267,7 +267,7 @@ class Vehicle:
 
         ``begin``: None for where the aircraft is.
         """
-        fence, position = self._missions.fence, self.world.view.place
+        fence, position = self._missions.fence, self.world.known.view.place
         why = fence.refusal(*end, radius)
         if why or not fence.areas:
             return why
@@ -291,15 +291,15 @@ class Vehicle:
         farther away than it was at its least. A mission that is to pause may still fly. Where it is
         now follows from what was told last, and nobody flies on who does not know that.
         """
-        fence, position = self._missions.fence, self.world.view.place
+        fence = self._missions.fence
         if not fence.areas or self.deck.phase is not Phase.AIRBORNE:
             self._breach_m = None
             return
         if self.deck.running not in (*_FLIGHTS, Running.STREAM):
             self._breach_m = math.inf  # what begins outside has been asked for its direction
             return
-        view = self.world.view
-        velocity = view.get(Velocity)
+        view = self.world.known.view
+        position, velocity = view.place, view.get(Velocity)
         if position is None or velocity is None:
             self.deck.hold("hold: nobody knows how near the fence is")
             return
@@ -419,7 +419,7 @@ class Vehicle:
         for text in self._texts.due(now):
             self._send(text)
         # A vehicle that nobody hears is silent: whoever looks at it has to see that it is lost.
-        if self.world.view.is_heard:
+        if self.world.known.view.is_heard:
             self._tell_state(now, audience)
 
     def _heartbeat(self) -> Message:

@@ -52,11 +52,6 @@ class World:
         self.may_take_off = False
         self.home: Home | None = None  # where it stood last; None while nobody knows
 
-    @property
-    def view(self) -> VehicleView:
-        """What may be believed of the aircraft now."""
-        return self.known.view
-
     # -- telemetry -------------------------------------------------------------------------------
 
     @property
