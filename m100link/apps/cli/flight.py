@@ -337,7 +337,7 @@ async def gimbal(
             )
         state = aircraft.state
         await aircraft.wait_for(
-            lambda _: state.fresh(Gimbal, within=1.5) is not None,
+            lambda _: state.fresh(Gimbal) is not None,
             timeout=_WATCH_S,
             what="the gimbal item",
         )

@@ -292,7 +292,7 @@ async def _key(aircraft: Aircraft, credentials: Credentials | None) -> Finding:
 
 
 def _mode_switch(aircraft: Aircraft) -> Finding:
-    rc = aircraft.state.fresh(RemoteControl, within=1.0)
+    rc = aircraft.state.fresh(RemoteControl)
     if rc is None:
         return Finding(
             Stage.MODE_SWITCH,
@@ -320,7 +320,7 @@ async def _authority(
 ) -> Finding:
     if credentials is None:
         return _not_asked("no app id and key were given")
-    status = aircraft.state.fresh(FlightStatus, within=2.0)
+    status = aircraft.state.fresh(FlightStatus)
     if status is None or status.phase is not FlightPhase.STANDBY:
         return _not_asked("it is not seen standing on the ground with its motors off")
     if not authority:
@@ -337,10 +337,10 @@ async def _authority(
 
 def _refused(aircraft: Aircraft, error: AuthorityRefused) -> Finding:
     """With the switch in F, the code that speaks of it has other causes."""
-    rc = aircraft.state.fresh(RemoteControl, within=1.0)
+    rc = aircraft.state.fresh(RemoteControl)
     if rc is None or not rc.is_in_f or error.code not in _NOT_IN_F:
         return failed(Stage.AUTHORITY, error)
-    holder = aircraft.state.fresh(ControlDevice, within=2.0)
+    holder = aircraft.state.fresh(ControlDevice)
     if holder is not None and holder.device is Device.APP:
         return Stage.AUTHORITY.failed(
             f"{error.seen}; the mobile app controls the aircraft",

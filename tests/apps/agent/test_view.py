@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+import ast
 import math
+import pathlib
+import sys
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import FrozenInstanceError, replace
 from itertools import product
+from types import FrameType
 from typing import Any
 
 import anyio
 import pytest
 
+import m100link
+import m100link.apps
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import VERSION, Hello, LeaseChanged, State
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.agent.view import Hearing
+from m100link.apps.mavlink.translator.codec import Message, write_frame
+from m100link.apps.mavlink.translator.modes import MODES, Mode
+from m100link.apps.mavlink.translator.numbers import Command
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
     Attitude,
@@ -25,7 +36,12 @@ from m100link.protocol.records import (
     Velocity,
 )
 from m100link.sim.clock import virtual_clock_loop
+from m100link.sim.virtual import VirtualAircraft
 from m100link.telemetry.state import AircraftState
+from tests.apps.mavlink import conftest as mavlink
+from tests.apps.ros2 import conftest as ros2
+from tests.apps.station import conftest as station
+from tests.apps.station.console.test_tab import airborne
 from tests.known import CONNECTED, KnownAgent, position, sample, seen
 
 AGES_S = dict.fromkeys(BY_RECORD, 1.2) | {FlightStatus: 2.5, Battery: 5.0}
@@ -226,3 +242,104 @@ async def test_nothing_of_the_aircraft_before_is_known_of_the_next_one() -> None
         assert client.view.is_connected
         assert client.telemetry is not before
         assert place_of(client) is None, "that was of another aircraft, at the same instant"
+
+
+# -- what a step of a front costs: calls of the library, from a message to the bytes on the line ---
+
+ROOT = str(pathlib.Path(m100link.__file__).parent)
+
+
+def calls(work: Callable[[], object]) -> Counter[str]:
+    """How often each function of the library is called; the virtual aircraft is none of it."""
+    counted: Counter[str] = Counter()
+
+    def count(frame: FrameType, event: str, _: object) -> None:
+        place = frame.f_code.co_filename
+        if event == "call" and place.startswith(ROOT) and "/sim/" not in place:
+            counted[frame.f_code.co_qualname] += 1
+
+    before = sys.getprofile()
+    sys.setprofile(count)
+    try:
+        work()
+    finally:
+        sys.setprofile(before)
+    return counted
+
+
+def is_asked_once(counted: Counter[str], most: int) -> None:
+    assert counted.total() <= most, counted.most_common(12)
+    assert counted["VehicleView.__post_init__"] <= 1, "one view for a step"
+    assert counted["State.flight_time"] <= 1
+
+
+@pytest.mark.anyio
+async def test_a_setpoint_of_mavlink_is_a_few_calls() -> None:
+    fields = {"type_mask": 0b1101_1100_0111, "coordinate_frame": 1, "vx": 1.0, "target_system": 1}
+    async with mavlink.Rig().running() as rig:
+        await rig.ground.fly()
+        rig.ground.send("SET_POSITION_TARGET_LOCAL_NED", **fields)
+        row = MODES[Mode.OFFBOARD]
+        rig.ground.command(Command.DO_SET_MODE, 1, row.main, row.sub)
+        for _ in range(20):
+            rig.ground.send("SET_POSITION_TARGET_LOCAL_NED", **fields)
+            await anyio.sleep(0.05)
+        assert rig.speed > 0.3
+        frame = write_frame(
+            Message("SET_POSITION_TARGET_LOCAL_NED", fields, component=190),
+            system=rig.ground.system,
+            sequence=1,
+        )
+
+        def step() -> None:
+            rig.bridge.received(frame, rig.ground.address)
+            rig.bridge.step()
+
+        counted = calls(step)
+    assert counted["AgentClient.steer"] == 1
+    is_asked_once(counted, 215)
+
+
+@pytest.mark.anyio
+async def test_a_speed_of_ros_is_a_few_calls() -> None:
+    async with ros2.Rig().running() as rig:
+        await rig.program.up()
+        await rig.program.fly(0.5, 1.0)
+        rig.program.speed(1.0)
+        counted = calls(rig.node.step)
+    assert counted["AgentClient.steer"] == 1
+    is_asked_once(counted, 190)
+
+
+@pytest.mark.anyio
+async def test_a_key_of_the_console_is_a_few_calls() -> None:
+    async with station.Rig(VirtualAircraft(seed=5)).running() as rig:
+        browser = await airborne(rig)
+        await browser.hold(0.5, x=-2.0)
+        text = browser.message("beat", mode=1, x=-2.0, y=0, z=0, w=0)
+        counted = calls(lambda: browser.tab.receive(text))
+    assert counted["AgentClient.steer"] == 1
+    is_asked_once(counted, 150)
+
+
+# -- nobody else decides ---------------------------------------------------------------------------
+
+HERE = pathlib.Path(m100link.apps.__file__).parent
+WITHOUT_AN_AGENT = {"doctor", "cli"}
+"""They have an aircraft of their own; the table of the library is theirs, and no age."""
+
+
+def test_no_front_has_an_age_of_its_own() -> None:
+    found = []
+    for path in sorted(HERE.rglob("*.py")):
+        place, text = path.relative_to(HERE), path.read_text()
+        if ".fresh(" not in text and ".finite(" not in text:
+            continue
+        for call in ast.walk(ast.parse(text)):
+            if not isinstance(call, ast.Call) or not isinstance(call.func, ast.Attribute):
+                continue
+            has_age = any(one.arg == "within" for one in call.keywords)
+            is_read = call.func.attr in ("fresh", "finite")
+            if is_read and (has_age or place.parts[0] not in WITHOUT_AN_AGENT):
+                found.append(str(place))
+    assert found == ["agent/view.py"]

@@ -18,7 +18,7 @@ from typing import Any
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.messages import State
+from m100link.apps.agent.view import Hearing, VehicleView
 from m100link.apps.station.console.view.fly import FREE_FOR_S
 from m100link.protocol.items import ITEMS
 from m100link.protocol.records import FlightPhase
@@ -144,8 +144,6 @@ class Looks:
 INTERVAL = 0.1  # seconds between two rows
 KEPT_S = 600.0  # seconds that are kept
 
-_STALE_AFTER = 2.0  # items at 1 Hz are drawn as a line, not as points
-
 LINE_COLUMNS = (
     *("line.packages_per_s", "line.round_trip_ms", "line.discards", "line.late_acks"),
     *("line.dropped_writes", "line.front_lag_ms"),
@@ -181,8 +179,7 @@ class History:
             due = agent.now + INTERVAL
             await asyncio.sleep(INTERVAL)
             self._note_lag(agent.now - due)
-            telemetry = agent.telemetry if not agent.is_gone else None
-            self.add(agent.now + to_utc, telemetry, agent.state)
+            self.add(agent.now + to_utc, agent.view)
 
     def _note_lag(self, lag: float) -> None:
         self._lags.append(max(0.0, lag))
@@ -190,24 +187,22 @@ class History:
             self.lag = max(self._lags)
             self._lags.clear()
 
-    def add(self, utc: float, telemetry: AircraftState | None, state: State) -> None:
-        """Add a row.
-
-        ``utc``: seconds since 1970. ``telemetry``: newest values and their ages; None while there
-        are none.
-        """
+    def add(self, utc: float, view: VehicleView) -> None:
+        """Add a row. ``utc``: seconds since 1970."""
         place = self.count % self._size
         self._times[place] = utc
-        for name, value in zip(COLUMNS, self._row(telemetry, state), strict=True):
+        for name, value in zip(COLUMNS, self._row(view), strict=True):
             self._columns[name][place] = math.nan if value is None else float(value)
         self.count += 1
 
-    def _row(self, telemetry: AircraftState | None, state: State) -> Iterator[Any]:
+    def _row(self, view: VehicleView) -> Iterator[Any]:
+        telemetry, state = view.telemetry, view.state
         for record, readers in _READERS:
-            found = None if telemetry is None else telemetry.fresh(record, within=_STALE_AFTER)
+            # Of what has a NaN the other numbers are drawn all the same.
+            found = telemetry.get(record) if telemetry and view.is_new(record) else None
             for read in readers:
                 yield None if found is None else read(found)
-        if telemetry is None:
+        if telemetry is None or view.hearing is Hearing.GONE:
             yield from [None] * (len(LINE_COLUMNS) - 1)
         else:
             rates = (telemetry.statistics(record).rate_hz for record, _ in _READERS)

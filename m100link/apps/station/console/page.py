@@ -173,10 +173,7 @@ class Page:
         return tuple(
             Ship(
                 name,
-                agent.state,
-                agent.holder,
-                agent.telemetry,
-                is_heard=not agent.is_silent and not agent.is_gone,
+                agent.view,
                 is_shown=name == tab.aircraft,
                 is_ours=tab.has_lease if name == tab.aircraft else name in tab.kept,
             )
@@ -189,15 +186,9 @@ class Page:
 
     def _view(self) -> View:
         agent, tab = self._agent, self._tab
-        now = agent.state.flight_time(agent.now)  # of a replay: that of then
         return view_of(
             Inputs(
-                now=now,
-                state=agent.state,
-                holder=agent.holder,
-                telemetry=agent.telemetry,
-                is_silent=agent.is_silent,
-                is_gone=agent.is_gone,
+                vehicle=agent.view,
                 has_lease=tab.has_lease,
                 refusal=tab.refusal,
                 plan=agent.plan,
@@ -209,7 +200,6 @@ class Page:
                 dropped=self._dropped() if self._shown == "data" else (),
                 lease_end=tab.lease_end,
                 loss=tab.loss,
-                heard_at=now - (agent.now - agent.heard_at),
                 wall=time.time(),
                 is_virtual=self._context.orders is not None,
             ),

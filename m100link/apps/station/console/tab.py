@@ -36,7 +36,6 @@ from m100link.apps.station.console.kept import LeaseKeeper
 from m100link.errors import AuthorityLost, GuardRefused, LossReason, M100Error, NotObserved
 from m100link.errors.texts import read_json
 from m100link.missions.plan import WaypointPlan
-from m100link.protocol.records import FlightPhase, FlightStatus
 
 BEAT_LIFETIME = 0.3  # seconds that a beat lasts
 
@@ -439,7 +438,6 @@ def _is_number(value: Any) -> TypeGuard[float]:
 CERTAIN_AFTER = 0.1  # seconds in which the agent would have refused
 
 _TOLD_FOR = 0.3  # as long as a beat lasts: it was refused just now
-_STATUS_AGE_S = 2.5
 
 
 class Fate(StrEnum):
@@ -489,9 +487,7 @@ class Press:
             return Fate.NO_CONTROL
         if now - self._refused_at <= _TOLD_FOR:
             return self._why
-        telemetry = agent.telemetry
-        status = None if telemetry is None else telemetry.fresh(FlightStatus, within=_STATUS_AGE_S)
-        if status is not None and status.status == FlightPhase.STANDBY:
+        if agent.view.is_on_ground:
             return Fate.ON_GROUND
         if self._passed_at < self._since or agent.heard_at - self._since < CERTAIN_AFTER:
             return Fate.SENT

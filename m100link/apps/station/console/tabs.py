@@ -12,6 +12,7 @@ from urllib.parse import urlencode
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.kept import RENEWAL, LeaseKeeper, Looks
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.view.fly import live, seen_from_afar
@@ -200,11 +201,11 @@ class Tabs:
         with contextlib.suppress(WebSocketDisconnect):
             while True:
                 if _is_up_to_date(agent):
-                    message = live(agent.telemetry, agent.now)
+                    message = live(agent.view)
                     if len(self.agents) > 1 and agent.now >= others_at:
                         others_at = agent.now + OTHERS_INTERVAL
                         message["others"] = [
-                            seen_from_afar(name, one.telemetry)
+                            seen_from_afar(name, one.view)
                             for name, one in self.agents.items()
                             if name != tab.aircraft
                         ]
@@ -220,4 +221,4 @@ class Tabs:
 
 def _is_up_to_date(agent: AgentClient) -> bool:
     """Whether the agent is heard. A page that hears nothing shows everything as old."""
-    return not agent.is_gone and not agent.is_silent
+    return agent.view.hearing is Hearing.HEARD

@@ -43,16 +43,10 @@ class Operator:
         front, tab = self.rig.front, self.browser.tab
         self.memory.look(
             Inputs(
-                now=front.now,
-                state=front.state,
-                holder=front.holder,
-                telemetry=front.telemetry,
-                is_silent=front.is_silent,
-                is_gone=front.is_gone,
+                vehicle=front.view,
                 has_lease=tab.has_lease,
                 lease_end=tab.lease_end,
                 loss=tab.loss,
-                heard_at=front.heard_at,
                 plan=front.plan,
                 events=tuple(front.events),
             )

@@ -26,6 +26,7 @@ from m100link.apps.station.console.view.texts import (
 )
 from m100link.telemetry.state import AircraftState
 from tests import known
+from tests.known import seen
 
 pytestmark = pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
 
@@ -41,7 +42,7 @@ FROM, TO = (-33.12, 151.23), (-33.119, 151.232)
 def message(**changed: Any) -> dict[str, Any]:
     state = AircraftState(lambda: 0.25)
     state.update(known.sample())
-    return live(state, 1.0) | changed
+    return live(seen(state)) | changed
 
 
 TOLD: dict[str, tuple[dict[str, Any], Speaker]] = {

@@ -21,6 +21,7 @@ from m100link.protocol.records import Position
 from m100link.sim.virtual import VirtualAircraft
 from tests.apps.station.conftest import Rig
 from tests.apps.station.console.test_tab import Browser
+from tests.known import seen
 
 pytestmark = pytest.mark.anyio
 
@@ -366,7 +367,7 @@ def test_the_oldest_rows_go() -> None:
     history = History()
     size = round(KEPT_S / INTERVAL)
     for number in range(size + 50):
-        history.add(float(number), None, STATE)
+        history.add(float(number), seen(None, state=STATE))
     rows = history.rows(["line.front_lag_ms"])
     assert len(rows) == size
     assert rows[0][0] == 50.0
@@ -375,7 +376,7 @@ def test_the_oldest_rows_go() -> None:
 
 def test_without_an_aircraft_nothing_has_a_value() -> None:
     history = History()
-    history.add(1.0, None, STATE)
+    history.add(1.0, seen(None, state=STATE))
     ((_, *values),) = history.rows(COLUMNS[:-1])
     assert all(math.isnan(value) for value in values)
 
@@ -384,10 +385,10 @@ def test_without_an_aircraft_nothing_has_a_value() -> None:
 def test_a_window_that_moves_on_keeps_its_points(begin: int) -> None:
     history = History()
     for number in range(100):
-        history.add(float(number), None, STATE)
+        history.add(float(number), seen(None, state=STATE))
     before = [row[0] for row in history.rows([], last_s=5.0, step=10)]
     for number in range(begin):
-        history.add(100.0 + number, None, STATE)
+        history.add(100.0 + number, seen(None, state=STATE))
     after = [row[0] for row in history.rows([], last_s=5.0, step=10)]
     assert before == [50.0, 60.0, 70.0, 80.0, 90.0]
     assert set(after) - set(before) <= {100.0}
@@ -396,7 +397,7 @@ def test_a_window_that_moves_on_keeps_its_points(begin: int) -> None:
 def test_what_was_seen_does_not_come_again_and_a_pause_hides_what_came_later() -> None:
     history = History()
     for number in range(20):
-        history.add(float(number), None, STATE)
+        history.add(float(number), seen(None, state=STATE))
     assert [row[0] for row in history.rows([], since=18)] == [18.0, 19.0]
     assert [row[0] for row in history.rows([], until=10, last_s=0.3)] == [7.0, 8.0, 9.0]
 
@@ -405,7 +406,7 @@ def test_a_download_has_a_line_for_each_row_and_nothing_where_there_was_no_value
     history = History()
     history.lag = 0.0125
     for number in range(3):
-        history.add(1e9 + number / 10, None, STATE)
+        history.add(1e9 + number / 10, seen(None, state=STATE))
     text = history.csv([HEIGHT, "line.front_lag_ms"], until=2)
     assert text.splitlines() == [
         "utc,position.height_m,line.front_lag_ms",

@@ -380,10 +380,9 @@ class PageContext:
             self.agent.note(english(said), "warning")
         await self.tab.ask(TakeOff())
 
-    def here(self, within: float) -> tuple[float, float] | None:
-        """Where the aircraft was so many seconds ago at most: latitude and longitude, °."""
-        telemetry = self.agent.telemetry
-        position = None if telemetry is None else telemetry.finite(Position, within=within)
+    def here(self) -> tuple[float, float] | None:
+        """Where the aircraft is: latitude and longitude, °; None when nobody knows."""
+        position = self.agent.view.get(Position)
         return None if position is None else (position.latitude_deg, position.longitude_deg)
 
     def load(self, module: str) -> None:

@@ -239,8 +239,7 @@ class ClickPart:
 
     def _take_height(self) -> None:
         """A flight to a point keeps the height that the aircraft has, unless somebody says so."""
-        telemetry = self._page.agent.telemetry
-        position = None if telemetry is None else telemetry.finite(Position, within=1.0)
+        position = self._page.agent.view.get(Position)
         if position is not None and position.height_m > OFFERED["height"][0]:
             self._pointed = self._pointed.changed("height", round(position.height_m))
             self._numbers["height"].set(self._pointed.height)
@@ -250,7 +249,7 @@ class ClickPart:
 
     def _by_distance(self, _: float | None) -> None:
         here, distance, bearing = (
-            self._page.here(within=1.0),
+            self._page.here(),
             self._distance.value,
             self._bearing.value,
         )

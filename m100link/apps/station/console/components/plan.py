@@ -179,7 +179,7 @@ class PlanPart:
         if points:
             after = points[-1 if self._chosen is None else self._chosen]
             self._add((after.latitude_deg + 2e-4, after.longitude_deg))
-        elif (here := self._page.here(within=2.0)) is not None:
+        elif (here := self._page.here()) is not None:
             self._add(here)
         else:
             self._add((0.0, 0.0))
@@ -223,7 +223,7 @@ class PlanPart:
 
     def _survey(self, **how: Any) -> None:
         try:
-            draft = self._draft.surveyed(start=self._page.here(within=2.0), **how)
+            draft = self._draft.surveyed(start=self._page.here(), **how)
         except UsageError as error:
             self._refuse(str(error))
         else:
@@ -259,7 +259,7 @@ class PlanPart:
     def _show(self) -> None:
         """Show the draft: after each change of it or of the settings, and only then."""
         draft = self._draft
-        found = self._found = checked(draft, self._page.here(within=2.0))
+        found = self._found = checked(draft, self._page.here())
         self._summary.set_text(self._say(summary_of(draft, found)))
         for is_area, mode in self._modes.items():
             mode.props(f"aria-pressed={'true' if is_area is self._is_area else 'false'}")

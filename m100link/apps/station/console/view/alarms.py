@@ -12,7 +12,11 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from m100link.apps.agent.lease import Flown, LeaseChange
-from m100link.apps.station.console.view.situation import Hearing, Level, Situation
+from m100link.apps.agent.view import Hearing
+from m100link.apps.station.console.view.situation import (
+    Level,
+    Situation,
+)
 from m100link.apps.station.console.view.texts import Quantity, Text, tr
 from m100link.errors import LossReason
 from m100link.protocol.records import FlightPhase

@@ -62,9 +62,9 @@ class LinkView:
 
 def link_of(inputs: Inputs) -> LinkView:
     """The numbers as they are now."""
-    state, holder, counted = inputs.state, inputs.holder, inputs.link
+    state, holder, counted = inputs.vehicle.state, inputs.vehicle.holder, inputs.link
     texts = dict.fromkeys(LINK_ITEMS, tr("link.nothing"))
-    texts["connection"] = Text(f"link.{'silent' if inputs.is_silent else state.connection}")
+    texts["connection"] = Text(f"link.{inputs.vehicle.connection}")
     texts["clients"] = (
         tr("link.holder", name=holder.name, seconds=round(state.lease_remaining))
         if holder.number
@@ -73,7 +73,7 @@ def link_of(inputs: Inputs) -> LinkView:
     texts["front_lag"] = _ms(inputs.front_lag)
     if inputs.page_trip is not None:
         texts["page_ms"] = _ms(inputs.page_trip)
-    if inputs.telemetry is not None:
+    if inputs.vehicle.telemetry is not None:
         trip = state.round_trip
         texts |= {
             "firmware": _value(state.firmware),
@@ -113,9 +113,9 @@ def _cause(name: str) -> Text:
 
 
 def _rates(inputs: Inputs) -> tuple[ItemRate, ...]:
-    if inputs.telemetry is None:
+    if inputs.vehicle.telemetry is None:
         return ()
-    told = [inputs.telemetry.statistics(item.record) for item in ITEMS]
+    told = [inputs.vehicle.telemetry.statistics(item.record) for item in ITEMS]
     return tuple(
         ItemRate(
             Text(f"plots.item.{one.name}"),

@@ -9,6 +9,7 @@ from enum import Enum
 from typing import Any
 
 from m100link.apps.agent.latency import MAX_ROUND_TRIP
+from m100link.apps.agent.view import VehicleView
 from m100link.apps.station.console.view.situation import Inputs, Situation
 from m100link.apps.station.console.view.texts import Quantity, Text, tr
 from m100link.protocol.records import (
@@ -16,7 +17,6 @@ from m100link.protocol.records import (
     Attitude,
     Battery,
     ControlDevice,
-    FlightPhase,
     FlightStatus,
     Gimbal,
     Position,
@@ -26,7 +26,7 @@ from m100link.protocol.records import (
     Velocity,
 )
 from m100link.telemetry.integrity import GOOD_GPS, MAX_TELEMETRY_AGE
-from m100link.telemetry.state import AircraftState, is_finite
+from m100link.telemetry.state import is_finite
 
 # -- the list before take-off ----------------------------------------------------------------------
 # Without some of it the aircraft would refuse (line, activation, control), so nobody is asked.
@@ -270,8 +270,8 @@ def actions_of(inputs: Inputs, now: Situation, checklist: Checklist) -> frozense
     """
     if now.is_replay:
         return frozenset()  # nothing flies, and nothing would obey
-    state = inputs.state
-    has_control = inputs.has_lease and state.has_authority and inputs.is_heard
+    state = inputs.vehicle.state
+    has_control = inputs.has_lease and inputs.vehicle.has_authority
     offered = {"stop"}
     if now.is_connected:
         offered.add("activate")
@@ -302,8 +302,6 @@ class Field:
     name: str  # identifies it in the page; ``instruments.<name>`` is what it is called
     record: type[Any]  # telemetry record that it comes from
     text: Callable[[Any], Text]  # the value, to be said
-    # Seconds after which it is greyed out: a few times the slowest usual interval.
-    stale_after: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -357,8 +355,8 @@ def _charge(battery: Battery) -> Text:
 
 
 FIELDS: tuple[Field, ...] = (
-    Field("flight_status", FlightStatus, _phase, 2.0),
-    Field("battery", Battery, _charge, 3.0),
+    Field("flight_status", FlightStatus, _phase),
+    Field("battery", Battery, _charge),
     Field("gps", Position, _gps_reading),
     Field("height", Position, lambda p: _value(Quantity.length(p.height_m, 1))),
     Field("altitude", Position, lambda p: _value(Quantity.length(p.altitude_m, 1))),
@@ -369,24 +367,24 @@ FIELDS: tuple[Field, ...] = (
     Field("heading", Attitude, lambda a: tr("instruments.degrees", value=round(a.yaw_deg) % 360)),
     Field("gimbal", Gimbal, _gimbal),
     Field("mode_switch", RemoteControl, lambda rc: _value(rc.mode_switch.name)),
-    Field("control_device", ControlDevice, _device, 2.0),
+    Field("control_device", ControlDevice, _device),
     Field("time", Time, lambda t: tr("unit.seconds", seconds=t.seconds)),
 )
 """The fields, in the order of the page."""
 
 
-def read(field: Field, telemetry: AircraftState | None) -> Reading:
+def read(field: Field, view: VehicleView) -> Reading:
     """A field as it is now; without telemetry, as it is while no aircraft is connected."""
-    record = telemetry.get(field.record) if telemetry is not None else None
-    if telemetry is None or record is None:
-        never = None if telemetry is None else tr("instruments.never")
+    record = view.telemetry.get(field.record) if view.telemetry is not None else None
+    if record is None:
+        never = None if view.telemetry is None else tr("instruments.never")
         return Reading(tr("instruments.nothing"), is_stale=True, note=never)
     if not is_finite(record):
         return Reading(tr("instruments.nothing"), is_stale=True)
-    age = telemetry.age(field.record) or 0.0
-    if age <= field.stale_after:
+    if view.is_new(field.record):
         return Reading(field.text(record), is_stale=False)
-    return Reading(field.text(record), is_stale=True, note=tr("instruments.old", age=round(age)))
+    old = tr("instruments.old", age=round(view.age(field.record) or 0.0))
+    return Reading(field.text(record), is_stale=True, note=old)
 
 
 @dataclass(frozen=True, slots=True)
@@ -394,33 +392,31 @@ class Instruments:
     """What the instruments show."""
 
     readings: dict[str, Reading]  # a reading by the name of each of :data:`FIELDS`
-    # Roll, pitch and yaw, degrees; None when it is older than a second.
+    # Roll, pitch and yaw, degrees; None when nobody knows.
     attitude: tuple[float, float, float] | None
 
 
 def instruments_of(inputs: Inputs) -> Instruments:
     """The instruments as they are now; what an agent told that is not heard any more is old."""
-    telemetry = inputs.telemetry
-    attitude = telemetry.finite(Attitude, within=1.0) if telemetry is not None else None
+    view = inputs.vehicle
+    attitude = view.get(Attitude)
     return Instruments(
-        {field.name: read(field, telemetry) for field in FIELDS},
+        {field.name: read(field, view) for field in FIELDS},
         (attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg) if attitude is not None else None,
     )
 
 
-def live(state: AircraftState | None, now: float) -> dict[str, Any]:
+def live(view: VehicleView) -> dict[str, Any]:
     """What the instruments draw, twenty times a second; None for what is stale or missing."""
-    message: dict[str, Any] = {"op": "live", "t": round(now, 3)}
-    if state is None:
+    message: dict[str, Any] = {"op": "live", "t": round(view.at, 3)}
+    if view.telemetry is None:
         return message
-    age = state.newest_age
-    if age is not None:
-        message["age"] = round(age, 3)
-    attitude, position = state.finite(Attitude, within=1.0), state.finite(Position, within=1.0)
-    velocity, rates = state.finite(Velocity, within=1.0), state.finite(AngularVelocity, within=1.0)
-    rc = state.fresh(RemoteControl, within=1.0)
-    status = state.fresh(FlightStatus, within=2.0)
-    if status is not None and status.phase is FlightPhase.STANDBY:
+    if view.telemetry_at is not None:
+        message["age"] = round(view.now - view.telemetry_at, 3)
+    attitude, position = view.get(Attitude), view.get(Position)
+    velocity, rates = view.get(Velocity), view.get(AngularVelocity)
+    rc = view.get(RemoteControl)
+    if view.is_on_ground:
         message["ground"] = True
     if attitude is not None:
         message["att"] = _rounded(2, attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg)
@@ -434,7 +430,7 @@ def live(state: AircraftState | None, now: float) -> dict[str, Any]:
         message["yaw_rate"] = round(rates.yaw_rate_deg_s, 1)
     if rc is not None:
         message["rc"] = [rc.roll, rc.pitch, rc.yaw, rc.throttle]
-    message["rate"] = round(state.statistics(Attitude).rate_hz or 0.0, 1)
+    message["rate"] = round(view.telemetry.statistics(Attitude).rate_hz or 0.0, 1)
     return message
 
 
@@ -442,12 +438,11 @@ def _rounded(digits: int, *numbers: float) -> list[float]:
     return [round(one, digits) for one in numbers]
 
 
-def seen_from_afar(name: str, state: AircraftState | None) -> dict[str, Any]:
+def seen_from_afar(name: str, view: VehicleView) -> dict[str, Any]:
     """What the map draws of an aircraft that the page does not show; no place when it is old."""
     message: dict[str, Any] = {"name": name}
-    position = state.fresh(Position, within=1.0) if state is not None else None
-    attitude = state.finite(Attitude, within=1.0) if state is not None else None
-    if position is not None and position.is_possible:
+    position, attitude = view.get(Position), view.get(Attitude)
+    if position is not None:
         place = _rounded(7, position.latitude_deg, position.longitude_deg)
         message["pos"] = [*place, round(position.height_m, 1)]
     if attitude is not None:

@@ -8,11 +8,17 @@ from dataclasses import dataclass
 from enum import Enum
 
 from m100link.apps.agent.messages import Replay
-from m100link.apps.station.console.view.situation import Hearing, Inputs, Level, Ship, Situation
+from m100link.apps.agent.view import Hearing
+from m100link.apps.station.console.view.situation import (
+    Inputs,
+    Level,
+    Ship,
+    Situation,
+)
 from m100link.apps.station.console.view.texts import Kind, Quantity, Text, problem_text, tr
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.codes import ActivationCode
-from m100link.protocol.records import Battery, Device, FlightPhase, FlightStatus, Position, RcMode
+from m100link.protocol.records import Battery, Device, Position, RcMode
 from m100link.telemetry.integrity import MAX_TELEMETRY_AGE
 
 # -- the mission -----------------------------------------------------------------------------------
@@ -37,7 +43,7 @@ class MissionView:
 
 def mission_of(inputs: Inputs) -> MissionView:
     """The mission as it is now."""
-    plan, state = inputs.plan, inputs.state
+    plan, state = inputs.plan, inputs.vehicle.state
     text, part = progress(plan, state.mission, state.mission_index)
     return MissionView(summary(plan), text, part)
 
@@ -222,7 +228,7 @@ def _flies(now: Situation) -> Text | None:
 
 def activation_of(inputs: Inputs) -> Text:
     """How far activation is; what the aircraft answered, in English."""
-    state = inputs.state
+    state = inputs.vehicle.state
     if state.activation_fault is not None:
         return tr("status.activation.failed", why=problem_text(state.activation_fault.error()))
     if state.is_activated:
@@ -283,7 +289,6 @@ def _clock(seconds: float) -> str:
 
 # -- the aircraft of the station -------------------------------------------------------------------
 
-_FRESH = 2.0
 _LOW_PERCENT = 25
 
 
@@ -306,11 +311,7 @@ def fleet_of(ships: Sequence[Ship]) -> tuple[FleetRow, ...]:
 
 
 def _row(ship: Ship) -> FleetRow:
-    telemetry = ship.telemetry if ship.is_heard else None
-    position = telemetry.finite(Position, within=_FRESH) if telemetry is not None else None
-    battery = telemetry.fresh(Battery, within=2 * _FRESH) if telemetry is not None else None
-    if battery is not None and not battery.is_possible:
-        battery = None
+    position, battery = ship.vehicle.get(Position), ship.vehicle.get(Battery)
     kind, control = _control(ship)
     return FleetRow(
         ship.name,
@@ -324,27 +325,24 @@ def _row(ship: Ship) -> FleetRow:
 
 
 def _control(ship: Ship) -> tuple[str, Text]:
-    if not ship.is_heard:
+    view = ship.vehicle
+    if view.hearing is not Hearing.HEARD:
         return "lost", tr("fleet.not_heard")
-    if ship.state.connection != "connected":
+    if not view.is_connected:
         return "lost", tr("fleet.not_connected")
     if ship.is_ours:
         ours = tr("fleet.ours"), tr("fleet.ours_pilot_has_it")
-        return "mine", ours[not ship.state.has_authority]
-    if ship.holder.number:
-        return "theirs", tr("fleet.theirs", name=ship.holder.name)
-    status = None
-    if ship.telemetry is not None:
-        status = ship.telemetry.fresh(FlightStatus, within=_FRESH)
-    stands = status is not None and status.status == FlightPhase.STANDBY
-    return "free", tr("fleet.stands" if stands else "fleet.free")
+        return "mine", ours[not view.has_authority]
+    if view.holder.number:
+        return "theirs", tr("fleet.theirs", name=view.holder.name)
+    return "free", tr("fleet.stands" if view.is_on_ground else "fleet.free")
 
 
 def _ship_flies(ship: Ship, position: Position | None) -> Text:
     if position is None:
         return tr("fleet.unknown")
     height = Quantity(position.height_m, Kind.LENGTH)
-    state = ship.state
+    state = ship.vehicle.state
     by_itself = state.task or state.pattern or state.mission
     if by_itself in ("", "no mission"):
         return tr("fleet.height", height=height)

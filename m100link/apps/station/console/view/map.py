@@ -9,6 +9,7 @@ from enum import Enum
 from m100link.apps.agent import orders
 from m100link.apps.agent.orders import GuidedOrder
 from m100link.apps.agent.preview import Preview
+from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.situation import Inputs
 from m100link.apps.station.console.view.texts import Kind, Quantity, Text, reason_text, tr
 from m100link.errors import GuardRefused, LinkError, M100Error, TelemetryStalled, UsageError
@@ -44,9 +45,14 @@ def chart_of(inputs: Inputs) -> Chart:
 
 
 def _fence(inputs: Inputs) -> Fence | None:
-    limits = inputs.state.limits
+    limits = inputs.vehicle.state.limits
     latitude, longitude, radius = limits.latitude_deg, limits.longitude_deg, limits.max_radius_m
-    if latitude is None or longitude is None or radius is None or not inputs.is_heard:
+    if (
+        latitude is None
+        or longitude is None
+        or radius is None
+        or inputs.vehicle.hearing is not Hearing.HEARD
+    ):
         return None
     return Fence(latitude, longitude, radius)
 

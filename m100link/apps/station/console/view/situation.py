@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, TypeVar
 
-from m100link.apps.agent.messages import Event, LeaseChanged, Limits, LinkCounted, State, Topic
+from m100link.apps.agent.messages import Event, LeaseChanged, Limits, LinkCounted, Topic
+from m100link.apps.agent.view import Hearing, VehicleView
 from m100link.errors import LossReason, M100Error
 from m100link.geodesy import distance_m
 from m100link.missions.plan import WaypointPlan
@@ -19,25 +19,9 @@ from m100link.protocol.records import (
     ControlDevice,
     Device,
     FlightPhase,
-    FlightStatus,
     Position,
     RcMode,
-    RemoteControl,
 )
-from m100link.telemetry.integrity import GOOD_GPS
-from m100link.telemetry.state import AircraftState
-
-FRESH_S: dict[type[Any], float] = {
-    Position: 1.2,
-    RemoteControl: 1.2,
-    ControlDevice: 2.0,
-    FlightStatus: 2.0,
-    Battery: 5.0,
-}
-"""Seconds for which an item is believed: more than one period of an item that is sent once a
-second. The charge changes slowly and may miss four packages."""
-
-R = TypeVar("R", bound=tuple[Any, ...])
 
 
 class Level(Enum):
@@ -47,14 +31,6 @@ class Level(Enum):
     NEUTRAL = "neutral"
     WARNING = "warning"
     DANGER = "danger"
-
-
-class Hearing(Enum):
-    """How the station hears the agent that owns the aircraft."""
-
-    HEARD = "heard"
-    SILENT = "silent"  # for more than 2 s; it may hang, and may speak again
-    GONE = "gone"  # for good
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,16 +99,20 @@ class Situation:
 
 def situation_of(inputs: Inputs) -> Situation:
     """What is known now."""
-    state, holder = inputs.state, inputs.holder
+    view = inputs.vehicle
+    state, holder = view.state, view.holder
     aborted = max(
         (event for event in inputs.events if event.topic is Topic.MISSION_ABORTED),
         key=lambda event: event.number,
         default=None,
     )
+    position, place, device = view.get(Position), view.place, view.get(ControlDevice)
+    battery = view.get(Battery)
+    here = None if place is None else (place.latitude_deg, place.longitude_deg)
     return Situation(
-        now=inputs.now,
-        hearing=_hearing(inputs),
-        heard_at=inputs.heard_at,
+        now=view.now,
+        hearing=view.hearing,
+        heard_at=view.now - (view.at - view.heard_at),
         connection=state.connection,
         fault=state.connection_fault.seen if state.connection_fault is not None else "",
         is_activated=state.is_activated,
@@ -148,50 +128,22 @@ def situation_of(inputs: Inputs) -> Situation:
         mission_index=state.mission_index if state.mission_index >= 0 else None,
         round_trip=state.round_trip,
         page_trip=inputs.page_trip,
+        telemetry_at=view.telemetry_at,
+        switch=view.switch,
+        device=None if device is None else device.device,
+        phase=view.phase,
+        battery=None if battery is None else battery.percent,
+        gps=None if position is None else position.gps_health,
+        height=None if position is None else position.height_m,
+        place=here,
+        distance=_distance(here, state.limits),
+        contradiction=view.integrity.seen,
         limits=state.limits,
         aborted=aborted.number if aborted is not None else 0,
         aborted_why=aborted.text if aborted is not None else "",
         is_virtual=inputs.is_virtual,
         is_replay=state.replay is not None,
-        **_measured(inputs.telemetry, state.limits),
     )
-
-
-def _hearing(inputs: Inputs) -> Hearing:
-    if inputs.is_gone:
-        return Hearing.GONE
-    return Hearing.SILENT if inputs.is_silent else Hearing.HEARD
-
-
-def _fresh(telemetry: AircraftState, record: type[R]) -> R | None:
-    return telemetry.fresh(record, within=FRESH_S[record])
-
-
-def _measured(telemetry: AircraftState | None, limits: Limits) -> dict[str, Any]:
-    """What the telemetry tells, as far as it is fresh and possible."""
-    if telemetry is None:
-        return {}
-    position = _fresh(telemetry, Position)
-    if position is not None and not position.is_possible:
-        position = None
-    rc, device = _fresh(telemetry, RemoteControl), _fresh(telemetry, ControlDevice)
-    status, battery = _fresh(telemetry, FlightStatus), _fresh(telemetry, Battery)
-    gps = position.gps_health if position is not None else None
-    place = None
-    if position is not None and (gps is None or gps >= GOOD_GPS):
-        place = position.latitude_deg, position.longitude_deg
-    return {
-        "telemetry_at": telemetry.newest_at,
-        "switch": rc.mode_switch if rc is not None else None,
-        "device": device.device if device is not None else None,
-        "phase": status.phase if status is not None else None,
-        "battery": battery.percent if battery is not None and battery.percent <= 100 else None,
-        "gps": gps,
-        "height": position.height_m if position is not None else None,
-        "place": place,
-        "distance": _distance(place, limits),
-        "contradiction": telemetry.integrity.seen,
-    }
 
 
 def _distance(place: tuple[float, float] | None, limits: Limits) -> float | None:
@@ -208,10 +160,7 @@ class Ship:
     """What is known of one aircraft of the station."""
 
     name: str  # what it is called
-    state: State  # where its agent stands, as it told last
-    holder: LeaseChanged  # who has its lease
-    telemetry: AircraftState | None  # newest values and their ages; None while it is not connected
-    is_heard: bool  # whether what its agent told is news
+    vehicle: VehicleView  # what may be believed of it
     is_shown: bool  # whether the page shows it and steers it
     is_ours: bool  # whether the operator of the page has its lease
 
@@ -220,21 +169,13 @@ class Ship:
 class Inputs:
     """Everything that a view may know."""
 
-    now: float = 0.0  # time on the agent's clock, s
-    # Where the agent stands, as it told last.
-    state: State = field(default_factory=lambda: State(at=0.0))
-    holder: LeaseChanged = field(default_factory=lambda: LeaseChanged(0, ""))  # who has the lease
-    # Newest values and their ages; None while no aircraft is connected.
-    telemetry: AircraftState | None = None
-    is_silent: bool = False  # whether the agent was not heard for too long
-    is_gone: bool = False  # whether the agent has gone for good
+    vehicle: VehicleView  # what may be believed of the aircraft
     has_lease: bool = False  # whether the tab that looks holds the lease
     # How that tab lost the lease, and to whom; None unless something else than the tab ended it.
     lease_end: LeaseChanged | None = None
     # Who or what took authority while that tab had the lease; None while it is held.
     loss: LossReason | None = None
-    heard_at: float = 0.0  # when the agent was heard last, s
-    wall: float = 0.0  # the same moment as ``now``, in seconds since 1970
+    wall: float = 0.0  # the same moment as that of the view, in seconds since 1970
     is_virtual: bool = False  # whether the aircraft is known to be a simulated one
     refusal: M100Error | None = None  # what was refused to that tab last
     plan: WaypointPlan | None = None  # what that tab uploaded last
@@ -246,8 +187,3 @@ class Inputs:
     # Messages and pictures that each client of the station did not get because it is slow, by its
     # name.
     dropped: tuple[tuple[str, int], ...] = ()
-
-    @property
-    def is_heard(self) -> bool:
-        """Whether what the agent told is news."""
-        return not self.is_silent and not self.is_gone

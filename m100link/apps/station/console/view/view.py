@@ -65,7 +65,7 @@ def view_of(inputs: Inputs, memory: Memory | None = None) -> View:
     memory = memory if memory is not None else Memory()
     alarms, checklist = memory.look(inputs)
     return View(
-        at=inputs.now,
+        at=inputs.vehicle.now,
         situation=memory.situation,
         status=status_line(memory.situation),
         activation=activation_of(inputs),
@@ -80,7 +80,7 @@ def view_of(inputs: Inputs, memory: Memory | None = None) -> View:
         link=link_of(inputs),
         events=tuple(memory.diary.lines),
         fleet=fleet_of(inputs.fleet),
-        replay=replay_of(inputs.state.replay),
+        replay=replay_of(inputs.vehicle.state.replay),
     )
 
 
@@ -108,8 +108,8 @@ class Memory:
     def look(self, inputs: Inputs) -> tuple[tuple[Alarm, ...], Checklist]:
         """Judge everything by what is known now; returns the alarms and the checklist."""
         now = self.situation = situation_of(inputs)
-        self._ahead = inputs.wall - inputs.now
-        self.diary.take(inputs.events, inputs.now, inputs.wall)
+        self._ahead = inputs.wall - inputs.vehicle.now
+        self.diary.take(inputs.events, inputs.vehicle.now, inputs.wall)
         self._write(self.alarms.advance(now))
         return self.alarms.shown, self.checklist.look(now)
 

@@ -8,6 +8,8 @@ from typing import Any, cast
 
 import pytest
 
+from tests.known import seen
+
 pytest.importorskip("nicegui")
 
 from m100link.apps.station.console.components.data import TelemetryPart
@@ -32,7 +34,7 @@ def test_the_model_points_where_the_aircraft_does() -> None:
     label: Any = SimpleNamespace(set_text=lambda text: None, classes=lambda **_: None)
     part._rows, part._age, part._frame = {}, label, label
     part._model = cast(Any, SimpleNamespace(rotate=lambda *angles: turned.append(angles)))
-    view = SimpleNamespace(instruments=instruments_of(Inputs(telemetry=state)))
+    view = SimpleNamespace(instruments=instruments_of(Inputs(vehicle=seen(state))))
     part.update(cast(Any, view))
     [angles] = turned
     assert [math.degrees(one) % 360 for one in angles] == pytest.approx([10, 20, 220], abs=1e-3)

@@ -10,6 +10,7 @@ import pytest
 
 from m100link.apps.agent.lease import Flown, LeaseChange
 from m100link.apps.agent.messages import LeaseChanged, Limits
+from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.alarms import (
     ALARMS,
     TRANSITIONS,
@@ -19,7 +20,10 @@ from m100link.apps.station.console.view.alarms import (
     AlarmName,
     AlarmState,
 )
-from m100link.apps.station.console.view.situation import Hearing, Level, Situation
+from m100link.apps.station.console.view.situation import (
+    Level,
+    Situation,
+)
 from m100link.apps.station.console.view.texts import Speaker
 from m100link.errors import LossReason
 from m100link.protocol.records import FlightPhase

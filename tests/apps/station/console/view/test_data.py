@@ -48,6 +48,7 @@ from m100link.errors import LinkLost
 from m100link.telemetry.state import AircraftState
 from m100link.wire.frame import Discard
 from tests.apps.station.conftest import Rig
+from tests.known import seen
 
 pytestmark = pytest.mark.anyio
 
@@ -56,7 +57,7 @@ SAY = Speaker()
 
 def test_without_an_aircraft_nothing_is_counted() -> None:
     state = State(0.0, "lost", connection_fault=Fault.of(LinkLost("the cable is out")), discards=4)
-    link = link_of(Inputs(state=state))
+    link = link_of(Inputs(vehicle=seen(None, state=state)))
     assert SAY(link.texts["connection"]) == "lost"
     assert SAY(link.texts["discards"]) == "–"
     assert (link.causes, link.rates) == ((), ())
@@ -70,9 +71,7 @@ def test_with_one_everything_is() -> None:
     counted = LinkCounted(1.0, {"late_acks": 2}, {"unheard_of": 1, "frame_crc": 3}, 0.0042)
     link = link_of(
         Inputs(
-            state=state,
-            telemetry=AircraftState(lambda: 0.0),
-            holder=LeaseChanged(1, "tab"),
+            vehicle=seen(AircraftState(lambda: 0.0), state=state, holder=LeaseChanged(1, "tab")),
             link=counted,
             front_lag=0.007,
             page_trip=0.0205,
@@ -88,17 +87,22 @@ def test_with_one_everything_is() -> None:
 
 
 def test_slow_clients_are_named_the_slowest_first() -> None:
-    link = link_of(Inputs(dropped=(("tab", 0), ("rosbridge 127.0.0.1:5", 12), ("a tab", 0))))
+    link = link_of(
+        Inputs(
+            vehicle=seen(None, state=State(at=0.0)),
+            dropped=(("tab", 0), ("rosbridge 127.0.0.1:5", 12), ("a tab", 0)),
+        )
+    )
     assert link.dropped == (("rosbridge 127.0.0.1:5", "12"), ("a tab", "0"), ("tab", "0"))
 
 
 def test_an_aircraft_that_does_not_answer_is_said_to() -> None:
-    inputs = Inputs(state=State(0.0), telemetry=AircraftState(lambda: 0.0))
+    inputs = Inputs(vehicle=seen(AircraftState(lambda: 0.0), state=State(0.0)))
     assert SAY(link_of(inputs).texts["aircraft_ms"]) == "no answer"
 
 
 def test_an_agent_that_is_not_heard_is_silent() -> None:
-    inputs = Inputs(state=State(0.0, "connected"), is_silent=True)
+    inputs = Inputs(vehicle=seen(None, state=State(0.0, "connected"), heard_at=-9.0))
     assert SAY(link_of(inputs).texts["connection"]) == "silent"
 
 
@@ -113,7 +117,7 @@ async def test_the_agent_counts_and_items_arrive(rig: Rig) -> None:
     assert counted is not None
     assert counted.counters["frames_received"] > 100
     assert counted.loop_lag >= 0.0
-    link = link_of(Inputs(state=rig.front.state, telemetry=rig.front.telemetry, link=counted))
+    link = link_of(Inputs(vehicle=seen(rig.front.telemetry, state=rig.front.state), link=counted))
     assert SAY(link.texts["frames_received"]).isdigit()
     rates = {SAY(one.name): one for one in link.rates}
     assert float(rates["attitude"].rate) == pytest.approx(100.0, abs=5.0)

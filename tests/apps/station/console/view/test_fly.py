@@ -10,6 +10,7 @@ import pytest
 
 from m100link.apps.agent.messages import LeaseChanged, Limits, State
 from m100link.apps.agent.orders import GuidedFlight
+from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.fly import (
     ACTIONS,
     ENOUGH_BATTERY,
@@ -30,7 +31,11 @@ from m100link.apps.station.console.view.fly import (
     instruments_of,
     live,
 )
-from m100link.apps.station.console.view.situation import Hearing, Inputs, Situation, situation_of
+from m100link.apps.station.console.view.situation import (
+    Inputs,
+    Situation,
+    situation_of,
+)
 from m100link.apps.station.console.view.texts import (
     Language,
     LengthUnit,
@@ -50,6 +55,7 @@ from m100link.protocol.records import (
 from m100link.sim.vehicle.missions.route import MissionSettings
 from m100link.telemetry.state import AircraftState
 from tests.apps.station.conftest import Rig
+from tests.known import seen
 
 READY = Situation(
     now=100.0,
@@ -214,7 +220,10 @@ def look(inputs: Inputs, *, has_reason: bool) -> Checklist:
     desk = ChecklistDesk()
     desk.say_why("a test" * has_reason)
     ready = replace(
-        situation_of(inputs), is_activated=True, telemetry_at=inputs.now, phase=FlightPhase.STANDBY
+        situation_of(inputs),
+        is_activated=True,
+        telemetry_at=inputs.vehicle.now,
+        phase=FlightPhase.STANDBY,
     )
     return desk.look(ready)
 
@@ -228,13 +237,16 @@ def inputs_of(
     *, is_mine: bool, obeyed: bool, task: str = "", mission: str = "", is_silent: bool = False
 ) -> Inputs:
     state = State(0.0, "connected", has_authority=obeyed, task=task, mission=mission)
-    return Inputs(state=state, holder=MINE, has_lease=is_mine, is_silent=is_silent)
+    return Inputs(
+        vehicle=seen(None, state=state, holder=MINE, heard_at=-9.0 if is_silent else 0.0),
+        has_lease=is_mine,
+    )
 
 
 @pytest.mark.parametrize(
     ("inputs", "offered"),
     [
-        (Inputs(), set()),
+        (Inputs(vehicle=seen(None, state=State(at=0.0))), set()),
         (inputs_of(is_mine=False, obeyed=True), {"activate", "obtain"}),
         (inputs_of(is_mine=True, obeyed=False), {"activate", "obtain", *KEPT}),
         (inputs_of(is_mine=True, obeyed=True), {"activate", *KEPT, *FLIGHTS}),
@@ -256,7 +268,9 @@ def test_what_is_offered(inputs: Inputs, offered: set[str]) -> None:
     assert actions <= ACTIONS
 
 
-FLIES = replace(situation_of(Inputs()), phase=FlightPhase.IN_AIR)
+FLIES = replace(
+    situation_of(Inputs(vehicle=seen(None, state=State(at=0.0)))), phase=FlightPhase.IN_AIR
+)
 
 
 @pytest.mark.parametrize(
@@ -280,7 +294,12 @@ def test_what_leaves_the_ground_is_offered_by_the_checklist(
 
 def test_anybody_may_let_a_guided_flight_hover() -> None:
     state = State(0.0, "connected", guided=GuidedFlight("change of height"))
-    assert offered_of(Inputs(state=state)) == {"stop", "activate", "obtain", "hover"}
+    assert offered_of(Inputs(vehicle=seen(None, state=state))) == {
+        "stop",
+        "activate",
+        "obtain",
+        "hover",
+    }
 
 
 def test_what_flies_by_itself_has_to_be_held_and_its_button_says_so() -> None:
@@ -300,7 +319,7 @@ pytestmark = pytest.mark.anyio
 async def test_each_field_has_its_reading_and_grows_old(rig: Rig) -> None:
     telemetry = rig.front.telemetry
     assert isinstance(telemetry, AircraftState)
-    shown = instruments_of(Inputs(telemetry=telemetry))
+    shown = instruments_of(Inputs(vehicle=seen(telemetry)))
     assert set(shown.readings) == {field.name for field in FIELDS}
     assert not shown.readings["heading"].is_stale
     attitude = telemetry.get(Attitude)
@@ -310,7 +329,7 @@ async def test_each_field_has_its_reading_and_grows_old(rig: Rig) -> None:
 
 async def test_the_socket_tells_speed_over_ground_and_where_to(rig: Rig) -> None:
     await anyio.sleep(1.5)  # the flight status comes once a second
-    told = live(rig.front.telemetry, 1.0)
+    told = live(rig.front.view)
     assert told["op"] == "live"
     assert len(told["vel"]) == 4
     assert told["ground"]  # home is where it stands
@@ -321,7 +340,7 @@ async def test_heights_and_speeds_are_in_the_units_and_the_language_that_were_ch
     rig: Rig,
 ) -> None:
     await anyio.sleep(1.5)
-    readings = instruments_of(Inputs(telemetry=rig.front.telemetry)).readings
+    readings = instruments_of(Inputs(vehicle=seen(rig.front.telemetry))).readings
     said = Speaker(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KM_H))
     assert said(readings["height"].text) == "0,0 ft"
     assert said(readings["speed"].text) == "0,0 km/h"

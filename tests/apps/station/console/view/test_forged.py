@@ -38,6 +38,7 @@ from m100link.apps.station.console.view.situation import Inputs, Ship
 from m100link.apps.station.console.view.texts import Language, Speaker, Text
 from m100link.apps.station.console.view.view import Memory, View, view_of
 from m100link.sim.clock import virtual_clock_loop
+from tests.known import seen
 
 pytestmark = pytest.mark.anyio
 
@@ -116,14 +117,21 @@ def forged(chance: random.Random) -> Message | None:
 
 def inputs_of(client: AgentClient) -> Inputs:
     ships = tuple(
-        Ship(name, client.state, client.holder, client.telemetry, True, name == "a1", False)
+        Ship(
+            name,
+            seen(client.telemetry, state=client.state, holder=client.holder),
+            name == "a1",
+            False,
+        )
         for name in ("a1", "a2")
     )
     return Inputs(
-        now=client.state.flight_time(client.now),
-        state=client.state,
-        holder=client.holder,
-        telemetry=client.telemetry,
+        vehicle=seen(
+            client.telemetry,
+            client.state.flight_time(client.now),
+            state=client.state,
+            holder=client.holder,
+        ),
         plan=client.plan,
         events=tuple(client.events),
         link=client.link,
@@ -153,7 +161,7 @@ def look(client: AgentClient, memory: Memory) -> View:
     spoken(view)
     for line in view.events:
         line.time(60)
-    live(client.telemetry, client.now)
+    live(client.view)
     return view
 
 

@@ -14,6 +14,7 @@ import pytest
 from m100link.apps.agent import orders
 from m100link.apps.agent.messages import LeaseChanged, Replay, State
 from m100link.apps.agent.remote_error import Fault
+from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.header import (
     RULES,
     Cause,
@@ -24,7 +25,12 @@ from m100link.apps.station.console.view.header import (
     status_line,
     summary,
 )
-from m100link.apps.station.console.view.situation import Hearing, Inputs, Level, Ship, Situation
+from m100link.apps.station.console.view.situation import (
+    Inputs,
+    Level,
+    Ship,
+    Situation,
+)
 from m100link.apps.station.console.view.texts import (
     Language,
     LengthUnit,
@@ -43,6 +49,7 @@ from m100link.sim.virtual import VirtualAircraft
 from m100link.telemetry.state import AircraftState
 from tests.apps.station.conftest import Rig
 from tests.apps.station.console.test_tab import Browser, airborne, keep_alive
+from tests.known import CONNECTED, seen
 
 pytestmark = pytest.mark.anyio
 
@@ -358,7 +365,7 @@ def test_a_virtual_aircraft_is_said_to_be_one_whatever_else_is_told() -> None:
     ],
 )
 def test_how_far_activation_is(state: State, text: str) -> None:
-    assert Speaker()(activation_of(Inputs(state=state))) == text
+    assert Speaker()(activation_of(Inputs(vehicle=seen(None, state=state)))) == text
 
 
 # -- what the page says of a recorded flight -------------------------------------------------------
@@ -404,24 +411,26 @@ def test_one_that_stands_says_why(changes: dict[str, bool], note: str | None) ->
 
 def test_nothing_is_offered_and_the_line_says_that_nothing_flies() -> None:
     state = State(at=10.0, connection="connected", replay=TOLD)
-    view = view_of(Inputs(now=500.0, state=state))
+    view = view_of(Inputs(vehicle=seen(None, 500.0, state=state)))
     assert view.actions == frozenset(), "not even STOP: there is nothing to stop"
     assert view.replay is not None
     told = state.flight_time(10.5)
     assert told == 501.0, "its clock goes as fast as it is played"
     assert view.situation.is_replay
     assert view.status.cause in (Cause.REPLAY, Cause.NEVER_HEARD)
-    flown = view_of(Inputs(now=500.0, state=replace(state, replay=None)))
+    flown = view_of(Inputs(vehicle=seen(None, 500.0, state=replace(state, replay=None))))
     assert "stop" in flown.actions
     assert flown.replay is None
 
 
 # -- the list of aircraft: one line each, and nothing that is old ----------------------------------
 
-CONNECTED = State(0.0, "connected", has_authority=True)
-BASE = Ship(
-    "kite", CONNECTED, LeaseChanged(0, ""), None, is_heard=True, is_shown=True, is_ours=False
-)
+
+def ship(telemetry: AircraftState | None = None, *, is_ours: bool = False, **more: Any) -> Ship:
+    return Ship("kite", seen(telemetry, **more), True, is_ours)
+
+
+BASE = ship()
 OTHER = replace(BASE, name="crow", is_shown=False)
 
 
@@ -437,36 +446,36 @@ def test_of_one_aircraft_there_is_no_list() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ship", "kind", "said"),
+    ("one", "kind", "said"),
     [
         (BASE, "free", "the pilot flies"),
-        (replace(BASE, holder=LeaseChanged(3, "tower")), "theirs", "tower has it"),
-        (replace(BASE, holder=LeaseChanged(3, "me"), is_ours=True), "mine", "you have it"),
+        (ship(holder=LeaseChanged(3, "tower")), "theirs", "tower has it"),
+        (ship(holder=LeaseChanged(3, "me"), is_ours=True), "mine", "you have it"),
         (
-            replace(BASE, is_ours=True, state=replace(CONNECTED, has_authority=False)),
+            ship(is_ours=True, state=replace(CONNECTED, has_authority=False)),
             "mine",
             "obeys the pilot",
         ),
-        (replace(BASE, is_heard=False, is_ours=True), "lost", "not heard"),
-        (replace(BASE, state=State(0.0, "lost"), is_ours=True), "lost", "not connected"),
+        (ship(heard_at=-9.0, is_ours=True), "lost", "not heard"),
+        (ship(is_gone=True, is_ours=True), "lost", "not heard"),
+        (ship(state=State(0.0, "lost"), is_ours=True), "lost", "not connected"),
     ],
 )
-def test_who_has_it_is_said_in_words_and_by_a_kind(ship: Ship, kind: str, said: str) -> None:
-    row, other = fleet_of([ship, OTHER])
+def test_who_has_it_is_said_in_words_and_by_a_kind(one: Ship, kind: str, said: str) -> None:
+    row, other = fleet_of([one, OTHER])
     assert (row.kind, Speaker()(row.control)) == (kind, said)
     assert Speaker(Language.GERMAN)(row.control)
     assert (row.is_shown, other.is_shown) == (True, False)
 
 
 async def test_nobody_flies_what_stands_on_the_ground(telemetry: AircraftState) -> None:
-    row, _ = fleet_of([replace(BASE, telemetry=telemetry), OTHER])
+    row, _ = fleet_of([ship(telemetry), OTHER])
     assert (row.kind, Speaker()(row.control)) == ("free", "nobody has it")
 
 
 async def test_values_are_shown_while_they_are_new(telemetry: AircraftState) -> None:
-    ship = replace(BASE, telemetry=telemetry)
-    flying = replace(ship, state=replace(CONNECTED, mission="waypoint"))
-    rows = fleet_of([ship, flying, replace(ship, is_heard=False)])
+    flying = ship(telemetry, state=replace(CONNECTED, mission="waypoint"))
+    rows = fleet_of([ship(telemetry), flying, ship(telemetry, is_gone=True)])
     said = [(Speaker()(row.flies), Speaker()(row.battery)) for row in rows]
     assert said[0][0].endswith(" m")
     assert said[0][1].endswith(" %")

@@ -24,6 +24,7 @@ from m100link.errors import GuardRefused, LinkError, M100Error, NotObserved, Usa
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
+from tests.known import seen
 
 HERE = 52.1, 4.31
 SAY = Speaker()
@@ -183,14 +184,21 @@ LIMITS = Limits(max_radius_m=150.0, latitude_deg=22.5, longitude_deg=113.9)
 
 def test_the_envelope_lies_around_where_control_was_obtained() -> None:
     state = State(0.0, "connected", limits=LIMITS)
-    assert chart_of(Inputs(state=state)).fence == Fence(22.5, 113.9, 150.0)
-    assert chart_of(Inputs(state=state, is_silent=True)).fence is None
-    assert chart_of(Inputs(state=State(0.0, limits=Limits(max_radius_m=150.0)))).fence is None
-    assert chart_of(Inputs()).fence is None
+    assert chart_of(Inputs(vehicle=seen(None, state=state))).fence == Fence(22.5, 113.9, 150.0)
+    assert chart_of(Inputs(vehicle=seen(None, state=state, heard_at=-9.0))).fence is None
+    assert (
+        chart_of(
+            Inputs(vehicle=seen(None, state=State(0.0, limits=Limits(max_radius_m=150.0))))
+        ).fence
+        is None
+    )
+    assert chart_of(Inputs(vehicle=seen(None, state=State(at=0.0)))).fence is None
 
 
 def test_the_route_is_that_of_the_plan() -> None:
     places = [(22.54325, 113.9589), (22.54325, 113.95905)]
     plan = WaypointPlan([Waypoint(*place, height=6) for place in places], speed=5)
-    assert chart_of(Inputs(plan=plan)).route == tuple(places)
-    assert chart_of(Inputs()).route == ()
+    assert chart_of(Inputs(vehicle=seen(None, state=State(at=0.0)), plan=plan)).route == tuple(
+        places
+    )
+    assert chart_of(Inputs(vehicle=seen(None, state=State(at=0.0)))).route == ()

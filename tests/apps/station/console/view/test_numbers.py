@@ -43,6 +43,7 @@ from m100link.protocol.records import (
 )
 from m100link.telemetry.state import AircraftState
 from tests import known
+from tests.known import seen
 from tests.known_columns import COLUMNS, are
 
 METRIC = Speaker()
@@ -85,7 +86,7 @@ INSTRUMENTS = {
 
 
 def test_each_instrument_shows_its_value_and_unit() -> None:
-    readings = instruments_of(Inputs(telemetry=heard())).readings
+    readings = instruments_of(Inputs(vehicle=seen(heard()))).readings
     assert not any(one.is_stale for one in readings.values())
     assert {
         name: tuple(say(one.text) for say in (METRIC, GERMAN, KNOTS))
@@ -127,7 +128,7 @@ def test_what_goes_down_below_or_the_other_way_has_its_sign() -> None:
         Gimbal(-4.75, 37.25, -118.75, 6),
         FlightStatus(FlightPhase.LANDING),
     )
-    readings = instruments_of(Inputs(telemetry=state)).readings
+    readings = instruments_of(Inputs(vehicle=seen(state))).readings
     said = {name: METRIC(one.text) for name, one in readings.items()}
     assert (
         said
@@ -143,46 +144,42 @@ def test_what_goes_down_below_or_the_other_way_has_its_sign() -> None:
 
 @pytest.mark.parametrize(("charge", "said"), [(0, "0 %"), (100, "100 %"), (101, "101?")])
 def test_a_charge_above_a_hundred_is_none(charge: int, said: str) -> None:
-    readings = instruments_of(Inputs(telemetry=heard(Battery(charge)))).readings
+    readings = instruments_of(Inputs(vehicle=seen(heard(Battery(charge))))).readings
     assert METRIC(readings["battery"].text) == said
 
 
 def test_a_zero_has_no_minus() -> None:
     state = heard(Velocity(0.0, -0.0, -0.04, 7), known.position(height=-0.04, altitude=-0.0))
-    readings = instruments_of(Inputs(telemetry=state)).readings
+    readings = instruments_of(Inputs(vehicle=seen(state))).readings
     said = {name: METRIC(readings[name].text) for name in ("speed", "climb", "height", "altitude")}
     assert said == {"speed": "0.0 m/s", "climb": "+0.0 m/s", "height": "0.0 m", "altitude": "0.0 m"}
 
 
 def test_the_attitude_is_in_degrees_of_roll_pitch_and_yaw() -> None:
-    assert instruments_of(Inputs(telemetry=heard())).attitude == pytest.approx((10, -20, -130))
+    assert instruments_of(Inputs(vehicle=seen(heard()))).attitude == pytest.approx((10, -20, -130))
 
 
 @pytest.mark.parametrize(
     ("age", "old"),
     [
-        (0.9, set()),
-        (
-            1.2,
-            {
-                *("gps", "height", "altitude", "latitude", "longitude", "speed", "climb"),
-                *("heading", "gimbal", "mode_switch", "time"),
-            },
-        ),
-        (2.9, set(INSTRUMENTS) - {"battery"}),
-        (3.2, set(INSTRUMENTS)),
+        (1.1, set()),
+        (1.3, set(INSTRUMENTS) - {"battery", "flight_status"}),
+        (2.4, set(INSTRUMENTS) - {"battery", "flight_status"}),
+        (2.6, set(INSTRUMENTS) - {"battery"}),
+        (4.9, set(INSTRUMENTS) - {"battery"}),
+        (5.1, set(INSTRUMENTS)),
     ],
 )
 def test_from_when_on_a_value_is_old(age: float, old: set[str]) -> None:
-    readings = instruments_of(Inputs(telemetry=heard(age=age))).readings
+    readings = instruments_of(Inputs(vehicle=seen(heard(age=age)))).readings
     assert {name for name, one in readings.items() if one.is_stale} == old
     notes = {METRIC(one.note) for one in readings.values() if one.note is not None}
     assert notes == ({f"{round(age)} s old"} if old else set())
 
 
 def test_what_the_canvas_draws() -> None:
-    assert live(heard(), 1234.5678) == {
-        **{"op": "live", "t": 1234.568, "age": 0.25},
+    assert live(seen(heard())) == {
+        **{"op": "live", "t": 5.25, "age": 0.25},
         "att": [10.0, -20.0, -130.0],
         "pos": [-33.1234567, 151.2345678, 12.34],
         "vel": [3.57, 0.84, 3.21, -1.57],  # over ground, up, north, east
@@ -190,18 +187,18 @@ def test_what_the_canvas_draws() -> None:
         "rc": [1000, -2000, 3000, -4000],
         "rate": 10.0,
     }
-    assert live(heard(FlightStatus(FlightPhase.STANDBY)), 1.0)["ground"] is True
-    assert "att" in live(heard(age=0.9), 1.0)
-    assert live(heard(age=1.1), 1.0) == {"op": "live", "t": 1.0, "age": 1.1, "rate": 10.0}
+    assert live(seen(heard(FlightStatus(FlightPhase.STANDBY))))["ground"] is True
+    assert "att" in live(seen(heard(age=1.1)))
+    assert live(seen(heard(age=1.3))) == {"op": "live", "t": 6.3, "age": 1.3, "rate": 10.0}
 
 
 def test_what_the_map_draws_of_another_aircraft() -> None:
-    assert seen_from_afar("kite", heard()) == {
+    assert seen_from_afar("kite", seen(heard())) == {
         "name": "kite",
         "pos": [-33.1234567, 151.2345678, 12.3],
         "yaw": -130,
     }
-    assert seen_from_afar("kite", heard(age=1.1)) == {"name": "kite"}
+    assert seen_from_afar("kite", seen(heard(age=1.3))) == {"name": "kite"}
 
 
 # -- fleet, mission, situation --------------------------------------------------------------------
@@ -209,7 +206,7 @@ def test_what_the_map_draws_of_another_aircraft() -> None:
 
 def ship(telemetry: AircraftState, **state: Any) -> Ship:
     told = State(0.0, "connected", **state)
-    return Ship("kite", told, LeaseChanged(0, ""), telemetry, True, True, False)
+    return Ship("kite", seen(telemetry, state=told, holder=LeaseChanged(0, "")), True, False)
 
 
 def row(telemetry: AircraftState, **state: Any) -> FleetRow:
@@ -224,16 +221,16 @@ def test_a_row_of_the_fleet() -> None:
     assert [METRIC(row(heard(Battery(charge))).battery) for charge in (100, 101)] == ["100 %", "–"]
     below = row(heard(known.position(height=-1.75)))
     assert METRIC(below.flies) == "-2 m"
-    # Old after 2 s; the charge comes once a second and may miss more.
-    assert [METRIC(row(heard(age=age)).flies) for age in (1.9, 2.1)] == ["12 m", "–"]
-    assert [METRIC(row(heard(age=age)).battery) for age in (3.9, 4.1)] == ["63 %", "–"]
+    # Old after a second or so; the charge comes once a second and may miss more.
+    assert [METRIC(row(heard(age=age)).flies) for age in (1.1, 1.3)] == ["12 m", "–"]
+    assert [METRIC(row(heard(age=age)).battery) for age in (4.9, 5.1)] == ["63 %", "–"]
 
 
 def test_what_is_known_of_the_situation() -> None:
     # 0.003 degrees of latitude are 333.6 m on a sphere of 6371 km.
     limits = Limits(latitude_deg=-33.1204567, longitude_deg=151.2345678)
     state = State(0.0, "connected", round_trip=0.0375, mission_index=4, limits=limits)
-    now = situation_of(Inputs(now=5.25, state=state, telemetry=heard(), page_trip=0.0125))
+    now = situation_of(Inputs(vehicle=seen(heard(), 5.25, state=state), page_trip=0.0125))
     assert (now.telemetry_at, now.telemetry_age) == (5.0, 0.25)
     assert (now.switch, now.device, now.phase) == (RcMode.F, Device.ONBOARD, FlightPhase.IN_AIR)
     assert (now.battery, now.gps, now.mission_index) == (63, 4, 4)
@@ -241,9 +238,9 @@ def test_what_is_known_of_the_situation() -> None:
     assert now.place == pytest.approx((-33.1234567, 151.2345678), rel=1e-12)
     assert now.distance == pytest.approx(333.6, rel=5e-3)
     assert (now.round_trip, now.page_trip) == (0.0375, 0.0125)
-    low = situation_of(Inputs(state=state, telemetry=heard(known.position(health=2))))
+    low = situation_of(Inputs(vehicle=seen(heard(known.position(health=2)), state=state)))
     assert (low.gps, low.place, low.distance) == (2, None, None)
-    assert situation_of(Inputs(state=state, telemetry=heard(Battery(101)))).battery is None
+    assert situation_of(Inputs(vehicle=seen(heard(Battery(101)), state=state))).battery is None
 
 
 PLAN = WaypointPlan(
@@ -304,9 +301,7 @@ def test_each_number_of_the_line() -> None:
         mismatches=17,
     )
     inputs = Inputs(
-        state=state,
-        telemetry=heard(),
-        holder=LeaseChanged(3, "tower"),
+        vehicle=seen(heard(), state=state, holder=LeaseChanged(3, "tower")),
         link=COUNTED,
         front_lag=0.0066,
         page_trip=1.2345,
@@ -334,7 +329,7 @@ def test_each_number_of_the_line() -> None:
         late.update(known.sample(at=at, without=[type(one) for one in known.EVERYTHING[2:]]))
     rates = [
         (METRIC(one.name), one.rate, one.jitter, one.longest_gap)
-        for one in link_of(Inputs(telemetry=late)).rates
+        for one in link_of(Inputs(vehicle=seen(late))).rates
     ]
     assert [one[1:] for one in rates] == [("10.0", "4.0", "0.15")] * 2
     assert [name for name, *_ in rates] == ["time", "attitude"]
@@ -355,8 +350,8 @@ LINE = {
 def kept() -> History:
     history = History()
     history.lag = 0.0125
-    state = State(0.0, round_trip=0.0375, discards=31, late_acks=8, dropped_writes=6)
-    history.add(1_795_420_802.25, heard(), state)
+    state = State(0.0, "connected", round_trip=0.0375, discards=31, late_acks=8, dropped_writes=6)
+    history.add(1_795_420_802.25, seen(heard(), state=state))
     return history
 
 
@@ -432,15 +427,16 @@ def test_what_is_no_number_is_told_as_unknown(kind: int, place: int, bad: float)
     values[place] = bad
     state = heard(type(record)(*values))
     told: list[Callable[[], Any]] = [
-        lambda: live(state, 1.0),
-        lambda: seen_from_afar("kite", state),
+        lambda: live(seen(state)),
+        lambda: seen_from_afar("kite", seen(state)),
         lambda: [
-            METRIC(one.text) for one in instruments_of(Inputs(telemetry=state)).readings.values()
+            METRIC(one.text)
+            for one in instruments_of(Inputs(vehicle=seen(state))).readings.values()
         ],
         lambda: METRIC(row(state).flies),
         lambda: METRIC(row(state).battery),
         lambda: points(_rows(state), list(COLUMNS), Units()),
-        lambda: situation_of(Inputs(state=State(0.0), telemetry=state)).height,
+        lambda: situation_of(Inputs(vehicle=seen(state, state=State(0.0)))).height,
     ]
     for one in told:
         text = json.dumps(one(), allow_nan=False)
@@ -449,5 +445,5 @@ def test_what_is_no_number_is_told_as_unknown(kind: int, place: int, bad: float)
 
 def _rows(state: AircraftState) -> list[tuple[float, ...]]:
     history = History()
-    history.add(1.0, state, State(0.0))
+    history.add(1.0, seen(state))
     return history.rows(list(COLUMNS))

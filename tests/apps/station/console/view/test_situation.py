@@ -8,9 +8,8 @@ import anyio
 import pytest
 
 from m100link.apps.agent.messages import Event, LeaseChanged, Limits, State, Topic
+from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.situation import (
-    FRESH_S,
-    Hearing,
     Inputs,
     Situation,
     situation_of,
@@ -18,22 +17,13 @@ from m100link.apps.station.console.view.situation import (
 from m100link.errors import LossReason
 from m100link.protocol.records import Device, FlightPhase, RcMode
 from tests.apps.station.conftest import Rig
+from tests.known import seen
 
 pytestmark = pytest.mark.anyio
 
 
 def inputs(rig: Rig) -> Inputs:
-    front = rig.front
-    return Inputs(
-        now=front.now,
-        state=front.state,
-        holder=front.holder,
-        telemetry=front.telemetry,
-        is_silent=front.is_silent,
-        is_gone=front.is_gone,
-        events=tuple(front.events),
-        heard_at=front.heard_at,
-    )
+    return Inputs(vehicle=rig.front.view, events=tuple(rig.front.events))
 
 
 async def test_what_telemetry_tells_of_an_aircraft_that_flies(rig: Rig) -> None:
@@ -56,11 +46,11 @@ async def test_what_telemetry_tells_of_an_aircraft_that_flies(rig: Rig) -> None:
 async def test_what_is_old_is_unknown_and_its_age_goes_on(rig: Rig) -> None:
     await rig.airborne()
     known = inputs(rig)
-    stalled = situation_of(replace(known, now=known.now))
-    assert stalled.switch is RcMode.F
+    assert situation_of(known).switch is RcMode.F
     rig.aircraft.line.stall()
-    await anyio.sleep(max(FRESH_S.values()) + 0.1)
-    now = situation_of(replace(known, now=rig.front.now))
+    await anyio.sleep(5.1)
+    then = seen(known.vehicle.telemetry, rig.front.now, state=known.vehicle.state)
+    now = situation_of(replace(known, vehicle=then))
     assert (now.switch, now.device, now.phase, now.battery) == (None, None, None, None)
     assert (now.gps, now.height, now.place, now.distance) == (None, None, None, None)
     assert now.telemetry_age == pytest.approx(5.1, abs=0.2)
@@ -77,25 +67,36 @@ async def test_without_good_gps_there_is_no_place(rig: Rig) -> None:
 
 
 def test_without_telemetry_nothing_is_known() -> None:
-    assert situation_of(Inputs(now=5.0)) == Situation(now=5.0, connection="connecting")
+    assert situation_of(Inputs(vehicle=seen(None, 5.0, state=State(at=0.0)))) == Situation(
+        now=5.0, heard_at=5.0, connection="connecting"
+    )
 
 
 def test_an_agent_that_is_gone_or_silent_is_not_heard() -> None:
-    assert situation_of(Inputs(is_silent=True)).hearing is Hearing.SILENT
-    assert situation_of(Inputs(is_silent=True, is_gone=True)).hearing is Hearing.GONE
-    assert situation_of(Inputs()).hearing is Hearing.HEARD
+    assert (
+        situation_of(Inputs(vehicle=seen(None, state=State(at=0.0), heard_at=-9.0))).hearing
+        is Hearing.SILENT
+    )
+    assert (
+        situation_of(
+            Inputs(vehicle=seen(None, state=State(at=0.0), is_gone=True, heard_at=-9.0))
+        ).hearing
+        is Hearing.GONE
+    )
+    assert situation_of(Inputs(vehicle=seen(None, state=State(at=0.0)))).hearing is Hearing.HEARD
 
 
 def test_what_the_tab_knows_is_handed_on() -> None:
     end = LeaseChanged(3, "Anna")
     now = situation_of(
         Inputs(
-            holder=end,
+            vehicle=seen(
+                None, state=State(at=0.0, mission_index=-1, limits=Limits(1.0)), holder=end
+            ),
             lease_end=end,
             loss=LossReason.APP,
             page_trip=0.2,
             is_virtual=True,
-            state=State(at=0.0, mission_index=-1, limits=Limits(1.0)),
         )
     )
     assert (now.holder, now.lease_end, now.loss, now.page_trip) == ("Anna", end, "app", 0.2)
@@ -108,5 +109,5 @@ def test_the_newest_mission_that_was_broken_off_counts() -> None:
         Event(9, 0.0, "error", "second", Topic.MISSION_ABORTED),
         Event(12, 0.0, "info", "something else"),
     )
-    now = situation_of(Inputs(events=events))
+    now = situation_of(Inputs(vehicle=seen(None, state=State(at=0.0)), events=events))
     assert (now.aborted, now.aborted_why) == (9, "second")

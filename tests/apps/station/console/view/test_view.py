@@ -7,10 +7,11 @@ from m100link.apps.station.console.view.alarms import AlarmName, AlarmState
 from m100link.apps.station.console.view.situation import Inputs
 from m100link.apps.station.console.view.texts import Speaker, tr
 from m100link.apps.station.console.view.view import Memory, view_of
+from tests.known import seen
 
 
 def test_of_nothing_known_nothing_is_shown() -> None:
-    view = view_of(Inputs(now=7.0))
+    view = view_of(Inputs(vehicle=seen(None, 7.0, state=State(at=0.0))))
     assert view.at == 7.0
     assert view.instruments.attitude is None
     assert {reading.text.key for reading in view.instruments.readings.values()} == {
@@ -23,7 +24,9 @@ def test_of_nothing_known_nothing_is_shown() -> None:
 
 def test_events_are_as_they_came() -> None:
     events = (Event(1, 0.5, "info", "one"), Event(2, 0.6, "error", "two"))
-    lines = view_of(Inputs(now=1.0, wall=1000.0, events=events)).events
+    lines = view_of(
+        Inputs(vehicle=seen(None, 1.0, state=State(at=0.0)), wall=1000.0, events=events)
+    ).events
     assert [(line.at, line.level, line.text) for line in lines] == [
         (999.5, "info", "one"),
         (999.6, "error", "two"),
@@ -33,8 +36,13 @@ def test_events_are_as_they_came() -> None:
 def test_what_a_page_remembers_goes_from_one_view_to_the_next() -> None:
     memory = Memory()
     event = Event(1, 0.5, "info", "one")
-    view_of(Inputs(events=(event,)), memory)
-    assert len(view_of(Inputs(events=(event,)), memory).events) == 1
+    view_of(Inputs(vehicle=seen(None, state=State(at=0.0)), events=(event,)), memory)
+    assert (
+        len(
+            view_of(Inputs(vehicle=seen(None, state=State(at=0.0)), events=(event,)), memory).events
+        )
+        == 1
+    )
 
 
 # -- what a page remembers -------------------------------------------------------------------------
@@ -50,11 +58,11 @@ def told(memory: Memory) -> list[tuple[float, str, str, str]]:
 
 def test_the_life_of_an_alarm_is_in_the_list_of_events() -> None:
     memory = Memory()
-    memory.look(Inputs(now=1.0, wall=1001.0, state=OPEN))
-    memory.look(Inputs(now=2.0, wall=1002.0, state=LOST))
+    memory.look(Inputs(vehicle=seen(None, 1.0, state=OPEN), wall=1001.0))
+    memory.look(Inputs(vehicle=seen(None, 2.0, state=LOST), wall=1002.0))
     said = memory.acknowledge(AlarmName.LINK_LOST)
     assert said is not None
-    memory.look(Inputs(now=3.0, wall=1003.0, state=OPEN))
+    memory.look(Inputs(vehicle=seen(None, 3.0, state=OPEN), wall=1003.0))
     words = "The line to the aircraft is lost: have the pilot take over"
     assert Speaker()(said) == words
     assert told(memory) == [
@@ -66,20 +74,26 @@ def test_the_life_of_an_alarm_is_in_the_list_of_events() -> None:
 
 def test_what_nobody_acknowledged_is_a_warning_still() -> None:
     memory = Memory()
-    memory.look(Inputs(now=2.0, wall=2.0, state=LOST))
-    alarms, _ = memory.look(Inputs(now=3.0, wall=3.0, state=OPEN))
+    memory.look(Inputs(vehicle=seen(None, 2.0, state=LOST), wall=2.0))
+    alarms, _ = memory.look(Inputs(vehicle=seen(None, 3.0, state=OPEN), wall=3.0))
     assert [one.state for one in alarms] == [AlarmState.PASSED]
     assert [level for _, level, _, _ in told(memory)] == ["error", "error"]
 
 
 def test_what_is_quiet_cannot_be_acknowledged() -> None:
     memory = Memory()
-    memory.look(Inputs(state=OPEN))
+    memory.look(Inputs(vehicle=seen(None, state=OPEN)))
     assert memory.acknowledge(AlarmName.GPS) is None
     assert told(memory) == []
 
 
 def test_the_stations_events_stand_beside_them() -> None:
     memory = Memory()
-    memory.look(Inputs(now=5.0, wall=100.0, events=(Event(1, 4.0, "info", "connected"),)))
+    memory.look(
+        Inputs(
+            vehicle=seen(None, 5.0, state=State(at=0.0)),
+            wall=100.0,
+            events=(Event(1, 4.0, "info", "connected"),),
+        )
+    )
     assert told(memory) == [(99.0, "info", "station", "connected")]
