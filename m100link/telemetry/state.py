@@ -48,19 +48,15 @@ STEER_S = 0.5
 
 def is_finite(record: tuple[Any, ...]) -> bool:
     """Whether there is none of NaN and infinity in it: those are no values, however new."""
-    return all(math.isfinite(one) for one in record if isinstance(one, float))
-
-
-def _is_told(value: object) -> bool:
-    return value is not None
+    # Nothing and zero are left out, and no call for each number: fronts ask in each of their steps.
+    return all(map(math.isfinite, filter(None, record)))
 
 
 def is_possible(record: tuple[Any, ...]) -> bool:
     """Whether a record can be true: finite numbers, an attitude that is one, a place, a charge."""
     if isinstance(record, Position):
         return record.is_possible
-    # No call for each number: a front asks it of each item in each of its steps.
-    if not all(map(math.isfinite, record if None not in record else filter(_is_told, record))):
+    if not is_finite(record):
         return False
     if isinstance(record, Attitude):
         return 0.5 < sum([part * part for part in record]) < 2.0  # a unit quaternion, roughly
@@ -251,11 +247,6 @@ class AircraftState(RecordViews):
         limit = FRESH_S[record] if within is None else within
         # What came at no time, or far in the future, is as unknown as what is old.
         return sample.get(record) if -limit <= age <= limit else None
-
-    def finite(self, record: type[R], *, within: float) -> R | None:
-        """As :meth:`fresh`; None also where one of its numbers is NaN or infinite."""
-        found = self.fresh(record, within=within)
-        return found if found is not None and is_finite(found) else None
 
     def statistics(self, record: type[Any]) -> ItemStatistics:
         """Measured rate, jitter and longest gap of an item."""

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import random
 from itertools import pairwise
 
 import pytest
 
-from m100link.protocol import Attitude, Battery, Position, Velocity, encode_telemetry, profile
+from m100link.protocol import Attitude, Battery, Position, encode_telemetry, profile
 from m100link.protocol.items import ITEMS
 from m100link.protocol.packet import telemetry_size
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
-from tests import known
 
 FIRMWARE = profile("1.0")
 ATTITUDE = {"quaternion": (1.0, 0.0, 0.0, 0.0)}
@@ -156,16 +154,3 @@ def test_what_no_rate_is_made_of_any_more_is_forgotten(state: AircraftState, her
     assert len(cell.arrivals) <= 2.5 * hertz + 2
     assert state.statistics(Attitude).rate_hz == pytest.approx(hertz)
     assert state.statistics(Attitude).count == 3000
-
-
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_what_is_no_number_is_not_finite_however_new(bad: float) -> None:
-    now = [1.0]
-    state = AircraftState(lambda: now[0])
-    assert state.finite(Velocity, within=1.0) is None
-    state.update(known.sample(at=1.0, changed=[Velocity(3.21, bad, 0.84, 7)]))
-    assert state.finite(Velocity, within=1.0) is None
-    assert state.fresh(Velocity, within=1.0) is not None
-    assert state.finite(Position, within=1.0) == state.get(Position)
-    now[0] = 2.1
-    assert state.finite(Position, within=1.0) is None

@@ -40,7 +40,7 @@ from m100link.apps.agent.messages import (
 from m100link.apps.agent.orders import SETPOINT_LIFETIME
 from m100link.apps.agent.remote_error import Fault, MessageError, agent_gone, agent_lost
 from m100link.apps.agent.transports import Channel
-from m100link.apps.agent.view import MOMENT_S, Hearing, VehicleView
+from m100link.apps.agent.view import MOMENT_S, VehicleView
 from m100link.errors import AuthorityLost, BadPlan, LayoutMismatch, M100Error
 from m100link.link.gate import require_loop
 from m100link.missions.plan import WaypointPlan
@@ -141,11 +141,6 @@ class AgentClient:
                 self.telemetry,
             )
         return view
-
-    @property
-    def is_silent(self) -> bool:
-        """Whether nothing was heard of the agent for 2 s; it may hang."""
-        return self.view.hearing is Hearing.SILENT
 
     @property
     def is_connected(self) -> bool:

@@ -10,12 +10,15 @@ From the agent      Telemetry, FromMobile, Event, State, LinkCounted, LeaseChang
 From a front        Ask (around an order of ``m100link.apps.agent.orders``), Steer, Note
 ==================  ========================================================================
 
-What a carrier makes of them is in ``m100link.apps.agent.codec``.
+What a carrier makes of them is in ``m100link.apps.agent.codec``; the agent keeps its events in a
+journal.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import logging
+from collections import deque
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
@@ -300,3 +303,33 @@ class Replay:
     def time(self, since: float) -> float:
         """Its clock so many seconds after this was told, s."""
         return self.clock + since * self.rate
+
+
+# -- what happened, for people ---------------------------------------------------------------------
+
+
+JOURNAL_LOG = __name__
+"""Name of the log that has every event, for whoever shows events in another way."""
+
+_logger = logging.getLogger(JOURNAL_LOG)
+_MAX_EVENTS = 200
+_LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
+
+
+class Journal:
+    """The newest events, and who wants to hear of each."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:  # s
+        self._clock = clock
+        self._count = 0
+        self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
+        self.on_event: list[Callable[[Event], None]] = []  # called with each event
+
+    def note(self, text: str, level: str = "info", topic: Topic = Topic.NONE) -> None:
+        """Add an event."""
+        self._count += 1
+        event = Event(self._count, self._clock(), level, text, topic)
+        self.events.append(event)
+        _logger.log(_LEVELS[level], "%s", text)
+        for callback in self.on_event:
+            callback(event)

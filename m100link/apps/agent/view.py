@@ -2,17 +2,8 @@
 
 A front takes :attr:`~m100link.apps.agent.client.AgentClient.view` where a step begins, and asks it
 alone. Silence of the agent, an agent that is gone and values that are old are decided here and
-nowhere else. Unknown is None, never an old number.
-
-====================  ==========  ===============================================================
-What                  Seconds     Why
-====================  ==========  ===============================================================
-an item               its own     :data:`~m100link.telemetry.state.FRESH_S`, as the agent's guards
-to steer by it        0.5         as the closed loops of the agent (``STEER_S``)
-one package's worth   0.3         items at 10 Hz that come in turn, and three late ones of them
-any telemetry         1.2         the slowest rate, once a second, is heard all the time
-the agent             2           it tells its state four times a second
-====================  ==========  ===============================================================
+nowhere else. How old an item may be stands in :data:`~m100link.telemetry.state.FRESH_S`, for the
+agent's guards as well. Unknown is None, never an old number.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from m100link.apps.agent.journal import JOURNAL_LOG
+from m100link.apps.agent.messages import JOURNAL_LOG
 from m100link.apps.agent.orders import Right
 from m100link.apps.cli.common import Told, err, places, run_async
 from m100link.apps.cli.fleet import (

@@ -81,7 +81,7 @@ async def run_station(
     if with_rosbridge or with_console:
         require_packages()
     served = {"with_console": with_console, "with_rosbridge": with_rosbridge}
-    from m100link.apps.agent.journal import JOURNAL_LOG
+    from m100link.apps.agent.messages import JOURNAL_LOG
     from m100link.apps.station.supervisor import leave_what_stays
 
     ended = Told()

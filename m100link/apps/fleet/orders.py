@@ -20,7 +20,6 @@ from m100link.apps.fleet.missions.board import Missions
 from m100link.apps.fleet.order_log import Ledger
 from m100link.apps.fleet.payloads import Order, agree
 from m100link.errors import M100Error, MissionRunning, NotAllowed, StaleLease, TaskRefused
-from m100link.protocol.records import FlightPhase
 
 _RENEWAL_S = 0.5
 _LOOK_S = 0.1
@@ -196,11 +195,6 @@ class Orders:
 
     # -- down ------------------------------------------------------------------------------------
 
-    @property
-    def phase(self) -> FlightPhase | None:
-        """What the aircraft says of being on the ground or in the air; None when nobody knows."""
-        return self._client.view.phase
-
     async def descend(
         self, task: orders.Order, who: str, *, take_over: bool = True, signer: str = ""
     ) -> None:
@@ -212,7 +206,7 @@ class Orders:
             LeaseHeld: Somebody has the lease, and it is not to be taken over.
             M100Error: As the agent tells.
         """
-        if self.phase is FlightPhase.STANDBY and not self._underway:
+        if self._client.view.is_on_ground and not self._underway:
             return  # it is where it is wanted
         is_under_way = self._descent is not None and not self._descent.done()
         if self._descent is None or not is_under_way or task != self._descends_by:
@@ -244,7 +238,7 @@ class Orders:
 
     async def _fly_down(self, lease: Lease, task: orders.Order) -> None:
         until = self._client.now + _REFUSED_S
-        while self.phase is not FlightPhase.STANDBY:
+        while not self._client.view.is_on_ground:
             try:
                 await self._client.ask(task, lease)
             except (TaskRefused, MissionRunning):

@@ -219,13 +219,6 @@ class Helm:
         self.stick = Stick()  # whose setpoints fly
         self.goal = ""  # what flies by itself for a program; empty for nothing
 
-    # -- where it stands -------------------------------------------------------------------------
-
-    @property
-    def is_airborne(self) -> bool:
-        """Whether it is seen to be off the ground."""
-        return self._agent.view.is_airborne
-
     # -- control ---------------------------------------------------------------------------------
 
     async def obtain(self) -> None:
@@ -316,7 +309,7 @@ class Helm:
             return f"{self.goal} flies: cancel it first"
         if state.task or (state.mission and state.mission != "no mission"):
             return f"{state.task or state.mission} flies"
-        return "" if self.is_airborne else "on the ground: call ~/takeoff first"
+        return "" if self._agent.view.is_airborne else "on the ground: call ~/takeoff first"
 
     def steer(self, setpoint: Setpoint) -> None:
         """Fly this until the next one, for :data:`LIFETIME` at most."""

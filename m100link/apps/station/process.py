@@ -36,7 +36,7 @@ _CHECK = 0.25
 
 
 async def _own(request: dict[str, Any], ended: asyncio.Event) -> None:
-    from m100link.apps.agent.journal import JOURNAL_LOG
+    from m100link.apps.agent.messages import JOURNAL_LOG
     from m100link.apps.station.run import owning
     from m100link.sim.orders import CtlServer
 

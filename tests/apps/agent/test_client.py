@@ -41,6 +41,8 @@ from m100link.errors import (
     NoAuthority,
     TaskRefused,
 )
+from m100link.apps.agent.view import Hearing
+from m100link.errors import GuardRefused, LinkError, M100Error, NoAuthority, TaskRefused
 from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.records import Attitude
 from m100link.protocol.setpoint import Setpoint
@@ -364,9 +366,10 @@ async def test_an_agent_that_is_started_again_is_heard_from_then_on(
     client = clients[0]
     client._channel.close("gone")
     await anyio.sleep(10.0)
-    assert client.is_silent
+    before = client.view
     client.reopen(memory_channels()[0])
-    assert not client.is_silent  # it has two seconds for its first word
+    hearing = before.hearing, client.view.hearing
+    assert hearing == (Hearing.SILENT, Hearing.HEARD)  # it has two seconds for its first word
 
 
 # -- A channel for one event loop: everybody else is refused, and the channel never hears of it ----

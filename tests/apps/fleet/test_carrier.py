@@ -13,6 +13,7 @@ from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease, LeaseHeld
 from m100link.apps.agent.messages import LeaseChanged, State, Topic
 from m100link.apps.agent.orders import FlyTo
+from m100link.apps.agent.view import Hearing
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.payloads import pack
@@ -172,7 +173,7 @@ async def test_a_cut_network_is_a_hover_and_a_front_that_says_so(rig: Rig) -> No
         rig.network.cut(one.bus)
         await steered(far, lease, 3.0)
         assert one.speed < 0.3
-        assert far.is_silent
+        assert far.view.hearing is Hearing.SILENT
         assert not far.is_connected
         rig.network.join(one.bus)
         await steered(far, lease, 3.0)
@@ -212,7 +213,7 @@ async def test_old_words_do_not_make_a_silent_agent_one_that_is_heard(rig: Rig) 
         await rig.until(lambda: far.is_connected)
         rig.network.weather.delay_s = 3.0
         await anyio.sleep(6.0)
-        assert far.is_silent
+        assert far.view.hearing is Hearing.SILENT
         assert channel.old > 0
 
 

@@ -14,9 +14,8 @@ from typing import Any, NamedTuple, Self
 from m100link.aircraft import Aircraft
 from m100link.apps.agent import orders
 from m100link.apps.agent.background import BackgroundTasks
-from m100link.apps.agent.journal import Journal
 from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseDesk, TakeOver
-from m100link.apps.agent.messages import PlanTold, Topic
+from m100link.apps.agent.messages import Journal, PlanTold, Topic
 from m100link.apps.agent.orders import ORDERS, SETPOINT_LIFETIME, Needs, Order
 from m100link.apps.agent.server.authority import (
     Activation,

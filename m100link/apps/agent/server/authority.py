@@ -18,9 +18,8 @@ from enum import Enum
 from m100link.aircraft import Aircraft
 from m100link.aircraft.activation import ActivationProgress
 from m100link.apps.agent.background import BackgroundTasks
-from m100link.apps.agent.journal import Journal
 from m100link.apps.agent.lease import Flown
-from m100link.apps.agent.messages import Limits, Topic
+from m100link.apps.agent.messages import Journal, Limits, Topic
 from m100link.apps.agent.orders import GuidedOrder
 from m100link.apps.agent.server.flight import Flying, limits_of
 from m100link.apps.agent.server.mission import MissionListener, look_at

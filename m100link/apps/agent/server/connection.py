@@ -15,7 +15,7 @@ from m100link.aircraft.supervising import (
     SupervisionEvent,
     SupervisionState,
 )
-from m100link.apps.agent.journal import Journal
+from m100link.apps.agent.messages import Journal
 from m100link.errors import LinkError, M100Error
 from m100link.protocol.commands.activation import Version
 from m100link.telemetry.sample import Sample

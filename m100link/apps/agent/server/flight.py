@@ -12,9 +12,8 @@ import anyio
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.background import BackgroundTasks
-from m100link.apps.agent.journal import Journal
 from m100link.apps.agent.lease import Flown
-from m100link.apps.agent.messages import Limits
+from m100link.apps.agent.messages import Journal, Limits
 from m100link.apps.agent.orders import (
     ANGLE_MODE,
     SETPOINT_LIFETIME,

@@ -8,8 +8,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from m100link.apps.agent.background import BackgroundTasks
-from m100link.apps.agent.journal import Journal
-from m100link.apps.agent.messages import Topic
+from m100link.apps.agent.messages import Journal, Topic
 from m100link.errors import M100Error, MissionRunning, NotObserved, UsageError
 from m100link.flight.control import Control
 from m100link.flight.missions.events import (

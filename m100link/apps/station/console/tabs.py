@@ -192,7 +192,7 @@ class Tabs:
         async for frame in frames_of(websocket):
             place.heard_at, place.has_spoken = self._agent.now, True
             answer = place.tab.receive(frame)
-            if answer is not None and _is_up_to_date(place.tab.agent):
+            if answer is not None and place.tab.agent.view.hearing is Hearing.HEARD:
                 await websocket.send_json(answer)
 
     async def _write(self, websocket: WebSocket, tab: Tab) -> None:
@@ -200,7 +200,8 @@ class Tabs:
         others_at = agent.now
         with contextlib.suppress(WebSocketDisconnect):
             while True:
-                if _is_up_to_date(agent):
+                # A page that hears nothing shows everything as old.
+                if agent.view.hearing is Hearing.HEARD:
                     message = live(agent.view)
                     if len(self.agents) > 1 and agent.now >= others_at:
                         others_at = agent.now + OTHERS_INTERVAL
@@ -217,8 +218,3 @@ class Tabs:
                     # Else the page could not tell a silent agent from a silent station.
                     await websocket.send_json({"op": "unheard"})
                     await asyncio.sleep(UNHEARD_INTERVAL)
-
-
-def _is_up_to_date(agent: AgentClient) -> bool:
-    """Whether the agent is heard. A page that hears nothing shows everything as old."""
-    return agent.view.hearing is Hearing.HEARD

@@ -15,7 +15,7 @@ from m100link.aircraft import Aircraft
 from m100link.apps.agent import orders
 from m100link.apps.agent.background import BackgroundTasks
 from m100link.apps.agent.connect import by_driver
-from m100link.apps.agent.journal import Journal
+from m100link.apps.agent.messages import Journal
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.authority import Holding, HoldingInput, HoldingState
 from m100link.apps.agent.server.connection import ConnectionState

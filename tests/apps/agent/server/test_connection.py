@@ -10,7 +10,7 @@ import pytest
 
 import m100link
 from m100link.aircraft import Aircraft
-from m100link.apps.agent.journal import Journal
+from m100link.apps.agent.messages import Journal
 from m100link.apps.agent.server.connection import Connection, ConnectionState
 from m100link.errors import LinkError, PortNotFound
 from m100link.telemetry.sample import Sample

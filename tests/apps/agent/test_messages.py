@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from m100link.apps.agent.journal import Journal
-from m100link.apps.agent.messages import Event, Topic
+from m100link.apps.agent.messages import Event, Journal, Topic
 
 
 def test_events_are_numbered_told_and_bounded() -> None:
