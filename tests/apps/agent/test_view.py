@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import math
 import pathlib
+import random
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -242,6 +243,45 @@ async def test_nothing_of_the_aircraft_before_is_known_of_the_next_one() -> None
         assert client.view.is_connected
         assert client.telemetry is not before
         assert place_of(client) is None, "that was of another aircraft, at the same instant"
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("seed", range(8))
+async def test_what_is_kept_for_a_step_is_never_behind_what_arrived(seed: int) -> None:
+    """Messages, silence, ends and other agents by chance, with a look between any two of them."""
+    chance = random.Random(seed)
+    client, agent = both()
+    changed = (FlightStatus(1), FlightStatus(3), Battery(101), position(altitude=math.nan))
+    async with client:
+        for number in range(400):
+            act = chance.randrange(8)
+            if act < 3:
+                one = [chance.choice(changed)]
+                agent.tell_package(client.now + chance.choice((0, 0, -2, 9)), changed=one)
+            elif act == 3:
+                connection = chance.choice(("connected", "connected", "lost"))
+                told = State(client.now, connection, has_authority=chance.random() < 0.5)
+                agent.tell(told)
+            elif act == 4:
+                agent.tell(LeaseChanged(number, "somebody"))
+            elif act == 5:
+                await anyio.sleep(chance.choice((0.0, 0.006, 0.3, 1.3, 2.1)))
+            elif act == 6 and chance.random() < 0.2:
+                client._closed("killed")
+            elif act == 7 and chance.random() < 0.2:
+                ours, its = memory_channels()
+                client.reopen(ours)
+                agent = KnownAgent(its)
+            found = client.view
+            anew = replace(found, at=client.now, heard_at=client.heard_at, is_gone=client.is_gone)
+            anew = replace(
+                anew, state=client.state, holder=client.holder, telemetry=client.telemetry
+            )
+            assert found == anew, (seed, number)
+            for record in BY_RECORD:
+                assert found.get(record) == anew.get(record), (seed, number, record)
+            assert found.is_connected or found.get(Position) is None
+            assert not found.has_authority or found.hearing is Hearing.HEARD
 
 
 # -- what a step of a front costs: calls of the library, from a message to the bytes on the line ---
