@@ -93,7 +93,7 @@ def _told(fleet: Fleet, heard: FleetTelemetry, name: str) -> dict[str, Any]:
         told["age"] = state.newest_age
         kinds: tuple[type[Any], ...] = (Position, Velocity, Battery, FlightStatus)
         for kind in kinds:
-            value = state.get(kind)
+            value = state.fresh(kind, now=state.newest_at)
             told[BY_RECORD[kind].name] = None if value is None else value._asdict()
     return told
 
@@ -106,8 +106,10 @@ def _table(fleet: Fleet, heard: FleetTelemetry) -> Table:
         if state is None:
             table.add_row(name, "never heard")
             continue
-        age, status, position = state.newest_age or 0.0, state.get(FlightStatus), state.position
-        velocity, battery = state.velocity, state.battery
+        # What was known when it was heard last: an item that was old by then tells nothing.
+        at, age = state.newest_at, state.newest_age or 0.0
+        status, position = state.fresh(FlightStatus, now=at), state.fresh(Position, now=at)
+        velocity, battery = state.fresh(Velocity, now=at), state.fresh(Battery, now=at)
         phase = status.phase if status is not None else None
         row = [
             name,

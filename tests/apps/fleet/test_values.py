@@ -51,7 +51,7 @@ from m100link.apps.fleet.payloads import (
 from m100link.apps.fleet.publisher import FleetTelemetry
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
-from m100link.protocol.records import Battery
+from m100link.protocol.records import Battery, Position
 from m100link.protocol.setpoint import (
     ControlMode,
     Horizontal,
@@ -346,7 +346,11 @@ async def test_a_pilot_hears_the_values_that_were_told() -> None:
         ["name", "age", "phase", "height", "speed", "battery", "place"],
         ["kite", "1.5 s", "in air", "12.3 m", "3.6 m/s", "63 %", "-33.123457 151.234568"],
     ]
+    outlet.put(pack(Telemetry(known.package("2.3", without=[Position]), "2.3", 8.5)))
+    await anyio.sleep(0.1)
+    assert fleet_watch._told(fleet, hears, "kite")["position"] is None, "it was not told again"
+    assert printed(fleet_watch._table(fleet, hears))[1][2:] == ["in air", "3.6 m/s", "63 %"]
     outlet.put(b"\x01nonsense")
     await anyio.sleep(0.1)
-    assert (hears.unread, hears.received["kite"]) == (1, 1)
+    assert (hears.unread, hears.received["kite"]) == (1, 2)
     hears.close()
