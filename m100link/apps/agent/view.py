@@ -119,7 +119,7 @@ class VehicleView:
     def rate_hz(self, record: type[Any]) -> float:
         """How often an item arrives, per second; 0 where it does not any more."""
         age = self.age(record)
-        if self.telemetry is None or age is None or abs(age) > HEARD_S:
+        if self.telemetry is None or age is None or not abs(age) <= HEARD_S:
             return 0.0
         return self.telemetry.statistics(record).rate_hz or 0.0
 

@@ -73,7 +73,9 @@ def test_an_item_is_known_until_its_age_and_no_longer(record: type[Any]) -> None
     assert seen(one, 0.299).together(record) is not None
     assert seen(one, 0.301).together(record) is None
     assert seen(one, -limit - 1e-3).get(record) is None, "of a time that is to come"
-    assert seen(told(at=math.nan)).get(record) is None, "of no time at all"
+    of_no_time = seen(told(at=math.nan), 0.0)
+    assert (of_no_time.get(record), of_no_time.rate_hz(record)) == (None, 0.0)
+    assert (of_no_time.is_new(record), of_no_time.is_heard) == (False, False)
     assert seen(None).get(record) is None
     assert seen(AircraftState(lambda: 0.0)).get(record) is None
 
