@@ -246,7 +246,7 @@ class AircraftState(RecordViews):
         age = (self._clock() if now is None else now) - sample.received_at
         limit = FRESH_S[record] if within is None else within
         # What came at no time, or far in the future, is as unknown as what is old.
-        return self.get(record) if -limit <= age <= limit else None
+        return sample.get(record) if -limit <= age <= limit else None
 
     def statistics(self, record: type[Any]) -> ItemStatistics:
         """Measured rate, jitter and longest gap of an item."""

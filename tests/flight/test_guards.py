@@ -64,9 +64,16 @@ def position(flown: Rig) -> Position:
 
 def pretend(flown: Rig, value: tuple[Any, ...]) -> None:
     """Telemetry says so from now on, whatever the aircraft sends."""
-    state = flown.aircraft.state
-    get = state.get
-    state.get = lambda record: value if record is type(value) else get(record)  # type: ignore[method-assign]
+    kind = type(value)
+    state: Any = flown.aircraft.state
+    get, fresh = state.get, state.fresh
+
+    def pretended(record: type[Any], **given: float | None) -> Any:
+        found = fresh(record, **given)
+        return value if found is not None and record is kind else found
+
+    state.fresh = pretended
+    state.get = lambda record: value if record is kind else get(record)
 
 
 @asynccontextmanager
