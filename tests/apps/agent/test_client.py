@@ -33,6 +33,7 @@ from m100link.apps.agent.remote_error import Fault
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.server import Service
 from m100link.apps.agent.transports import MemoryChannel, memory_channels
+from m100link.apps.agent.view import Hearing
 from m100link.errors import (
     GuardRefused,
     LinkError,
@@ -41,8 +42,6 @@ from m100link.errors import (
     NoAuthority,
     TaskRefused,
 )
-from m100link.apps.agent.view import Hearing
-from m100link.errors import GuardRefused, LinkError, M100Error, NoAuthority, TaskRefused
 from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.records import Attitude
 from m100link.protocol.setpoint import Setpoint
