@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable, Coroutine
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
@@ -26,6 +26,8 @@ from m100link.protocol.setpoint import Setpoint
 
 RENEWAL_S = 0.5
 """Seconds between two renewals; a lease lasts 3 s without one."""
+
+_DUE_S = 0.45  # a timer of 0.5 s that wakes a moment early is not to wait for another 0.5 s
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +127,13 @@ class ControlSession:
         self.lease_end: LeaseChanged | None = None
         #: Who or what took authority; None while it is held, and without a lease.
         self.loss: LossReason | None = None
+        #: Called with each new state.
+        self.on_change: Callable[[ControlState], None] = _ignore
+        #: Called with why a setpoint of this pilot was not flown.
+        self.on_refused: Callable[[M100Error], None] = _ignore
         # One request for control, or its end, at a time: they would cross.
         self._changing = asyncio.Lock()
+        self._ends = 0  # how often it was let go: what was asked for before is not wanted any more
         self._renewed_at = self._used_at = agent.now
         self._heard: tuple[tuple[list[Any], Callable[..., None]], ...] = (
             (agent.on_lease, self._lease_changed),
@@ -138,11 +145,11 @@ class ControlSession:
             callbacks.append(callback)
 
     def close(self) -> None:
-        """Give back what is held, and hear no more."""
+        """Give back what is held, and hear no more: nothing is held by it ever again."""
         self.let_go()
-        for callbacks, callback in self._heard:
-            with suppress(ValueError):
-                callbacks.remove(callback)
+        heard, self._heard = self._heard, ()
+        for callbacks, callback in heard:
+            callbacks.remove(callback)
 
     # -- where it stands -------------------------------------------------------------------------
 
@@ -185,14 +192,17 @@ class ControlSession:
         """
         lease = self.lease
         if lease is None or not self._agent.has_authority:
-            holder, who = self._agent.holder, self._terms.who
-            other = f": {holder.name} has control" if holder.number and lease is None else ""
-            raise NoAuthority(
-                f"{who} has no control{other}; nothing was sent",
-                cause="control was not asked for, or was lost since",
-                remedy=self._terms.remedy,
-            )
+            raise self._no_control()
         return lease
+
+    def _no_control(self) -> NoAuthority:
+        holder, who = self._agent.holder, self._terms.who
+        other = f": {holder.name} has control" if holder.number and not self.has_lease else ""
+        return NoAuthority(
+            f"{who} has no control{other}; nothing was sent",
+            cause="control was not asked for, or was lost since",
+            remedy=self._terms.remedy,
+        )
 
     def feed(self, what: ControlInput) -> None:
         """Something happened."""
@@ -202,8 +212,18 @@ class ControlSession:
         self._state = after
         if after is _S.HOLDING:
             self.loss = None
+        self.on_change(after)
 
     # -- control is taken ------------------------------------------------------------------------
+
+    @asynccontextmanager
+    async def _asking(self) -> AsyncIterator[None]:
+        """One request at a time; a request that waits for another ends by :meth:`let_go`, too."""
+        began = self._ends
+        async with self._changing:
+            if began != self._ends or not self._heard:
+                raise self._not_wanted()
+            yield
 
     async def take(self, *, take_over: bool = False) -> Lease:
         """Take the lease, if it is not held already.
@@ -216,15 +236,21 @@ class ControlSession:
             NoAuthority: It was let go before it came.
             LinkError: The agent has gone.
         """
-        async with self._changing:
-            lease = self.lease
-            return await self._take(take_over) if lease is None else lease
+        async with self._asking():
+            return self.lease or await self._take(lambda: self._granted(take_over))
 
-    async def _take(self, take_over: bool) -> Lease:
-        self._look()
-        self._forget()
+    async def take_by(self, grant: Callable[[], Coroutine[Any, Any, Lease]]) -> Lease:
+        """Hold the lease that a question of the caller's own brings; raises as :meth:`take`."""
+        async with self._asking():
+            return await self._take(grant)
+
+    async def _take(self, grant: Callable[[], Coroutine[Any, Any, Lease]]) -> Lease:
+        began = self._ends
+        if not self.has_lease:
+            self._look()
+            self._forget()
         self.feed(_I.ASKED)
-        asking = self._agent.background.spawn(self._granted(take_over), "lease")
+        asking = self._agent.background.spawn(grant(), "lease")
         try:
             lease: Lease = await asyncio.shield(asking)
         except BaseException as error:
@@ -232,7 +258,7 @@ class ControlSession:
                 asking.add_done_callback(self._unwanted)  # its answer decides who has it
             self.feed(_I.REFUSED)
             raise
-        if self._state is not _S.ASKING:
+        if began != self._ends:
             self._agent.let_go(lease)
             self.feed(_I.GIVEN_BACK)
             raise self._not_wanted()
@@ -259,25 +285,27 @@ class ControlSession:
             NoAuthority: Control was let go before it was obtained.
             M100Error: As :meth:`m100link.apps.agent.client.AgentClient.ask`.
         """
-        async with self._changing:
-            lease = self.lease or await self._take(take_over)
-            try:
-                if self._terms.activates and not self._agent.state.is_activated:
-                    self.feed(_I.ACTIVATE)
-                    await self._agent.ask(orders.Activate(), lease)
-                    self._require(lease)
-                self.feed(_I.OBTAIN)
-                await self._agent.ask(orders.Obtain(), lease)
+        async with self._asking():
+            await self._obtain(self.lease or await self._take(lambda: self._granted(take_over)))
+
+    async def _obtain(self, lease: Lease) -> None:
+        try:
+            if self._terms.activates and not self._agent.state.is_activated:
+                self.feed(_I.ACTIVATE)
+                await self._agent.ask(orders.Activate(), lease)
                 self._require(lease)
-            except BaseException as error:
-                is_unwanted = self._lease is not lease
-                self.feed(_I.REFUSED)
-                self._end(lease)
-                if is_unwanted and isinstance(error, M100Error):
-                    raise self._not_wanted() from error
-                raise
-            self.feed(_I.OBEYED)
-            self._used_at = self._agent.now
+            self.feed(_I.OBTAIN)
+            await self._agent.ask(orders.Obtain(), lease)
+            self._require(lease)
+        except BaseException as error:
+            is_unwanted = self._lease is not lease
+            self.feed(_I.REFUSED)
+            self._end(lease)
+            if is_unwanted and isinstance(error, M100Error):
+                raise self._not_wanted() from error
+            raise
+        self.feed(_I.OBEYED)
+        self._used_at = self._agent.now
 
     def _require(self, lease: Lease) -> None:
         if self._lease is not lease:
@@ -299,30 +327,27 @@ class ControlSession:
             LeaseRefused: There is nothing to confirm any more.
             M100Error: As :meth:`obtain`.
         """
-        self.adopt(await self._agent.confirm(wanted.token))
-        await self.obtain()
+        async with self._asking():
+            await self._obtain(await self._take(lambda: self._agent.confirm(wanted.token)))
 
     def adopt(self, lease: Lease) -> None:
         """Hold a lease that was granted to this pilot."""
-        self._forget()
-        self._lease, self._renewed_at = lease, self._agent.now
-        self.feed(_I.GRANTED)
-
-    def hand_on(self) -> Lease | None:
-        """The lease in force, which another session of the same pilot adopts; None for none."""
-        lease = self.lease
-        self._forget()
-        self.feed(_I.LET_GO)
-        self.feed(_I.GIVEN_BACK)
-        return lease
+        if not self._heard:
+            self._agent.let_go(lease)
+        elif self._lease != lease:
+            self._forget()
+            self._lease, self.lease_end = lease, None
+            self._renewed_at = self._used_at = self._agent.now
+            self.feed(_I.GRANTED)
 
     def _forget(self) -> None:
-        self._lease = self.lease_end = self.loss = None
+        self._lease = self.loss = None
 
     # -- control is given back -------------------------------------------------------------------
 
     def let_go(self) -> None:
         """Give the lease back at once: motion stops, and authority goes back."""
+        self._ends += 1
         lease = self._lease
         self.feed(_I.LET_GO)
         if lease is not None:
@@ -343,12 +368,15 @@ class ControlSession:
             return
         async with self._changing:
             lease = self.lease
+            self._ends += 1
             self.feed(_I.LET_GO)
             self._forget()
-            if lease is not None:
-                with suppress(M100Error):  # it ended meanwhile, which is what was wanted
-                    await self._agent.release_lease(lease.token)
-            self.feed(_I.GIVEN_BACK)
+            try:
+                if lease is not None:
+                    with suppress(M100Error):  # it ended meanwhile, which is what was wanted
+                        await self._agent.release_lease(lease.token)
+            finally:
+                self.feed(_I.GIVEN_BACK)
 
     # -- while it is held ------------------------------------------------------------------------
 
@@ -358,37 +386,47 @@ class ControlSession:
         Args:
             is_idle: Whether nothing is wanted of the aircraft.
         """
-        now, state = self._agent.now, self.state
-        if state is _S.SUSPENDED and self._agent.has_authority:
+        agent, lease, now = self._agent, self._lease, self._agent.now
+        if lease is None or not agent.holds(lease):
+            self._look()
+            return
+        if self._state is _S.SUSPENDED and agent.has_authority:
             self.feed(_I.OBEYED)
         if not is_idle:
             self._used_at = now
-        lease = self.lease
-        if lease is None:
-            return
         if now - self._used_at >= self._terms.idle_s and not self.is_changing:
             idle = f"no order in {self._terms.idle_s:g} s"
-            self._agent.note(f"{self._terms.who} gives control back: {idle}")
+            agent.note(f"{self._terms.who} gives control back: {idle}")
             self.let_go()
-        elif now - self._renewed_at >= RENEWAL_S:
+        elif now - self._renewed_at >= _DUE_S:
             self._renewed_at = now
-            self._agent.keep(lease)
+            agent.keep(lease)
 
     async def keep(self) -> None:
         """Keep the lease until it ends: for a pilot whose task or connection is there as long."""
-        while self.has_lease:
+        lease = self._lease
+        while lease is self._lease and self._agent.holds(lease):
             self.heard()
             await asyncio.sleep(RENEWAL_S)
+        self._look()
 
     async def ask(self, order: orders.Order, accepted: Callable[[], None] | None = None) -> Outcome:
-        """Ask for something under the lease; raises as the agent's client."""
+        """Ask for something under the lease.
+
+        Raises:
+            NoAuthority: It needs the lease, which is not held; nothing was sent.
+            M100Error: As the agent's client.
+        """
+        if (lease := self.lease) is None and order.needs is orders.Needs.LEASE:
+            raise self._no_control()
         self._used_at = self._agent.now
-        return await self._agent.ask(order, self.lease, accepted)
+        return await self._agent.ask(order, lease, accepted)
 
     def steer(self, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
         """Fly this for its lifetime. Raises NoAuthority: control is not held."""
+        lease = self.held()
         self._used_at = self._renewed_at = self._agent.now  # it renews the lease
-        self._agent.steer(self.held(), setpoint, lifetime)
+        self._agent.steer(lease, setpoint, lifetime)
 
     async def stop(self) -> None:
         """Stop whatever happens, whoever has the lease; setpoints fly after a new beginning."""
@@ -425,6 +463,12 @@ class ControlSession:
 
     def _steer_refused(self, fence: int, error: M100Error) -> None:
         lease = self._lease
-        is_ours = lease is not None and lease.number == fence
-        if is_ours and isinstance(error, GuardRefused) and error.guard == "stopped":
+        if lease is None or lease.number != fence:
+            return
+        if isinstance(error, GuardRefused) and error.guard == "stopped":
             self.feed(_I.STOP)
+        self.on_refused(error)
+
+
+def _ignore(_: object) -> None:
+    """Nobody wants to hear it."""

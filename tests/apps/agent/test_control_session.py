@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Coroutine
 from contextlib import AsyncExitStack
 from random import Random
+from typing import Any
 
 import anyio
 import pytest
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import (
     TRANSITIONS,
@@ -18,7 +20,7 @@ from m100link.apps.agent.control_session import (
     ControlState,
     Terms,
 )
-from m100link.apps.agent.lease import LeaseHeld
+from m100link.apps.agent.lease import Lease, LeaseHeld
 from m100link.apps.agent.server.server import Service
 from m100link.apps.agent.transports import MemoryChannel, memory_channels
 from m100link.errors import LinkError, M100Error, NoAuthority
@@ -76,6 +78,7 @@ class Pilots:
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
+        self.service = Service(rig.agent)
         self.ways: list[MemoryChannel] = []
         self.clients: list[AgentClient] = []
 
@@ -84,11 +87,11 @@ class Pilots:
 async def pilots(rig: Rig) -> AsyncIterator[Pilots]:
     rig.renewing.cancel()
     rig.agent.desk.release(rig.token, rig.agent.now)
-    service, found = Service(rig.agent), Pilots(rig)
+    found = Pilots(rig)
     async with AsyncExitStack() as stack:
         for name in ("first", "second"):
             ours, its = memory_channels(as_bytes=True)
-            service.attach(its)
+            found.service.attach(its)
             found.ways.append(its)
             found.clients.append(await stack.enter_async_context(AgentClient(ours, name)))
         yield found
@@ -241,3 +244,179 @@ async def test_closed_it_hears_no_more(pilots: Pilots) -> None:
     ]
     await anyio.sleep(0.1)
     assert client.holder.number == 0
+
+
+async def test_what_is_not_flown_postpones_no_renewal(pilots: Pilots) -> None:
+    """A key that is held while the pilot flies: its setpoints are refused, and renew nothing."""
+    one = session(pilots)
+    await one.obtain()
+    pilots.rig.aircraft.set_rc_mode("P")
+    await anyio.sleep(1.0)
+    for _ in range(100):
+        with pytest.raises(NoAuthority):
+            one.steer(NORTH)
+        one.heard()
+        await anyio.sleep(0.05)
+    assert at(one) is S.SUSPENDED
+    assert one.has_lease
+
+
+async def test_without_the_lease_nothing_that_needs_it_is_sent(pilots: Pilots) -> None:
+    one, other = session(pilots), session(pilots, 1)
+    await other.obtain()
+    with pytest.raises(NoAuthority, match=r"no control: second has control; nothing was sent"):
+        await one.ask(orders.Land())
+    await one.ask(orders.AskVersion())  # which needs none
+
+
+async def test_a_request_that_waits_for_another_ends_with_it(pilots: Pilots) -> None:
+    one = session(pilots)
+    asking = [asyncio.create_task(one.obtain()) for _ in range(3)]
+    await asyncio.sleep(0.0)
+    one.let_go()
+    ends = await asyncio.gather(*asking, return_exceptions=True)
+    assert [type(end) for end in ends] == [NoAuthority] * 3
+    await anyio.sleep(0.1)
+    assert pilots.clients[0].holder.number == 0
+
+
+async def test_giving_back_may_be_cancelled(
+    pilots: Pilots, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, client = session(pilots), pilots.clients[0]
+    await one.obtain()
+    with monkeypatch.context() as slow:
+        slow.setattr(client, "release_lease", lambda token: asyncio.sleep(9.0))
+        lease = one.held()
+        giving = asyncio.create_task(one.give_back())
+        await anyio.sleep(0.1)
+        giving.cancel()
+        await asyncio.gather(giving, return_exceptions=True)
+    assert at(one) is S.ABSENT
+    client.let_go(lease)
+    await one.obtain()
+    assert at(one) is S.HOLDING
+
+
+async def test_to_whom_it_was_lost_is_known_until_it_is_held_again(pilots: Pilots) -> None:
+    one, other = session(pilots), session(pilots, 1)
+    await one.obtain()
+    await other.obtain(take_over=True)
+    one.let_go()
+    with pytest.raises(LeaseHeld):
+        await one.obtain()
+    assert getattr(one.lease_end, "name", None) == "second"
+    await one.confirm(await one.ask_take_over())
+    assert getattr(one.lease_end, "name", None) is None
+    assert at(one) is S.HOLDING
+
+
+async def test_who_wants_to_hear_it_hears_each_state_and_refusal(pilots: Pilots) -> None:
+    one, other = session(pilots), session(pilots, 1)
+    states: list[ControlState] = []
+    refused: list[M100Error] = []
+    one.on_change, one.on_refused = states.append, refused.append
+    await one.obtain()
+    await pilots.clients[1].stop()
+    one.steer(NORTH)
+    await anyio.sleep(0.1)
+    await other.obtain(take_over=True)
+    other.steer(NORTH)
+    held = [S.ASKING, S.LEASED, S.OBTAINING, S.HOLDING]
+    assert states == [*held, S.STOPPED, S.TAKEN_OVER]
+    assert [error.seen for error in refused] == [
+        "STOP was pressed; setpoints that go on are not flown"
+    ]
+
+
+async def test_a_closed_session_holds_nothing_that_comes_later(pilots: Pilots) -> None:
+    one, client = session(pilots), pilots.clients[0]
+    asking = asyncio.create_task(one.obtain())
+    await asyncio.sleep(0.0)
+    one.close()
+    with pytest.raises(NoAuthority):
+        await asking
+    with pytest.raises(NoAuthority):
+        await one.obtain()
+    one.adopt(await client.acquire("late"))
+    await anyio.sleep(0.1)
+    assert client.holder.number == 0
+
+
+class Chaos:
+    """One pilot who does everything at any moment, beside another one, with an agent that dies."""
+
+    def __init__(self, pilots: Pilots, seed: int) -> None:
+        self.pilots, self.draw = pilots, Random(seed)
+        self.one, self.other = session(pilots), session(pilots, 1)
+        self.asking: list[asyncio.Task[object]] = []
+
+    async def begin(self, work: Coroutine[Any, Any, object]) -> None:
+        self.asking.append(asyncio.create_task(work))
+        await asyncio.sleep(0.0)  # it was asked for
+
+    async def confirm(self) -> None:
+        try:
+            wanted = await self.one.ask_take_over()
+        except M100Error:
+            return  # there is nobody
+        await self.begin(self.one.confirm(wanted))
+
+    async def anew(self) -> None:
+        """The agent goes, and is found again."""
+        self.pilots.ways[0].close("killed")
+        ours, its = memory_channels(as_bytes=True)
+        self.pilots.service.attach(its)
+        self.pilots.ways[0] = its
+        self.pilots.clients[0].reopen(ours)
+
+    async def step(self) -> None:
+        one, other, client = self.one, self.other, self.pilots.clients[0]
+        what = self.draw.randrange(11)
+        if what < 2:
+            await self.begin(one.obtain(take_over=self.draw.random() < 0.3))
+        elif what == 2:
+            await self.begin(one.take_by(lambda: client.acquire("first")))
+        elif what == 3:
+            await self.confirm()
+        elif what == 4:
+            one.let_go()
+        elif what == 5:
+            await self.begin(one.give_back())
+        elif what == 6 and self.asking:
+            self.draw.choice(self.asking).cancel()
+        elif what == 7:
+            await self.begin(other.obtain(take_over=True))
+        elif what == 8:
+            other.let_go()
+        elif what == 9:
+            await self.anew()
+        else:
+            one.heard()
+        for _ in range(self.draw.randrange(6)):
+            await asyncio.sleep(self.draw.choice([0.0, 0.0, 0.0, 0.02]))
+
+
+@pytest.mark.parametrize("seed", range(3))
+async def test_in_whatever_order_nothing_stays_held_that_was_let_go(
+    pilots: Pilots, seed: int
+) -> None:
+    for attempt in range(12):
+        chaos, agent = Chaos(pilots, 100 * seed + attempt), pilots.rig.agent
+        for _ in range(25):
+            await chaos.step()
+        chaos.other.close()
+        chaos.one.let_go()
+        ends = await asyncio.gather(*chaos.asking, return_exceptions=True)
+        for end in ends:
+            assert end is None or isinstance(end, M100Error | asyncio.CancelledError | Lease), end
+        await anyio.sleep(0.5)
+        where = (seed, attempt, at(chaos.one))
+        assert agent.desk.holder(agent.now) is None, where
+        assert not agent.holding.has_authority, where
+        assert not chaos.one.has_lease, where
+        await chaos.one.obtain()
+        assert at(chaos.one) is S.HOLDING, where
+        chaos.one.close()
+        await anyio.sleep(0.1)
+        assert agent.desk.holder(agent.now) is None, where
