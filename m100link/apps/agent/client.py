@@ -463,6 +463,9 @@ def given(value: T | None) -> T:
 # -- A channel that only the event loop in which it was made may use -------------------------------
 
 
+_MADE_IN = "the loop in which the client was made"
+
+
 class OwnLoop:
     """A channel for who may be called by anybody: another thread would break what it carries."""
 
@@ -472,7 +475,7 @@ class OwnLoop:
 
     def require(self) -> None:
         """Raise UsageError where another event loop runs, or this one elsewhere or nowhere."""
-        require_loop(self._loop, "the loop in which the client was made")
+        require_loop(self._loop, _MADE_IN)
 
     def open(self, on_message: Callable[[Message], None], on_closed: Callable[[str], None]) -> None:
         """Begin to receive. Raises as :meth:`require`."""
@@ -481,7 +484,7 @@ class OwnLoop:
 
     def send(self, message: Message) -> None:
         """Send a message; never waits. Raises as :meth:`require`, and MessageError."""
-        self.require()
+        require_loop(self._loop, _MADE_IN)
         self._channel.send(message)
 
     def close(self, reason: str = "") -> None:

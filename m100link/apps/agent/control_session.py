@@ -128,9 +128,9 @@ class ControlSession:
         #: Who or what took authority; None while it is held, and without a lease.
         self.loss: LossReason | None = None
         #: Called with each new state.
-        self.on_change: Callable[[ControlState], None] = _ignore
+        self.on_change: Callable[[ControlState], None] = ignore
         #: Called with why a setpoint of this pilot was not flown.
-        self.on_refused: Callable[[M100Error], None] = _ignore
+        self.on_refused: Callable[[M100Error], None] = ignore
         # One request for control, or its end, at a time: they would cross.
         self._changing = asyncio.Lock()
         self._ends = 0  # how often it was let go: what was asked for before is not wanted any more
@@ -424,9 +424,13 @@ class ControlSession:
 
     def steer(self, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
         """Fly this for its lifetime. Raises NoAuthority: control is not held."""
-        lease = self.held()
-        self._used_at = self._renewed_at = self._agent.now  # it renews the lease
-        self._agent.steer(lease, setpoint, lifetime)
+        agent, lease = self._agent, self._lease
+        if lease is None or not agent.holds(lease) or not agent.has_authority:
+            raise self._no_control()
+        if self._state is _S.SUSPENDED:
+            self.feed(_I.OBEYED)
+        self._used_at = self._renewed_at = agent.now  # it renews the lease
+        agent.steer(lease, setpoint, lifetime)
 
     async def stop(self) -> None:
         """Stop whatever happens, whoever has the lease; setpoints fly after a new beginning."""
@@ -470,5 +474,5 @@ class ControlSession:
         self.on_refused(error)
 
 
-def _ignore(_: object) -> None:
+def ignore(_: object) -> None:
     """Nobody wants to hear it."""
