@@ -416,15 +416,15 @@ async def on_console() -> AsyncIterator[Take]:
     """A tab with control stands on the ground, another one has none; both say the same."""
     async with _station() as rig:
         mine, other = Browser(rig), Browser(rig, "another")
-        await mine.tab.activate()
-        await mine.tab.obtain()
+        await mine.tab.session.ask(orders.Activate())
+        await mine.tab.session.obtain()
         still = _Still(rig.aircraft)
 
         async def take(data: bytes) -> None:
             for tab in (mine.tab, other.tab):
                 for one in (data, data.decode("utf-8", "replace")):
                     json.dumps(tab.receive(one), allow_nan=False)
-            if not mine.tab.has_lease:
+            if not mine.tab.session.has_lease:
                 raise Spoiled
             # Numbers of messages rise: what was sent once would be passed over for ever.
             mine.tab._last_number = other.tab._last_number = -1

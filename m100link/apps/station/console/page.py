@@ -170,12 +170,13 @@ class Page:
 
     def _fleet(self) -> tuple[Ship, ...]:
         tab = self._tab
+        control = tab.kept | {tab.aircraft: tab.session}
         return tuple(
             Ship(
                 name,
                 agent.view,
                 is_shown=name == tab.aircraft,
-                is_ours=tab.has_lease if name == tab.aircraft else name in tab.kept,
+                is_ours=name in control and control[name].has_lease,
             )
             for name, agent in self._context.tabs.agents.items()
         )
@@ -189,7 +190,7 @@ class Page:
         return view_of(
             Inputs(
                 vehicle=agent.view,
-                has_lease=tab.has_lease,
+                has_lease=tab.session.has_lease,
                 refusal=tab.refusal,
                 plan=agent.plan,
                 events=tuple(agent.events),
@@ -198,8 +199,8 @@ class Page:
                 page_trip=tab.round_trip,
                 fleet=self._fleet(),
                 dropped=self._dropped() if self._shown == "data" else (),
-                lease_end=tab.lease_end,
-                loss=tab.loss,
+                lease_end=tab.session.lease_end,
+                loss=tab.session.loss,
                 wall=time.time(),
                 is_virtual=self._context.orders is not None,
             ),

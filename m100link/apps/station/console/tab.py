@@ -1,4 +1,4 @@
-"""One browser tab of the console: its lease, its beats, its name.
+"""One browser tab of the console: its control session, and its beats.
 
 A tab steers by *beats*: twenty a second while a key is held, with the numbers of the stick. A beat
 lasts :data:`BEAT_LIFETIME`; without the next one the aircraft stops, whatever the reason: key
@@ -18,8 +18,8 @@ from collections.abc import Awaitable, Callable
 from enum import StrEnum
 from typing import Any, TypeGuard
 
-from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.control_session import ControlSession, ControlState, Terms, ignore
 from m100link.apps.agent.latency import (
     MAX_LATE,
     MAX_ORDER_LATE,
@@ -28,21 +28,24 @@ from m100link.apps.agent.latency import (
     PAGE_GRAIN,
     ClockEstimate,
 )
-from m100link.apps.agent.lease import Lease, TakeOver
-from m100link.apps.agent.messages import Event, LeaseChanged, Topic
 from m100link.apps.agent.orders import setpoint_of
 from m100link.apps.station.config import ONLY_NAME
-from m100link.apps.station.console.kept import LeaseKeeper
-from m100link.errors import AuthorityLost, GuardRefused, LossReason, M100Error, NotObserved
+from m100link.errors import GuardRefused, M100Error, NotObserved
 from m100link.errors.texts import read_json
-from m100link.missions.plan import WaypointPlan
 
 BEAT_LIFETIME = 0.3  # seconds that a beat lasts
 
 SPENT_AFTER = 1.0
 """Seconds of the page without a beat after which it has let go of everything by itself."""
 
-_STOPPED, _OBTAINED = "STOP was pressed", "control was obtained meanwhile"
+TERMS = Terms(activates=False, who="this page", remedy="obtain control first")
+
+# What a hand that still holds something had no part in, by where control stands then.
+_HAS_TO_LET_GO = {
+    ControlState.OBTAINING: "control was obtained meanwhile",
+    ControlState.STOPPED: "STOP was pressed",
+    ControlState.SUSPENDED: "control was lost meanwhile",
+}
 
 MAX_BEAT = 2000
 _COMPLAINT_PAUSE = 1.0
@@ -51,43 +54,51 @@ _COMPLAINT_PAUSE = 1.0
 class Tab:
     """What one tab may do, and has."""
 
-    def __init__(self, agent: AgentClient, name: str, aircraft: str = ONLY_NAME) -> None:
+    def __init__(
+        self,
+        agent: AgentClient,
+        name: str,  # who looks at it, for people
+        aircraft: str = ONLY_NAME,
+        # Control of other aircraft and perhaps of this one, which came along from another page.
+        kept: dict[str, ControlSession] | None = None,
+    ) -> None:
         self._agent = self.agent = agent
         self.aircraft = aircraft
-        self.kept = LeaseKeeper()  # control of other aircraft, kept as long as this tab is heard
-        self.name = name  # as given; the operator may change it
+        self.kept = {} if kept is None else kept  # lasts as long as this tab is heard
         # Who looks at it, past a reload: see :mod:`~m100link.apps.station.console.kept`.
         self.person = ""
-        self.lease: Lease | None = None  # its lease, in force or not
         self.refusal: M100Error | None = None  # what was refused last; None for nothing
         self.beats = 0  # beats that were sent on
         self.refused = 0  # messages that could not be used
         self.dropped = 0  # pictures of telemetry that its page did not get because it is slow
-        # How the lease was lost, and to whom; None while the tab has it, gave it back or never had
-        # it.
-        self.lease_end: LeaseChanged | None = None
-        # Who or what took authority while the tab had the lease; None when it is held again.
-        self.loss: LossReason | None = None
         self._last_number = -1
         self._way = ClockEstimate(PAGE_GRAIN)
         self._press = Press()
         self._stopped_at = -math.inf
         self._complained_at = -math.inf
         self._stopping: asyncio.Task[Any] | None = None  # one at a time, however often it is said
-        # What a hand that still holds something had no part in, whoever it was: until it has let go
-        # it moves nothing. Empty when it may.
+        # Until it has let go, a hand moves nothing, whoever it was. Empty when it may.
         self._has_to_let_go = ""
         self._beat_at = -math.inf  # the last one, flown or refused, by the page's clock
         self._late_since: float | None = None  # the first late one since one was in time
         self._stop_press: object = None  # which press of STOP the task above answers
-        self._heard: list[tuple[list[Any], Callable[..., None]]] = [
-            (agent.on_steer_refused, self._steer_refused),
-            (agent.on_event, self._event),
-            (agent.on_lease, self._lease_changed),
-            (agent.on_authority_taken, self._authority_taken),
-        ]
-        for callbacks, callback in self._heard:
-            callbacks.append(callback)
+        self.session = self._have(self.kept.pop(aircraft, None), name)
+
+    def _have(self, session: ControlSession | None, name: str) -> ControlSession:
+        session = session or ControlSession(self._agent, name, TERMS)
+        session.name = name
+        session.on_change, session.on_refused = self._control_changed, self._refused
+        self._control_changed(session.state)
+        return session
+
+    def hand_on(self) -> dict[str, ControlSession]:
+        """Control that goes along to the page of another aircraft; this one has none any more."""
+        kept, self.kept = self.kept, {}
+        if (session := self.session).has_lease:
+            session.on_change = session.on_refused = ignore
+            kept[self.aircraft] = session
+            self.session = self._have(None, session.name)
+        return kept
 
     @property
     def has_spoken(self) -> bool:
@@ -98,16 +109,6 @@ class Tab:
     def round_trip(self) -> float | None:
         """Seconds to the page and back, None before it was measured."""
         return self._way.round_trip
-
-    @property
-    def problem(self) -> str:
-        """What was refused last, in English; empty for nothing."""
-        return "" if self.refusal is None else str(self.refusal)
-
-    @property
-    def has_lease(self) -> bool:
-        """Whether this tab may steer."""
-        return self._agent.holds(self.lease)
 
     # -- what the buttons do ---------------------------------------------------------------------
 
@@ -128,61 +129,6 @@ class Tab:
     def has_ended(self, error: M100Error, began: float) -> bool:
         """Whether an order of ``began``, on the agent's clock, ended by this tab's own STOP."""
         return isinstance(error, NotObserved) and self._stopped_at > began
-
-    async def activate(self) -> None:
-        """Activate the aircraft."""
-        await self._agent.ask(orders.Activate(), self.lease if self.has_lease else None)
-
-    async def obtain(self) -> None:
-        """Take the lease and control authority.
-
-        Raises ``LeaseHeld``: another client has the lease; see :meth:`ask_take_over`.
-        """
-        if not self.has_lease:
-            self.lease = await self._agent.acquire(self.name)
-        self.lease_end = None
-        self._has_to_let_go = self._has_to_let_go or _OBTAINED
-        try:
-            await self._agent.ask(orders.Obtain(), self.lease)
-        except M100Error:
-            self.let_go()
-            raise
-        self.loss = None
-
-    async def ask_take_over(self) -> TakeOver:
-        """First step of a take-over."""
-        return await self._agent.ask_take_over(self.name)
-
-    async def confirm_take_over(self, wanted: TakeOver) -> None:
-        """Second step: take the lease, and authority if the station does not hold it."""
-        self.lease = await self._agent.confirm(wanted.token)
-        self.lease_end = None
-        self._has_to_let_go = self._has_to_let_go or _OBTAINED
-        await self._agent.ask(orders.Obtain(), self.lease)
-        self.loss = None
-
-    async def release(self) -> None:
-        """Give authority and lease back."""
-        await self._agent.ask(orders.Release(), self.lease)
-        self.let_go()
-
-    def let_go(self) -> None:
-        """Give the lease back, if this tab has it; motion stops."""
-        lease, self.lease, self.loss = self.lease, None, None  # its end is no news to this tab
-        if lease is not None and self._agent.holds(lease):
-            self._agent.let_go(lease)
-
-    async def ask(self, order: orders.Order) -> None:
-        """Ask for something under the lease of this tab."""
-        await self._agent.ask(order, self.lease)
-
-    async def give_plan(self, plan: WaypointPlan) -> None:
-        """Give the agent a plan; the aircraft gets it with the start.
-
-        Raises ``LeaseRefused``: this tab has no control.
-        """
-        lease = self._agent.check(self.lease)
-        await self._agent.ask(orders.UploadPlan.of(plan), lease)
 
     async def stop(self, press: object = None) -> None:
         """Stop. Any tab may."""
@@ -216,7 +162,9 @@ class Tab:
         if late > MAX_ORDER_LATE:
             waited = f"was {late:.0f} s on its way" if late < math.inf else "has no time"
             # A page that is loaded anew when the network is back does not show the problem.
-            self._agent.note(f"{self.name}: a pressed button {waited}; nothing was done", "warning")
+            self._agent.note(
+                f"{self.session.name}: a pressed button {waited}; nothing was done", "warning"
+            )
             raise GuardRefused(
                 f"a pressed button {waited}; nothing was done",
                 guard="order_late",
@@ -246,25 +194,24 @@ class Tab:
             self.refused += 1  # an old message again
             return None
         self._last_number = number
-        now = self._agent.now
-        self.kept.renew(now)
-        at, held = message["at"] / 1000.0, message.get("held", math.inf) / 1000.0
+        now, session, at = self._agent.now, self.session, message["at"] / 1000.0
+        for kept in self.kept.values():
+            kept.heard()
         late = self._way.late(at, now)
+        held = message.get("held", math.inf) / 1000.0
         if "told" in message:
             self._way.heard(message["told"] + held, at, now)
-        if self.lease is not None and self.has_lease:
-            if message["op"] == "beat":
-                self._steer(self.lease, message, late, held)
-            else:
-                if message["op"] == "rest":
-                    self._press = Press()
-                    self._has_to_let_go, self._late_since = "", None
-                    self._agent.halt(lease=self.lease)
-                self._agent.keep(self.lease)
-        elif message["op"] == "beat":
-            self._beat_at = message["at"] / 1000.0
         if message["op"] == "beat":
-            answer["fate"] = self._press.fate(self._agent, now, has_lease=self.has_lease)
+            if has_lease := session.has_lease:
+                self._steer(message, at, late, held, now)
+            self._beat_at = at
+            answer["fate"] = self._press.fate(self._agent, now, has_lease=has_lease)
+        elif session.has_lease:
+            if message["op"] == "rest":
+                self._press = Press()
+                self._has_to_let_go, self._late_since = "", None
+                session.begin_anew()
+            session.heard()
         return answer | {"told": now}
 
     def _stop_now(self, press: object) -> None:
@@ -272,11 +219,25 @@ class Tab:
         self._stop_press, self._stopped_at = press, self._agent.now
         if self._stopping is None or self._stopping.done():
             self._stopping = self._agent.background.spawn(
-                self.attempt(self._agent.stop), f"stop of {self.name}"
+                self.attempt(self.session.stop), f"stop of {self.session.name}"
             )
 
-    def _check_way(self, late: float, held: float) -> None:
-        """Refuse what was decided too long ago, or by a picture that was old.
+    def _heard_beat(self, at: float) -> None:
+        """After a gap of the page's own a beat is a new press.
+
+        ``at``: when the beat was sent, s of the page's clock: beats that wait on their way leave a
+        gap here as well, with the key held all the time.
+        """
+        if at - self._beat_at > SPENT_AFTER:
+            if self.session.state is ControlState.STOPPED:
+                self.session.begin_anew()
+            self._has_to_let_go, self._late_since = "", None
+
+    def _check(self, at: float, late: float, held: float) -> None:
+        """Refuse what was decided too long ago, by an old picture, or by a hand that has to let go.
+
+        Who could not steer for a second has to let go of everything first: the aircraft stood
+        meanwhile, and perhaps nobody looks when the way is fast again.
 
         Raises ``GuardRefused``: it was.
         """
@@ -292,6 +253,9 @@ class Tab:
             ),
         ):
             if measured > limit:
+                self._late_since = at if self._late_since is None else self._late_since
+                if at - self._late_since > SPENT_AFTER:
+                    self._has_to_let_go = self._has_to_let_go or "the way was too slow"
                 raise GuardRefused(
                     f"{seen.format(measured)}; it was not flown",
                     guard=guard,
@@ -300,28 +264,7 @@ class Tab:
                     cause="the network between the browser and the station is slow or blocked",
                     remedy="wait, or let go and let the pilot fly",
                 )
-
-    def _event(self, event: Event) -> None:
-        if event.topic is Topic.STOPPED:
-            self._has_to_let_go = _STOPPED
-
-    def _heard_beat(self, lease: Lease, at: float) -> None:
-        """Note a beat; after a gap of the page's own it is a new press.
-
-        ``at``: when the beat was sent, s of the page's clock: beats that wait on their way leave a
-        gap here as well, with the key held all the time.
-        """
-        if at - self._beat_at > SPENT_AFTER:
-            if self._has_to_let_go == _STOPPED:
-                self._agent.halt(lease=lease)
-            self._has_to_let_go, self._late_since = "", None
-        self._beat_at = at
-
-    def _check_let_go(self) -> None:
-        """Refuse what is held since before a STOP, a loss of control, or a way that was too slow.
-
-        Raises ``GuardRefused``: it was not let go of since.
-        """
+        self._late_since = None
         if self._has_to_let_go:
             raise GuardRefused(
                 f"{self._has_to_let_go}, and something is still held; it was not flown",
@@ -331,76 +274,57 @@ class Tab:
                 remedy="let go of keys, sticks and shoulder buttons, then press again",
             )
 
-    def _check_in_time(self, at: float, late: float, held: float) -> None:
-        """Refuse what is old; who could not steer for a second has to let go of everything first.
-
-        The aircraft stood meanwhile, and perhaps nobody looks when the way is fast again.
-
-        Raises ``GuardRefused``: see :meth:`_check_way`.
-        """
+    def _steer(
+        self, message: dict[str, Any], at: float, late: float, held: float, now: float
+    ) -> None:
+        self.refusal = None
         try:
-            self._check_way(late, held)
-        except GuardRefused:
-            self._late_since = at if self._late_since is None else self._late_since
-            if at - self._late_since > SPENT_AFTER:
-                self._has_to_let_go = self._has_to_let_go or "the way was too slow"
-            raise
-        self._late_since = None
-
-    def _steer(self, lease: Lease, message: dict[str, Any], late: float, held: float) -> None:
-        self.refusal, at = None, message["at"] / 1000.0
-        try:
-            self._heard_beat(lease, at)
-            self._check_in_time(at, late, held)
-            self._check_let_go()
+            self._heard_beat(at)
+            self._check(at, late, held)
             setpoint = setpoint_of(
                 message["mode"], message["x"], message["y"], message["z"], message["w"]
             )
-        except M100Error as error:
-            self._agent.keep(lease)  # the operator is there
-            self._steer_refused(lease.number, error)
-        else:
+            self._press.passed(now)
+            self.session.steer(setpoint, BEAT_LIFETIME)
             self.beats += 1
-            self._press.passed(self._agent.now)
-            self._agent.steer(lease, setpoint, BEAT_LIFETIME)
+        except M100Error as error:
+            self.session.heard()  # the operator is there
+            self._refused(error)
 
-    def _steer_refused(self, fence: int, error: M100Error) -> None:
-        if self.lease is None or self.lease.number != fence:
-            return
+    def _refused(self, error: M100Error) -> None:
         self.refused += 1
         self.refusal = error
         now = self._agent.now
         self._press.refused(error, now)
         if now - self._complained_at >= _COMPLAINT_PAUSE:
             self._complained_at = now
-            self._agent.note(f"{self.name}: {error.seen}", "warning")
+            self._agent.note(f"{self.session.name}: {error.seen}", "warning")
 
-    # -- what others take ------------------------------------------------------------------------
-
-    def _lease_changed(self, message: LeaseChanged) -> None:
-        is_ours = self.lease is not None and message.number == self.lease.number
-        if self.lease is not None and not is_ours and self.lease_end is None:
-            self.lease_end, self.loss = message, None
-
-    def _authority_taken(self, error: AuthorityLost) -> None:
-        if self.has_lease:
-            self.loss = LossReason(error.reason)  # a text once it has been a message
-            self._has_to_let_go = "control was lost meanwhile"
+    def _control_changed(self, state: ControlState) -> None:
+        if why := _HAS_TO_LET_GO.get(state):
+            is_weaker = state is ControlState.OBTAINING and self._has_to_let_go
+            self._has_to_let_go = self._has_to_let_go if is_weaker else why
 
     # -- the end ---------------------------------------------------------------------------------
 
     def lost(self) -> None:
         """The socket is gone: stop, and let others have control."""
         self._way = ClockEstimate(PAGE_GRAIN)  # the next one may take another way
-        self.let_go()
-        self.kept.let_go()
+        self.session.let_go()
+        kept, self.kept = self.kept, {}
+        for session in kept.values():
+            session.close()
 
     def close(self) -> None:
         """The tab is gone for good."""
         self.lost()
-        while self._heard:
-            callbacks, callback = self._heard.pop()
-            callbacks.remove(callback)
+        self.session.close()
+
+
+_NUMBERS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("rest", "alive", "stop"), ("at",)),
+    "beat": ("at", "x", "y", "z", "w"),
+}
 
 
 def _read(text: str | bytes) -> dict[str, Any] | None:
@@ -411,22 +335,22 @@ def _read(text: str | bytes) -> dict[str, Any] | None:
         message = read_json(text)
     except ValueError:
         return None
-    if not isinstance(message, dict) or message.get("op") not in ("beat", "rest", "alive", "stop"):
+    op = message.get("op") if isinstance(message, dict) else None
+    if type(op) is not str or op not in _NUMBERS or type(message.get("n")) is not int:
         return None
-    numbers, integers = ["at"], ["n"]
-    if message["op"] == "beat":
-        numbers += ["x", "y", "z", "w"]
-        integers += ["mode"]
+    numbers = _NUMBERS[op]
     if "told" in message or "held" in message:  # both times of the station, or none
-        numbers += ["told", "held"]
-    are_numbers = all(_is_number(message.get(name)) for name in numbers)
-    return message if are_numbers and all(type(message.get(n)) is int for n in integers) else None
+        numbers += ("told", "held")
+    for name in numbers:
+        value = message.get(name)
+        # Neither a truth, nor NaN, nor what overflows when it is reckoned with.
+        if type(value) not in (int, float) or not -1e15 < value < 1e15:
+            return None
+    return message if op != "beat" or type(message.get("mode")) is int else None
 
 
 def _is_number(value: Any) -> TypeGuard[float]:
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        return False
-    return abs(value) < 1e15  # neither NaN nor what overflows when it is reckoned with
+    return type(value) in (int, float) and -1e15 < value < 1e15
 
 
 # -- the fate of the beats of a press --------------------------------------------------------------
@@ -458,6 +382,7 @@ _GUARDS = {
     "way_round_trip": Fate.SLOW,
     "setpoint_age": Fate.SLOW,
     "let_go": Fate.LET_GO,
+    "stopped": Fate.LET_GO,
 }
 
 

@@ -14,6 +14,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.kept import RENEWAL, LeaseKeeper, Looks
+from m100link.apps.agent.control_session import RENEWAL_S, ControlSession
+from m100link.apps.station.console.kept import Looks
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.view.fly import live, seen_from_afar
 from m100link.apps.station.web.limits import to_evict
@@ -50,8 +52,12 @@ class _Move:
     """An operator between the pages of two aircraft."""
 
     name: str  # who it is
-    kept: LeaseKeeper  # control that goes along
+    kept: dict[str, ControlSession]  # control that goes along, by the names of the aircraft
     tab: Tab | None = None  # the page of the other aircraft, once it was asked for
+
+    def sessions(self) -> list[ControlSession]:
+        """Control on its way."""
+        return [*self.kept.values(), *([] if self.tab is None else [self.tab.session])]
 
 
 class Tabs:
@@ -79,11 +85,8 @@ class Tabs:
             aircraft = next(iter(self.agents))
         self._count += 1
         key = secrets.token_urlsafe(16)
-        tab = Tab(self.agents[aircraft], f"console {self._count}", aircraft)
-        move = self._moves.pop(moved, None)
-        if move is not None:
-            tab.name, tab.kept, move.tab = move.name, move.kept, tab
-            tab.lease = tab.kept.take(aircraft)
+        move = self._moves.pop(moved, None) or _Move(f"console {self._count}", {})
+        tab = move.tab = Tab(self.agents[aircraft], move.name, aircraft, move.kept)
         self.tabs[key] = tab
         return key, tab
 
@@ -94,20 +97,17 @@ class Tabs:
         task that the aircraft flies by itself goes on. Control of this aircraft is kept, if there
         was any, and given back when the other page is not there within :data:`MOVE_PATIENCE`.
         """
-        kept, tab.kept = tab.kept, LeaseKeeper()
-        lease, agent = tab.lease, tab.agent
-        if lease is not None and agent.holds(lease):
+        agent, name = tab.agent, tab.session.name
+        if tab.session.has_lease:
             flies = agent.state.task or agent.state.mission not in ("", "no mission")
             if not flies:
-                agent.halt(f"{tab.name} turned to {to}")
+                agent.halt(f"{name} turned to {to}")
             agent.note(
-                f"{tab.name} turned to {to} and keeps control: "
+                f"{name} turned to {to} and keeps control: "
                 + ("what this aircraft flies by itself goes on" if flies else "it hovers")
             )
-            kept.add(tab.aircraft, agent, lease)
-            tab.lease = None
         code = secrets.token_urlsafe(16)
-        move = self._moves[code] = _Move(tab.name, kept)
+        move = self._moves[code] = _Move(name, tab.hand_on())
         self._agent.background.spawn(self._keep_until_heard(code, move), "move")
         return f"/?{urlencode({'aircraft': to, 'moved': code})}"
 
@@ -118,12 +118,12 @@ class Tabs:
         """
         until = self._agent.now + MOVE_PATIENCE
         while self._agent.now < until and not (move.tab is not None and move.tab.has_spoken):
-            move.kept.renew(self._agent.now)
-            if move.tab is not None and move.tab.lease is not None and move.tab.has_lease:
-                move.tab.agent.keep(move.tab.lease)
-            await asyncio.sleep(RENEWAL)
+            for session in move.sessions():
+                session.heard()
+            await asyncio.sleep(RENEWAL_S)
         if self._moves.pop(code, None) is not None:
-            move.kept.let_go()
+            for session in move.sessions():
+                session.close()
 
     def close(self, key: str) -> None:
         """A tab is gone for good."""
@@ -139,7 +139,8 @@ class Tabs:
         """Pictures that tabs did not get, by name; those of the same name together."""
         counts: dict[str, int] = {}
         for place in self._places.values():
-            counts[place.tab.name] = counts.get(place.tab.name, 0) + place.tab.dropped
+            name = place.tab.session.name
+            counts[name] = counts.get(name, 0) + place.tab.dropped
         return counts
 
     async def serve(self, websocket: WebSocket) -> None:
@@ -154,7 +155,7 @@ class Tabs:
         try:
             await websocket.accept()
             connection: WebSocketConnection = websocket.scope["state"]["connection"]
-            connection.is_steering = lambda: tab.has_lease
+            connection.is_steering = lambda: tab.session.has_lease
             await self._talk(websocket, place)
         except WebSocketDisconnect:
             pass
@@ -168,7 +169,7 @@ class Tabs:
 
         Whoever steers needs no place, and loses none.
         """
-        others = [one for one in self._places.values() if not one.tab.has_lease]
+        others = [one for one in self._places.values() if not one.tab.session.has_lease]
         if len(others) < PLACES:
             return True
         goes = to_evict(others, peer, self._agent.now)

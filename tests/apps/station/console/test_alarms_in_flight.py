@@ -47,6 +47,16 @@ class Operator:
                 has_lease=tab.has_lease,
                 lease_end=tab.lease_end,
                 loss=tab.loss,
+                now=front.now,
+                state=front.state,
+                holder=front.holder,
+                telemetry=front.telemetry,
+                is_silent=front.is_silent,
+                is_gone=front.is_gone,
+                has_lease=tab.session.has_lease,
+                lease_end=tab.session.lease_end,
+                loss=tab.session.loss,
+                heard_at=front.heard_at,
                 plan=front.plan,
                 events=tuple(front.events),
             )
@@ -68,7 +78,7 @@ class Operator:
         return {one.name: Speaker()(one.text) for one in shown if one.state is AlarmState.RAISED}
 
 
-def order(words: str) -> Callable[[Operator], Awaitable[None]]:
+def order(words: str) -> Callable[[Operator], Awaitable[object]]:
     async def give(operator: Operator) -> None:
         perform(operator.rig.aircraft, words)
 
@@ -77,19 +87,19 @@ def order(words: str) -> Callable[[Operator], Awaitable[None]]:
 
 async def somebody_takes_over(operator: Operator) -> None:
     other = Browser(operator.rig, "Anna").tab
-    await other.confirm_take_over(await other.ask_take_over())
+    await other.session.confirm(await other.session.ask_take_over())
 
 
 async def fly_up(operator: Operator) -> None:
     front, tab = operator.rig.front, operator.browser.tab
-    work = front.ask(ChangeHeight(47.0), tab.lease, lambda: None)
+    work = tab.session.ask(ChangeHeight(47.0), lambda: None)
     front.background.spawn(tab.attempt(lambda: work), "guided")
 
 
 async def fly_a_mission(operator: Operator) -> None:
     tab = operator.browser.tab
-    await tab.give_plan(plan_of(operator.rig))
-    await tab.ask(orders.StartMission())
+    await tab.session.ask(orders.UploadPlan.of(plan_of(operator.rig)))
+    await tab.session.ask(orders.StartMission())
     await operator.watch(lambda: operator.rig.front.state.mission_index >= 0)
 
 
@@ -102,7 +112,7 @@ async def the_position_jumps(operator: Operator) -> None:
     operator.rig.aircraft.vehicle.flight.dynamics.north += 1000.0
 
 
-CAUSES: dict[AlarmName, tuple[Callable[[Operator], Awaitable[None]], str]] = {
+CAUSES: dict[AlarmName, tuple[Callable[[Operator], Awaitable[object]], str]] = {
     N.LINK_LOST: (order("unplug"), "line to the aircraft is lost"),
     N.LANDS_ITSELF: (order("battery 9"), "lands by itself"),
     N.BATTERY_CRITICAL: (order("battery 10"), "Battery 10 %: the aircraft is about to land"),
@@ -163,10 +173,10 @@ async def test_a_mission_that_the_operator_ends_raises_no_alarm(rig: Rig, how: s
     operator = Operator(rig, await airborne(rig))
     tab = operator.browser.tab
     await fly_a_mission(operator)
-    ends: dict[str, Callable[[], Awaitable[None]]] = {
+    ends: dict[str, Callable[[], Awaitable[object]]] = {
         "stop": tab.stop,
-        "release": tab.release,
-        "mission_stop": lambda: tab.ask(orders.StopMission()),
+        "release": tab.session.give_back,
+        "mission_stop": lambda: tab.session.ask(orders.StopMission()),
     }
     await ends[how]()
     until = rig.front.now + 5.0

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
+import random
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
@@ -12,7 +14,10 @@ import anyio
 import pytest
 
 from m100link.apps.agent import orders
+from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.messages import Event, State
+from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.transports import memory_channels
 from m100link.apps.station.console import kept
 from m100link.apps.station.console.kept import COLUMNS, INTERVAL, KEPT_S, History, Looks
 from m100link.apps.station.console.tab import Tab
@@ -40,7 +45,7 @@ class Fleet:
         asked = {name: one[0] for name, one in parse_qs(urlsplit(address).query).items()}
         assert not address or asked["aircraft"] == aircraft
         _, tab = self.tabs.open(aircraft, asked.get("moved", ""))
-        page = Browser(self.rigs[aircraft], tab.name)
+        page = Browser(self.rigs[aircraft], tab.session.name)
         page.tab.close()
         page.tab = tab
         return page
@@ -49,10 +54,10 @@ class Fleet:
         """A page whose aircraft hovers above the ground."""
         page, rig = self.page(aircraft), self.rigs[aircraft]
         page.say("alive")
-        await page.tab.activate()
-        await page.tab.obtain()
+        await page.tab.session.ask(orders.Activate())
+        await page.tab.session.obtain()
         rig.front.background.spawn(keep_alive(page), "page")
-        await page.tab.ask(orders.TakeOff())
+        await page.tab.session.ask(orders.TakeOff())
         return page
 
 
@@ -82,8 +87,8 @@ async def test_beats_reach_the_aircraft_of_their_page_and_no_other(fleet: Fleet)
     await kite.hold(0.5, **NORTH)
     assert is_steered(fleet.rigs["kite"])
     assert not any(move.roll_or_x or move.pitch_or_y for move in fleet.rigs["crow"].moves[before:])
-    assert kite.tab.has_lease
-    assert crow.tab.has_lease
+    assert kite.tab.session.has_lease
+    assert crow.tab.session.has_lease
 
 
 async def test_who_turns_to_another_stops_the_first_and_keeps_control_of_both(
@@ -92,7 +97,7 @@ async def test_who_turns_to_another_stops_the_first_and_keeps_control_of_both(
     first = await fleet.flown("kite")
     rig = fleet.rigs["kite"]
     await first.hold(0.5, **NORTH)
-    lease = first.tab.lease
+    lease = first.tab.session.lease
     address = fleet.tabs.move(first.tab, "crow")
     await anyio.sleep(0.1)  # less than a beat lasts
     assert not is_steered(rig), "it flew on"
@@ -101,15 +106,15 @@ async def test_who_turns_to_another_stops_the_first_and_keeps_control_of_both(
     assert any("keeps control: it hovers" in event.text for event in rig.front.events)
     second = fleet.page("crow", address)
     fleet.tabs.close(next(key for key, tab in fleet.tabs.tabs.items() if tab is first.tab))
-    assert second.tab.name == first.tab.name
-    assert "kite" in second.tab.kept
+    assert second.tab.session.name == first.tab.session.name
+    assert second.tab.kept["kite"].has_lease
     for _ in range(20):
         second.say("alive")
         await anyio.sleep(0.5)
     assert rig.front.holds(lease)
     assert rig.agent.holding.has_authority
     third = fleet.page("kite", fleet.tabs.move(second.tab, "kite"))
-    assert third.tab.has_lease
+    assert third.tab.session.has_lease
     third.say("alive")
     await third.hold(0.3, **NORTH)
     assert is_steered(rig)
@@ -132,9 +137,9 @@ async def test_a_page_that_is_slow_to_load_does_not_lose_control(fleet: Fleet) -
     await anyio.sleep(MOVE_PATIENCE - 3.0)  # longer than a lease lasts
     second.say("alive")
     await anyio.sleep(1.0)
-    assert "kite" in second.tab.kept
+    assert second.tab.kept["kite"].has_lease
     await anyio.sleep(3.5)  # and from now on it counts whether it is heard
-    assert "kite" not in second.tab.kept
+    assert not second.tab.kept["kite"].has_lease
 
 
 async def test_a_page_that_is_lost_gives_back_everything_it_kept(fleet: Fleet) -> None:
@@ -142,7 +147,7 @@ async def test_a_page_that_is_lost_gives_back_everything_it_kept(fleet: Fleet) -
     second = fleet.page("crow", fleet.tabs.move(first.tab, "crow"))
     second.say("alive")
     await anyio.sleep(1.0)
-    assert "kite" in second.tab.kept
+    assert second.tab.kept["kite"].has_lease
     second.tab.lost()
     rig = fleet.rigs["kite"]
     await rig.until(lambda: not rig.agent.holding.has_authority, within=1.0)
@@ -161,7 +166,9 @@ async def test_a_page_that_hangs_gives_back_everything_it_kept(fleet: Fleet) -> 
 async def test_what_the_aircraft_flies_by_itself_goes_on(fleet: Fleet) -> None:
     first = await fleet.flown("kite")
     rig = fleet.rigs["kite"]
-    rig.front.background.spawn(first.tab.attempt(lambda: first.tab.ask(orders.Land())), "landing")
+    rig.front.background.spawn(
+        first.tab.attempt(lambda: first.tab.session.ask(orders.Land())), "landing"
+    )
     await rig.until(lambda: bool(rig.front.state.task))
     fleet.page("crow", fleet.tabs.move(first.tab, "crow"))
     assert any(event.text.endswith("flies by itself goes on") for event in await told(rig))
@@ -185,12 +192,12 @@ async def test_who_has_no_control_stops_nobody_by_looking_elsewhere(fleet: Fleet
 async def test_two_operators_have_an_aircraft_each(fleet: Fleet) -> None:
     one, other = await fleet.flown("kite"), await fleet.flown("crow")
     other_page = fleet.page("kite")
-    await other_page.tab.attempt(other_page.tab.obtain)
-    assert "has control" in other_page.tab.problem
+    await other_page.tab.attempt(other_page.tab.session.obtain)
+    assert "has control" in other_page.problem
     one.tab.lost()
     rigs = fleet.rigs
     await rigs["kite"].until(lambda: not rigs["kite"].agent.holding.has_authority)
-    assert other.tab.has_lease
+    assert other.tab.session.has_lease
     await other.hold(0.3, **NORTH)
     assert is_steered(rigs["crow"])
 
@@ -199,16 +206,16 @@ async def test_an_agent_that_dies_stays_shown_and_takes_nothing_of_the_other(fle
     first = await fleet.flown("kite")
     second = fleet.page("crow", fleet.tabs.move(first.tab, "crow"))
     second.say("alive")
-    await second.tab.activate()
-    await second.tab.obtain()
+    await second.tab.session.ask(orders.Activate())
+    await second.tab.session.obtain()
     fleet.rigs["crow"].front._closed("killed")
     second.say("beat", mode=1, x=-4.0, y=0, z=0, w=0)
-    assert not second.tab.has_lease
+    assert not second.tab.session.has_lease
     assert second.tab.aircraft == "crow"
     for _ in range(10):
         second.say("alive")
         await anyio.sleep(0.5)
-    assert "kite" in second.tab.kept
+    assert second.tab.kept["kite"].has_lease
     assert fleet.rigs["kite"].agent.holding.has_authority
 
 
@@ -220,7 +227,120 @@ async def test_a_name_that_there_is_not_and_a_code_that_was_used_are_nothing(fle
     assert "kite" not in again.kept
     _, tab = fleet.tabs.open("nobody", "guessed")
     assert tab.aircraft == "kite"
-    assert not tab.has_lease
+    assert not tab.session.has_lease
+
+
+async def test_control_that_comes_when_its_page_has_gone_is_given_back(fleet: Fleet) -> None:
+    """Whichever moment of the request it was, and whatever of it was still to come."""
+    rig = fleet.rigs["kite"]
+    await fleet.page("kite").tab.session.ask(orders.Activate())
+    for turns in range(12):
+        page = fleet.page("kite")
+        obtaining = [asyncio.create_task(page.tab.session.obtain()) for _ in range(2)]
+        for _ in range(turns):
+            await asyncio.sleep(0.0)
+        page.tab.close()
+        await asyncio.gather(*obtaining, return_exceptions=True)
+        await anyio.sleep(0.3)
+        assert rig.agent.desk.holder(rig.agent.now) is None, turns
+        assert not rig.agent.holding.has_authority, turns
+
+
+async def test_control_that_is_being_obtained_goes_along(fleet: Fleet) -> None:
+    first, rig = fleet.page("kite"), fleet.rigs["kite"]
+    await first.tab.session.ask(orders.Activate())
+    obtaining = asyncio.create_task(first.tab.session.obtain())
+    await rig.until(lambda: first.tab.session.has_lease)
+    second = fleet.page("crow", fleet.tabs.move(first.tab, "crow"))
+    await obtaining
+    assert second.tab.kept["kite"].has_control
+    assert not first.tab.session.has_lease
+    first.tab.close()  # which takes nothing from the other page
+    second.say("alive")
+    await anyio.sleep(0.1)
+    assert second.tab.kept["kite"].has_control
+
+
+class Hands:
+    """Two operators who press whatever there is, at any moment; agents die and come back."""
+
+    def __init__(self, fleet: Fleet, seed: int) -> None:
+        self.fleet, self.draw = fleet, random.Random(seed)
+        self.pages = [fleet.page("kite"), fleet.page("crow")]
+        self.asked: list[asyncio.Task[object]] = []
+
+    def _begin(self, page: Browser, work: Callable[[], Awaitable[object]]) -> None:
+        self.asked.append(asyncio.create_task(page.tab.attempt(work)))
+
+    async def step(self) -> None:
+        number = self.draw.randrange(2)
+        page, what = self.pages[number], self.draw.randrange(9)
+        session, tabs = page.tab.session, self.fleet.tabs
+        if what <= 1:
+            self._begin(page, session.obtain)
+        elif what == 2:
+            self._begin(page, self._taking_over(page))
+        elif what == 3:
+            self._begin(page, session.give_back)
+        elif what == 4:
+            page.tab.lost()
+        elif what == 5:
+            other = self.draw.choice(["kite", "crow"])
+            address = tabs.move(page.tab, other)
+            if self.draw.random() < 0.8:
+                self.pages[number] = self.fleet.page(other, address)
+            page.tab.close()
+        elif what == 6:
+            self.reopen(self.draw.choice(list(self.fleet.rigs.values())))
+        elif what == 7:
+            self._begin(page, page.tab.stop)
+        else:
+            page.say(self.draw.choice(["alive", "rest"]))
+        for _ in range(self.draw.randrange(6)):
+            await asyncio.sleep(self.draw.choice([0.0, 0.0, 0.0, 0.02]))
+
+    def _taking_over(self, page: Browser) -> Callable[[], Awaitable[object]]:
+        async def take_over() -> None:
+            await page.tab.session.confirm(await page.tab.session.ask_take_over())
+
+        return take_over
+
+    def reopen(self, rig: Rig) -> None:
+        rig.front._channel.close("killed")
+        rig.front._closed("killed")
+        ours, its = memory_channels(as_bytes=True)
+        Service(rig.agent).attach(its)
+        rig.front.reopen(ours)
+
+    def holders(self, name: str) -> list[ControlSession]:
+        """The sessions that have that aircraft."""
+        tabs = [page.tab for page in self.pages]
+        every = [tab.session for tab in tabs if tab.aircraft == name]
+        every += [tab.kept[name] for tab in tabs if name in tab.kept]
+        return [one for one in every if one.has_lease]
+
+
+@pytest.mark.parametrize("seed", range(3))
+async def test_in_whatever_order_an_aircraft_has_one_hand_and_in_the_end_none(
+    fleet: Fleet, seed: int
+) -> None:
+    rigs = fleet.rigs
+    for rig in rigs.values():
+        await rig.activated()
+    before = {name: len(rig.front.on_lease) for name, rig in rigs.items()}
+    hands = Hands(fleet, seed)
+    for step in range(60):
+        await hands.step()
+        for name in rigs:
+            assert len(hands.holders(name)) <= 1, (seed, step)
+    for page in hands.pages:
+        page.tab.close()
+    await asyncio.gather(*hands.asked)
+    await anyio.sleep(MOVE_PATIENCE + 1.0)
+    for name, rig in rigs.items():
+        assert rig.agent.desk.holder(rig.agent.now) is None, (seed, name)
+        assert not rig.agent.holding.has_authority, (seed, name)
+        assert len(rig.front.on_lease) == before[name], (seed, name)
 
 
 # -- whose word for the place holds after a reload -------------------------------------------------

@@ -5,8 +5,12 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import os
 import random
+import sys
 from collections.abc import Awaitable, Callable
+from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import anyio
@@ -15,6 +19,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import m100link
 from m100link.apps.agent import orders
 from m100link.apps.agent.latency import (
     MAX_ORDER_LATE,
@@ -23,10 +28,12 @@ from m100link.apps.agent.latency import (
     PAGE_GRAIN,
 )
 from m100link.apps.agent.lease import LeaseChange, LeaseHeld, LeaseRefused
+from m100link.apps.agent.latency import MAX_ORDER_LATE
+from m100link.apps.agent.lease import LeaseChange, LeaseHeld
 from m100link.apps.station.console.tab import BEAT_LIFETIME, Fate, Tab, _read
 from m100link.apps.station.console.view.fly import FIELDS, live, read
 from m100link.apps.station.console.view.texts import Speaker, tr
-from m100link.errors import GuardRefused, LossReason
+from m100link.errors import GuardRefused, LossReason, NoAuthority
 from m100link.protocol.records import Attitude, RcMode, Velocity
 from tests.apps.station.conftest import Rig
 from tests.known import seen
@@ -50,6 +57,11 @@ class Browser:
     def now(self) -> float:
         """What its clock shows, s."""
         return self.rig.agent.now + self.ahead
+
+    @property
+    def problem(self) -> str:
+        """What its operator reads."""
+        return str(self.tab.refusal or "")
 
     def message(self, op: str, **fields: Any) -> str:
         """What the page sends at this moment."""
@@ -79,9 +91,9 @@ class Browser:
 
 async def airborne(rig: Rig) -> Browser:
     browser = Browser(rig)
-    await browser.tab.activate()
-    await browser.tab.obtain()
-    await keep_alive(browser, browser.tab.ask(orders.TakeOff()))
+    await browser.tab.session.ask(orders.Activate())
+    await browser.tab.session.obtain()
+    await keep_alive(browser, browser.tab.session.ask(orders.TakeOff()))
     return browser
 
 
@@ -104,9 +116,9 @@ async def test_a_whole_flight(rig: Rig) -> None:
     await browser.hold(2.0, x=-4)
     browser.say("rest")
     assert rig.aircraft.position[0] > 0.5
-    assert browser.tab.problem == ""
-    await keep_alive(browser, browser.tab.ask(orders.Land()))
-    await browser.tab.release()
+    assert browser.problem == ""
+    await keep_alive(browser, browser.tab.session.ask(orders.Land()))
+    await browser.tab.session.give_back()
     assert rig.aircraft.height == pytest.approx(0, abs=0.05)
     assert not rig.agent.holding.has_authority
 
@@ -121,7 +133,7 @@ async def test_keys_that_were_long_on_their_way_move_nothing(rig: Rig) -> None:
     for text in waiting:  # all at once, as after a stall of the network
         browser.tab.receive(text)
     await keep_alive(browser, anyio.sleep(1.0))
-    assert "late on its way" in browser.tab.problem
+    assert "late on its way" in browser.problem
     assert browser.tab.refused == 20
     assert rig.aircraft.position == pytest.approx(place, abs=0.3)
 
@@ -173,7 +185,7 @@ async def test_nobody_steers_through_a_slow_network(rig: Rig, each_way: float, f
     browser = await airborne(rig)
     north = rig.aircraft.position[0]
     browser.tab.lost()  # another way
-    await browser.tab.obtain()
+    await browser.tab.session.obtain()
 
     async def answer(reply: dict[str, Any]) -> None:
         await anyio.sleep(each_way)
@@ -194,7 +206,7 @@ async def test_nobody_steers_through_a_slow_network(rig: Rig, each_way: float, f
             await anyio.sleep(0.05)
     assert browser.tab.beats == (20 if flies else 0)
     assert (rig.aircraft.position[0] - north > 0.05) is flies
-    assert ("to the page and back it takes" in browser.tab.problem) is not flies
+    assert ("to the page and back it takes" in browser.problem) is not flies
 
 
 async def test_a_beat_is_on_the_line_at_once(rig: Rig) -> None:
@@ -235,8 +247,8 @@ async def test_a_tab_that_is_silent_loses_its_lease(rig: Rig) -> None:
     browser = await airborne(rig)
     browser.say("alive")
     await anyio.sleep(2.9)
-    assert rig.agent.desk.holder(rig.agent.now) == browser.tab.lease
-    await rig.until(lambda: not browser.tab.has_lease, within=0.3)
+    assert rig.agent.desk.holder(rig.agent.now) == browser.tab.session.lease
+    await rig.until(lambda: not browser.tab.session.has_lease, within=0.3)
     await rig.until(lambda: not rig.agent.holding.has_authority, within=1.0)
     browser.beat(x=-4)
     await anyio.sleep(0.1)
@@ -262,11 +274,11 @@ async def test_a_tab_without_the_lease_moves_nothing(rig: Rig) -> None:
     told = {"op": "echo", "at": 1000 * now, "fate": "no_control", "told": now}
     assert other.beat(x=-4) == told
     with pytest.raises(LeaseHeld):
-        await other.tab.obtain()
-    with pytest.raises(LeaseRefused):
-        await other.tab.ask(orders.Land())
-    with pytest.raises(LeaseRefused):
-        await other.tab.release()
+        await other.tab.session.obtain()
+    with pytest.raises(NoAuthority, match="this page has no control: tab has control"):
+        await other.tab.session.ask(orders.Land())
+    await other.tab.session.give_back()  # what it does not have
+    assert rig.agent.holding.has_authority
     await anyio.sleep(0.2)
     assert rig.moves == []
 
@@ -275,9 +287,9 @@ async def test_a_take_over_stops_the_motion_and_keeps_authority(rig: Rig) -> Non
     browser = await airborne(rig)
     other = Browser(rig, "other")
     await browser.hold(0.5, x=-4)
-    wanted = await other.tab.ask_take_over()
+    wanted = await other.tab.session.ask_take_over()
     assert wanted.from_name == "tab"
-    await other.tab.confirm_take_over(wanted)
+    await other.tab.session.confirm(wanted)
     browser.beat(x=-4)
     await anyio.sleep(0.03)
     assert rig.moves[-1].pitch_or_y == 0
@@ -289,22 +301,22 @@ async def test_a_take_over_stops_the_motion_and_keeps_authority(rig: Rig) -> Non
 
 async def test_who_lost_the_lease_knows_to_whom(rig: Rig) -> None:
     browser, other = await airborne(rig), Browser(rig, "Anna")
-    await other.tab.confirm_take_over(await other.tab.ask_take_over())
-    end = browser.tab.lease_end
+    await other.tab.session.confirm(await other.tab.session.ask_take_over())
+    end = browser.tab.session.lease_end
     assert end is not None
     assert (end.name, end.why) == ("Anna", LeaseChange.TAKEN_OVER)
-    assert other.tab.lease_end is None
-    await browser.tab.confirm_take_over(await browser.tab.ask_take_over())
-    assert browser.tab.lease_end is None
-    await browser.tab.release()
+    assert other.tab.session.lease_end is None
+    await browser.tab.session.confirm(await browser.tab.session.ask_take_over())
+    assert browser.tab.session.lease_end is None
+    await browser.tab.session.give_back()
     await anyio.sleep(0.1)
-    assert browser.tab.lease_end is None  # it was given back
+    assert browser.tab.session.lease_end is None  # it was given back
 
 
 async def test_a_lease_that_expired_was_taken_by_nobody(rig: Rig) -> None:
     browser = await airborne(rig)
-    await rig.until(lambda: not browser.tab.has_lease, within=4.0)
-    end = browser.tab.lease_end
+    await rig.until(lambda: not browser.tab.session.has_lease, within=4.0)
+    end = browser.tab.session.lease_end
     assert end is not None
     assert (end.name, end.why) == ("", LeaseChange.EXPIRED)
 
@@ -312,12 +324,12 @@ async def test_a_lease_that_expired_was_taken_by_nobody(rig: Rig) -> None:
 async def test_who_took_authority_is_known_until_it_is_held_again(rig: Rig) -> None:
     browser = await airborne(rig)
     rig.aircraft.set_rc_mode(RcMode.P)
-    await keep_alive(browser, rig.until(lambda: browser.tab.loss is not None, within=2.0))
-    assert browser.tab.loss is LossReason.MODE_SWITCH
+    await keep_alive(browser, rig.until(lambda: browser.tab.session.loss is not None, within=2.0))
+    assert browser.tab.session.loss is LossReason.MODE_SWITCH
     rig.aircraft.set_rc_mode(RcMode.F)
     await keep_alive(browser, rig.until(lambda: rig.front.has_authority, within=2.0))
-    await browser.tab.obtain()
-    assert browser.tab.loss is None
+    await browser.tab.session.obtain()
+    assert browser.tab.session.loss is None
 
 
 async def test_a_tab_that_was_closed_hears_nothing_more(rig: Rig) -> None:
@@ -335,28 +347,28 @@ async def test_a_tab_that_was_closed_hears_nothing_more(rig: Rig) -> None:
 
 async def test_stop_ends_a_task_by_giving_authority_back(rig: Rig) -> None:
     browser = Browser(rig)
-    await browser.tab.activate()
-    await browser.tab.obtain()
+    await browser.tab.session.ask(orders.Activate())
+    await browser.tab.session.obtain()
     async with anyio.create_task_group() as group:
-        group.start_soon(browser.tab.attempt, lambda: browser.tab.ask(orders.TakeOff()))
+        group.start_soon(browser.tab.attempt, lambda: browser.tab.session.ask(orders.TakeOff()))
         await anyio.sleep(2.0)
         await Browser(rig, "anybody").tab.stop()
-    assert "control ended" in browser.tab.problem
+    assert "control ended" in browser.problem
     assert not rig.agent.holding.has_authority
 
 
 async def test_problems_are_kept_for_the_operator(rig: Rig) -> None:
     browser = Browser(rig)
-    assert not await browser.tab.attempt(browser.tab.obtain)
-    assert "activate first" in browser.tab.problem
-    assert not browser.tab.has_lease
-    await browser.tab.attempt(browser.tab.activate)
-    assert browser.tab.problem == ""
-    assert await browser.tab.attempt(browser.tab.obtain)
-    assert not await browser.tab.attempt(lambda: browser.tab.ask(orders.FlyPattern(3)))
-    assert "random commands" in browser.tab.problem
+    assert not await browser.tab.attempt(browser.tab.session.obtain)
+    assert "activate first" in browser.problem
+    assert not browser.tab.session.has_lease
+    await browser.tab.attempt(lambda: browser.tab.session.ask(orders.Activate()))
+    assert browser.problem == ""
+    assert await browser.tab.attempt(browser.tab.session.obtain)
+    assert not await browser.tab.attempt(lambda: browser.tab.session.ask(orders.FlyPattern(3)))
+    assert "random commands" in browser.problem
     browser.beat(x=-31)
-    assert "outside" in browser.tab.problem
+    assert "outside" in browser.problem
 
 
 _VALUES = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3)
@@ -426,11 +438,11 @@ async def test_who_holds_something_while_somebody_presses_stop_has_to_let_go(rig
     other.say("stop")
     await flying.hold(2.5, x=-8)  # the key stays pressed
     assert speed(rig) < 0.2
-    assert "STOP was pressed" in flying.tab.problem
+    assert "STOP was pressed" in flying.problem
     flying.say("rest")
     await flying.hold(1.0, x=-8)
     assert speed(rig) > 0.3
-    assert flying.tab.problem == ""
+    assert flying.problem == ""
 
 
 async def pilot_flies_a_while(flying: Browser) -> None:
@@ -459,7 +471,7 @@ async def the_cable_is_out_a_while(flying: Browser) -> None:
     while not rig.front.is_connected:
         await flying.hold(0.1, x=-8)
     await flying.hold(0.5, x=-8)
-    obtaining = asyncio.create_task(flying.tab.obtain())
+    obtaining = asyncio.create_task(flying.tab.session.obtain())
     while not obtaining.done():
         await flying.hold(0.1, x=-8)
     await obtaining
@@ -483,25 +495,25 @@ async def test_what_is_held_while_nobody_could_steer_moves_nothing_when_somebody
     await flying.hold(3.0, x=-8)
     assert rig.agent.holding.has_authority
     assert speed(rig) < 0.2
-    assert f"{why}, and something is still held" in flying.tab.problem
+    assert f"{why}, and something is still held" in flying.problem
     flying.say("rest")
     await flying.hold(1.0, x=-8)
     assert speed(rig) > 0.3
-    assert flying.tab.problem == ""
+    assert flying.problem == ""
 
 
 async def test_what_is_held_as_control_is_obtained_moves_nothing(rig: Rig) -> None:
     first = await airborne(rig)
-    await first.tab.release()
+    await first.tab.session.give_back()
     browser = Browser(rig)
     await browser.hold(1.0, x=-8)  # one hand on the stick, the other on the button
-    obtaining = asyncio.create_task(browser.tab.obtain())
+    obtaining = asyncio.create_task(browser.tab.session.obtain())
     while not obtaining.done():
         await browser.hold(0.1, x=-8)
     await browser.hold(2.0, x=-8)
-    assert browser.tab.has_lease
+    assert browser.tab.session.has_lease
     assert speed(rig) < 0.2
-    assert "control was obtained meanwhile" in browser.tab.problem
+    assert "control was obtained meanwhile" in browser.problem
     await keep_alive(browser, anyio.sleep(1.5))  # let go, and that was not heard
     await browser.hold(1.0, x=-8)
     assert speed(rig) > 0.3
@@ -513,13 +525,13 @@ async def test_one_beat_that_is_late_asks_for_no_new_press(rig: Rig) -> None:
     late = flying.message("beat", mode=1, x=-8, y=0, z=0, w=0)
     await anyio.sleep(0.6)
     flying.hear(flying.tab.receive(late))
-    assert "late on its way" in flying.tab.problem
+    assert "late on its way" in flying.problem
     await keep_alive(flying, anyio.sleep(3.0))  # let go, and that was not heard
     late = flying.message("beat", mode=1, x=-8, y=0, z=0, w=0)
     await anyio.sleep(0.6)
     flying.hear(flying.tab.receive(late))  # the first of another press, and late again
     await flying.hold(1.0, x=-8)
-    assert flying.tab.problem == ""
+    assert flying.problem == ""
     assert speed(rig) > 0.3
 
 
@@ -572,7 +584,7 @@ async def test_beats_that_were_held_up_after_stop_do_not_count_as_let_go(rig: Ri
     for message in sent:
         flying.hear(flying.tab.receive(message))
     await flying.hold(0.5, x=-1)
-    assert "STOP was pressed" in flying.tab.problem
+    assert "STOP was pressed" in flying.problem
     before = len(rig.moves)
     await flying.hold(0.5, x=-1)
     assert not any(move.pitch_or_y for move in rig.moves[before:])
@@ -629,11 +641,11 @@ async def test_what_ones_own_stop_ended_is_no_problem(rig: Rig, whose: str) -> N
     async with anyio.create_task_group() as group:
         group.start_soon(stop)
         group.start_soon(keep_alive, browser, anyio.sleep(3.0))
-        assert not await tab.attempt(lambda: tab.ask(orders.Land()))
-    assert (tab.problem == "") is (whose == "own")
+        assert not await tab.attempt(lambda: tab.session.ask(orders.Land()))
+    assert (browser.problem == "") is (whose == "own")
     # What goes wrong afterwards is one.
-    assert not await tab.attempt(lambda: tab.ask(orders.FlyPattern(99)))
-    assert tab.problem
+    assert not await tab.attempt(lambda: tab.session.ask(orders.FlyPattern(99)))
+    assert browser.problem
 
 
 # -- the page is told what became of a press -------------------------------------------------------
@@ -664,8 +676,8 @@ async def test_sent_becomes_flown_once_the_agent_has_taken_it(rig: Rig) -> None:
 async def test_nobody_in_control_flies_nothing_by_its_pad(rig: Rig) -> None:
     browser = Browser(rig)
     assert set(await hold(browser, 0.5, x=-4)) == {Fate.NO_CONTROL}
-    await browser.tab.activate()
-    await browser.tab.obtain()
+    await browser.tab.session.ask(orders.Activate())
+    await browser.tab.session.obtain()
     browser.say("rest")
     # It has control, and stands with its motors off.
     assert set(await hold(browser, 0.5, x=-4)) == {Fate.ON_GROUND}
@@ -726,7 +738,7 @@ async def test_flown_is_told_only_while_the_tab_flies(rig: Rig, seed: int) -> No
         tab.lost()
 
     async def obtain() -> None:
-        await tab.attempt(tab.obtain)
+        await tab.attempt(tab.session.obtain)
 
     events: list[Any] = [stop, nothing, rest, leave_f, return_to_f, lose, obtain]
     flown = 0
@@ -736,8 +748,39 @@ async def test_flown_is_told_only_while_the_tab_flies(rig: Rig, seed: int) -> No
         fates = await hold(browser, 0.3, x=-1)  # for so long what was true may be told on
         flown += fates.count(Fate.FLOWN)
         if fates and fates[-1] == Fate.FLOWN:
-            assert tab.has_lease
-            assert tab.problem == ""
+            assert tab.session.has_lease
+            assert browser.problem == ""
             assert rig.agent.holding.has_authority
             assert rig.aircraft.height > 0.3
     assert flown
+
+
+async def test_a_key_is_on_the_line_after_few_calls(rig: Rig) -> None:
+    """From the message of the page to the frame: calls in m100link, outside the aircraft."""
+    browser = await airborne(rig)
+    await browser.hold(0.5, x=-4)
+    browser.say("rest")
+    await anyio.sleep(0.5)
+    browser.say("alive")
+    text = browser.message("beat", mode=1, x=-4, y=0, z=0, w=0)
+    called: list[str] = []
+    ours = str(Path(m100link.__file__).parent)
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        name = frame.f_code.co_filename
+        is_ours = name.startswith(ours) and f"{os.sep}sim{os.sep}" not in name
+        if event == "call" and (is_ours or name == "<string>"):
+            called.append(frame.f_code.co_name)
+
+    sys.setprofile(note)
+    try:
+        answer = browser.tab.receive(text)
+    finally:
+        sys.setprofile(None)
+    assert answer is not None
+    assert answer["fate"] == Fate.SENT
+    count = len(rig.moves)
+    await anyio.lowlevel.checkpoint()
+    await anyio.lowlevel.checkpoint()
+    assert len(rig.moves) == count + 1
+    assert len(called) <= 160, " ".join(called)

@@ -16,6 +16,7 @@ import pytest
 pytest.importorskip("starlette")
 from starlette.websockets import WebSocket
 
+from m100link.apps.agent import orders
 from m100link.apps.station.console import tabs as module
 from m100link.apps.station.console.tabs import Tabs
 from tests.apps.station.conftest import Rig
@@ -90,7 +91,7 @@ async def test_what_a_slow_page_does_not_get_is_counted_for_its_tab(rig: Rig) ->
     fast, slow = Page(rig, tabs), Page(rig, tabs)
     assert fast.tab is not None
     assert slow.tab is not None
-    fast.tab.name, slow.tab.name = "fast", "slow"
+    fast.tab.session.name, slow.tab.session.name = "fast", "slow"
     await anyio.sleep(0.1)
     assert tabs.dropped() == {"fast": 0, "slow": 0}
     slow.takes = 20.5 * module.LIVE_INTERVAL
@@ -145,8 +146,8 @@ async def test_whoever_steers_needs_no_place_and_loses_none(rig: Rig, places: in
     await anyio.sleep(0.1)
     pilot = pages[0]
     assert pilot.tab is not None
-    await pilot.tab.activate()
-    await pilot.tab.obtain()
+    await pilot.tab.session.ask(orders.Activate())
+    await pilot.tab.session.obtain()
     pilot.say()
     for _ in range(2):
         await anyio.sleep(0.6)
@@ -154,7 +155,7 @@ async def test_whoever_steers_needs_no_place_and_loses_none(rig: Rig, places: in
     newcomers = [Page(rig, tabs, peer="10.0.0.2") for _ in range(places)]
     await anyio.sleep(0.1)
     assert pilot.is_open
-    assert pilot.tab.has_lease
+    assert pilot.tab.session.has_lease
     assert all(page.is_open for page in newcomers)
     assert [page.is_open for page in pages] == [True, False, False]
 

@@ -12,7 +12,7 @@ from nicegui import events, ui
 from nicegui.events import GenericEventArguments
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.orders import TakeOff
+from m100link.apps.agent.orders import Activate, TakeOff
 from m100link.apps.station.console.kept import History
 from m100link.apps.station.console.orders import Orders
 from m100link.apps.station.console.tab import Tab
@@ -189,7 +189,8 @@ class Buttons:
                 await (work(said.get("press")) if name == "stop" else work())
 
             # The page goes on while the aircraft flies.
-            self._agent.background.spawn(self._tab.attempt(order), f"{name} of {self._tab.name}")
+            whose = f"{name} of {self._tab.session.name}"
+            self._agent.background.spawn(self._tab.attempt(order), whose)
             await asyncio.sleep(0)
 
         # A tap with a second finger makes no click: STOP is told by what the page makes of it.
@@ -355,6 +356,10 @@ class PageContext:
     history: History  # the last minutes of every number
     tabs: Tabs  # who looks at this and at other aircraft
 
+    async def activate(self) -> None:
+        """Activate the aircraft. Raises ``M100Error``: what the agent tells."""
+        await self.tab.session.ask(Activate())
+
     async def take_off(self) -> None:
         """Take off, if the checklist offers it; why it is not green goes into the events.
 
@@ -373,12 +378,12 @@ class PageContext:
             )
             said = tr(
                 "checklist.event.although",
-                name=self.tab.name,
+                name=self.tab.session.name,
                 missing=missing,
                 reason=checklist.reason,
             )
             self.agent.note(english(said), "warning")
-        await self.tab.ask(TakeOff())
+        await self.tab.session.ask(TakeOff())
 
     def here(self) -> tuple[float, float] | None:
         """Where the aircraft is: latitude and longitude, °; None when nobody knows."""

@@ -138,7 +138,7 @@ class TakeOverDialog:
     async def obtain(self) -> None:
         """Obtain control; if somebody has it, ask with the next update."""
         try:
-            await self._tab.obtain()
+            await self._tab.session.obtain()
         except LeaseHeld:
             self._is_wanted = True
 
@@ -150,7 +150,7 @@ class TakeOverDialog:
 
     async def _ask(self) -> None:
         try:
-            wanted = await self._tab.ask_take_over()
+            wanted = await self._tab.session.ask_take_over()
         except M100Error:
             return  # it is free by now
         with ui.dialog() as dialog, ui.card():
@@ -165,7 +165,7 @@ class TakeOverDialog:
 
                     async def order() -> None:
                         self._tab.check_order(said.get("at"))
-                        await self._tab.confirm_take_over(wanted)
+                        await self._tab.session.confirm(wanted)
 
                     await self._tab.attempt(order)
 
@@ -217,7 +217,7 @@ class ChecklistPart:
             wording.put(lambda text: self._why.props(f'hint="{text}"'), "checklist.why.note")
             with ui.element("div").classes("acts"):
                 add = page.buttons.add
-                add("activate", "actions.activate", page.tab.activate, kind="plain")
+                add("activate", "actions.activate", page.activate, kind="plain")
                 add("obtain", "actions.obtain", self._take_over.obtain, kind="plain")
                 add("take_off", "actions.take_off", page.take_off)
 
@@ -287,17 +287,17 @@ class ActionsPart:
         self._take_over = TakeOverDialog(page.tab, page.wording)
         tab, add = page.tab, page.buttons.add
         with ui.element("div").classes("acts"):
-            add("activate", "actions.activate", tab.activate, kind="plain")
+            add("activate", "actions.activate", page.activate, kind="plain")
             add("obtain", "actions.obtain", self._take_over.obtain)
-            add("release", "actions.release", tab.release, kind="plain")
+            add("release", "actions.release", lambda: tab.session.give_back(), kind="plain")
             add("take_off", "actions.take_off", page.take_off)
-            add("land", "actions.land", lambda: tab.ask(Land()))
-            add("go_home", "actions.go_home", lambda: tab.ask(GoHome()))
+            add("land", "actions.land", lambda: tab.session.ask(Land()))
+            add("go_home", "actions.go_home", lambda: tab.session.ask(GoHome()))
         with ui.element("div").classes("acts simple"):
             add(
                 "simple_task",
                 "actions.simple_task",
-                lambda: tab.ask(FlyPattern(int(self._number.value))),
+                lambda: tab.session.ask(FlyPattern(int(self._number.value))),
             )
             self._number = ui.select(list(_SIMPLE), value=0).classes("task-number")
             self._number.props("dense outlined id=task-number")

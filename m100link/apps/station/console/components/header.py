@@ -123,7 +123,7 @@ class AlarmsPart:
         if text is not None:
             # For whoever reads the station's log later; in English, as everything there.
             english = type(self._page.wording.settings)().speaker
-            self._page.agent.note(f"{self._page.tab.name} acknowledged: {english(text)}")
+            self._page.agent.note(f"{self._page.tab.session.name} acknowledged: {english(text)}")
 
     def update(self, view: View) -> None:
         """Show what is."""
@@ -221,7 +221,7 @@ class ReplayPart:
         async def order() -> None:
             await agent.ask(OrderReplay(text))
 
-        agent.background.spawn(tab.attempt(order), f"{text} of {tab.name}")
+        agent.background.spawn(tab.attempt(order), f"{text} of {tab.session.name}")
 
     def _held(self, event: events.GenericEventArguments) -> None:
         self._is_held = event.args == "start"
@@ -311,7 +311,7 @@ class _ShipRow:
     def _stop(self, event: GenericEventArguments) -> None:
         answer(event)
         agent, tab = self._page.tabs.agents[self._name], self._page.tab
-        agent.background.spawn(tab.attempt(agent.stop), f"stop of {tab.name}")
+        agent.background.spawn(tab.attempt(agent.stop), f"stop of {tab.session.name}")
 
     def show(self, row: FleetRow) -> None:
         """Show what has changed."""

@@ -232,7 +232,7 @@ class ClickPart:
         name, value = found.get("name"), found.get("value")
         if not isinstance(name, str) or name not in _DRAGGED:
             return
-        if _is_number(value) and self._is_open and self._page.tab.has_lease:
+        if _is_number(value) and self._is_open and self._page.tab.session.has_lease:
             self._pointed = self._pointed.changed(name, round(value, _DRAGGED[name]))
             self._problem = None
             self._numbers[name].set(getattr(self._pointed, name))
@@ -272,7 +272,7 @@ class ClickPart:
         mine, self._problem = self._orders, None
         began = self._page.agent.now
         try:
-            await self._page.agent.ask(order, tab.lease, self._begun)
+            await tab.session.ask(order, self._begun)
         except M100Error as error:
             if mine == self._orders and not tab.has_ended(error, began):
                 self._problem = error
@@ -287,7 +287,7 @@ class ClickPart:
 
     async def _hover(self) -> None:
         self._orders += 1  # an end that was asked for is not a problem
-        self._page.agent.halt(f"{self._page.tab.name}: hover")
+        self._page.agent.halt(f"{self._page.tab.session.name}: hover")
 
     # -- what is shown ---------------------------------------------------------------------------
 
@@ -295,7 +295,7 @@ class ClickPart:
         """Show what is."""
         agent = self._page.agent
         order = self._pointed.order if self._is_open else None
-        has_control = self._page.tab.has_lease and agent.has_authority
+        has_control = self._page.tab.session.has_control
         foreseen = None
         if order is not None:
             foreseen = preview(order, agent.telemetry, agent.state.limits)

@@ -118,7 +118,7 @@ class PlanPart:
                 self._tool("export_json", lambda: self._save("json"))
 
     def _build_mission(self) -> None:
-        tab, add = self._page.tab, self._page.buttons.add
+        add = self._page.buttons.add
         with self._page.wording.card("plan.mission"):
             self._uploaded = ui.label().props("id=plan-uploaded")
             self._plan = ui.label().props("id=plan")
@@ -130,7 +130,7 @@ class PlanPart:
                     ("resume", orders.ResumeMission()),
                     ("stop", orders.StopMission()),
                 ):
-                    work = partial(tab.ask, order)
+                    work = partial(self._order, order)
                     add(f"mission_{name}", f"plan.{name}", work)
             self._progress = ui.linear_progress(0.0, show_value=False)
             self._progress.props("id=mission-progress")
@@ -252,7 +252,10 @@ class PlanPart:
         ui.download.content(text, f"m100link.{kind}", "application/json")
 
     async def _upload(self) -> None:
-        await self._page.tab.give_plan(self._draft.plan())
+        await self._order(orders.UploadPlan.of(self._draft.plan()))
+
+    async def _order(self, order: orders.Order) -> None:
+        await self._page.tab.session.ask(order)
 
     # -- what is shown ---------------------------------------------------------------------------
 

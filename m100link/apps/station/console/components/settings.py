@@ -56,7 +56,7 @@ async def load_settings(page: PageContext) -> None:
 def apply_settings(page: PageContext, settings: Settings) -> None:
     """Let the page look and speak as it was chosen."""
     if settings.name:
-        page.tab.name = settings.name
+        page.tab.session.name = settings.name
     page.dark.set_value({Theme.AUTO: None, Theme.DARK: True}.get(settings.theme, False))
     told = json.dumps(for_browser(settings.speaker))
     ui.run_javascript(
@@ -73,8 +73,8 @@ class SettingsPart:
         self._page = page
         wording = self._page.wording
         with wording.card("settings.title"):
-            name = ui.input(value=self._page.tab.name).props("for=name outlined maxlength=64")
-            name.classes("w-60")
+            name = ui.input(value=self._page.tab.session.name)
+            name.props("for=name outlined maxlength=64").classes("w-60")
             name.on_value_change(lambda event: self._rename(str(event.value)))
             wording.put(attribute(name, "label"), "settings.name")
             for field, kind in _CHOICES:
@@ -103,7 +103,7 @@ class SettingsPart:
             wording.options(choice, {one: f"settings.{field}.{one}" for one in values})
 
     def _rename(self, name: str) -> None:
-        self._page.tab.name = name[:64]
+        self._page.tab.session.name = name[:64]
         self._choose(name=name[:64])
 
     def _chooser(self, field: str, kind: Callable[[Any], Any]) -> Callable[[Any], None]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 from dataclasses import replace
+from functools import partial
 from itertools import combinations, product
 from typing import Any
 
@@ -76,9 +77,10 @@ async def test_a_plan_from_a_file_is_flown(newer: Rig, as_qgroundcontrol: bool) 
     plan = plan_of(newer)
     text = plan.to_qgroundcontrol() if as_qgroundcontrol else plan.to_json()
     tab = browser.tab
-    assert await tab.attempt(lambda: tab.give_plan(WaypointPlan.parse(text))), tab.problem
+    upload = orders.UploadPlan.of(WaypointPlan.parse(text))
+    assert await tab.attempt(lambda: tab.session.ask(upload)), browser.problem
     assert SAY(summary(newer.front.plan)) == "3 waypoints, 30 m at 4.0 m/s, height 8 m to 8 m"
-    assert await tab.attempt(lambda: tab.ask(orders.StartMission())), tab.problem
+    assert await tab.attempt(lambda: tab.session.ask(orders.StartMission())), browser.problem
 
     async def see() -> list[str]:
         seen: list[str] = []
@@ -108,11 +110,11 @@ async def test_a_plan_from_a_file_is_flown(newer: Rig, as_qgroundcontrol: bool) 
 async def test_pause_resume_and_stop(newer: Rig) -> None:
     browser = await airborne(newer)
     tab = browser.tab
-    await tab.give_plan(plan_of(newer))
-    await keep_alive(browser, tab.ask(orders.StartMission()))
+    await tab.session.ask(orders.UploadPlan.of(plan_of(newer)))
+    await keep_alive(browser, tab.session.ask(orders.StartMission()))
     for action in (orders.PauseMission(), orders.ResumeMission(), orders.StopMission()):
         await keep_alive(browser, anyio.sleep(1.5))
-        assert await tab.attempt(lambda one=action: tab.ask(one)), tab.problem  # type: ignore[misc]
+        assert await tab.attempt(partial(tab.session.ask, action)), browser.problem
     await keep_alive(browser, anyio.sleep(1.0))
     assert newer.front.state.mission == "no mission"
 
@@ -120,9 +122,9 @@ async def test_pause_resume_and_stop(newer: Rig) -> None:
 async def test_a_plan_of_somebody_without_control_is_refused(newer: Rig) -> None:
     await airborne(newer)
     other = Browser(newer, "other").tab
-    assert not await other.attempt(lambda: other.give_plan(plan_of(newer)))
-    assert "tab has control" in other.problem
-    assert not await other.attempt(lambda: other.ask(orders.StartMission()))
+    for order in (orders.UploadPlan.of(plan_of(newer)), orders.StartMission()):
+        assert not await other.attempt(partial(other.session.ask, order))
+        assert "tab has control" in str(other.refusal)
 
 
 @pytest.mark.parametrize(
