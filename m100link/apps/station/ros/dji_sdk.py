@@ -155,7 +155,7 @@ class DjiSdk:
                     raise UsageError("the fifth axis is the control flag, 0 to 255")
                 flag = int(axes[4])
             setpoint = joy_setpoint(flag, axes[0], axes[1], axes[2], axes[3])
-            self._agent.steer(self._clients.held(session), setpoint)
+            self._clients.session(session).steer(setpoint)
         except M100Error as error:
             self._clients.complain(session, error)
 
@@ -174,31 +174,23 @@ class DjiSdk:
             self._clients.offer(name, kind, handler)
 
     async def _activate(self, call: Call) -> Message:
-        await self._agent.ask(orders.Activate(), self._clients.lease(call.session))
+        await self._clients.session(call.session).ask(orders.Activate())
         return {"result": True, "cmd_set": 0, "cmd_id": 1}
 
     async def _authority(self, call: Call) -> Message:
         wanted = call.request["control_enable"]
         if wanted > 1:
             raise UsageError("control_enable is 1 to obtain and 0 to release")
-        lease = await self._clients.take(call.session)
-        try:
-            if wanted:
-                await self._agent.ask(orders.Obtain(), lease)
-            else:
-                await self._agent.ask(orders.Release(), lease)
-        finally:
-            if not self._agent.has_authority:
-                self._clients.let_go(call.session)
+        await self._clients.switch(call.session, on=bool(wanted))
         return {"result": True, "cmd_set": 1, "cmd_id": 0, "ack_data": 2 if wanted else 1}
 
     async def _task(self, call: Call) -> Message:
         number = call.request["task"]
         if number not in TASKS:
             raise UsageError("tasks are 4 (take-off), 6 (landing) and 1 (go-home)")
-        lease = self._clients.held(call.session)
+        session = self._clients.session(call.session)
         await self._agent.background.begin(
-            lambda begun: self._agent.ask(TASKS[number], lease, begun.set), f"task {number}"
+            lambda begun: session.ask(TASKS[number], begun.set), f"task {number}"
         )
         return {"result": True, "cmd_set": 1, "cmd_id": 1, "ack_data": 2}
 
@@ -215,7 +207,7 @@ class DjiSdk:
         if position is None:
             return {"result": False}
         holder = self._agent.holder
-        if holder.number and self._clients.lease(call.session) is None:
+        if holder.number and not self._clients.session(call.session).has_lease:
             raise UsageError(f"{holder.name} has control: the origin of its flight stays")
         if not has_fix(position):
             return {"result": False}
@@ -225,7 +217,7 @@ class DjiSdk:
 
     async def _send_to_mobile(self, call: Call) -> Message:
         order = orders.SendToMobile(call.request["data"])
-        await self._agent.ask(order, self._clients.held(call.session))
+        await self._clients.session(call.session).ask(order)
         return {"result": True}
 
 
@@ -326,7 +318,7 @@ class Payload:
         return await self._do(call, _gimbal(command))
 
     async def _do(self, call: Call, order: orders.Order) -> Message:
-        await self._agent.ask(order, self._clients.lease(call.session))
+        await self._clients.session(call.session).ask(order)
         return {"result": True}
 
     def _send(self, session: Listener, command: GimbalAngle | GimbalSpeed) -> None:
@@ -337,7 +329,7 @@ class Payload:
             return
 
         async def send() -> None:
-            await self._agent.ask(order, self._clients.lease(session))
+            await self._clients.session(session).ask(order)
 
         self._clients.run(session, send, order.label)
 
@@ -352,7 +344,7 @@ class Payload:
         if wanted > 1:
             raise UsageError("arm is 1 (start the motors) or 0 (stop them)")
         order = orders.SwitchMotors(on=bool(wanted))
-        await self._agent.ask(order, self._clients.held(call.session))
+        await self._clients.session(call.session).ask(order)
         command_set, command_id = Arm.ADDRESS
         return {"result": True, "cmd_set": command_set, "cmd_id": command_id}
 

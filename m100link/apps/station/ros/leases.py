@@ -7,110 +7,109 @@ it ends when the client closes control or its socket is gone. Newer clients use 
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Coroutine
+from functools import partial
 from typing import Any
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient, given
-from m100link.apps.agent.lease import Lease, LeaseRefused
+from m100link.apps.agent.control_session import ControlSession, ControlState, Terms
+from m100link.apps.agent.lease import LeaseRefused, not_in_force
 from m100link.apps.station.ros.graph import Call, Graph, Listener
 from m100link.apps.station.ros.messages import Message
 from m100link.apps.station.web.limits import TokenBucket
-from m100link.errors import CommandRefused, M100Error, NoAuthority, UsageError
+from m100link.errors import CommandRefused, M100Error, UsageError
 
 TASKS: dict[int, orders.Order] = {4: orders.TakeOff(), 6: orders.Land(), 1: orders.GoHome()}
 """What DJI's nodes ask for by the number of a task."""
 
-_RENEWAL = 0.5
 _COMPLAINT_PAUSE = 1.0
-_LEASE, _COMPLAINED_AT, _ORDERS = "lease", "complained at", "orders"
+_CONTROL, _COMPLAINED_AT, _ORDERS = "control session", "complained at", "orders"
 _RATE, _AT_ONCE = 2.0, 10.0
 
 
 class Clients:
-    """Which rosbridge client holds the lease."""
+    """The control session of each rosbridge client."""
 
     def __init__(self, agent: AgentClient, graph: Graph) -> None:
         self._agent = agent
         self._graph = graph
+        remedy = f"open control first ({graph.prefix}/nav_open_close_request 1)"
+        self._terms = Terms(activates=False, remedy=remedy)
         graph.on_leave.append(self._left)
         graph.add_service("/m100link/lease", "m100link/Lease", self._on_lease)
-        agent.on_steer_refused.append(self._steer_refused)
-        agent.background.spawn(self._keep_renewing(), "renewal")
 
-    def lease(self, session: Listener) -> Lease | None:
-        """The lease in force of that client."""
-        held: Lease | None = self._graph.known(session).get(_LEASE)
-        return held if self._agent.holds(held) else None
+    def session(self, client: Listener) -> ControlSession:
+        """The control session of that client; a closed one when the client has gone."""
+        known = self._graph.known(client)
+        session: ControlSession | None = known.get(_CONTROL)
+        if session is None:
+            session = known[_CONTROL] = ControlSession(self._agent, client.name, self._terms)
+            session.on_refused = partial(self.complain, client)
+            session.on_change = partial(self._changed, client, session)
+            if client not in self._graph.sessions:
+                session.close()
+        return session
 
-    async def take(self, session: Listener) -> Lease:
-        """The lease of that client, which is taken now if it is free.
-
-        Raises ``LeaseHeld``: another client has it. Raises ``NoAuthority``: the client has gone
-        meanwhile.
-        """
-        held = self.lease(session)
-        if held is None:
-            held = await self._agent.acquire(session.name)
-            if session not in self._graph.sessions:
-                self._agent.let_go(held)
-                raise NoAuthority(f"{session.name} has gone; control was not taken for it")
-            self._graph.known(session)[_LEASE] = held
-        return held
-
-    def held(self, session: Listener) -> Lease:
-        """The lease of that client.
-
-        Raises ``NoAuthority``: it has none; who has is in the error.
-        """
-        held = self.lease(session)
-        if held is None:
+    def _changed(self, client: Listener, session: ControlSession, state: ControlState) -> None:
+        if state is ControlState.LEASED:
+            # The client is there while its socket is.
+            self._agent.background.spawn(session.keep(), f"lease of {client.name}")
+        elif state in (ControlState.LOST, ControlState.TAKEN_OVER):
             holder = self._agent.holder
-            who = f"{holder.name} has control" if holder.number else "nobody has control"
-            raise NoAuthority(
-                f"{who}; nothing was sent",
-                remedy=f"open control first ({self._graph.prefix}/nav_open_close_request 1)",
-            )
-        return held
+            client.status("error", str(not_in_force(holder.name if holder.number else None)))
 
-    def let_go(self, session: Listener) -> None:
-        """Give that client's lease back, if it has one."""
-        held = self.lease(session)
-        self._graph.known(session).pop(_LEASE, None)
-        if held is not None:
-            self._agent.let_go(held)
+    def _left(self, client: Listener, now: float) -> None:
+        self.session(client).close()
 
-    def complain(self, session: Listener, error: Exception) -> None:
+    async def switch(self, client: Listener, *, on: bool) -> None:
+        """Open or close control.
+
+        Raises ``LeaseHeld``: another client has it. Raises ``M100Error``: as
+        :meth:`m100link.apps.agent.control_session.ControlSession.obtain`.
+        """
+        session = self.session(client)
+        if on:
+            await session.obtain()
+            return
+        if session.is_changing:
+            session.let_go()  # the request under way ends by that, and may wait for long
+        await session.take()
+        try:
+            await session.ask(orders.Release())
+        finally:
+            session.let_go()
+
+    def complain(self, client: Listener, error: Exception) -> None:
         """Tell a client what is wrong, at most once a second: keys repeat thirty times."""
         now = self._agent.now
-        if now - session.data.get(_COMPLAINED_AT, float("-inf")) >= _COMPLAINT_PAUSE:
-            session.data[_COMPLAINED_AT] = now
-            session.status("error", str(error))
+        if now - client.data.get(_COMPLAINED_AT, float("-inf")) >= _COMPLAINT_PAUSE:
+            client.data[_COMPLAINED_AT] = now
+            client.status("error", str(error))
 
-    def admits(self, session: Listener) -> bool:
+    def admits(self, client: Listener) -> bool:
         """Whether the client may order one more thing now; it is told when it may not.
 
         What is ordered is told to people and asked of the aircraft, both of which a client could
         keep busy. Who has control may always order, and so always give it back.
         """
-        if self.lease(session) is not None:
+        if self.session(client).has_lease:
             return True
         now = self._agent.now
-        allowance: TokenBucket = session.data.setdefault(_ORDERS, TokenBucket(_RATE, _AT_ONCE))
+        allowance: TokenBucket = client.data.setdefault(_ORDERS, TokenBucket(_RATE, _AT_ONCE))
         if allowance.take(now):
             return True
-        self.complain(session, UsageError(f"more than {_RATE:g} orders per second: not done"))
+        self.complain(client, UsageError(f"more than {_RATE:g} orders per second: not done"))
         return False
 
     def run(
         self,
-        session: Listener,
+        client: Listener,
         wish: Callable[[], Coroutine[Any, Any, None]],
         name: str,
     ) -> None:
         """Run a client's wish, unless it wishes too much; it is told when it fails."""
-        if not self.admits(session):
+        if not self.admits(client):
             return
         work = wish()
 
@@ -118,9 +117,9 @@ class Clients:
             try:
                 await work
             except M100Error as error:
-                session.status("error", str(error))
+                client.status("error", str(error))
 
-        self._agent.background.spawn(guarded(), f"{name} for {session.name}")
+        self._agent.background.spawn(guarded(), f"{name} for {client.name}")
 
     def offer(
         self, name: str, kind: str, handler: Callable[[Call], Coroutine[Any, Any, Message]]
@@ -149,28 +148,6 @@ class Clients:
                 call.fail("more than the orders that one client may give")
 
         self._graph.add_service(f"/dji_sdk/{name}", f"dji_sdk/{kind}", on_call)
-
-    def _steer_refused(self, fence: int, error: M100Error) -> None:
-        for session in self._graph.sessions:
-            held = self._graph.known(session).get(_LEASE)
-            if held is not None and held.number == fence:
-                self.complain(session, error)
-
-    def _left(self, session: Listener, now: float) -> None:
-        self.let_go(session)
-
-    async def _keep_renewing(self) -> None:
-        while True:
-            await asyncio.sleep(_RENEWAL)
-            for session in list(self._graph.sessions):
-                held = self._graph.known(session).get(_LEASE)
-                if held is None:
-                    continue
-                try:
-                    await self._agent.ask(orders.RenewLease(held.token))
-                except M100Error as error:
-                    self._graph.known(session).pop(_LEASE, None)
-                    session.status("error", str(error))
 
     # -- the service -----------------------------------------------------------------------------
 
@@ -208,23 +185,23 @@ class Clients:
     async def _status(self, call: Call) -> Message:
         return {}
 
-    def _granted(self, call: Call, lease: Lease) -> Message:
-        if call.session in self._graph.sessions:
-            self._graph.known(call.session)[_LEASE] = lease
-        else:
-            self._agent.let_go(lease)
-        return {"token": lease.token}
-
     async def _acquire(self, call: Call) -> Message:
         name = call.request["name"] or call.session.name
-        return self._granted(call, await self._agent.acquire(name))
+        grant = partial(self._agent.acquire, name)
+        return {"token": (await self.session(call.session).take_by(grant)).token}
 
     async def _renew(self, call: Call) -> Message:
         renewed = await self._agent.ask(orders.RenewLease(call.request["token"]))
-        return self._granted(call, given(renewed.lease))
+        lease = given(renewed.lease)
+        self.session(call.session).adopt(lease)
+        return {"token": lease.token}
 
     async def _release(self, call: Call) -> Message:
-        await self._agent.release_lease(call.request["token"])
+        session, token = self.session(call.session), call.request["token"]
+        if session.lease is not None and session.lease.token == token:
+            await session.give_back()
+        else:
+            await self._agent.release_lease(token)
         return {}
 
     async def _ask_take_over(self, call: Call) -> Message:
@@ -234,4 +211,5 @@ class Clients:
         return {"token": wanted.token, "message": asked}
 
     async def _confirm(self, call: Call) -> Message:
-        return self._granted(call, await self._agent.confirm(call.request["token"]))
+        grant = partial(self._agent.confirm, call.request["token"])
+        return {"token": (await self.session(call.session).take_by(grant)).token}

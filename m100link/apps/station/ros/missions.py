@@ -94,10 +94,10 @@ class Missions:
     # -- what is asked ---------------------------------------------------------------------------
 
     async def _upload(self, call: Call) -> Message:
-        lease = self._clients.held(call.session)
         task = call.request["waypoint_task"]
         mission, points = _commands(task)
-        await self._agent.ask(orders.UploadPlan.of_commands(mission, points), lease)
+        upload = orders.UploadPlan.of_commands(mission, points)
+        await self._clients.session(call.session).ask(upload)
         self._task, self._speed = task, mission.idle_speed
         self._graph.known(call.session)[_LATEST] = orders.StartMission
         return _done(WaypointMission.ADDRESS)
@@ -137,7 +137,7 @@ class Missions:
         return await self._order(call, orders.StopMission())
 
     async def _order(self, call: Call, order: Order) -> Message:
-        await self._agent.ask(order, self._clients.held(call.session))
+        await self._clients.session(call.session).ask(order)
         return {"result": True}
 
     async def _info(self, call: Call) -> Message:
@@ -156,15 +156,15 @@ class Missions:
         speed = call.request["speed"]
         if not math.isfinite(speed):
             raise UsageError("speed is a number of m/s")
-        lease = self._clients.held(call.session)
-        outcome = await self._agent.ask(orders.SetMissionSpeed(speed), lease)
+        order = orders.SetMissionSpeed(speed)
+        outcome = await self._clients.session(call.session).ask(order)
         self._speed = outcome.number / 1000
         return {"result": True}
 
     # -- hotpoint --------------------------------------------------------------------------------
 
     async def _upload_circle(self, call: Call) -> Message:
-        self._clients.held(call.session)
+        self._clients.session(call.session).held()
         given = call.request["hotpoint_task"]
         request = HotpointStart(
             latitude=math.radians(given["latitude"]),

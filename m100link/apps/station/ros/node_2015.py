@@ -121,7 +121,7 @@ class Node:
 
     async def _activate(self, session: Listener, data: float = 0.0) -> None:
         try:
-            await self._agent.ask(orders.Activate(), self._clients.lease(session))
+            await self._clients.session(session).ask(orders.Activate())
         except ActivationRefused:
             pass  # its code was published, and the reason is in the events
         except CommandRefused:
@@ -133,16 +133,10 @@ class Node:
         if wanted not in (0, 1):
             raise UsageError(f"/nav_open_close_request takes 1 (open) or 0 (close), not {wanted}")
         try:
-            lease = await self._clients.take(session)
-            if wanted:
-                await self._agent.ask(orders.Obtain(), lease)
-                self._tell(self._open_close, float(AuthorityCode.OBTAINED))
-            else:
-                await self._agent.ask(orders.Release(), lease)
-                self._clients.let_go(session)
-                self._tell(self._open_close, float(AuthorityCode.RELEASED))
+            await self._clients.switch(session, on=bool(wanted))
+            code = AuthorityCode.OBTAINED if wanted else AuthorityCode.RELEASED
+            self._tell(self._open_close, float(code))
         except AuthorityRefused as error:
-            self._clients.let_go(session)
             self._tell(self._open_close, float(error.code))
             raise
         except LeaseHeld:
@@ -151,11 +145,7 @@ class Node:
             session.deliver_alone(refused, self._agent.now)
             raise
         except _NEEDS_MORE:
-            self._clients.let_go(session)
             self._tell(self._activation, NO_AUTHORITY)
-            raise
-        except M100Error:
-            self._clients.let_go(session)
             raise
 
     async def _command(self, session: Listener, data: float) -> None:
@@ -166,7 +156,7 @@ class Node:
                 cause="the document allows these three; no firmware carries out the others",
             )
         try:
-            await self._agent.ask(TASKS[number], self._clients.held(session))
+            await self._clients.session(session).ask(TASKS[number])
         except _NEEDS_MORE:
             self._tell(self._activation, NO_AUTHORITY)
             raise
@@ -187,7 +177,7 @@ class Node:
             self._graph.known(session)[_LAST] = (mode, values)
             is_short = is_repeated or not any(values)  # zeros need no lifetime: they stop
             lifetime = REPEAT_LIFETIME if is_short else PRESS_LIFETIME
-            self._agent.steer(self._clients.held(session), setpoint, lifetime)
+            self._clients.session(session).steer(setpoint, lifetime)
         except M100Error as error:
             self._clients.complain(session, error)
 
@@ -196,14 +186,14 @@ class Node:
             raise UsageError("/sdk_request_simple_task takes a number")
         number = int(data)
         if number < 0:
-            if self._clients.lease(session) is not None:
+            if self._clients.session(session).has_lease:
                 self._agent.halt("its client stopped it")
         elif number == 5:
             await self._activate(session)
         elif number == 6:
             await self._tell_version(session)
         else:
-            await self._agent.ask(orders.FlyPattern(number), self._clients.held(session))
+            await self._clients.session(session).ask(orders.FlyPattern(number))
 
     async def _tell_version(self, session: Listener) -> None:
         version = await self._agent.ask(orders.AskVersion())

@@ -142,7 +142,7 @@ class Bridge:
         return True
 
     def _steers(self, session: Client) -> bool:
-        return any(clients.lease(session) is not None for clients in self.clients.values())
+        return any(clients.session(session).has_lease for clients in self.clients.values())
 
     async def _guard(self) -> None:
         """Let go of a client that keeps the loop from running: setpoints wait for it, too."""

@@ -157,7 +157,7 @@ async def test_refusals_are_answers_and_trouble_is_a_failure(rig: Rig) -> None:
     assert client.answers()[0]["ack_data"] == 0xFF01
     client.call("/dji_sdk/drone_task_control", task=4)
     await rig.until(lambda: len(client.answers()) == 2)
-    assert "nobody has control" in client.answers()[1]["values"]
+    assert "this client has no control" in client.answers()[1]["values"]
     client.call("/dji_sdk/query_drone_version")
     await rig.until(lambda: len(client.answers()) == 3)
     assert client.answers()[2] == {

@@ -127,7 +127,7 @@ async def test_motors_need_control_and_stop_on_the_ground(rig: Rig) -> None:
     page = rig.client()
     failed = await answer(rig, page, "drone_arm_control", arm=1)
     assert failed["result"] is False
-    assert "nobody has control" in failed["values"]
+    assert "this client has no control" in failed["values"]
     page = await rig.open()
     done = {"result": True, "cmd_set": 1, "cmd_id": 5, "ack_data": 0}
     assert await answer(rig, page, "drone_arm_control", arm=1) == done

@@ -1,0 +1,163 @@
+"""Control by rosbridge clients: whose it is, and that it ends with their sockets."""
+
+from __future__ import annotations
+
+import asyncio
+from random import Random
+from typing import Any
+
+import anyio
+import pytest
+
+from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.transports import memory_channels
+from tests.apps.station.conftest import FakeClient, Rig
+
+pytestmark = pytest.mark.anyio
+
+OPEN = "/nav_open_close_request"
+
+
+def holder(rig: Rig) -> str:
+    lease = rig.agent.desk.holder(rig.agent.now)
+    return "" if lease is None else lease.name
+
+
+async def ask(client: FakeClient, action: str, **fields: Any) -> Any:
+    """What the service of leases answers."""
+    client.call("/m100link/lease", action=action, **fields)
+    await anyio.sleep(0.1)
+    return client.answers()[-1]
+
+
+def renewals() -> list[str]:
+    names = [task.get_name().removeprefix("m100link: ") for task in asyncio.all_tasks()]
+    return [name for name in names if name.startswith("lease of")]
+
+
+async def test_a_lease_lasts_as_long_as_its_socket_and_has_one_task(rig: Rig) -> None:
+    before = len(rig.front.on_lease)
+    client = await rig.open("page")
+    await anyio.sleep(10.0)  # more than three lifetimes of a lease
+    assert holder(rig) == "page"
+    assert renewals() == ["lease of page"]
+    client.leave()
+    await anyio.sleep(0.6)
+    assert holder(rig) == ""
+    assert renewals() == []
+    assert len(rig.front.on_lease) == before
+
+
+async def test_a_client_that_leaves_at_any_moment_of_its_request_holds_nothing(rig: Rig) -> None:
+    await rig.activated()
+    for turns in range(16):
+        client = rig.client(f"page {turns}")
+        if turns % 2:
+            client.publish(OPEN, data=1)
+        else:
+            client.call("/m100link/lease", action="acquire")
+        for _ in range(turns // 2):
+            await asyncio.sleep(0.0)
+        client.leave()
+        await anyio.sleep(0.6)
+        assert holder(rig) == "", turns
+        assert not rig.agent.holding.has_authority, turns
+        assert renewals() == [], turns
+
+
+@pytest.mark.parametrize("who", ["first", "second"])
+async def test_of_two_clients_that_share_a_token_either_ends_it_for_both(
+    rig: Rig, who: str
+) -> None:
+    clients = {"first": await rig.open("first"), "second": rig.client("second")}
+    token = rig.agent.desk.holder(rig.agent.now).token  # type: ignore[union-attr]
+    assert (await ask(clients["second"], "renew", token=token))["success"]
+    await anyio.sleep(4.0)
+    assert holder(rig) == "first"
+    clients.pop(who).leave()
+    await anyio.sleep(0.1)
+    assert holder(rig) == ""
+    assert not rig.agent.holding.has_authority
+    (left,) = clients.values()
+    assert any("not in force" in said for said in left.statuses())
+    answer = await ask(left, "renew", token=token)
+    assert not answer["success"]
+
+
+async def test_who_is_taken_over_is_told_by_whom_and_who_let_go_is_told_nothing(rig: Rig) -> None:
+    client, other = await rig.open("page"), rig.client("other")
+    wanted = await ask(other, "take_over")
+    confirmed = await ask(other, "confirm", token=wanted["token"])
+    assert holder(rig) == "other"
+    assert any("other has control" in said for said in client.statuses())
+    assert (await ask(other, "release", token=confirmed["token"]))["success"]
+    assert holder(rig) == ""
+    assert other.statuses() == []
+
+
+async def test_closing_ends_an_opening_that_is_under_way(rig: Rig) -> None:
+    await rig.activated()
+    client = rig.client("page")
+    client.publish(OPEN, data=1)
+    await asyncio.sleep(0.0)
+    client.publish(OPEN, data=0)
+    await anyio.sleep(1.0)
+    assert holder(rig) == ""
+    assert not rig.agent.holding.has_authority
+
+
+class Crowd:
+    """Three clients who say anything of control at any moment, beside an agent that dies."""
+
+    def __init__(self, rig: Rig, seed: int) -> None:
+        self.rig, self.draw = rig, Random(seed)
+        self.clients = [rig.client(f"client {number}") for number in range(3)]
+        self.tokens = ["none"]
+
+    async def step(self) -> None:
+        draw, number = self.draw, self.draw.randrange(3)
+        client, what = self.clients[number], self.draw.randrange(9)
+        if what < 4:
+            action = draw.choice(["acquire", "renew", "release", "take_over", "confirm"])
+            client.call("/m100link/lease", action=action, token=draw.choice(self.tokens))
+        elif what < 6:
+            client.publish(OPEN, data=draw.choice([1, 1, 0]))
+        elif what == 6:
+            client.leave()
+            self.clients[number] = self.rig.client(client.session.name)
+        elif what == 7:
+            client.publish("/sdk_request_ctrl", x=-1.0, y=0.0, z=0.0, w=0.0)
+        elif draw.random() < 0.3:
+            self.reopen()
+        for _ in range(draw.randrange(6)):
+            await asyncio.sleep(draw.choice([0.0, 0.0, 0.0, 0.02]))
+        answers = [one.get("token", "") for one in client.answers() if "success" in one]
+        self.tokens = [*self.tokens, *filter(None, answers)][-6:]
+
+    def reopen(self) -> None:
+        front = self.rig.front
+        front._channel.close("killed")
+        front._closed("killed")
+        ours, its = memory_channels(as_bytes=True)
+        Service(self.rig.agent).attach(its)
+        front.reopen(ours)
+
+
+@pytest.mark.parametrize("seed", range(3))
+async def test_in_whatever_order_a_crowd_that_has_left_holds_nothing(rig: Rig, seed: int) -> None:
+    await rig.activated()
+    before = len(rig.front.on_lease)
+    for attempt in range(3):
+        crowd = Crowd(rig, 100 * seed + attempt)
+        for _ in range(40):
+            await crowd.step()
+        for client in crowd.clients:
+            client.leave()
+        await anyio.sleep(1.0)
+        assert holder(rig) == "", (seed, attempt)
+        assert not rig.agent.holding.has_authority, (seed, attempt)
+        assert renewals() == [], (seed, attempt)
+        assert len(rig.front.on_lease) == before, (seed, attempt)
+        again = await rig.open("again")
+        again.leave()
+        await anyio.sleep(1.0)
