@@ -17,9 +17,7 @@ from operator import attrgetter
 from typing import Any
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.view import Hearing, VehicleView
-from m100link.apps.agent.messages import State
 from m100link.apps.station.console.view.fly import FREE_FOR_S
 from m100link.protocol.items import ITEMS
 from m100link.protocol.records import FlightPhase

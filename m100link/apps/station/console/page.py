@@ -196,7 +196,7 @@ class Page:
                 events=tuple(agent.events),
                 link=agent.link,
                 front_lag=self._context.history.lag,
-                page_trip=tab.round_trip,
+                page_trip=tab.way.round_trip,
                 fleet=self._fleet(),
                 dropped=self._dropped() if self._shown == "data" else (),
                 lease_end=tab.session.lease_end,

@@ -72,7 +72,7 @@ class Tab:
         self.refused = 0  # messages that could not be used
         self.dropped = 0  # pictures of telemetry that its page did not get because it is slow
         self._last_number = -1
-        self._way = ClockEstimate(PAGE_GRAIN)
+        self.way = ClockEstimate(PAGE_GRAIN)
         self._press = Press()
         self._stopped_at = -math.inf
         self._complained_at = -math.inf
@@ -105,11 +105,6 @@ class Tab:
         """Whether its page ever said anything that could be used."""
         return self._last_number >= 0
 
-    @property
-    def round_trip(self) -> float | None:
-        """Seconds to the page and back, None before it was measured."""
-        return self._way.round_trip
-
     # -- what the buttons do ---------------------------------------------------------------------
 
     async def attempt(self, work: Callable[[], Awaitable[Any]]) -> bool:
@@ -132,23 +127,22 @@ class Tab:
 
     async def stop(self, press: object = None) -> None:
         """Stop. Any tab may."""
-        if self._is_done(press):
-            return
-        self._stop_now(press)
-        if self._stopping is not None:
-            await self._stopping
+        await self._stop_now(press)
 
-    def _is_done(self, press: object) -> bool:
-        """Whether this press was carried out, by the other of its ways."""
+    def _stop_now(self, press: object) -> asyncio.Task[Any]:
+        """STOP by either way, that of the socket or of the page's other events: once a press."""
         task = self._stopping
-        return (
-            type(press) is int
-            and press == self._stop_press
-            and task is not None
-            and task.done()
-            and not task.cancelled()
-            and task.result() is True
-        )
+        if task is None or task.done():
+            if (
+                task is not None
+                and (type(press) is int and press == self._stop_press)
+                and (not task.cancelled() and task.result() is True)
+            ):
+                return task
+            work = self.attempt(self.session.stop)
+            task = self._agent.background.spawn(work, f"stop of {self.session.name}")
+        self._stopping, self._stop_press, self._stopped_at = task, press, self._agent.now
+        return task
 
     def check_order(self, said_at: object) -> None:
         """Refuse a button that was pressed too long ago, or nobody knows when.
@@ -158,7 +152,7 @@ class Tab:
         Raises ``GuardRefused``: it waited on its way for more than 2 s.
         """
         at = said_at / 1000.0 if _is_number(said_at) else math.inf
-        late = self._way.oldest(at, self._agent.now)
+        late = self.way.oldest(at, self._agent.now)
         if late > MAX_ORDER_LATE:
             waited = f"was {late:.0f} s on its way" if late < math.inf else "has no time"
             # A page that is loaded anew when the network is back does not show the problem.
@@ -187,8 +181,7 @@ class Tab:
             press = message.get("press")
             if type(press) is int:
                 answer["press"] = press
-            if not self._is_done(press):
-                self._stop_now(press)  # be it old, or a second time
+            self._stop_now(press)  # be it old, or a second time
         number = message["n"]
         if number <= self._last_number:
             self.refused += 1  # an old message again
@@ -197,10 +190,10 @@ class Tab:
         now, session, at = self._agent.now, self.session, message["at"] / 1000.0
         for kept in self.kept.values():
             kept.heard()
-        late = self._way.late(at, now)
+        late = self.way.late(at, now)
         held = message.get("held", math.inf) / 1000.0
         if "told" in message:
-            self._way.heard(message["told"] + held, at, now)
+            self.way.heard(message["told"] + held, at, now)
         if message["op"] == "beat":
             if has_lease := session.has_lease:
                 self._steer(message, at, late, held, now)
@@ -213,14 +206,6 @@ class Tab:
                 session.begin_anew()
             session.heard()
         return answer | {"told": now}
-
-    def _stop_now(self, press: object) -> None:
-        """STOP by either way: that of the socket, or of the page's other events."""
-        self._stop_press, self._stopped_at = press, self._agent.now
-        if self._stopping is None or self._stopping.done():
-            self._stopping = self._agent.background.spawn(
-                self.attempt(self.session.stop), f"stop of {self.session.name}"
-            )
 
     def _heard_beat(self, at: float) -> None:
         """After a gap of the page's own a beat is a new press.
@@ -241,7 +226,7 @@ class Tab:
 
         Raises ``GuardRefused``: it was.
         """
-        trip = self._way.round_trip
+        trip = self.way.round_trip
         for guard, measured, limit, seen in (
             ("way_late", late, MAX_LATE, "a key press was {:.1f} s late on its way"),
             ("way_unheard", held, MAX_UNHEARD, "the page did not hear the station for {:.1f} s"),
@@ -309,7 +294,7 @@ class Tab:
 
     def lost(self) -> None:
         """The socket is gone: stop, and let others have control."""
-        self._way = ClockEstimate(PAGE_GRAIN)  # the next one may take another way
+        self.way = ClockEstimate(PAGE_GRAIN)  # the next one may take another way
         self.session.let_go()
         kept, self.kept = self.kept, {}
         for session in kept.values():

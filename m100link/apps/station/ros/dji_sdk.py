@@ -174,8 +174,7 @@ class DjiSdk:
             self._clients.offer(name, kind, handler)
 
     async def _activate(self, call: Call) -> Message:
-        await self._clients.session(call.session).ask(orders.Activate())
-        return {"result": True, "cmd_set": 0, "cmd_id": 1}
+        return await self._clients.order(call, orders.Activate()) | {"cmd_set": 0, "cmd_id": 1}
 
     async def _authority(self, call: Call) -> Message:
         wanted = call.request["control_enable"]
@@ -216,9 +215,7 @@ class DjiSdk:
         return {"result": True}
 
     async def _send_to_mobile(self, call: Call) -> Message:
-        order = orders.SendToMobile(call.request["data"])
-        await self._clients.session(call.session).ask(order)
-        return {"result": True}
+        return await self._clients.order(call, orders.SendToMobile(call.request["data"]))
 
 
 def _check_way(session: Listener, stamp: Message, now: float) -> None:
@@ -305,7 +302,7 @@ class Payload:
             mode=mode,
             duration_s=max(_SHORTEST_S, asked["duration"] / 10.0),
         )
-        return await self._do(call, _gimbal(command))
+        return await self._clients.order(call, _gimbal(command))
 
     async def _rates(self, call: Call) -> Message:
         """Tenths of a degree per second; one call turns it for half a second."""
@@ -315,11 +312,7 @@ class Payload:
             roll_deg_s=asked["roll_rate"] / 10.0,
             pitch_deg_s=asked["pitch_rate"] / 10.0,
         )
-        return await self._do(call, _gimbal(command))
-
-    async def _do(self, call: Call, order: orders.Order) -> Message:
-        await self._clients.session(call.session).ask(order)
-        return {"result": True}
+        return await self._clients.order(call, _gimbal(command))
 
     def _send(self, session: Listener, command: GimbalAngle | GimbalSpeed) -> None:
         try:
@@ -337,16 +330,14 @@ class Payload:
         number = call.request["camera_action"]
         if number >= len(CameraUse):  # in the order of its members
             raise UsageError("camera_action is 0 (photo), 1 (start video) or 2 (stop video)")
-        return await self._do(call, orders.UseCamera(tuple(CameraUse)[number]))
+        return await self._clients.order(call, orders.UseCamera(tuple(CameraUse)[number]))
 
     async def _arm(self, call: Call) -> Message:
         wanted = call.request["arm"]
         if wanted > 1:
             raise UsageError("arm is 1 (start the motors) or 0 (stop them)")
-        order = orders.SwitchMotors(on=bool(wanted))
-        await self._clients.session(call.session).ask(order)
-        command_set, command_id = Arm.ADDRESS
-        return {"result": True, "cmd_set": command_set, "cmd_id": command_id}
+        told = await self._clients.order(call, orders.SwitchMotors(on=bool(wanted)))
+        return told | {"cmd_set": Arm.ADDRESS[0], "cmd_id": Arm.ADDRESS[1]}
 
 
 def _gimbal(command: GimbalAngle | GimbalSpeed) -> orders.Order:

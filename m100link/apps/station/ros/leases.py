@@ -80,6 +80,11 @@ class Clients:
         finally:
             session.let_go()
 
+    async def order(self, call: Call, order: orders.Order) -> Message:
+        """Give an order for who calls; raises as the control session."""
+        await self.session(call.session).ask(order)
+        return {"result": True}
+
     def complain(self, client: Listener, error: Exception) -> None:
         """Tell a client what is wrong, at most once a second: keys repeat thirty times."""
         now = self._agent.now

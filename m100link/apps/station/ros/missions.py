@@ -96,8 +96,7 @@ class Missions:
     async def _upload(self, call: Call) -> Message:
         task = call.request["waypoint_task"]
         mission, points = _commands(task)
-        upload = orders.UploadPlan.of_commands(mission, points)
-        await self._clients.session(call.session).ask(upload)
+        await self._clients.order(call, orders.UploadPlan.of_commands(mission, points))
         self._task, self._speed = task, mission.idle_speed
         self._graph.known(call.session)[_LATEST] = orders.StartMission
         return _done(WaypointMission.ADDRESS)
@@ -118,27 +117,25 @@ class Missions:
         if number >= len(commands):
             raise UsageError("action is 0 (start), 1 (stop), 2 (pause) or 3 (resume)")
         others = (orders.StopMission(), orders.PauseMission(), orders.ResumeMission())
-        await self._order(call, others[number - 1] if number else start())
+        await self._clients.order(call, others[number - 1] if number else start())
         return _done((0x03, commands[number]))
 
     async def _start(self, call: Call) -> Message:
         """Start what that client uploaded last: this service does not say which kind."""
         if self._graph.known(call.session).get(_LATEST) is not orders.StartHotpoint:
-            return await self._order(call, orders.StartMission())
-        return await self._order(call, orders.StartHotpoint(self._circle(call)[1]))
+            return await self._clients.order(call, orders.StartMission())
+        return await self._clients.order(call, orders.StartHotpoint(self._circle(call)[1]))
 
     async def _pause(self, call: Call) -> Message:
         wanted = call.request["pause"]
         if wanted > 1:
             raise UsageError("pause is 0 (pause) or 1 (resume)")
-        return await self._order(call, orders.ResumeMission() if wanted else orders.PauseMission())
+        return await self._clients.order(
+            call, orders.ResumeMission() if wanted else orders.PauseMission()
+        )
 
     async def _cancel(self, call: Call) -> Message:
-        return await self._order(call, orders.StopMission())
-
-    async def _order(self, call: Call, order: Order) -> Message:
-        await self._clients.session(call.session).ask(order)
-        return {"result": True}
+        return await self._clients.order(call, orders.StopMission())
 
     async def _info(self, call: Call) -> Message:
         return {"waypoint_task": self._uploaded()}
@@ -202,14 +199,14 @@ class Missions:
         return _done((0x03, 0x23))
 
     async def _reset_heading(self, call: Call) -> Message:
-        await self._order(call, orders.ResetHotpointHeading())
+        await self._clients.order(call, orders.ResetHotpointHeading())
         return _done((0x03, 0x25))
 
     async def _change(self, call: Call, make: Callable[[float], Order], value: float) -> None:
         """Sent; nobody acknowledges it (facts K15)."""
         if not math.isfinite(value):
             raise UsageError("that is not a number")
-        await self._order(call, make(value))
+        await self._clients.order(call, make(value))
 
 
 def _done(address: tuple[int, int]) -> Message:

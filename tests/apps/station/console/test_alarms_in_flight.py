@@ -44,19 +44,9 @@ class Operator:
         self.memory.look(
             Inputs(
                 vehicle=front.view,
-                has_lease=tab.has_lease,
-                lease_end=tab.lease_end,
-                loss=tab.loss,
-                now=front.now,
-                state=front.state,
-                holder=front.holder,
-                telemetry=front.telemetry,
-                is_silent=front.is_silent,
-                is_gone=front.is_gone,
                 has_lease=tab.session.has_lease,
                 lease_end=tab.session.lease_end,
                 loss=tab.session.loss,
-                heard_at=front.heard_at,
                 plan=front.plan,
                 events=tuple(front.events),
             )

@@ -27,8 +27,6 @@ from m100link.apps.agent.latency import (
     MAX_UNHEARD,
     PAGE_GRAIN,
 )
-from m100link.apps.agent.lease import LeaseChange, LeaseHeld, LeaseRefused
-from m100link.apps.agent.latency import MAX_ORDER_LATE
 from m100link.apps.agent.lease import LeaseChange, LeaseHeld
 from m100link.apps.station.console.tab import BEAT_LIFETIME, Fate, Tab, _read
 from m100link.apps.station.console.view.fly import FIELDS, live, read
