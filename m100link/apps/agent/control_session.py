@@ -133,7 +133,9 @@ class ControlSession:
         self.on_refused: Callable[[M100Error], None] = ignore
         # One request for control, or its end, at a time: they would cross.
         self._changing = asyncio.Lock()
-        self._ends = 0  # how often it was let go: what was asked for before is not wanted any more
+        self._let_gos = (
+            0  # how often it was let go: what was asked for before is not wanted any more
+        )
         self._renewed_at = self._used_at = agent.now
         self._heard: tuple[tuple[list[Any], Callable[..., None]], ...] = (
             (agent.on_lease, self._lease_changed),
@@ -217,11 +219,11 @@ class ControlSession:
     # -- control is taken ------------------------------------------------------------------------
 
     @asynccontextmanager
-    async def _asking(self) -> AsyncIterator[None]:
+    async def _request(self) -> AsyncIterator[None]:
         """One request at a time; a request that waits for another ends by :meth:`let_go`, too."""
-        began = self._ends
+        began = self._let_gos
         async with self._changing:
-            if began != self._ends or not self._heard:
+            if began != self._let_gos or not self._heard:
                 raise self._not_wanted()
             yield
 
@@ -236,16 +238,16 @@ class ControlSession:
             NoAuthority: It was let go before it came.
             LinkError: The agent has gone.
         """
-        async with self._asking():
+        async with self._request():
             return self.lease or await self._take(lambda: self._granted(take_over))
 
     async def take_by(self, grant: Callable[[], Coroutine[Any, Any, Lease]]) -> Lease:
         """Hold the lease that a question of the caller's own brings; raises as :meth:`take`."""
-        async with self._asking():
+        async with self._request():
             return await self._take(grant)
 
     async def _take(self, grant: Callable[[], Coroutine[Any, Any, Lease]]) -> Lease:
-        began = self._ends
+        began = self._let_gos
         if not self.has_lease:
             self._look()
             self._forget()
@@ -258,7 +260,7 @@ class ControlSession:
                 asking.add_done_callback(self._unwanted)  # its answer decides who has it
             self.feed(_I.REFUSED)
             raise
-        if began != self._ends:
+        if began != self._let_gos:
             self._agent.let_go(lease)
             self.feed(_I.GIVEN_BACK)
             raise self._not_wanted()
@@ -285,7 +287,7 @@ class ControlSession:
             NoAuthority: Control was let go before it was obtained.
             M100Error: As :meth:`m100link.apps.agent.client.AgentClient.ask`.
         """
-        async with self._asking():
+        async with self._request():
             await self._obtain(self.lease or await self._take(lambda: self._granted(take_over)))
 
     async def _obtain(self, lease: Lease) -> None:
@@ -327,7 +329,7 @@ class ControlSession:
             LeaseRefused: There is nothing to confirm any more.
             M100Error: As :meth:`obtain`.
         """
-        async with self._asking():
+        async with self._request():
             await self._obtain(await self._take(lambda: self._agent.confirm(wanted.token)))
 
     def adopt(self, lease: Lease) -> None:
@@ -347,7 +349,7 @@ class ControlSession:
 
     def let_go(self) -> None:
         """Give the lease back at once: motion stops, and authority goes back."""
-        self._ends += 1
+        self._let_gos += 1
         lease = self._lease
         self.feed(_I.LET_GO)
         if lease is not None:
@@ -368,7 +370,7 @@ class ControlSession:
             return
         async with self._changing:
             lease = self.lease
-            self._ends += 1
+            self._let_gos += 1
             self.feed(_I.LET_GO)
             self._forget()
             try:
