@@ -270,14 +270,14 @@ class Page(BesideAnAgent):
 
     async def take_control(self) -> None:
         self.page.say("alive")
-        await self.page.tab.activate()
-        await self.page.tab.obtain()
+        await self.page.tab.session.ask(orders.Activate())
+        await self.page.tab.session.obtain()
         await self.passes(0.2)
 
     def send(self) -> None:
         answer = self.page.beat(2, y=SPEED_M_S)
         if answer is not None:
-            self.heard += [f"the pad shows {answer['fate']}", self.page.tab.problem]
+            self.heard += [f"the pad shows {answer['fate']}", self.page.problem]
 
     def be_heard(self) -> None:
         if not self.is_sending:
@@ -288,7 +288,7 @@ class Page(BesideAnAgent):
 
     async def land(self) -> None:
         tab = self.page.tab
-        self.spawn(tab.attempt(lambda: tab.ask(orders.Land())))
+        self.spawn(tab.attempt(lambda: tab.session.ask(orders.Land())))
 
     def let_go(self) -> None:
         super().let_go()
@@ -300,7 +300,7 @@ class Page(BesideAnAgent):
         said = json.loads(page.message("beat", mode=2, x=0, y=SPEED_M_S, z=0, w=0))
         said["at"], said["told"] = said["at"] - 1000, said["told"] - 1.0
         page.hear(page.tab.receive(json.dumps(said)))
-        self.heard.append(page.tab.problem)
+        self.heard.append(page.problem)
 
     def send_junk(self) -> None:
         for text in (
