@@ -80,6 +80,7 @@ class ControlInput(Enum):
 
 _S, _I = ControlState, ControlInput
 
+_OBEYED = (_S.HOLDING, _S.STOPPED)
 _FREE = {_I.ASKED: _S.ASKING, _I.GRANTED: _S.LEASED}
 _LEASE = {
     _I.OBTAIN: _S.OBTAINING,
@@ -123,6 +124,7 @@ class ControlSession:
         self._terms = terms
         self._state = ControlState.ABSENT
         self._lease: Lease | None = None  # the newest one, in force or not
+        self._number = 0  # of the newest lease that was granted here, wanted or not
         #: How the lease was lost, and to whom; None while it is held or went back.
         self.lease_end: LeaseChanged | None = None
         #: Who or what took authority; None while it is held, and without a lease.
@@ -133,9 +135,7 @@ class ControlSession:
         self.on_refused: Callable[[M100Error], None] = ignore
         # One request for control, or its end, at a time: they would cross.
         self._changing = asyncio.Lock()
-        self._let_gos = (
-            0  # how often it was let go: what was asked for before is not wanted any more
-        )
+        self._let_gos = 0  # what was asked for before the newest one is not wanted any more
         self._renewed_at = self._used_at = agent.now
         self._heard: tuple[tuple[list[Any], Callable[..., None]], ...] = (
             (agent.on_lease, self._lease_changed),
@@ -180,6 +180,17 @@ class ControlSession:
     def has_control(self) -> bool:
         """Whether the aircraft obeys this pilot."""
         return self.has_lease and self._agent.has_authority
+
+    @property
+    def is_obeyed(self) -> bool:
+        """The same, and its pilot was told so, and was heard again since the last loss."""
+        agent = self._agent  # asked many times in each step
+        return self._state in _OBEYED and agent.holds(self._lease) and agent.has_authority
+
+    @property
+    def is_others(self) -> bool:
+        """Whether somebody else has the lease, which may be a later one than any of this pilot."""
+        return self._agent.holder.number not in (0, self._number)
 
     @property
     def is_changing(self) -> bool:
@@ -260,6 +271,7 @@ class ControlSession:
                 asking.add_done_callback(self._unwanted)  # its answer decides who has it
             self.feed(_I.REFUSED)
             raise
+        self._number = lease.number
         if began != self._let_gos:
             self._agent.let_go(lease)
             self.feed(_I.GIVEN_BACK)
@@ -277,6 +289,7 @@ class ControlSession:
 
     def _unwanted(self, asking: asyncio.Task[Lease]) -> None:
         if not asking.cancelled() and asking.exception() is None:
+            self._number = asking.result().number
             self._agent.let_go(asking.result())
 
     async def obtain(self, *, take_over: bool = False) -> None:
@@ -338,7 +351,7 @@ class ControlSession:
             self._agent.let_go(lease)
         elif self._lease != lease:
             self._forget()
-            self._lease, self.lease_end = lease, None
+            self._lease, self._number, self.lease_end = lease, lease.number, None
             self._renewed_at = self._used_at = self._agent.now
             self.feed(_I.GRANTED)
 
@@ -439,11 +452,11 @@ class ControlSession:
         self.feed(_I.STOP)
         await self._agent.stop()
 
-    def begin_anew(self) -> None:
+    def begin_anew(self, why: str = "") -> None:
         """The pilot let go of everything: motion stops, and a STOP is over."""
         if (lease := self.lease) is not None:
             self.feed(_I.BEGUN_ANEW)
-            self._agent.halt(lease=lease)
+            self._agent.halt(why, lease)
 
     # -- what others do --------------------------------------------------------------------------
 
