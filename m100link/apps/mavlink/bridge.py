@@ -17,6 +17,7 @@ from contextlib import asynccontextmanager
 from urllib.parse import urlsplit
 
 from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.mavlink.crew import Crew
 from m100link.apps.mavlink.translator.codec import Message, Reading, Signer, write_frame
 from m100link.apps.mavlink.translator.numbers import AUTOPILOT_PX4
@@ -53,7 +54,8 @@ class _Craft:
     """An aircraft: what translates, and what asks the agent."""
 
     def __init__(self, agent: AgentClient, system: int, autopilot: int) -> None:
-        self.vehicle = Vehicle(agent, system, autopilot=autopilot)
+        self._session = ControlSession(agent, "MAVLink")
+        self.vehicle = Vehicle(agent, self._session, system, autopilot=autopilot)
         flights = self.vehicle.flights
         self.crew = Crew(agent, self.vehicle.world, self.vehicle.deck, flights)
         # By address: whoever counts what is missing finds nothing missing that went elsewhere.
@@ -61,10 +63,9 @@ class _Craft:
         agent.on_event.append(self.vehicle.event)
         agent.on_steer_refused.append(self._steer_refused)
         agent.on_mission_told.append(flights.told)
-        agent.on_authority_taken.append(lambda _: self.vehicle.deck.taken())
 
     def _steer_refused(self, fence: int, error: M100Error) -> None:
-        lease = self.vehicle.world.lease
+        lease = self._session.lease
         if lease is not None and lease.number == fence:
             self.vehicle.deck.steer_refused(error)
 

@@ -44,7 +44,6 @@ from m100link.apps.mavlink.translator.route import (
 from m100link.apps.mavlink.translator.world import World
 from m100link.errors import (
     AckTimeout,
-    LinkError,
     M100Error,
     MissionRefused,
     NoAuthority,
@@ -53,7 +52,6 @@ from m100link.errors import (
 )
 from m100link.missions.plan import WaypointPlan
 
-_RENEWAL_S = 0.5
 _TAKES_OFF_WITHIN_S = 2.5
 """Seconds after its order in which a take-off shows, if it is flown (DJI's samples wait for 2)."""
 _LANDS_WITHIN_S, _LANDS_AGAIN_S = 30.0, 0.5
@@ -66,26 +64,22 @@ class Crew:
     def __init__(
         self,
         agent: AgentClient,
-        world: World,  # what is known of the aircraft; it gets the lease
+        world: World,  # what is known of the aircraft, with the control over it
         deck: Deck,
         flights: MissionFlights,  # told how far a flight is
     ) -> None:
         self._agent = agent
         self._world = world
+        self._session = world.session
         self._deck = deck
         self._flights = flights
         # The order under way; a new one ends it.
         self._work: asyncio.Task[None] | None = None
-        # Giving back ends before authority is asked for anew: they would cross.
-        self._is_disarming = False
-        # A request for authority is never ended: its answer decides who has it.
-        self._arming: asyncio.Task[None] | None = None
         # From before a mission's start leaves until its end is told, or its stop is heard.
         self._owes_a_stop = False
         # What is told to a mission goes out in the order in which it was wanted.
         self._telling = asyncio.Lock()
-        self._renewed_at = agent.now
-        self._doing: dict[type[Any], Callable[[Any], Awaitable[None]]] = {
+        self._doing: dict[type[Any], Callable[[Any, Lease | None], Awaitable[None]]] = {
             Disarm: self._disarm,
             CallOff: self._call_off,
             TakeOff: self._take_off,
@@ -106,28 +100,23 @@ class Crew:
             elif isinstance(order, Drop):
                 self._drop()
             elif isinstance(order, Arm):
-                self._arming = self._agent.background.spawn(self._arm(order), "arming")
+                self._agent.background.spawn(self._arm(order), "arming")
             else:
                 self._replace(order)
         if self._agent.is_connected and not self._world.has_authority:
             self._owes_a_stop = False  # the agent ends the mission of whoever lost control
-        now = self._agent.now
-        if self._world.lease is not None and now - self._renewed_at >= _RENEWAL_S:
-            self._renewed_at = now
-            if self._world.has_lease:
-                self._agent.keep(self._world.lease)
+        self._session.heard()
 
     def _steer(self, order: Steer) -> None:
-        lease = self._world.lease
-        # A mission ignores setpoints: they are refused until its stop is heard.
-        if lease is not None and self._world.has_lease and not self._owes_a_stop:
-            self._agent.steer(lease, order.setpoint, order.lifetime)
+        if not self._owes_a_stop:  # a mission ignores setpoints: none before its stop is heard
+            with suppress(NoAuthority):  # the agent fell silent since the deck looked
+                self._session.steer(order.setpoint, order.lifetime)
 
     def _drop(self) -> None:
-        if self._owes_a_stop and self._world.has_lease and not self._agent.is_gone:
+        if self._owes_a_stop and self._session.has_lease:
             # Where the agent was only not heard for a while, it flies on what nobody wants now.
-            self._agent.halt("control was not seen to be held", self._world.lease)
-        if self._work is not None and not self._is_disarming:
+            self._agent.halt("control was not seen to be held")
+        if self._work is not None:
             self._work.cancel()
 
     async def _tell(self, errand: Do) -> None:
@@ -135,7 +124,7 @@ class Crew:
             if not self._flights.is_due(errand):
                 return
             try:
-                await self._agent.ask(errand.order, self._world.lease)
+                await self._session.ask(errand.order)
             except M100Error as error:
                 self._flights.failed(errand, error)
 
@@ -143,12 +132,12 @@ class Crew:
         if self._work is not None:
             self._work.cancel()
         self._work = self._agent.background.spawn(self._carry_out(order), type(order).__name__)
-        self._is_disarming = isinstance(order, Disarm | CallOff)
 
     async def _carry_out(self, order: Order) -> None:
         error = None
         try:
-            await self._doing[type(order)](order)
+            # All of it under the lease of its beginning: it does not go on under a later one.
+            await self._doing[type(order)](order, self._session.lease)
         except M100Error as met:
             error = met
         self._deck.ended(order, error, self._agent.now)
@@ -157,51 +146,36 @@ class Crew:
 
     async def _arm(self, order: Arm) -> None:
         error = None
-        if self._is_disarming and self._work is not None:
-            await asyncio.wait({self._work})
+        self._session.name = order.name
         try:
-            if not self._world.has_lease:
-                self._world.lease = await self._agent.acquire(order.name)
-            if not self._agent.state.is_activated:
-                await self._agent.ask(orders.Activate(), self._world.lease)
-            self._check_wanted()
-            await self._agent.ask(orders.Obtain(), self._world.lease)
-            self._check_wanted()
+            await self._session.obtain()
         except M100Error as met:
             error = met
-            await self._let_go()
-        self._deck.armed(error, self._agent.now)
+        self._deck.armed(order, error, self._agent.now)
 
-    def _check_wanted(self) -> None:
-        if self._deck.is_unwanted:
-            raise NoAuthority(
-                "it was disarmed before it was armed",
-                cause="a ground station gave control back meanwhile",
-                remedy="arm again",
-            )
+    async def _disarm(self, *_: object) -> None:
+        await self._session.give_back()
+        self._owes_a_stop = False  # the agent stops the mission of a lease that ends
 
-    async def _disarm(self, order: Disarm) -> None:
-        await self._let_go()
-
-    async def _call_off(self, order: CallOff) -> None:
+    async def _call_off(self, order: CallOff, lease: Lease | None) -> None:
         self._world.may_take_off = True
         try:
-            await self._agent.ask(orders.Release(), self._world.lease)
+            await self._agent.ask(orders.Release(), lease)
             # It may have been taking off until now: what counts is what it does after a while.
             await asyncio.sleep(_TAKES_OFF_WITHIN_S)
             if self._world.known.view.is_on_ground is not True:
-                await self._agent.ask(orders.Obtain(), self._world.lease)
-                await self._land_at_last()
+                await self._agent.ask(orders.Obtain(), lease)
+                await self._land_at_last(lease)
         finally:
             self._world.may_take_off = False
-        await self._let_go()
+        await self._disarm()
 
-    async def _land_at_last(self) -> None:
+    async def _land_at_last(self, lease: Lease | None) -> None:
         """The aircraft refuses a landing until its take-off is over."""
         until = self._agent.now + _LANDS_WITHIN_S
         while True:
             try:
-                await self._agent.ask(orders.Land(), self._world.lease)
+                await self._agent.ask(orders.Land(), lease)
             except TaskRefused:
                 if self._world.known.view.is_on_ground:
                     return
@@ -211,19 +185,9 @@ class Crew:
             else:
                 return
 
-    async def _let_go(self) -> None:
-        lease = self._world.lease
-        try:
-            if lease is not None and self._world.has_lease:
-                await self._agent.release_lease(lease.token)
-        except M100Error:
-            pass  # it has ended meanwhile, which is what was wanted
-        self._world.lease = None
-        self._owes_a_stop = False  # the agent stops the mission of a lease that ends
-
     # -- flying ----------------------------------------------------------------------------------
 
-    async def _make_way(self, is_interrupting: bool = False) -> None:
+    async def _make_way(self, lease: Lease | None, is_interrupting: bool = False) -> None:
         """End what the aircraft flies by itself: its task, or its mission.
 
         For a task giving authority back is the only way that there is. A mission is told to stop,
@@ -236,39 +200,38 @@ class Crew:
         if is_interrupting:
             await self._agent.stop()
             # A stop keeps it where no task is known.
-            await self._agent.ask(orders.Release(), self._world.lease)
-            await self._agent.ask(orders.Obtain(), self._world.lease)
+            await self._agent.ask(orders.Release(), lease)
+            await self._agent.ask(orders.Obtain(), lease)
         elif self._owes_a_stop or self._world.flies_mission:
-            await self._agent.ask(orders.StopMission(), self._world.lease)
+            await self._agent.ask(orders.StopMission(), lease)
         self._owes_a_stop = False
 
-    async def _take_off(self, order: TakeOff) -> None:
-        await self._agent.ask(orders.TakeOff(), self._world.lease)
+    async def _take_off(self, order: TakeOff, lease: Lease | None) -> None:
+        await self._agent.ask(orders.TakeOff(), lease)
         self._deck.took_off(order, self._agent.now)
         height = self._world.height
         if order.height is None or (height is not None and abs(height - order.height) < _CLOSE_M):
             return
-        await self._agent.ask(ChangeHeight(order.height), self._world.lease)
+        await self._agent.ask(ChangeHeight(order.height), lease)
 
-    async def _land(self, order: Land) -> None:
+    async def _land(self, order: Land, lease: Lease | None) -> None:
         with suppress(AckTimeout, MissionRefused):
             # Told by the agent; and a landing breaks off what a stop did not end.
-            await self._make_way(order.is_interrupting)
-        self._agent.halt("landing", self._world.lease)
-        await self._agent.ask(orders.Land(), self._world.lease)
+            await self._make_way(lease, order.is_interrupting)
+        self._session.begin_anew("landing")
+        await self._agent.ask(orders.Land(), lease)
 
-    async def _go_home(self, order: GoHome) -> None:
-        await self._make_way(order.is_interrupting)
-        self._agent.halt("going home", self._world.lease)
-        await self._agent.ask(orders.GoHome(), self._world.lease)
+    async def _go_home(self, order: GoHome, lease: Lease | None) -> None:
+        await self._make_way(lease, order.is_interrupting)
+        self._session.begin_anew("going home")
+        await self._agent.ask(orders.GoHome(), lease)
 
-    async def _halt(self, order: Halt) -> None:
-        await self._make_way(order.is_interrupting)
-        self._agent.halt(order.why or "hold", self._world.lease)
+    async def _halt(self, order: Halt, lease: Lease | None) -> None:
+        await self._make_way(lease, order.is_interrupting)
+        self._session.begin_anew(order.why or "hold")
 
-    async def _fly(self, order: Flight) -> None:
-        lease = self._world.lease  # of this flight: it does not go on under a later one
-        await self._make_way()
+    async def _fly(self, order: Flight, lease: Lease | None) -> None:
+        await self._make_way(lease)
         if order.takes_off:
             await self._agent.ask(orders.TakeOff(), lease)
             self._deck.took_off(order, self._agent.now)
@@ -284,10 +247,11 @@ class Crew:
     async def _fly_plan(self, order: Flight, plan: WaypointPlan, lease: Lease | None) -> None:
         """Let the aircraft fly it by itself; done when that is over."""
         agent = self._agent
-        await agent.ask(orders.UploadPlan.of(plan), lease)
+        upload = orders.UploadPlan.of(plan)
+        await agent.ask(upload, lease)
         self._owes_a_stop = True
         try:
-            start = orders.StartMission(until_over=True)
+            start = orders.StartMission(until_over=True, digest=upload.digest)
             await agent.ask(start, lease, lambda: self._flights.begun(order))
         except M100Error:
             self._owes_a_stop = False  # the agent has stopped it, or told what came of that
@@ -296,13 +260,9 @@ class Crew:
 
     async def end(self) -> None:
         """Give back what is held."""
-        for work in (self._work, self._arming):
-            if work is not None:
-                work.cancel()
-        try:
-            await self._let_go()
-        except LinkError:
-            return
+        if self._work is not None:
+            self._work.cancel()
+        await self._session.give_back()
 
 
 # -- the mission as a flight: who flies which legs, and how far it is, by items --------------------

@@ -12,6 +12,7 @@ import pytest
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.connect import by_driver
+from m100link.apps.agent.control_session import ControlInput, ControlSession
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.server import Service
@@ -212,7 +213,7 @@ def world_of(known: Known, *, home: tuple[float, float, float] | None = None) ->
         known: What is told.
         home: How far north, east and up of home it is, m; None where nobody knows.
     """
-    world = World(known)
+    world = World(known, session_of(known))
     if home is not None:
         north, east, up = home
         here = position()
@@ -225,6 +226,37 @@ def world_of(known: Known, *, home: tuple[float, float, float] | None = None) ->
         world.look()
         known.items[FlightStatus] = status
         known.items[Position] = position(height=up)
-    if known.has_authority:
-        world.lease = Lease("mavlink", "token", known.holder.number)
     return world
+
+
+class Told:
+    """A client of that agent, as far as control needs one."""
+
+    now = 0.0
+
+    def __init__(self, known: Any) -> None:
+        self._known = known
+        self.on_lease: list[Any] = []
+        self.on_authority_taken = self.on_event = self.on_steer_refused = self.on_lease
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._known, name)
+
+    def holds(self, lease: Lease | None) -> bool:
+        return lease is not None and lease.number == self._known.holder.number
+
+
+def session_of(known: Any, *, number: int | None = None) -> ControlSession:
+    """Control by the bridge, which was granted the lease of that number; 0 for none.
+
+    By default it has the lease in force, if there is control authority.
+    """
+    told: Any = Told(known)
+    session = ControlSession(told, "mavlink")
+    if number is None:
+        number = known.holder.number if known.has_authority else 0
+    if number:
+        session.adopt(Lease("mavlink", "token", number))
+        session.feed(ControlInput.OBTAIN)
+        session.feed(ControlInput.OBEYED)
+    return session

@@ -110,21 +110,18 @@ async def test_a_take_off_whose_ground_station_is_lost_on_the_ground_is_called_o
     assert not rig.client.holder.number
 
 
-@pytest.mark.parametrize("is_wanted", [True, False])
-async def test_arming_waits_until_a_take_off_is_called_off(
-    rig: Rig, ground: Ground, is_wanted: bool
-) -> None:
+async def test_arming_is_refused_while_a_take_off_is_called_off(rig: Rig, ground: Ground) -> None:
     await ground.arm()
     ground.command(*_UP)
     ground.command(*_LAND)
     await anyio.sleep(0.5)
-    ground.command(*_ARM)
-    await anyio.sleep(0.5)
-    assert not rig.agent.holding.has_authority
-    if not is_wanted:
-        ground.command(*_DISARM)
-    await anyio.sleep(5.0)
-    assert rig.agent.holding.has_authority is is_wanted
+    refused = await ground.ask(*_ARM)
+    await anyio.sleep(3.0)
+    held = [rig.agent.holding.has_authority]
+    await ground.arm()
+    held.append(rig.agent.holding.has_authority)
+    assert (refused, held) == (Result.TEMPORARILY_REJECTED, [False, True])
+    assert "the take-off is being called off" in ground.texts.replace("\n", "")
     assert not rig.motors_on
 
 

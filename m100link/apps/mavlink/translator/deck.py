@@ -41,7 +41,7 @@ from m100link.apps.mavlink.translator.orders import (
 )
 from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.world import World
-from m100link.errors import GuardRefused, M100Error, TaskRefused
+from m100link.errors import GuardRefused, M100Error, NoAuthority, TaskRefused
 
 REMEMBERED_S = 10.0  # seconds that a take-off or mission waits for the aircraft to be armed
 IDLE_S = 10.0  # seconds armed on the ground without a take-off after which it is disarmed
@@ -51,6 +51,7 @@ STEER_LIFETIME = 0.25
 
 _TO_THE_GROUND = (Mode.LAND, Mode.RTL)
 _ENDS = (Mode.HOLD, *_TO_THE_GROUND)
+_CALLED_OFF = "the take-off is being called off: what takes off all the same is landed"
 _BEFORE_CONTROL = (Phase.DISARMED, Phase.ARMING, Phase.OBTAINING)
 _TAKEN = (Phase.ARMING, Phase.OBTAINING, Phase.ARMED, Phase.AIRBORNE)
 
@@ -73,8 +74,6 @@ class Deck:
         self.operator: Peer | None = None
         self.steering: Peer | None = None  # whose setpoints came last
         self.running = Running.NOTHING
-        # Whether it was disarmed while authority was asked for: it is given back.
-        self.is_unwanted = False
         # Called with whether and why not, when a request for authority has ended.
         self.on_armed: Callable[[M100Error | None], None] = lambda _: None
         # What the aircraft was asked for last, while it is in force.
@@ -156,6 +155,9 @@ class Deck:
             self._settle()
         elif verdict is Verdict.START:
             return self._start(wish, now)
+        elif isinstance(self._current, CallOff) and verdict is Verdict.OBTAIN:
+            if wish.mode is not Mode.LAND:  # which is what comes of it
+                return self._refuse(wish.mode, Result.TEMPORARILY_REJECTED, _CALLED_OFF)
         else:
             self._remembered = wish, now + REMEMBERED_S
             self._take_operator(wish.peer)
@@ -245,8 +247,10 @@ class Deck:
             self._tell(Severity.WARNING, f"arm: {other.name} flies")
             return Result.TEMPORARILY_REJECTED
         verdict = ARM_VERDICTS[self.phase]
-        if verdict is Verdict.REJECT:
-            self._tell(Severity.WARNING, f"arm: {self.explain()}")
+        is_called_off = isinstance(self._current, CallOff) and verdict is Verdict.START
+        if is_called_off or verdict is Verdict.REJECT:
+            why = _CALLED_OFF if is_called_off else self.explain()
+            self._tell(Severity.WARNING, f"arm: {why}")
             return Result.TEMPORARILY_REJECTED
         self._take_operator(peer)
         if verdict is Verdict.NOTHING:
@@ -255,11 +259,10 @@ class Deck:
         return None
 
     def _arm(self, peer: Peer | None) -> None:
-        self.is_unwanted = False
-        if not self._world.is_arming:
-            self._world.is_arming = True
+        if self._world.arming is None:
+            self._world.arming = Arm(peer.name if peer is not None else "MAVLink")
             self._idle_since = None
-            self.orders.append(Arm(peer.name if peer is not None else "MAVLink"))
+            self.orders.append(self._world.arming)
 
     def disarm(self, peer: Peer) -> Result:
         """Give authority back, on the ground."""
@@ -281,7 +284,6 @@ class Deck:
         if isinstance(self._current, CallOff):
             # It gives control back, and looks whether the aircraft stays on the ground.
             self._settle()
-            self.is_unwanted = self._world.is_arming
         elif self._can_be_called_off:
             self._call_off(Mode.HOLD, "disarmed")
         elif verdict is Verdict.START:
@@ -290,16 +292,20 @@ class Deck:
 
     def _disarm(self) -> None:
         self._settle()
-        self.is_unwanted = self._world.is_arming
+        self._world.arming = None
         self._current, self.running, self.operator = Disarm(), Running.NOTHING, None
         self.orders.append(self._current)
 
     # -- what the crew says ----------------------------------------------------------------------
 
-    def armed(self, error: M100Error | None, now: float) -> None:
-        """The request for authority has ended."""
-        self._world.is_arming = False
-        self.is_unwanted = False
+    def armed(self, order: Arm, error: M100Error | None, now: float) -> None:
+        """A request for authority has ended."""
+        wanted, self._world.arming = self._world.arming, None
+        if wanted is None:
+            error = NoAuthority("it was disarmed before it was armed", remedy="arm again")
+        elif wanted is not order:
+            self._world.arming = wanted  # it was armed again meanwhile, which answers both
+            return
         remembered, self._remembered = self._remembered, None
         if error is not None:
             self._tell(Severity.ERROR, f"arm: {error.seen}")
@@ -373,12 +379,12 @@ class Deck:
             if self.running is Running.STREAM:
                 self._stream(phase, now)
             self._look_idle(phase, now)
-        elif not (self._is_interrupting or self._world.is_arming):
+        elif not (self._is_interrupting or self._world.arming is not None):
             self._forget()
             if phase in (Phase.DISARMED, Phase.OTHER) and self._remembered is None:
                 self.operator = None
             is_disarming = isinstance(self._current, Disarm)
-            if phase is Phase.DISARMED and self._world.has_lease and not is_disarming:
+            if phase is Phase.DISARMED and self._world.session.has_lease and not is_disarming:
                 self._disarm()
 
     def _forget(self) -> None:
@@ -387,11 +393,6 @@ class Deck:
         if self._current is not None and not isinstance(self._current, Disarm):
             self._current = None
             self.orders.append(Drop())
-
-    def taken(self) -> None:
-        """Control was lost, even if it comes back before somebody looks."""
-        if not self._is_interrupting:
-            self._forget()
 
     def stopped(self, why: str) -> None:
         """Somebody else had it hover: nothing of a flight comes after it.

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 
 from m100link import __version__
+from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.messages import Event, Topic
 from m100link.apps.agent.orders import FlyAround, FlyTo
 from m100link.apps.mavlink.crew import MissionFlights
@@ -68,12 +69,19 @@ _MISSION_MESSAGES = (
 class Vehicle:
     """The vehicle, with a system id of 1 to 250."""
 
-    def __init__(self, known: Known, system: int, *, autopilot: int = AUTOPILOT_PX4) -> None:
+    def __init__(
+        self,
+        known: Known,
+        session: ControlSession,
+        system: int,
+        *,
+        autopilot: int = AUTOPILOT_PX4,
+    ) -> None:
         self.system = system
         self._autopilot = autopilot
         # What has to be sent: to which peer, to which addresses, or None for everybody.
         self.outbox: list[tuple[Message, Peer | tuple[Address, ...] | None]] = []
-        self.world = World(known)  # what is known of the aircraft
+        self.world = World(known, session)  # what is known of the aircraft
         self._texts = Texts()
         self._parameters = Parameters(self.world, system)
         self._offboard = Offboard(self.world, self._parameters)

@@ -9,9 +9,10 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-from m100link.apps.agent.lease import Lease
+from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.view import VehicleView
 from m100link.apps.mavlink.translator.modes import REMEDIES, Mode, Phase
+from m100link.apps.mavlink.translator.orders import Arm
 from m100link.geodesy import LocalFrame
 from m100link.protocol.records import Attitude, Position, RcMode
 
@@ -44,10 +45,14 @@ class Home:
 class World:
     """One aircraft as it is now."""
 
-    def __init__(self, known: Known) -> None:
+    def __init__(
+        self,
+        known: Known,
+        session: ControlSession,  # control by the bridge
+    ) -> None:
         self.known = known
-        self.lease: Lease | None = None  # the lease that the bridge has taken; None for none
-        self.is_arming = False  # whether control authority is being obtained for the bridge
+        self.session = session
+        self.arming: Arm | None = None  # the request for control that is wanted, and not answered
         # Whether a take-off was called off, and the aircraft may fly it all the same.
         self.may_take_off = False
         self.home: Home | None = None  # where it stood last; None while nobody knows
@@ -103,14 +108,9 @@ class World:
     # -- the flight ------------------------------------------------------------------------------
 
     @property
-    def has_lease(self) -> bool:
-        """Whether the lease is the bridge's."""
-        return self.lease is not None and self.lease.number == self.known.view.holder.number
-
-    @property
     def has_authority(self) -> bool:
-        """Whether the aircraft obeys the bridge."""
-        return self.has_lease and self.known.view.has_authority
+        """Whether the aircraft obeys the bridge, and did since the deck looked last."""
+        return self.session.is_obeyed
 
     @property
     def is_armed(self) -> bool:
@@ -128,13 +128,12 @@ class World:
         view = self.known.view
         if not view.is_heard:
             return Phase.AWAY
-        has_lease = self.lease is not None and self.lease.number == view.holder.number
-        if view.holder.number and not has_lease:
+        if self.session.is_others:
             return Phase.OTHER
         on_ground = view.is_on_ground
-        if has_lease and view.has_authority:
+        if self.has_authority:
             return Phase.ARMED if on_ground else Phase.AIRBORNE
-        if self.is_arming:
+        if self.arming is not None:
             return Phase.ARMING if on_ground else Phase.OBTAINING
         if on_ground:
             return Phase.DISARMED

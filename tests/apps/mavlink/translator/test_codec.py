@@ -25,6 +25,7 @@ from m100link.apps.mavlink.translator.codec import (
     write_frame,
 )
 from m100link.apps.mavlink.translator.vehicle import Vehicle
+from tests.apps.mavlink.conftest import session_of
 from tests.known import Known
 
 KEY = bytes(range(32))
@@ -479,5 +480,5 @@ def test_each_message_that_is_sent_or_read_is_defined() -> None:
     made = set(re.findall(r'\bMessage\(\s*"(\w+)"', ROOM))
     assert len(made) > 15
     assert made - LAYOUTS.keys() == set()
-    read = Vehicle(Known(), 1)._handlers
+    read = Vehicle(known := Known(), session_of(known), 1)._handlers
     assert read.keys() - LAYOUTS.keys() == set()

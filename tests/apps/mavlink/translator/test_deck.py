@@ -39,11 +39,12 @@ from m100link.apps.mavlink.translator.orders import (
 )
 from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.world import World
-from m100link.errors import GuardRefused, LinkError, TaskRefused
+from m100link.errors import GuardRefused, LinkError, NoAuthority, TaskRefused
 from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.mavlink.conftest import Ground, Rig
 from tests.known import Known
+from tests.apps.mavlink.conftest import Ground, Rig, session_of
 
 PEER, OTHER = Peer(("127.0.0.1", 1), 245, 190), Peer(("127.0.0.1", 2), 255, 190)
 
@@ -87,6 +88,16 @@ class Still(World):
         known = Known()
         known.is_connected, known.holder = False, LeaseChanged(3, "the console")
         super().__init__(known)
+        class Known:
+            telemetry = None
+            state = State(at=0.0)
+            is_connected = has_authority = False
+
+            class holder:  # noqa: N801 - an attribute
+                name, number = "the console", 3
+
+        known: Any = Known()
+        super().__init__(known, session_of(known))
         self.now_phase = phase
 
     @property
@@ -378,7 +389,8 @@ def test_a_mission_of_somebody_who_is_gone_is_shown_and_ends_when_it_is_armed() 
     known: Any = world.known
     known.state, known.is_connected = State(at=0.0, mission="waypoint mission"), True
     assert shown(deck) is Mode.MISSION
-    deck.armed(None, 0.0)
+    world.arming = order = Arm(PEER.name)
+    deck.armed(order, None, 0.0)
     assert [type(order) for order in deck.orders] == [Halt]
     assert "is stopped" in told[-1][1]
 
@@ -394,12 +406,56 @@ def test_what_ends_late_means_nothing() -> None:
 
 
 def test_disarming_while_authority_is_obtained_gives_it_back() -> None:
-    deck, world, _ = deck_in(Phase.DISARMED)
+    deck, world, told = deck_in(Phase.DISARMED)
     assert deck.arm(PEER, 0.0) is None
     world.now_phase = Phase.ARMING
     assert deck.disarm(PEER) is Result.ACCEPTED
-    assert deck.is_unwanted
     assert deck.orders == [Arm(PEER.name), Disarm()]
+    first = deck.orders[0]
+    world.now_phase = Phase.DISARMED
+    deck.wish(Wish(Mode.TAKEOFF, TakeOff(), PEER), 0.0)
+    world.now_phase = Phase.ARMED
+    deck.orders.clear()
+    assert isinstance(first, Arm)
+    deck.armed(first, None, 1.0)
+    assert "disarmed before it was armed" in told[-1][1]
+    assert deck.orders == [], "nothing begins"
+    assert deck.phase is Phase.DISARMED
+
+
+def test_armed_again_while_a_request_that_is_not_wanted_ends() -> None:
+    deck, world, told = deck_in(Phase.DISARMED)
+    answered: list[object] = []
+    deck.on_armed = answered.append
+    deck.arm(PEER, 0.0)
+    world.now_phase = Phase.ARMING
+    deck.disarm(PEER)
+    world.now_phase = Phase.DISARMED
+    assert deck.arm(PEER, 0.0) is None
+    first, _, second = deck.orders
+    assert isinstance(first, Arm)
+    assert isinstance(second, Arm)
+    assert first is not second
+    deck.armed(first, NoAuthority("let go"), 0.1)
+    assert (answered, told) == ([], [])
+    deck.armed(second, None, 0.2)
+    assert answered == [None]
+
+
+@pytest.mark.parametrize("wish", ["arm", Mode.HOLD, Mode.LAND, Mode.RTL])
+def test_nothing_is_armed_while_a_take_off_is_called_off(wish: Mode | str) -> None:
+    deck, world, told = deck_in(Phase.ARMED)
+    deck.wish(Wish(Mode.TAKEOFF, TakeOff(), PEER), 0.0)
+    assert deck.disarm(PEER) is Result.ACCEPTED
+    world.now_phase = Phase.FREE  # it takes off all the same, and is landed
+    deck.orders.clear()
+    if isinstance(wish, str):
+        result = deck.arm(PEER, 0.0)
+    else:
+        result = deck.wish(Wish(wish, ORDERS[wish], PEER), 0.0)
+    assert result is (Result.ACCEPTED if wish is Mode.LAND else Result.TEMPORARILY_REJECTED)
+    assert deck.orders == []
+    assert "called off" in told[-1][1]
 
 
 def test_a_remembered_wish_ends() -> None:
@@ -410,7 +466,8 @@ def test_a_remembered_wish_ends() -> None:
     assert shown(deck) is Mode.POSCTL
     assert "nobody armed" in told[-1][1]
     world.now_phase = Phase.ARMED
-    deck.armed(None, REMEMBERED_S + 1)
+    world.arming = order = Arm(PEER.name)
+    deck.armed(order, None, REMEMBERED_S + 1)
     assert deck.orders == []
 
 
@@ -430,19 +487,22 @@ def test_control_that_is_lost_forgets_what_was_wanted(phase: Phase) -> None:
 
 @pytest.mark.parametrize("running", [Running.STREAM, Running.FLIGHT, Running.TAKE_OFF])
 def test_control_that_came_back_before_somebody_looked_was_lost(running: Running) -> None:
-    deck, _, _ = deck_in(Phase.AIRBORNE)
+    deck, world, _ = deck_in(Phase.AIRBORNE)
     let_fly(deck, running)
-    deck.taken()
+    world.now_phase = Phase.FREE  # for one look
+    deck.advance(1.0)
+    world.now_phase = Phase.AIRBORNE
     assert flies(deck) is Running.NOTHING
     assert shown(deck) is Mode.HOLD
 
 
 def test_what_ends_a_landing_gives_control_back_itself_and_goes_on() -> None:
-    deck, _, _ = deck_in(Phase.AIRBORNE)
+    deck, world, _ = deck_in(Phase.AIRBORNE)
     let_fly(deck, Running.LAND)
     assert deck.wish(Wish(Mode.HOLD, Halt(), PEER), 0.0) is Result.ACCEPTED
     ending = list(deck.orders)
-    deck.taken()
+    world.now_phase = Phase.FREE
+    deck.advance(1.0)
     assert deck.orders == ending
 
 

@@ -41,6 +41,8 @@ from m100link.protocol.records import (
 )
 from m100link.telemetry.integrity import IntegrityState
 from tests.apps.mavlink.conftest import Ground, Rig, world_of
+from m100link.telemetry.state import AircraftState
+from tests.apps.mavlink.conftest import Ground, Rig, session_of, world_of
 from tests.known import LATITUDE, LONGITUDE, Known, felt, position, quaternion
 
 NOW = 1234.5678
@@ -398,7 +400,7 @@ class NoAircraft:
 
 
 def rates() -> Rates:
-    return Rates(World(NoAircraft()))
+    return Rates(World(nothing := NoAircraft(), session_of(nothing)))
 
 
 def counted(one: Rates, *peers: Peer, begin: float = 0.0) -> Counter[tuple[str, int]]:

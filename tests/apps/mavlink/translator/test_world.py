@@ -8,9 +8,10 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.agent.lease import Lease
+from m100link.apps.agent.control_session import ControlInput
 from m100link.apps.agent.messages import LeaseChanged, State
 from m100link.apps.mavlink.translator.modes import Mode, Phase
+from m100link.apps.mavlink.translator.orders import Arm
 from m100link.apps.mavlink.translator.world import World
 from m100link.protocol.records import (
     Attitude,
@@ -20,7 +21,7 @@ from m100link.protocol.records import (
     RemoteControl,
     Velocity,
 )
-from tests.apps.mavlink.conftest import world_of
+from tests.apps.mavlink.conftest import session_of, world_of
 from tests.known import Known, position
 
 GROUND, AIR = FlightStatus(1), FlightStatus(3)
@@ -34,10 +35,8 @@ def world(*values: Any, **state: Any) -> World:
         known.without(RemoteControl)
     known.holder = LeaseChanged(state.pop("holder", 0), "somebody")
     known.has_authority = state.pop("authority", False)
-    found = World(known)
-    number = state.pop("lease", 0)
-    found.lease = Lease("mavlink", "token", number) if number else None
-    found.is_arming = state.pop("arming", False)
+    found = World(known, session_of(known, number=state.pop("lease", 0)))
+    found.arming = Arm("somebody") if state.pop("arming", False) else None
     known.state = replace(known.state, **state)
     return found
 
@@ -88,6 +87,22 @@ def test_where_the_flight_stands_and_what_is_shown_of_it(
     assert one.explain(phase)
 
 
+def test_control_that_came_back_before_somebody_looked_was_lost() -> None:
+    one = world(AIR, F, holder=3, lease=3, authority=True)
+    one.session.feed(ControlInput.AUTHORITY_TAKEN)
+    phases = [one.phase]
+    one.session.heard()
+    assert [*phases, one.phase] == [Phase.FREE, Phase.AIRBORNE]
+
+
+def test_a_lease_that_the_bridge_gives_back_is_nobody_elses() -> None:
+    one = world(AIR, F, holder=3, lease=3)
+    one.session.hand_on()
+    phases = [one.phase]
+    one.known.holder = LeaseChanged(4, "somebody")
+    assert [*phases, one.phase] == [Phase.FREE, Phase.OTHER]
+
+
 def test_who_has_control_is_named_where_a_wish_is_refused() -> None:
     assert world(AIR, P).explain(Phase.PILOT) == "the pilot flies: the mode switch is in P"
     unknown = world(AIR, no_switch=True).explain(Phase.PILOT)
@@ -106,8 +121,13 @@ def test_an_aircraft_that_says_nothing_is_away(age: float | None, is_heard: bool
     known.newest_age, known.is_connected = 0.0, False
     assert World(known).phase is Phase.AWAY
     assert World(known).known.view.get(Attitude) is None
+    assert world_of(known).is_heard is is_heard
+    assert (world_of(known).phase is Phase.AWAY) is not is_heard
+    known.newest_age, known.is_connected = 0.0, False
+    assert world_of(known).phase is Phase.AWAY
+    assert world_of(known).fresh(Attitude) is None
     known.is_connected, known.telemetry = True, None
-    assert World(known).phase is Phase.AWAY
+    assert world_of(known).phase is Phase.AWAY
 
 
 @pytest.mark.parametrize(
@@ -130,6 +150,7 @@ def test_how_old_a_value_may_be() -> None:
     known = Known()
     for record in (FlightStatus, Battery, Attitude, Position, Velocity, RemoteControl):
         assert World(known).known.view.get(record) is not None
+        assert world_of(known).fresh(record) is not None
     others = dict.fromkeys((Attitude, Position, Velocity, RemoteControl), 1.2)
     assert known.within == {FlightStatus: 2.5, Battery: 5.0, **others}
 
@@ -143,15 +164,18 @@ def test_what_is_no_number_is_not_known(wrong: float) -> None:
         one.height,
         one.ground_altitude,
     ) == (None,) * 4
+    one = world_of(Known(Velocity(0.0, wrong, 0.0, 3), position(altitude=wrong)))
+    assert (one.velocity, one.position, one.height, one.ground_altitude) == (None,) * 4
 
 
 def test_heights_are_above_where_it_stood() -> None:
-    one = World(Known())
+    one = world_of(Known())
     assert one.height == 12.34
     assert one.ground_altitude == pytest.approx(75.31)
-    standing = World(Known(GROUND, position(height=0.7)))
+    standing = world_of(Known(GROUND, position(height=0.7)))
     assert (standing.height, standing.ground_altitude) == (0.0, 87.65), "noise is no height"
     assert World(Known().without(FlightStatus)).known.view.is_on_ground is None
+    assert world_of(Known().without(FlightStatus)).is_on_ground is None
 
 
 @pytest.mark.parametrize(
@@ -162,7 +186,7 @@ def test_home_is_where_it_stood_last_and_follows_no_noise(
     north: float, up: float, follows: bool
 ) -> None:
     known = Known(GROUND, position())
-    one = World(known)
+    one = world_of(known)
     one.look()
     before = one.home
     assert before is not None
@@ -184,7 +208,7 @@ def test_home_is_where_it_stood_last_and_follows_no_noise(
 
 def test_the_state_of_the_agent_is_read_each_time() -> None:
     known = Known(AIR, F)
-    one, found = World(known), []
+    one, found = world_of(known), []
     for known.state, known.is_connected in (
         (State(0.0), True),
         (State(0.0, mission="waypoint mission"), True),
