@@ -53,6 +53,7 @@ class Missions:
 
     def __init__(self, helm: Helm) -> None:
         self._helm = helm
+        self._digest = ""  # of what was uploaded last: that flies, or nothing
 
     def calls(self) -> dict[str, Call]:
         """The services, by the names of the table."""
@@ -69,12 +70,14 @@ class Missions:
 
     async def _upload(self, request: Mapping[str, Any]) -> None:
         self._helm.session.held()
-        await self._helm.do(orders.UploadPlan.of(plan_of(request)))
+        plan = orders.UploadPlan.of(plan_of(request))
+        await self._helm.do(plan)
+        self._digest = plan.digest
 
     async def _start(self, request: Mapping[str, Any]) -> None:
         self._helm.session.held()
         self._helm.require_free("a mission")
-        await self._helm.do(orders.StartMission(request["take_off"]))
+        await self._helm.do(orders.StartMission(request["take_off"], digest=self._digest))
 
 
 def plan_of(request: Mapping[str, Any]) -> WaypointPlan:
