@@ -145,13 +145,15 @@ class Crew:
     # -- control authority -----------------------------------------------------------------------
 
     async def _arm(self, order: Arm) -> None:
-        error = None
+        error: M100Error | None = NoAuthority("the request for control was broken off")
         self._session.name = order.name
         try:
             await self._session.obtain()
+            error = None
         except M100Error as met:
             error = met
-        self._deck.armed(order, error, self._agent.now)
+        finally:
+            self._deck.armed(order, error, self._agent.now)
 
     async def _disarm(self, *_: object) -> None:
         await self._session.give_back()

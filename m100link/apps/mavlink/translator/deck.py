@@ -52,8 +52,7 @@ STEER_LIFETIME = 0.25
 _TO_THE_GROUND = (Mode.LAND, Mode.RTL)
 _ENDS = (Mode.HOLD, *_TO_THE_GROUND)
 _CALLED_OFF = "the take-off is being called off: what takes off all the same is landed"
-_BEFORE_CONTROL = (Phase.DISARMED, Phase.ARMING, Phase.OBTAINING)
-_TAKEN = (Phase.ARMING, Phase.OBTAINING, Phase.ARMED, Phase.AIRBORNE)
+_CONTROLLED = (Phase.ARMED, Phase.AIRBORNE)
 
 
 class Deck:
@@ -74,6 +73,8 @@ class Deck:
         self.operator: Peer | None = None
         self.steering: Peer | None = None  # whose setpoints came last
         self.running = Running.NOTHING
+        # The request for authority that is wanted, and has no answer yet.
+        self._arming: Arm | None = None
         # Called with whether and why not, when a request for authority has ended.
         self.on_armed: Callable[[M100Error | None], None] = lambda _: None
         # What the aircraft was asked for last, while it is in force.
@@ -103,9 +104,9 @@ class Deck:
         phase = self.phase
         if phase is Phase.AIRBORNE and self._is_flown_by_a_stranger:
             return Mode.MISSION
-        if phase in (Phase.ARMED, Phase.AIRBORNE) or self._is_interrupting:
+        if phase in _CONTROLLED or self._is_interrupting:
             return Mode.HOLD if self._mode is Mode.GOTO else self._mode
-        if self._remembered is not None and phase in _BEFORE_CONTROL:
+        if self._remembered is not None and phase in (Phase.DISARMED, Phase.FREE):
             return self._remembered[0].mode
         return self._world.mode_of_others()
 
@@ -171,7 +172,7 @@ class Deck:
 
     def other_operator(self, peer: Peer | None) -> Peer | None:
         """Who flies, where that is not whoever asks."""
-        is_taken = self.phase in _TAKEN
+        is_taken = self._arming is not None or self.phase in _CONTROLLED
         return self.operator if is_taken and peer not in (None, self.operator) else None
 
     def _take_operator(self, peer: Peer | None) -> None:
@@ -259,10 +260,10 @@ class Deck:
         return None
 
     def _arm(self, peer: Peer | None) -> None:
-        if self._world.arming is None:
-            self._world.arming = Arm(peer.name if peer is not None else "MAVLink")
+        if self._arming is None:
+            self._arming = Arm(peer.name if peer is not None else "MAVLink")
             self._idle_since = None
-            self.orders.append(self._world.arming)
+            self.orders.append(self._arming)
 
     def disarm(self, peer: Peer) -> Result:
         """Give authority back, on the ground."""
@@ -286,13 +287,13 @@ class Deck:
             self._settle()
         elif self._can_be_called_off:
             self._call_off(Mode.HOLD, "disarmed")
-        elif verdict is Verdict.START:
+        elif verdict is Verdict.START or self._arming is not None:
             self._disarm()
         return Result.ACCEPTED
 
     def _disarm(self) -> None:
         self._settle()
-        self._world.arming = None
+        self._arming = None
         self._current, self.running, self.operator = Disarm(), Running.NOTHING, None
         self.orders.append(self._current)
 
@@ -300,11 +301,11 @@ class Deck:
 
     def armed(self, order: Arm, error: M100Error | None, now: float) -> None:
         """A request for authority has ended."""
-        wanted, self._world.arming = self._world.arming, None
+        wanted, self._arming = self._arming, None
         if wanted is None:
             error = NoAuthority("it was disarmed before it was armed", remedy="arm again")
         elif wanted is not order:
-            self._world.arming = wanted  # it was armed again meanwhile, which answers both
+            self._arming = wanted  # it was armed again meanwhile, which answers both
             return
         remembered, self._remembered = self._remembered, None
         if error is not None:
@@ -375,11 +376,11 @@ class Deck:
         if self._remembered is not None and now >= self._remembered[1]:
             self._tell(Severity.NOTICE, f"{self._remembered[0].mode.value}: nobody armed in time")
             self._remembered = None
-        if phase in (Phase.ARMED, Phase.AIRBORNE):
+        if phase in _CONTROLLED:
             if self.running is Running.STREAM:
                 self._stream(phase, now)
             self._look_idle(phase, now)
-        elif not (self._is_interrupting or self._world.arming is not None):
+        elif not (self._is_interrupting or self._arming is not None):
             self._forget()
             if phase in (Phase.DISARMED, Phase.OTHER) and self._remembered is None:
                 self.operator = None
@@ -475,7 +476,7 @@ class Deck:
             return
         if self._can_be_called_off:
             self._call_off(Mode.HOLD, f"{lost.name} is lost")
-        elif phase is Phase.ARMED or phase is Phase.ARMING:
+        elif phase is Phase.ARMED or (phase is Phase.DISARMED and self._arming is not None):
             self._tell(Severity.WARNING, f"{lost.name} is lost: disarmed")
             self._disarm()
         elif phase is Phase.AIRBORNE and self.running not in (Running.LAND, Running.GO_HOME):

@@ -67,20 +67,16 @@ class Phase(Enum):
     AWAY = "no aircraft is heard"
     OTHER = "another client of the station has control"
     DISARMED = "on the ground, control authority is not held"
-    ARMING = "on the ground, control authority is being obtained"
-    OBTAINING = "in the air, control authority is being obtained"
     ARMED = "on the ground, control authority is held"
     AIRBORNE = "in the air, control authority is held"
-    FREE = "in the air, the mode switch is in F, and nobody asked for control authority"
+    FREE = "in the air, the mode switch is in F, and nobody has control authority"
     PILOT = "the pilot flies"
 
 
 REMEDIES: dict[Phase, str] = {
     Phase.DISARMED: "on the ground: arm, and take off first",
-    Phase.ARMING: "on the ground: arm, and take off first",
     Phase.ARMED: "on the ground: take off first",
     Phase.FREE: "control authority is not held: arm first",
-    Phase.OBTAINING: "control authority is not held: arm first",
 }
 """Why a wish is refused in a phase that a ground station can change."""
 
@@ -109,16 +105,12 @@ VERDICTS: dict[Phase, dict[Mode, Verdict]] = {
     Phase.DISARMED: dict.fromkeys(_REMEMBERED, _V.REMEMBER)
     | dict.fromkeys(_ENDS, _V.NOTHING)
     | dict.fromkeys(_FROM_THE_AIR, _V.DENY),
-    Phase.ARMING: dict.fromkeys(_REMEMBERED, _V.REMEMBER)
-    | dict.fromkeys(_ENDS, _V.NOTHING)
-    | dict.fromkeys(_FROM_THE_AIR, _V.DENY),
     Phase.ARMED: dict.fromkeys(_REMEMBERED, _V.START)
     | dict.fromkeys(_ENDS, _V.NOTHING)
     | dict.fromkeys(_FROM_THE_AIR, _V.DENY),
     Phase.AIRBORNE: dict.fromkeys(_M, _V.START) | {_M.TAKEOFF: _V.DENY},
     # Whoever wants more than an end of the flight says so by arming.
     Phase.FREE: dict.fromkeys(_M, _V.REJECT) | dict.fromkeys(_ENDS, _V.OBTAIN),
-    Phase.OBTAINING: dict.fromkeys(_M, _V.REJECT) | dict.fromkeys(_ENDS, _V.REMEMBER),
     Phase.PILOT: dict.fromkeys(_M, _V.REJECT),
 }
 """Phase of the flight, wish, what becomes of it."""
@@ -170,12 +162,10 @@ RUNNING: dict[Running, dict[Mode, Step]] = {
 ARM_VERDICTS: dict[Phase, Verdict] = {
     Phase.AWAY: _V.REJECT,
     Phase.OTHER: _V.REJECT,
-    Phase.DISARMED: _V.START,
-    Phase.ARMING: _V.START,  # the same request: whoever asks again is answered with it
+    Phase.DISARMED: _V.START,  # whoever asks again is answered with the same request
     Phase.ARMED: _V.NOTHING,
     Phase.AIRBORNE: _V.NOTHING,
     Phase.FREE: _V.START,
-    Phase.OBTAINING: _V.START,
     Phase.PILOT: _V.REJECT,
 }
 """What becomes of the wish to arm: to obtain control authority."""
@@ -183,13 +173,11 @@ ARM_VERDICTS: dict[Phase, Verdict] = {
 DISARM_VERDICTS: dict[Phase, Verdict] = {
     Phase.AWAY: _V.REJECT,
     Phase.OTHER: _V.REJECT,
-    Phase.DISARMED: _V.NOTHING,
-    Phase.ARMING: _V.START,
+    Phase.DISARMED: _V.NOTHING,  # but for a request to arm, which ends
     Phase.ARMED: _V.START,
     # The M100 has no command that stops motors in the air, forced or not.
     Phase.AIRBORNE: _V.DENY,
     Phase.FREE: _V.DENY,
-    Phase.OBTAINING: _V.DENY,
     Phase.PILOT: _V.DENY,
 }
 """What becomes of the wish to disarm: to give control authority back."""

@@ -12,13 +12,13 @@ from typing import Protocol
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.view import VehicleView
 from m100link.apps.mavlink.translator.modes import REMEDIES, Mode, Phase
-from m100link.apps.mavlink.translator.orders import Arm
 from m100link.geodesy import LocalFrame
 from m100link.protocol.records import Attitude, Position, RcMode
 
 _MISSIONS = ("waypoint mission", "hotpoint", "follow mission")
 """Kinds of which the aircraft tells and that it flies by itself."""
 
+_OBEYED = (ControlState.HOLDING, ControlState.STOPPED)
 _TASKS = {"take off": Mode.TAKEOFF, "land": Mode.LAND, "go home": Mode.RTL}
 _BY_SWITCH = {RcMode.P: Mode.POSCTL, RcMode.F: Mode.POSCTL, RcMode.A: Mode.ALTCTL}
 
@@ -52,7 +52,6 @@ class World:
     ) -> None:
         self.known = known
         self.session = session
-        self.arming: Arm | None = None  # the request for control that is wanted, and not answered
         # Whether a take-off was called off, and the aircraft may fly it all the same.
         self.may_take_off = False
         self.home: Home | None = None  # where it stood last; None while nobody knows
@@ -109,7 +108,7 @@ class World:
 
     @property
     def has_authority(self) -> bool:
-        """Whether the aircraft obeys the bridge, and did since the deck looked last."""
+        """Whether the aircraft obeys the bridge, did since the deck looked, and the deck knows."""
         return self.session.is_obeyed
 
     @property
@@ -133,8 +132,6 @@ class World:
         on_ground = view.is_on_ground
         if self.has_authority:
             return Phase.ARMED if on_ground else Phase.AIRBORNE
-        if self.arming is not None:
-            return Phase.ARMING if on_ground else Phase.OBTAINING
         if on_ground:
             return Phase.DISARMED
         return Phase.FREE if view.switch is RcMode.F else Phase.PILOT
@@ -164,9 +161,9 @@ class World:
             if self.flies_mission:
                 return Mode.MISSION
             return Mode.HOLD if view.state.guided is not None else Mode.POSCTL
-        if phase in (Phase.FREE, Phase.OBTAINING) and self.flies_mission:
+        if phase is Phase.FREE and self.flies_mission:
             return Mode.MISSION  # of a program that is gone, or a phone
         switch = view.switch
-        if phase in (Phase.DISARMED, Phase.ARMING, Phase.ARMED) and switch in (None, RcMode.F):
+        if phase in (Phase.DISARMED, Phase.ARMED) and switch in (None, RcMode.F):
             return Mode.HOLD
         return Mode.POSCTL if switch is None else _BY_SWITCH[switch]

@@ -389,7 +389,7 @@ def test_a_mission_of_somebody_who_is_gone_is_shown_and_ends_when_it_is_armed() 
     known: Any = world.known
     known.state, known.is_connected = State(at=0.0, mission="waypoint mission"), True
     assert shown(deck) is Mode.MISSION
-    world.arming = order = Arm(PEER.name)
+    deck._arming = order = Arm(PEER.name)
     deck.armed(order, None, 0.0)
     assert [type(order) for order in deck.orders] == [Halt]
     assert "is stopped" in told[-1][1]
@@ -408,11 +408,9 @@ def test_what_ends_late_means_nothing() -> None:
 def test_disarming_while_authority_is_obtained_gives_it_back() -> None:
     deck, world, told = deck_in(Phase.DISARMED)
     assert deck.arm(PEER, 0.0) is None
-    world.now_phase = Phase.ARMING
     assert deck.disarm(PEER) is Result.ACCEPTED
     assert deck.orders == [Arm(PEER.name), Disarm()]
     first = deck.orders[0]
-    world.now_phase = Phase.DISARMED
     deck.wish(Wish(Mode.TAKEOFF, TakeOff(), PEER), 0.0)
     world.now_phase = Phase.ARMED
     deck.orders.clear()
@@ -424,13 +422,11 @@ def test_disarming_while_authority_is_obtained_gives_it_back() -> None:
 
 
 def test_armed_again_while_a_request_that_is_not_wanted_ends() -> None:
-    deck, world, told = deck_in(Phase.DISARMED)
+    deck, _, told = deck_in(Phase.DISARMED)
     answered: list[object] = []
     deck.on_armed = answered.append
     deck.arm(PEER, 0.0)
-    world.now_phase = Phase.ARMING
     deck.disarm(PEER)
-    world.now_phase = Phase.DISARMED
     assert deck.arm(PEER, 0.0) is None
     first, _, second = deck.orders
     assert isinstance(first, Arm)
@@ -466,7 +462,7 @@ def test_a_remembered_wish_ends() -> None:
     assert shown(deck) is Mode.POSCTL
     assert "nobody armed" in told[-1][1]
     world.now_phase = Phase.ARMED
-    world.arming = order = Arm(PEER.name)
+    deck._arming = order = Arm(PEER.name)
     deck.armed(order, None, REMEMBERED_S + 1)
     assert deck.orders == []
 

@@ -43,7 +43,7 @@ def test_only_a_hover_and_a_way_to_the_ground_end_a_landing(mode: Mode) -> None:
     assert RUNNING[Running.LAND][mode] is RUNNING[Running.GO_HOME][mode] is Step.REFUSE
 
 
-@pytest.mark.parametrize("phase", [Phase.AIRBORNE, Phase.FREE, Phase.OBTAINING, Phase.PILOT])
+@pytest.mark.parametrize("phase", [Phase.AIRBORNE, Phase.FREE, Phase.PILOT])
 def test_nothing_disarms_in_the_air(phase: Phase) -> None:
     assert DISARM_VERDICTS[phase] is Verdict.DENY
 

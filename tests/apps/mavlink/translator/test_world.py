@@ -11,7 +11,6 @@ import pytest
 from m100link.apps.agent.control_session import ControlInput
 from m100link.apps.agent.messages import LeaseChanged, State
 from m100link.apps.mavlink.translator.modes import Mode, Phase
-from m100link.apps.mavlink.translator.orders import Arm
 from m100link.apps.mavlink.translator.world import World
 from m100link.protocol.records import (
     Attitude,
@@ -29,14 +28,13 @@ P, A, F = (RemoteControl(0, 0, 0, 0, mode, None) for mode in (-8000, 0, 8000))
 
 
 def world(*values: Any, **state: Any) -> World:
-    """By name: holder, authority, lease, arming; anything else is of the agent's state."""
+    """By name: holder, authority, lease; anything else is of the agent's state."""
     known = Known(*values)
     if state.pop("no_switch", False):
         known.without(RemoteControl)
     known.holder = LeaseChanged(state.pop("holder", 0), "somebody")
     known.has_authority = state.pop("authority", False)
     found = World(known, session_of(known, number=state.pop("lease", 0)))
-    found.arming = Arm("somebody") if state.pop("arming", False) else None
     known.state = replace(known.state, **state)
     return found
 
@@ -55,9 +53,7 @@ def world(*values: Any, **state: Any) -> World:
         (world(AIR, F, mission="hotpoint"), Phase.FREE, Mode.MISSION),
         (world(AIR, P, mission="hotpoint"), Phase.PILOT, Mode.POSCTL),
         (world(AIR, F, mission="no kind"), Phase.FREE, Mode.POSCTL),
-        (world(GROUND, F, arming=True), Phase.ARMING, Mode.HOLD),
-        (world(AIR, F, arming=True), Phase.OBTAINING, Mode.POSCTL),
-        (world(AIR, F, arming=True, mission="follow mission"), Phase.OBTAINING, Mode.MISSION),
+        (world(AIR, F, mission="follow mission"), Phase.FREE, Mode.MISSION),
         (world(GROUND, F, holder=3, lease=3, authority=True), Phase.ARMED, Mode.HOLD),
         (world(AIR, F, holder=3, lease=3, authority=True), Phase.AIRBORNE, Mode.POSCTL),
         (world(AIR, F, holder=3, lease=3), Phase.FREE, Mode.POSCTL),
@@ -93,6 +89,15 @@ def test_control_that_came_back_before_somebody_looked_was_lost() -> None:
     phases = [one.phase]
     one.session.heard()
     assert [*phases, one.phase] == [Phase.FREE, Phase.AIRBORNE]
+
+
+def test_nothing_begins_before_the_deck_was_told_that_control_is_held() -> None:
+    """What was asked for in between was forgotten by the answer, and flown all the same."""
+    one = world(GROUND, F, holder=3, lease=3, authority=True)
+    one.session.feed(ControlInput.OBTAIN)
+    phases = [one.phase]
+    one.session.feed(ControlInput.OBEYED)
+    assert [*phases, one.phase] == [Phase.DISARMED, Phase.ARMED]
 
 
 def test_a_lease_that_the_bridge_gives_back_is_nobody_elses() -> None:
