@@ -55,7 +55,7 @@ class _Craft:
 
     def __init__(self, agent: AgentClient, system: int, autopilot: int) -> None:
         self._session = ControlSession(agent, "MAVLink")
-        self.vehicle = Vehicle(agent, self._session, system, autopilot=autopilot)
+        self.vehicle = Vehicle(agent, self._session, system, autopilot)
         flights = self.vehicle.flights
         self.crew = Crew(agent, self.vehicle.world, self.vehicle.deck, flights)
         # By address: whoever counts what is missing finds nothing missing that went elsewhere.

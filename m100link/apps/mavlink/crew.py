@@ -134,18 +134,20 @@ class Crew:
         self._work = self._agent.background.spawn(self._carry_out(order), type(order).__name__)
 
     async def _carry_out(self, order: Order) -> None:
-        error = None
+        error: M100Error | None = NoAuthority("it was broken off")
         try:
             # All of it under the lease of its beginning: it does not go on under a later one.
             await self._doing[type(order)](order, self._session.lease)
+            error = None
         except M100Error as met:
             error = met
-        self._deck.ended(order, error, self._agent.now)
+        finally:
+            self._deck.ended(order, error, self._agent.now)
 
     # -- control authority -----------------------------------------------------------------------
 
     async def _arm(self, order: Arm) -> None:
-        error: M100Error | None = NoAuthority("the request for control was broken off")
+        error: M100Error | None = NoAuthority("it was broken off")
         self._session.name = order.name
         try:
             await self._session.obtain()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
@@ -16,7 +17,7 @@ from m100link.apps.agent.control_session import ControlInput, ControlSession
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.server import Service
-from m100link.apps.agent.transports import memory_channels
+from m100link.apps.agent.transports import MemoryChannel, memory_channels
 from m100link.apps.mavlink.bridge import Bridge
 from m100link.apps.mavlink.translator.codec import Message, Signer, read_datagram, write_frame
 from m100link.apps.mavlink.translator.modes import MODES, Mode
@@ -105,6 +106,9 @@ class Ground:
         await self.rig.until(lambda: any(one is not Result.IN_PROGRESS for one in answers()))
         return next(one for one in answers() if one is not Result.IN_PROGRESS)
 
+    def set_mode_now(self, mode: Mode) -> None:
+        self.command(Command.DO_SET_MODE, 1, MODES[mode].main, MODES[mode].sub)
+
     async def set_mode(self, mode: Mode) -> Result:
         row = MODES[mode]
         return await self.ask(Command.DO_SET_MODE, 1, row.main, row.sub)
@@ -122,6 +126,19 @@ class Ground:
         await self.rig.until(lambda: self.mode is Mode.HOLD)
 
 
+class Late(MemoryChannel):
+    """An end of a way on which each message takes a while."""
+
+    def __init__(self, late: float) -> None:
+        super().__init__()
+        self._late, self._count = late, 0
+
+    def send(self, message: Any) -> None:
+        self._count += 1  # none overtakes another
+        late = self._late + 1e-7 * (self._count % 10000)
+        asyncio.get_running_loop().call_later(late, super().send, message)
+
+
 class Rig:
     """The whole: aircraft, agent, bridge."""
 
@@ -131,6 +148,7 @@ class Rig:
         firmware: str = "1.0",
         signer: Signer | None = None,
         settings: AircraftSettings | None = None,
+        late: float = 0.0,
         **options: Any,
     ) -> None:
         self.aircraft = VirtualAircraft(seed=5, firmware=firmware, settings=settings)
@@ -141,6 +159,7 @@ class Rig:
         self.sent: list[tuple[bytes, Address]] = []
         self.sequence = 0
         self.signer = signer
+        self.late = late  # s that each message to and from the agent is under way
         self.ground_signer: Signer | None = None
 
     def stamp(self) -> int:
@@ -160,6 +179,7 @@ class Rig:
             ours, its = self.channels = memory_channels()
             self.service.attach(its)
             self.client = await stack.enter_async_context(AgentClient(ours, "mavlink"))
+            self.client = await stack.enter_async_context(AgentClient(self.way(), "mavlink"))
             self.bridge = Bridge({1: self.client}, self._send, signer=self.signer)
             self.vehicle = self.bridge.vehicles[0]
             self.work = self.agent.background.spawn(self.bridge.run(), "bridge")
@@ -170,6 +190,13 @@ class Rig:
             yield self
             self.work.cancel()
         self.driver.stop()
+
+    def way(self) -> MemoryChannel:
+        """A way to the agent."""
+        ours, its = (Late(self.late), Late(self.late)) if self.late else memory_channels()
+        ours.join(its)
+        self.service.attach(its)
+        return ours
 
     async def _beat(self) -> None:
         while True:

@@ -52,6 +52,7 @@ STEER_LIFETIME = 0.25
 _TO_THE_GROUND = (Mode.LAND, Mode.RTL)
 _ENDS = (Mode.HOLD, *_TO_THE_GROUND)
 _CALLED_OFF = "the take-off is being called off: what takes off all the same is landed"
+_REFUSED = {Verdict.DENY: Result.DENIED, Verdict.REJECT: Result.TEMPORARILY_REJECTED}
 _CONTROLLED = (Phase.ARMED, Phase.AIRBORNE)
 
 
@@ -144,21 +145,19 @@ class Deck:
 
     def wish(self, wish: Wish, now: float) -> Result:
         """Somebody wants a mode. Refusals are told to everybody, with the reason."""
+        what, verdict = wish.mode.value, VERDICTS[self.phase][wish.mode]
         other = self.other_operator(wish.peer)
         if other is not None and wish.mode not in _ENDS:
-            return self._refuse(wish.mode, Result.TEMPORARILY_REJECTED, f"{other.name} flies")
-        verdict = VERDICTS[self.phase][wish.mode]
-        if verdict is Verdict.DENY:
-            return self._refuse(wish.mode, Result.DENIED, self.explain())
-        if verdict is Verdict.REJECT:
-            return self._refuse(wish.mode, Result.TEMPORARILY_REJECTED, self.explain())
+            return self._refuse(what, f"{other.name} flies")
+        if verdict in _REFUSED:
+            return self._refuse(what, self.explain(), _REFUSED[verdict])
         if verdict is Verdict.NOTHING:
             self._settle()
         elif verdict is Verdict.START:
             return self._start(wish, now)
         elif isinstance(self._current, CallOff) and verdict is Verdict.OBTAIN:
             if wish.mode is not Mode.LAND:  # which is what comes of it
-                return self._refuse(wish.mode, Result.TEMPORARILY_REJECTED, _CALLED_OFF)
+                return self._refuse(what, _CALLED_OFF)
         else:
             self._remembered = wish, now + REMEMBERED_S
             self._take_operator(wish.peer)
@@ -166,8 +165,8 @@ class Deck:
                 self._arm(wish.peer)
         return Result.ACCEPTED
 
-    def _refuse(self, mode: Mode, result: Result, why: str) -> Result:
-        self._tell(Severity.WARNING, f"{mode.value}: {why}")
+    def _refuse(self, what: str, why: str, result: Result = Result.TEMPORARILY_REJECTED) -> Result:
+        self._tell(Severity.WARNING, f"{what}: {why}")
         return result
 
     def other_operator(self, peer: Peer | None) -> Peer | None:
@@ -204,7 +203,7 @@ class Deck:
             step = step if wish.mode in _TO_THE_GROUND else Step.REFUSE
         if step is Step.REFUSE:
             flies = self._waiting.mode if is_later and self._waiting else self._mode
-            return self._refuse(wish.mode, Result.TEMPORARILY_REJECTED, f"{flies.value} goes on")
+            return self._refuse(wish.mode.value, f"{flies.value} goes on")
         self._take_operator(wish.peer)
         if step is Step.WAIT:
             self._waiting, self._mode = wish, wish.mode
@@ -245,14 +244,12 @@ class Deck:
         """Obtain authority; None while that takes time, and :attr:`on_armed` is called then."""
         other = self.other_operator(peer)
         if other is not None:
-            self._tell(Severity.WARNING, f"arm: {other.name} flies")
-            return Result.TEMPORARILY_REJECTED
+            return self._refuse("arm", f"{other.name} flies")
         verdict = ARM_VERDICTS[self.phase]
-        is_called_off = isinstance(self._current, CallOff) and verdict is Verdict.START
-        if is_called_off or verdict is Verdict.REJECT:
-            why = _CALLED_OFF if is_called_off else self.explain()
-            self._tell(Severity.WARNING, f"arm: {why}")
-            return Result.TEMPORARILY_REJECTED
+        if verdict is Verdict.REJECT:
+            return self._refuse("arm", self.explain())
+        if verdict is Verdict.START and isinstance(self._current, CallOff):
+            return self._refuse("arm", _CALLED_OFF)
         self._take_operator(peer)
         if verdict is Verdict.NOTHING:
             return Result.ACCEPTED
@@ -269,19 +266,15 @@ class Deck:
         """Give authority back, on the ground."""
         other = self.other_operator(peer)
         if other is not None:
-            self._tell(Severity.WARNING, f"disarm: {other.name} flies")
-            return Result.TEMPORARILY_REJECTED
+            return self._refuse("disarm", f"{other.name} flies")
         # A take-off that was ordered counts as flown for all wishes but this one: whoever stands
         # beside motors that stand still is obeyed.
         verdict = DISARM_VERDICTS[self._world.phase]
         if verdict is Verdict.REJECT:
-            self._tell(Severity.WARNING, f"disarm: {self.explain()}")
-            return Result.TEMPORARILY_REJECTED
+            return self._refuse("disarm", self.explain())
         if verdict is Verdict.DENY:
-            self._tell(
-                Severity.WARNING, "disarm: not in the air, the M100 cannot stop motors there"
-            )
-            return Result.DENIED
+            why = "not in the air, the M100 cannot stop motors there"
+            return self._refuse("disarm", why, Result.DENIED)
         if isinstance(self._current, CallOff):
             # It gives control back, and looks whether the aircraft stays on the ground.
             self._settle()

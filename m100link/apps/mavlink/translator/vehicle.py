@@ -23,7 +23,6 @@ from m100link.apps.mavlink.translator.modes import (
     mode_of_number,
 )
 from m100link.apps.mavlink.translator.numbers import (
-    AUTOPILOT_PX4,
     BaseMode,
     Capability,
     Command,
@@ -69,14 +68,7 @@ _MISSION_MESSAGES = (
 class Vehicle:
     """The vehicle, with a system id of 1 to 250."""
 
-    def __init__(
-        self,
-        known: Known,
-        session: ControlSession,
-        system: int,
-        *,
-        autopilot: int = AUTOPILOT_PX4,
-    ) -> None:
+    def __init__(self, known: Known, session: ControlSession, system: int, autopilot: int) -> None:
         self.system = system
         self._autopilot = autopilot
         # What has to be sent: to which peer, to which addresses, or None for everybody.

@@ -45,13 +45,9 @@ class Home:
 class World:
     """One aircraft as it is now."""
 
-    def __init__(
-        self,
-        known: Known,
-        session: ControlSession,  # control by the bridge
-    ) -> None:
+    def __init__(self, known: Known, session: ControlSession) -> None:
         self.known = known
-        self.session = session
+        self.session = session  # control by the bridge
         # Whether a take-off was called off, and the aircraft may fly it all the same.
         self.may_take_off = False
         self.home: Home | None = None  # where it stood last; None while nobody knows
