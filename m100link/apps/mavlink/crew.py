@@ -103,7 +103,7 @@ class Crew:
                 self._agent.background.spawn(self._arm(order), "arming")
             else:
                 self._replace(order)
-        if self._agent.is_connected and not self._world.has_authority:
+        if self._owes_a_stop and self._agent.is_connected and not self._session.is_obeyed:
             self._owes_a_stop = False  # the agent ends the mission of whoever lost control
         self._session.heard()
 

@@ -232,6 +232,84 @@ async def test_whenever_it_is_let_go_nothing_stays_held(pilots: Pilots) -> None:
         one.close()
 
 
+async def test_what_waits_behind_a_request_that_is_let_go_is_not_wanted_either(
+    pilots: Pilots,
+) -> None:
+    one, agent = session(pilots), pilots.rig.agent
+    asked = [asyncio.create_task(one.obtain()) for _ in range(3)]
+    await asyncio.sleep(0.0)
+    await one.give_back()
+    ends = await asyncio.gather(*asked, return_exceptions=True)
+    assert all(isinstance(end, NoAuthority) for end in ends), ends
+    assert at(one) is S.ABSENT
+    await anyio.sleep(0.5)
+    assert agent.desk.holder(agent.now) is None
+    await one.obtain()  # which was asked for later
+    assert one.has_control
+
+
+@pytest.mark.parametrize("turns", range(4))
+async def test_control_is_had_again_after_giving_it_back_was_broken_off(
+    pilots: Pilots, turns: int
+) -> None:
+    one = session(pilots)
+    await one.obtain()
+    ending = asyncio.create_task(one.give_back())
+    for _ in range(turns):
+        await asyncio.sleep(0.0)
+    ending.cancel()
+    await asyncio.gather(ending, return_exceptions=True)
+    assert at(one) in (S.ABSENT, S.HOLDING)
+    await one.obtain()
+    assert at(one) is S.HOLDING
+
+
+async def test_setpoints_that_are_not_flown_renew_nothing(pilots: Pilots) -> None:
+    """Else the lease of a pilot who waits for the switch to come back to F would run out."""
+    one = session(pilots)
+    await one.obtain()
+    pilots.rig.aircraft.set_rc_mode("P")
+    for _ in range(60):
+        await anyio.sleep(0.1)
+        one.heard()
+        if at(one) is S.SUSPENDED:
+            with pytest.raises(NoAuthority):
+                one.steer(NORTH)
+    assert at(one) is S.SUSPENDED
+    assert one.has_lease
+
+
+async def test_obeyed_is_who_was_told_so_and_was_heard_since_the_last_loss(pilots: Pilots) -> None:
+    one, rig = session(pilots), pilots.rig
+    asking = asyncio.create_task(one.obtain())
+    while not one.has_control:
+        await asyncio.sleep(0.0)
+        assert not one.is_obeyed
+    await asking
+    assert one.is_obeyed
+    for mode, is_ours in (("P", False), ("F", True)):
+        rig.aircraft.set_rc_mode(mode)
+        await rig.until(lambda is_ours=is_ours: one.has_control is is_ours)  # type: ignore[misc]
+        assert not one.is_obeyed
+    one.heard()
+    assert one.is_obeyed
+    await pilots.clients[1].stop()
+    assert one.is_obeyed, "it hovers, by this pilot's leave"
+
+
+async def test_a_lease_on_its_way_back_is_nobody_elses(pilots: Pilots) -> None:
+    one, other = session(pilots), session(pilots, 1)
+    await one.obtain()
+    assert (one.is_others, other.is_others) == (False, True)
+    held = pilots.clients[0].holder
+    one.let_go()
+    pilots.clients[0].holder = held  # where it takes a while until the agent tells
+    assert not one.is_others
+    await anyio.sleep(0.1)
+    await other.obtain()
+    assert (one.is_others, other.is_others) == (True, False)
+
+
 async def test_closed_it_hears_no_more(pilots: Pilots) -> None:
     client = pilots.clients[0]
     before = [len(one) for one in (client.on_lease, client.on_event, client.on_steer_refused)]

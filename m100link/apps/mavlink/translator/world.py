@@ -18,7 +18,6 @@ from m100link.protocol.records import Attitude, Position, RcMode
 _MISSIONS = ("waypoint mission", "hotpoint", "follow mission")
 """Kinds of which the aircraft tells and that it flies by itself."""
 
-_OBEYED = (ControlState.HOLDING, ControlState.STOPPED)
 _TASKS = {"take off": Mode.TAKEOFF, "land": Mode.LAND, "go home": Mode.RTL}
 _BY_SWITCH = {RcMode.P: Mode.POSCTL, RcMode.F: Mode.POSCTL, RcMode.A: Mode.ALTCTL}
 
@@ -103,11 +102,6 @@ class World:
     # -- the flight ------------------------------------------------------------------------------
 
     @property
-    def has_authority(self) -> bool:
-        """Whether the aircraft obeys the bridge, did since the deck looked, and the deck knows."""
-        return self.session.is_obeyed
-
-    @property
     def is_armed(self) -> bool:
         """Whether the motors may turn: they do, nobody knows, or a program has control.
 
@@ -126,7 +120,7 @@ class World:
         if self.session.is_others:
             return Phase.OTHER
         on_ground = view.is_on_ground
-        if self.has_authority:
+        if self.session.is_obeyed:
             return Phase.ARMED if on_ground else Phase.AIRBORNE
         if on_ground:
             return Phase.DISARMED
