@@ -28,7 +28,6 @@ from m100link.apps.mavlink.translator.orders import (
     Halt,
     Land,
     Order,
-    Steer,
     TakeOff,
     Wish,
 )
@@ -51,10 +50,12 @@ from m100link.errors import (
     UsageError,
 )
 from m100link.missions.plan import WaypointPlan
+from m100link.protocol.setpoint import Setpoint
 
 _TAKES_OFF_WITHIN_S = 2.5
 """Seconds after its order in which a take-off shows, if it is flown (DJI's samples wait for 2)."""
 _LANDS_WITHIN_S, _LANDS_AGAIN_S = 30.0, 0.5
+_LASTS_S = 0.25  # a setpoint on its own: the bridge renews it many times in that
 _CLOSE_M = 0.3  # a climb of less than this after the take-off is not asked for
 
 
@@ -93,7 +94,7 @@ class Crew:
         """Carry out what was ordered, and keep the lease."""
         wanted, self._deck.orders = self._deck.orders, []
         for order in wanted:
-            if isinstance(order, Steer):
+            if isinstance(order, Setpoint):
                 self._steer(order)
             elif isinstance(order, Do):
                 self._agent.background.spawn(self._tell(order), order.order.label)
@@ -107,10 +108,10 @@ class Crew:
             self._owes_a_stop = False  # the agent ends the mission of whoever lost control
         self._session.heard()
 
-    def _steer(self, order: Steer) -> None:
+    def _steer(self, setpoint: Setpoint) -> None:
         if not self._owes_a_stop:  # a mission ignores setpoints: none before its stop is heard
             with suppress(NoAuthority):  # the agent fell silent since the deck looked
-                self._session.steer(order.setpoint, order.lifetime)
+                self._session.steer(setpoint, _LASTS_S)
 
     def _drop(self) -> None:
         if self._owes_a_stop and self._session.has_lease:

@@ -34,7 +34,6 @@ from m100link.apps.mavlink.translator.orders import (
     Halt,
     Land,
     Order,
-    Steer,
     Stream,
     TakeOff,
     Wish,
@@ -42,12 +41,10 @@ from m100link.apps.mavlink.translator.orders import (
 from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.world import World
 from m100link.errors import GuardRefused, M100Error, NoAuthority, TaskRefused
+from m100link.protocol.setpoint import Setpoint
 
 REMEMBERED_S = 10.0  # seconds that a take-off or mission waits for the aircraft to be armed
 IDLE_S = 10.0  # seconds armed on the ground without a take-off after which it is disarmed
-
-STEER_LIFETIME = 0.25
-"""Seconds that a setpoint lasts on its own: the bridge renews it many times in that."""
 
 _TO_THE_GROUND = (Mode.LAND, Mode.RTL)
 _ENDS = (Mode.HOLD, *_TO_THE_GROUND)
@@ -69,7 +66,7 @@ class Deck:
         self._tell = tell
         self._streams = streams
         # What the crew has to carry out, oldest first.
-        self.orders: list[Order | Steer | Do | Drop] = []
+        self.orders: list[Order | Setpoint | Do | Drop] = []
         # Who armed the aircraft, or moved it first after that one was lost.
         self.operator: Peer | None = None
         self.steering: Peer | None = None  # whose setpoints came last
@@ -416,7 +413,7 @@ class Deck:
         if setpoint is None:
             self.hold(f"{self._mode.value}: no setpoint any more")
         elif phase is Phase.AIRBORNE:
-            self.orders.append(Steer(setpoint, STEER_LIFETIME))
+            self.orders.append(setpoint)
         elif stream.wants_up(now):
             # Motors stand still: the aircraft ignores movement until it was told to take off.
             wish = Wish(self._mode, None)

@@ -123,14 +123,6 @@ class Drop:
     """Leave the order under way as it is: control was lost, and what was to come is not flown."""
 
 
-@dataclass(frozen=True, slots=True)
-class Steer:
-    """A setpoint for as long as its lifetime."""
-
-    setpoint: Setpoint
-    lifetime: float  # s
-
-
 # -- what ground stations want to be flown, and where setpoints come from: values for the deck -----
 
 
