@@ -23,7 +23,7 @@ from m100link.apps.mavlink.translator.codec import Message, Reading, Signer, wri
 from m100link.apps.mavlink.translator.numbers import AUTOPILOT_PX4
 from m100link.apps.mavlink.translator.peers import Address, Peer, Peers
 from m100link.apps.mavlink.translator.vehicle import Vehicle
-from m100link.errors import M100Error, PortBusy, PortFailed, UsageError
+from m100link.errors import PortBusy, PortFailed, UsageError
 
 STEP_S = 0.02  # seconds between two steps: of setpoints, and of telemetry that is due
 
@@ -54,20 +54,15 @@ class _Craft:
     """An aircraft: what translates, and what asks the agent."""
 
     def __init__(self, agent: AgentClient, system: int, autopilot: int) -> None:
-        self._session = ControlSession(agent, "MAVLink")
-        self.vehicle = Vehicle(agent, self._session, system, autopilot)
+        session = ControlSession(agent, "MAVLink")
+        self.vehicle = Vehicle(agent, session, system, autopilot)
         flights = self.vehicle.flights
         self.crew = Crew(agent, self.vehicle.world, self.vehicle.deck, flights)
         # By address: whoever counts what is missing finds nothing missing that went elsewhere.
         self.sequences: dict[Address, int] = {}
         agent.on_event.append(self.vehicle.event)
-        agent.on_steer_refused.append(self._steer_refused)
+        session.on_refused = self.vehicle.deck.steer_refused
         agent.on_mission_told.append(flights.told)
-
-    def _steer_refused(self, fence: int, error: M100Error) -> None:
-        lease = self._session.lease
-        if lease is not None and lease.number == fence:
-            self.vehicle.deck.steer_refused(error)
 
 
 class Bridge:

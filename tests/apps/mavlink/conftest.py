@@ -269,6 +269,9 @@ class Told:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._known, name)
 
+    def let_go(self, lease: Lease) -> None:
+        """It takes a while until the agent tells."""
+
     def holds(self, lease: Lease | None) -> bool:
         return lease is not None and lease.number == self._known.holder.number
 

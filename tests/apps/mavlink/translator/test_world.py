@@ -102,7 +102,7 @@ def test_nothing_begins_before_the_deck_was_told_that_control_is_held() -> None:
 
 def test_a_lease_that_the_bridge_gives_back_is_nobody_elses() -> None:
     one = world(AIR, F, holder=3, lease=3)
-    one.session.hand_on()
+    one.session.let_go()
     phases = [one.phase]
     one.known.holder = LeaseChanged(4, "somebody")
     assert [*phases, one.phase] == [Phase.FREE, Phase.OTHER]
