@@ -176,9 +176,6 @@ class Rig:
         async with AsyncExitStack() as stack:
             await stack.enter_async_context(self.agent)
             self.service = Service(self.agent)
-            ours, its = self.channels = memory_channels()
-            self.service.attach(its)
-            self.client = await stack.enter_async_context(AgentClient(ours, "mavlink"))
             self.client = await stack.enter_async_context(AgentClient(self.way(), "mavlink"))
             self.bridge = Bridge({1: self.client}, self._send, signer=self.signer)
             self.vehicle = self.bridge.vehicles[0]
@@ -195,6 +192,7 @@ class Rig:
         """A way to the agent."""
         ours, its = (Late(self.late), Late(self.late)) if self.late else memory_channels()
         ours.join(its)
+        self.channels = ours, its
         self.service.attach(its)
         return ours
 

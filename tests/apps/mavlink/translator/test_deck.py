@@ -42,9 +42,8 @@ from m100link.apps.mavlink.translator.world import World
 from m100link.errors import GuardRefused, LinkError, NoAuthority, TaskRefused
 from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.setpoint import Setpoint
-from tests.apps.mavlink.conftest import Ground, Rig
-from tests.known import Known
 from tests.apps.mavlink.conftest import Ground, Rig, session_of
+from tests.known import Known
 
 PEER, OTHER = Peer(("127.0.0.1", 1), 245, 190), Peer(("127.0.0.1", 2), 255, 190)
 
@@ -87,16 +86,6 @@ class Still(World):
     def __init__(self, phase: Phase) -> None:
         known = Known()
         known.is_connected, known.holder = False, LeaseChanged(3, "the console")
-        super().__init__(known)
-        class Known:
-            telemetry = None
-            state = State(at=0.0)
-            is_connected = has_authority = False
-
-            class holder:  # noqa: N801 - an attribute
-                name, number = "the console", 3
-
-        known: Any = Known()
         super().__init__(known, session_of(known))
         self.now_phase = phase
 

@@ -40,8 +40,6 @@ from m100link.protocol.records import (
     Velocity,
 )
 from m100link.telemetry.integrity import IntegrityState
-from tests.apps.mavlink.conftest import Ground, Rig, world_of
-from m100link.telemetry.state import AircraftState
 from tests.apps.mavlink.conftest import Ground, Rig, session_of, world_of
 from tests.known import LATITUDE, LONGITUDE, Known, felt, position, quaternion
 
