@@ -141,6 +141,7 @@ class Known:
         self.has_authority = False
         self.newest_age: float | None = 0.0
         self.within: dict[type[Any], float | None] = {}
+        self.ages: dict[type[Any], float] = {}  # s; of all others 0
         self.integrity = Integrity(IntegrityState.GOOD, "", 0.25, 0.375)
 
     @property
@@ -166,7 +167,8 @@ class Known:
         if now is not None:
             assert (now, within) != (0.0, None)
             self.within[record] = within
-        return self.items.get(record)
+        is_old = within is not None and self.ages.get(record, 0.0) > within
+        return None if is_old else self.items.get(record)
 
     def without(self, *records: type[Any]) -> Known:
         for one in records:

@@ -112,6 +112,18 @@ def test_where_nobody_knows_the_place_nothing_is_flown_there() -> None:
     assert values(found) == (0.0, 0.0, 0.0, 0.0)
 
 
+@pytest.mark.parametrize(("age", "flies"), [(0.49, True), (0.51, False), (1.1, False)])
+def test_a_place_is_flown_to_by_a_position_of_half_a_second(age: float, *, flies: bool) -> None:
+    """Everything else is new, and the position is still shown."""
+    known = Known()
+    one = offboard(known)
+    known.ages[Position] = age
+    found = flown(one, message(LOCAL, PLACE | HEIGHT, x=100.0, y=100.0, z=-50.0))
+    assert (values(found) != (0.0, 0.0, 0.0, 0.0)) is flies
+    assert known.view.place is not None
+    assert values(flown(one, message(LOCAL, SPEED, vx=1.0)))[0] == 1.0, "speeds need no place"
+
+
 def test_the_agents_limit_is_the_fastest() -> None:
     found = flown(offboard(Known().limited(2.0), None), message(LOCAL, SPEED, vx=3.0, vy=-4.0))
     assert values(found)[:2] == pytest.approx((1.2, -1.6))
