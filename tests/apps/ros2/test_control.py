@@ -13,11 +13,13 @@ import pytest
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.ros2.actions import GoalStatus
-from m100link.apps.ros2.control import SILENCE_S, Frames, Stick, speed, toward
+from m100link.apps.ros2.control import IDLE_S, SILENCE_S, Frames, Helm, Stick, speed, toward
 from m100link.errors import BadSetpoint, UsageError
+from m100link.protocol.records import FlightPhase, FlightStatus
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.ros2.conftest import Program, Rig
 from tests.apps.ros2.test_actions import Client
+from tests.known import KnownAgent
 
 pytestmark = pytest.mark.anyio
 
@@ -373,3 +375,28 @@ async def test_a_cancel_after_stop_lets_nobody_fly_on(rig: Rig, client: Client) 
     for _ in range(100):
         await program.fly(0.05, 2.0)
         assert rig.speed < 0.3
+
+
+@pytest.mark.parametrize(
+    ("told", "is_kept"),
+    [
+        ([FlightStatus(FlightPhase.STANDBY)], False),
+        ([FlightStatus(FlightPhase.IN_AIR)], True),
+        ([], True),  # nobody knows, which counts as the air
+    ],
+    ids=["ground", "air", "unknown"],
+)
+async def test_control_is_given_back_for_lack_of_orders_where_it_is_seen_to_stand(
+    told: list[FlightStatus], *, is_kept: bool
+) -> None:
+    ours, its = memory_channels()
+    agent = KnownAgent(its)
+    async with AgentClient(ours, "ROS 2") as client:
+        helm = Helm(client)
+        await helm.obtain("ROS")
+        for _ in range(round(IDLE_S) + 2):
+            agent.tell(agent.state)
+            agent.tell_package(client.now, changed=told, without=() if told else (FlightStatus,))
+            helm.advance()
+            await anyio.sleep(1.0)
+        assert (helm.lease is not None) is is_kept
