@@ -184,8 +184,10 @@ class ControlSession:
     @property
     def is_obeyed(self) -> bool:
         """The same, and its pilot was told so, and was heard again since the last loss."""
-        agent = self._agent  # asked many times in each step
-        return self._state in _OBEYED and agent.holds(self._lease) and agent.has_authority
+        lease, view = self._lease, self._agent.view  # asked many times in each step
+        if lease is None or lease.number != view.holder.number:
+            return False
+        return self._state in _OBEYED and view.has_authority
 
     @property
     def is_others(self) -> bool:
@@ -402,7 +404,7 @@ class ControlSession:
             is_idle: Whether nothing is wanted of the aircraft.
         """
         agent, lease, now = self._agent, self._lease, self._agent.now
-        if lease is None or not agent.holds(lease):
+        if lease is None or lease.number != agent.holder.number:
             self._look()
             return
         if self._state is _S.SUSPENDED and agent.has_authority:
@@ -439,8 +441,8 @@ class ControlSession:
 
     def steer(self, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
         """Fly this for its lifetime. Raises NoAuthority: control is not held."""
-        agent, lease = self._agent, self._lease
-        if lease is None or not agent.holds(lease) or not agent.has_authority:
+        agent, lease, view = self._agent, self._lease, self._agent.view
+        if lease is None or lease.number != view.holder.number or not view.has_authority:
             raise self._no_control()
         if self._state is _S.SUSPENDED:
             self.feed(_I.OBEYED)

@@ -398,7 +398,7 @@ class NoAircraft:
 
 
 def rates() -> Rates:
-    return Rates(World(nothing := NoAircraft(), session_of(nothing)))
+    return Rates(World(nothing := NoAircraft(), session_of(nothing, number=0)))
 
 
 def counted(one: Rates, *peers: Peer, begin: float = 0.0) -> Counter[tuple[str, int]]:
