@@ -18,16 +18,26 @@ from typing import Any
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.lease import Lease, LeaseHeld, TakeOver
+from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused, TakeOver
 from m100link.apps.agent.messages import Event, LeaseChanged, Outcome, Topic
 from m100link.apps.agent.orders import SETPOINT_LIFETIME
-from m100link.errors import AuthorityLost, GuardRefused, LossReason, M100Error, NoAuthority
+from m100link.errors import (
+    AuthorityLost,
+    GuardRefused,
+    LossReason,
+    M100Error,
+    NoAuthority,
+    StaleLease,
+)
 from m100link.protocol.setpoint import Setpoint
 
 RENEWAL_S = 0.5
 """Seconds between two renewals; a lease lasts 3 s without one."""
 
 _DUE_S = 0.45  # a timer of 0.5 s that wakes a moment early is not to wait for another 0.5 s
+
+_TAKE_OVERS = 3
+"""Attempts to take a lease over that changes hands meanwhile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,12 +292,18 @@ class ControlSession:
         return lease
 
     async def _granted(self, take_over: bool) -> Lease:
-        try:
-            return await self._agent.acquire(self.name)
-        except LeaseHeld:
-            if not take_over:
-                raise
-        return await self._agent.confirm((await self._agent.ask_take_over(self.name)).token)
+        for left in reversed(range(_TAKE_OVERS)):
+            try:
+                return await self._agent.acquire(self.name)
+            except LeaseHeld:
+                if not take_over:
+                    raise
+            try:
+                return await self._agent.confirm((await self._agent.ask_take_over(self.name)).token)
+            except (LeaseRefused, StaleLease):  # it ended, or went to another one, meanwhile
+                if not left:
+                    raise
+        raise AssertionError("the last attempt returns or raises")
 
     def _unwanted(self, asking: asyncio.Task[Lease]) -> None:
         if not asking.cancelled() and asking.exception() is None:
@@ -420,12 +436,26 @@ class ControlSession:
             agent.keep(lease)
 
     async def keep(self) -> None:
-        """Keep the lease until it ends: for a pilot whose task or connection is there as long."""
+        """Keep the lease until it ends: for a pilot whose connection is there as long."""
         lease = self._lease
         while lease is self._lease and self._agent.holds(lease):
             self.heard()
             await asyncio.sleep(RENEWAL_S)
         self._look()
+
+    @asynccontextmanager
+    async def kept(self) -> AsyncIterator[None]:
+        """While the block runs, whatever lease is held lasts: the pilot is the task in it."""
+        keeping = self._agent.background.spawn(self._keep(), f"lease of {self.name}")
+        try:
+            yield
+        finally:
+            keeping.cancel()
+
+    async def _keep(self) -> None:
+        while True:
+            self.heard()
+            await asyncio.sleep(RENEWAL_S)
 
     async def ask(self, order: orders.Order, accepted: Callable[[], None] | None = None) -> Outcome:
         """Ask for something under the lease.

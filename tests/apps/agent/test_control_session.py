@@ -173,17 +173,16 @@ async def test_stop_stands_until_it_is_begun_anew(pilots: Pilots) -> None:
 async def test_the_pilot_takes_it_and_comes_back(pilots: Pilots, gives_way: bool) -> None:
     one, rig = session(pilots, gives_way=gives_way), pilots.rig
     await one.obtain()
-    keeping = rig.agent.background.spawn(one.keep(), "keep")
-    rig.aircraft.set_rc_mode("P")
-    await anyio.sleep(1.0)
-    assert at(one) is (S.ABSENT if gives_way else S.SUSPENDED)
-    assert one.has_lease is not gives_way
-    assert not one.has_control
-    rig.aircraft.set_rc_mode("F")
-    await anyio.sleep(2.0)
-    assert at(one) is (S.ABSENT if gives_way else S.HOLDING)
-    assert one.has_control is not gives_way
-    keeping.cancel()
+    async with one.kept():
+        rig.aircraft.set_rc_mode("P")
+        await anyio.sleep(1.0)
+        assert at(one) is (S.ABSENT if gives_way else S.SUSPENDED)
+        assert one.has_lease is not gives_way
+        assert not one.has_control
+        rig.aircraft.set_rc_mode("F")
+        await anyio.sleep(4.0)
+        assert at(one) is (S.ABSENT if gives_way else S.HOLDING)
+        assert one.has_control is not gives_way
 
 
 async def test_an_idle_pilot_gives_it_back(pilots: Pilots) -> None:
