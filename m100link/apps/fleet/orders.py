@@ -7,13 +7,13 @@ comes under the lease in force, and with the proof of it.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable
-from contextlib import asynccontextmanager
+from collections.abc import Awaitable
 from dataclasses import dataclass, field
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.lease import Flown, Lease, LeaseHeld
+from m100link.apps.agent.control_session import ControlSession
+from m100link.apps.agent.lease import Flown, Lease
 from m100link.apps.agent.remote_error import Fault, fault_of
 from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.missions.board import Missions
@@ -21,9 +21,9 @@ from m100link.apps.fleet.order_log import Ledger
 from m100link.apps.fleet.payloads import Order, agree
 from m100link.errors import M100Error, MissionRunning, NotAllowed, StaleLease, TaskRefused
 
-_RENEWAL_S = 0.5
 _LOOK_S = 0.1
 _REFUSED_S = 5.0
+_AGAIN_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,14 +219,16 @@ class Orders:
         await asyncio.shield(self._descent)
 
     async def _descended(self, task: orders.Order, who: str, *, take_over: bool) -> None:
-        client = self._client
-        lease = await self._seize(who, take_over=take_over)
-        async with self._kept(lease):
-            if not client.state.is_activated:
-                await client.ask(orders.Activate(), lease)
-            await self._end_task()
-            await client.ask(orders.Obtain(), lease)
-            await self._fly_down(lease, task)
+        control = ControlSession(self._client, who)
+        try:
+            async with control.kept():
+                lease = await control.take(take_over=take_over)
+                await self._end_task()
+                self._client.check(lease)  # somebody may have it who wants no landing
+                await control.obtain()
+                await self._fly_down(lease, task)
+        finally:
+            control.close()
 
     async def _end_task(self) -> None:
         """End what the aircraft flies by itself; a landing is left to its end."""
@@ -245,33 +247,6 @@ class Orders:
                 # What was broken off takes its time to end, in the air or on the ground.
                 if self._client.now > until:
                     raise
-                await asyncio.sleep(_RENEWAL_S)
+                await asyncio.sleep(_AGAIN_S)
             else:
                 return
-
-    async def _seize(self, who: str, *, take_over: bool) -> Lease:
-        client = self._client
-        try:
-            lease = await client.acquire(who)
-        except LeaseHeld:
-            if not take_over:
-                raise
-            offer = await client.ask_take_over(who)
-            lease = await client.confirm(offer.token)
-        await self._ledger.granted(lease.number)
-        return lease
-
-    @asynccontextmanager
-    async def _kept(self, lease: Lease) -> AsyncIterator[None]:
-        async def keep() -> None:
-            while True:
-                self._client.keep(lease)
-                await asyncio.sleep(_RENEWAL_S)
-
-        keeping = self._client.background.spawn(keep(), "lease of a landing")
-        try:
-            yield
-        finally:
-            keeping.cancel()
-            if self._client.holds(lease):
-                self._client.let_go(lease)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import anyio
 import pytest
 
 from m100link.apps.agent import orders
+from m100link.apps.agent.lease import Flown
+from m100link.apps.agent.messages import State
 from m100link.apps.fleet.client import Fleet, FleetAircraft
+from m100link.apps.fleet.order_log import MemoryLedger
 from m100link.apps.fleet.payloads import Outcome
-from m100link.errors import M100Error
+from m100link.errors import M100Error, StaleLease, UsageError
 from tests.apps.fleet.conftest import OnBoard, Rig
 
 pytestmark = pytest.mark.anyio
@@ -69,3 +74,48 @@ async def test_who_flies_home_is_landed_where_it_is(rig: Rig) -> None:
         assert (await other.land())["a1"].outcome is Outcome.OK
     assert one.height < 0.1
     assert any("land is done" in event.text for event in one.client.events)
+
+
+class FullDisk(MemoryLedger):
+    """It fails, or it hangs, from when it is told to."""
+
+    is_full = hangs = False
+
+    async def granted(self, fence: int) -> None:
+        if self.hangs:
+            await anyio.sleep_forever()
+        if self.is_full:
+            raise UsageError("no space is left")
+
+
+@pytest.mark.parametrize("how", ["is_full", "hangs"])
+async def test_who_lands_waits_for_no_disk(rig: Rig, how: str) -> None:
+    ledger = FullDisk()
+    one, pilot = await rig.aircraft("a1", ledger=ledger), await rig.pilot()
+    async with pilot["a1"].control() as control:
+        await control.take_off()
+    setattr(ledger, how, True)
+    assert (await (await rig.pilot("other")).land())["a1"].outcome is Outcome.OK
+    assert one.height < 0.1
+    assert one.client.holder.number == 0
+
+
+async def test_a_landing_that_was_taken_over_is_not_taken_up_again(rig: Rig) -> None:
+    """The pilot who takes over, and gives back, wants it in the air."""
+    one, pilot, other = await rig.aircraft("a1"), await rig.pilot(), await rig.pilot("other")
+    async with pilot["a1"].control() as control:
+        await control.take_off()
+    one.client.state = replace(one.client.state, task=Flown.LAND.value)
+    telling = one.client._handlers[State]
+    one.client._handlers[State] = lambda told: telling(replace(told, task=Flown.LAND.value))
+    landing = one.agent.background.spawn(other["a1"].land(), "land")
+    await rig.until(lambda: one.client.holder.number)
+    async with pilot["a1"].control(take_over=True):
+        await anyio.sleep(0.5)
+    await anyio.sleep(0.5)
+    one.client._handlers[State] = telling
+    with pytest.raises(StaleLease):
+        await landing
+    await anyio.sleep(3.0)
+    assert one.height > 1.0
+    assert one.client.holder.number == 0

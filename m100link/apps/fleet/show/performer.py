@@ -15,6 +15,7 @@ from typing import Literal
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.latency import DRIFT
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import Event, Topic
@@ -50,7 +51,6 @@ ATTENDED_S = 10.0
 """Seconds without a word of whoever conducts after which an aircraft that takes or has its place
 leaves: nobody waits for it there any more."""
 
-_RENEWAL_S = 0.5
 _LOOK_S = 0.2
 _ASSURED_S = 1.0
 """Seconds before the beginning at which all have to be heard; soon after it they begin to move."""
@@ -91,7 +91,7 @@ class Performer:
         # When its show begins, by the agent's clock; None before that is known.
         self._start_at: float | None = None
         self._leave = "land"
-        self._lease: Lease | None = None
+        self._control = ControlSession(client, f"show of {name}")
         self._refused: M100Error | None = None  # why the last setpoint was not flown
         self._work: asyncio.Task[None] | None = None
         self._heard_at = client.now  # whoever conducts, or asks where it stands
@@ -104,7 +104,7 @@ class Performer:
         self.leave()
         if self._work is not None:
             self._work.cancel()
-        self._let_go()
+        self._control.close()
         self._client.on_event.remove(self._hear)
         self._client.on_steer_refused.remove(self._steer_refused)
         self._client.on_authority_taken.remove(self._gave_way)
@@ -118,7 +118,7 @@ class Performer:
             self._gave_way(NoAuthority(f"{self._name} was stopped: {event.text}"))
 
     def _steer_refused(self, fence: int, error: M100Error) -> None:
-        if self._lease is not None and self._lease.number == fence:
+        if self._control.has_lease and self._client.holder.number == fence:
             self._refused = error
 
     def _gave_way(self, error: M100Error) -> None:
@@ -154,7 +154,7 @@ class Performer:
     # -- what it is told -------------------------------------------------------------------------
 
     def _require(self, order: type[ShowOrder], what: str) -> None:
-        is_landing = order is LoadTrack and self._lease is not None
+        is_landing = order is LoadTrack and self._control.has_lease
         if self.stage not in ALLOWED[order] or is_landing:
             stage = f"{self.stage.value}{' and landing' * is_landing}"
             left = "" if self.fault is None else f"it left: {self.fault.seen}"
@@ -228,7 +228,7 @@ class Performer:
         if self._work is not None:
             self._work.cancel()
         self.stage = ShowStage.LEFT
-        self._let_go()
+        self._control.let_go()
 
     def ahead(self) -> Ahead | None:
         """Where it will be, for the others of its show; None when there is nothing to tell."""
@@ -278,25 +278,27 @@ class Performer:
     async def _place(self, who: str) -> None:
         client, track = self._client, self._loaded()
         TrackSteering(track, 1.0).require_below(self._here(track))
-        self._lease = lease = await client.acquire(f"show of {who}")
-        keeping = client.background.spawn(self._keep(lease), "lease of a show")
+        self._control.name = f"show of {who}"
         attending = client.background.spawn(self._attend(), "conductor of a show")
         try:
-            if not client.state.is_activated:
-                await client.ask(orders.Activate(), lease)
-            await client.ask(orders.Obtain(), lease)
-            if not client.view.is_airborne:
-                await client.ask(orders.TakeOff(), lease)
-            first = track.points[0]
-            height = first.height - track.ground_m
-            await client.ask(ChangeHeight(height), lease)
-            place = LocalFrame(*track.origin).to_geodetic(first.north, first.east)
-            await client.ask(FlyTo(*place, height, yaw_deg=track.heading_deg), lease)
-            self.stage = ShowStage.READY
-            await asyncio.Event().wait()  # it keeps the lease until it is told to begin
+            # It keeps the lease until it is told to begin.
+            async with self._control.kept():
+                await self._control.obtain()
+                await self._take_place(client.check(self._control.lease), track)
+                self.stage = ShowStage.READY
+                await asyncio.Event().wait()
         finally:
             attending.cancel()
-            keeping.cancel()
+
+    async def _take_place(self, lease: Lease, track: TimedTrack) -> None:
+        client = self._client
+        if not client.view.is_airborne:
+            await client.ask(orders.TakeOff(), lease)
+        first = track.points[0]
+        height = first.height - track.ground_m
+        await client.ask(ChangeHeight(height), lease)
+        place = LocalFrame(*track.origin).to_geodetic(first.north, first.east)
+        await client.ask(FlyTo(*place, height, yaw_deg=track.heading_deg), lease)
 
     async def _attend(self) -> None:
         while True:
@@ -317,16 +319,11 @@ class Performer:
             cause="its program was ended, or the network between is cut",
         )
 
-    async def _keep(self, lease: Lease) -> None:
-        while True:
-            self._client.keep(lease)
-            await asyncio.sleep(_RENEWAL_S)
-
     async def _fly(
         self, track: TimedTrack, steering: TrackSteering, start_at: float, bound: float
     ) -> None:
         client, told_at, self._refused = self._client, self._client.now, None
-        lease = client.check(self._lease)
+        lease = client.check(self._control.lease)
         heading = track.heading_deg if track.heading_deg is not None else self._heading()
         look_at = told_at
         is_assured = False
@@ -391,22 +388,14 @@ class Performer:
 
     async def _end(self) -> None:
         """What follows: it hovers, or lands; and whoever comes next may have control."""
-        client, lease = self._client, self._lease
-        has_control = client.holds(lease) and client.has_authority
-        if self._leave == "land" and lease is not None and has_control:
-            keeping = client.background.spawn(self._keep(lease), "lease of a show")
+        control = self._control
+        if self._leave == "land" and control.has_control:
             try:
-                await client.ask(orders.Land(), lease)
+                async with control.kept():
+                    await control.ask(orders.Land())
             except M100Error as error:
-                client.note(f"show: {error.seen}", "error")
-            finally:
-                keeping.cancel()
-        self._let_go()
-
-    def _let_go(self) -> None:
-        lease, self._lease = self._lease, None
-        if lease is not None and self._client.holds(lease):
-            self._client.let_go(lease)
+                self._client.note(f"show: {error.seen}", "error")
+        control.let_go()
 
     # -- where it is -----------------------------------------------------------------------------
 
