@@ -51,6 +51,10 @@ from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 from m100link.telemetry.subscription import Hub, Policy, Subscription
 
+_NO_SIGN = frozenset({Outcome, SteerRefused, LeaseChanged, Event})
+"""Messages that do not show that the agent runs: a way over a network says them itself when nothing
+comes any more, and events are told however old they are."""
+
 _MAX_EVENTS = 200
 
 T = TypeVar("T")
@@ -184,7 +188,9 @@ class AgentClient:
     # -- what comes in ---------------------------------------------------------------------------
 
     def _receive(self, message: Message) -> None:
-        self.heard_at, self._view = self._clock(), None
+        self._view = None
+        if type(message) not in _NO_SIGN:
+            self.heard_at = self._clock()
         handler = self._handlers.get(type(message))
         if handler is not None:
             handler(message)

@@ -10,12 +10,19 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.background import BackgroundTasks
-from m100link.apps.agent.lease import TAKE_OVER_LIFETIME, Lease, LeaseRefused, TakeOver
+from m100link.apps.agent.lease import (
+    LEASE_LIFETIME,
+    TAKE_OVER_LIFETIME,
+    Lease,
+    LeaseRefused,
+    TakeOver,
+)
 from m100link.apps.agent.messages import (
     VERSION,
     Ask,
@@ -38,9 +45,9 @@ from m100link.apps.agent.remote_error import Fault, MessageError, agent_gone
 from m100link.apps.agent.view import MAX_SILENCE
 from m100link.apps.bus.network import Held
 from m100link.apps.fleet.asking import Asker
-from m100link.apps.fleet.control import SetpointSender
-from m100link.apps.fleet.payloads import Reply, unpack_message
-from m100link.errors import M100Error, UsageError
+from m100link.apps.fleet.payloads import Reply, pack_steer, unpack_message
+from m100link.errors import GuardRefused, M100Error, StaleLease, UsageError
+from m100link.protocol.setpoint import Setpoint
 
 _logger = logging.getLogger(__name__)
 
@@ -66,14 +73,26 @@ async def reach(asker: Callable[[str], Asker]) -> FleetChannel:
 
 
 class FleetChannel:
-    """A front's end; see :class:`m100link.apps.agent.transports.Channel`."""
+    """A front's end; see :class:`m100link.apps.agent.transports.Channel`.
 
-    def __init__(self, asker: Callable[[str], Asker]) -> None:
+    A lease that was granted here counts as lost when nothing that the agent says shows it in force
+    for 3 s.
+    """
+
+    def __init__(
+        self,
+        asker: Callable[[str], Asker],
+        *,
+        # Whether what the agent tells is heard. Otherwise its answers are all that is known of it:
+        # a program flies hundreds, and asks each for what it wants to know.
+        hears: bool = True,
+    ) -> None:
+        self._hears = hears
         self._asker_of, self._asker = asker, asker("")
         self._bus, self._keys = self._asker.bus, self._asker.keys
         self._clock = asyncio.get_running_loop().time
         self._its_clock = self._asker.its_clock
-        self._setpoints = SetpointSender(self._asker)
+        self.setpoints = SetpointSender(self._asker)
         self._background = BackgroundTasks()
         self._on_message: Callable[[Message], None] | None = None
         self._on_closed: Callable[[str], None] | None = None
@@ -87,7 +106,10 @@ class FleetChannel:
         self._told_at = self._granted_at = 0.0
         self._holder = LeaseChanged(0, "")
         self._leases: dict[int, Lease] = {}
+        self._leasing: set[asyncio.Task[None]] = set()  # orders about the lease, under way
         self._renewed_at = -_RENEWAL_S
+        self._shown_at = 0.0  # when the agent showed the last time that the lease is in force
+        self.lost: M100Error | None = None  # what the agent refused to renew it with
         # Why the newest setpoint that the agent told of was not flown. A page shows what is true of
         # the newest beat: it is told again with each, until the agent says that they fly.
         self._unflown: Fault | None = None
@@ -104,6 +126,8 @@ class FleetChannel:
         self._on_message, self._on_closed = on_message, on_closed
         bus, keys = self._bus, self._keys
         self._deliver(Hello(VERSION, self._boot, self._clock()))
+        if not self._hears:
+            return
         self._held += [
             bus.subscribe(keys.told, self._hear),
             bus.subscribe(keys.event, self._hear),
@@ -131,7 +155,7 @@ class FleetChannel:
         if self._is_closed:
             return
         self._is_closed = True
-        for one in (*self._held, self._setpoints, self._telemetry):
+        for one in (*self._held, self.setpoints, self._telemetry):
             if one is not None:
                 one.close()
         self._background.cancel()
@@ -142,16 +166,18 @@ class FleetChannel:
         if is_new and on_closed is not None:
             on_closed(reason)
 
-    async def let_go(self) -> None:
-        """Give back what was granted here: it hovers, and authority goes back. Before the close."""
+    async def let_go(self, patience: float = _LET_GO_S) -> None:
+        """Give back what was granted here, or is about to be: it hovers, and authority goes back.
+
+        Before the close. ``patience``: seconds for the answer; then it is left to silence.
+        """
+        if self._leasing:
+            await asyncio.wait(self._leasing, timeout=_LET_GO_S)
         lease = self._leases.get(self._holder.number)
         if lease is not None and not self._is_closed:
             try:
                 await self._asker.ask(
-                    orders.ReleaseLease(),
-                    fence=lease.number,
-                    token=lease.token,
-                    patience=_LET_GO_S,
+                    orders.ReleaseLease(), fence=lease.number, token=lease.token, patience=patience
                 )
             except M100Error as error:
                 _logger.warning("%s is left to silence: %s", self._keys.name, error.seen)
@@ -246,11 +272,14 @@ class FleetChannel:
         return now if known is None else min(now, its - known.seconds)
 
     def _lease_changed(self, change: LeaseChanged) -> None:
-        is_overtaken = change.number < self._holder.number and self._told_at < self._granted_at
-        if change.number == self._holder.number or is_overtaken:
-            return
-        self._holder, self._unflown = change, None
-        self._deliver(change)
+        if change.number >= self._holder.number or self._told_at >= self._granted_at:
+            self._shown_at = self._clock()
+            self._hold(change)
+
+    def _hold(self, change: LeaseChanged) -> None:
+        if change.number != self._holder.number:
+            self._holder, self._unflown = change, None
+            self._deliver(change)
 
     def _deliver(self, message: Message) -> None:
         if self._on_message is None or self._is_closed:
@@ -267,7 +296,7 @@ class FleetChannel:
     # -- what goes out ---------------------------------------------------------------------------
 
     def _answer(self, identity: int, reply: Reply | None, error: M100Error | None = None) -> None:
-        if error is not None and not identity:
+        if error is not None and not identity and not isinstance(error, StaleLease):
             _logger.warning("%s: %s", self._keys.name, error.seen)
         if not identity:
             return
@@ -306,7 +335,10 @@ class FleetChannel:
             finally:
                 self._asks -= 1
 
-        self._background.spawn(carry_out(), f"{order.label} of {self._keys.name}")
+        asking = self._background.spawn(carry_out(), f"{order.label} of {self._keys.name}")
+        if isinstance(order, orders.LeaseOrder):
+            self._leasing.add(asking)
+            asking.add_done_callback(self._leasing.discard)
 
     def _steer(self, steer: Steer) -> None:
         try:
@@ -316,7 +348,7 @@ class FleetChannel:
             # Who steers renews nothing else meanwhile. What comes too late to be flown renews no
             # lease, and that it was not flown, and how slow the way is, is told by renewals alone.
             self._keep(lease)
-            self._setpoints.send(
+            self.setpoints.send(
                 steer.fence, lease.token, steer.setpoint, steer.lifetime, made_at=steer.sent_at
             )
             if self._unflown is not None:
@@ -331,22 +363,34 @@ class FleetChannel:
         return next((one for one in self._leases.values() if one.token == token), None)
 
     def _keep(self, lease: Lease) -> None:
-        if self._clock() - self._renewed_at < _RENEWAL_S:
-            return
-        self._renewed_at = self._clock()
-        self._background.spawn(self._renew(lease), "renewal of a lease")
+        now, is_in_force = self._clock(), lease.number == self._holder.number
+        if is_in_force and now - self._shown_at > LEASE_LIFETIME:
+            self._lose()
+        elif now - self._renewed_at >= _RENEWAL_S:
+            # None waits for the answer to the one before: on board the lease ends 3 s after the
+            # last one came, however long the answers take.
+            self._renewed_at = now
+            self._background.spawn(self._renew(lease), "renewal of a lease")
 
     async def _renew(self, lease: Lease) -> None:
-        fence = self._holder.number
         try:
-            reply = await self._asker.renew(lease, within=_GREETING_S)
+            reply = await self._asker.renew(lease, within=LEASE_LIFETIME)
+        except GuardRefused:
+            return  # it came too late to renew anything, and says nothing of the lease
         except M100Error as error:
-            _logger.info("%s: %s", self._keys.name, error.seen)  # who has it is told by the agent
+            _logger.info("%s: %s", self._keys.name, error.seen)
+            if not self._hears and lease.number == self._holder.number:
+                self._lose(error)  # else the agent tells who has it
             return
-        if reply is not None:
-            self._unflown = reply.fault
+        if reply is not None and lease.number == self._holder.number:
+            self._shown_at, self._unflown = self._clock(), reply.fault
             if reply.fault is not None:
-                self._deliver(SteerRefused(fence, reply.fault))
+                self._deliver(SteerRefused(lease.number, reply.fault))
+
+    def _lose(self, error: M100Error | None = None) -> None:
+        """The lease counts as ended; without an error: the agent was silent."""
+        self.lost = error
+        self._hold(LeaseChanged(0, ""))
 
     async def _ask_lease(self, identity: int, order: orders.LeaseOrder) -> None:
         name, token = getattr(order, "name", ""), getattr(order, "token", "")
@@ -376,3 +420,64 @@ class FleetChannel:
         else:
             lease = Lease(reply.text, token, reply.number)
             self._deliver(Outcome(identity, Stage.DONE, lease=lease))
+
+
+# -- setpoints on their way to an agent, stamped by its clock --------------------------------------
+
+
+MOST_CLOCK_BOUND_S = 0.1
+"""Seconds by which the agent's clock may be wrong; setpoints older than 0.2 s are not flown."""
+
+_UNANSWERED_S = 4.0
+_PAUSE_S = 0.5
+"""Seconds after which whoever sends again has decided so anew."""
+
+
+class SetpointSender:
+    """Sends to one aircraft until it is closed, by the agent's clock as its asker knows it."""
+
+    def __init__(self, asker: Asker) -> None:
+        self._name, self._agent_clock = asker.keys.name, asker.its_clock
+        self._clock = asyncio.get_running_loop().time
+        self._outlet = asker.bus.publish(asker.keys.setpoint)
+        self._sent_at = -math.inf
+
+    def close(self) -> None:
+        """Send no more."""
+        self._outlet.close()
+
+    def send(
+        self,
+        fence: int,
+        token: str,
+        setpoint: Setpoint,
+        lifetime: float,  # seconds that it lasts at the agent
+        *,
+        # When it was decided, on this event loop's clock, s; now by default.
+        made_at: float | None = None,
+        # Whether a stream begins with it; by default when none was sent for half a second.
+        begins: bool | None = None,
+    ) -> None:
+        """Send one; never waits."""
+        now = self._clock()
+        known = self._agent_clock.offset(now)
+        if known is None or self._agent_clock.way_s > MOST_CLOCK_BOUND_S:
+            raise UsageError(
+                f"the clock of {self._name} is not known to {MOST_CLOCK_BOUND_S:g} s",
+                cause="the way there and back takes too long for setpoints",
+                remedy="fly by tasks and fly_to(), whose loops are closed on board",
+            )
+        # What the agent's clock showed long ago says nothing of how slow the way is by now.
+        if (silent := self._agent_clock.silent_s(now)) > _UNANSWERED_S:
+            raise UsageError(
+                f"{self._name} has answered nothing for {silent:.0f} s: nobody knows whether it "
+                "flies what is sent",
+                cause="the way there and back is cut, or takes too long",
+                remedy="let go, and look where the aircraft is",
+            )
+        if begins is None:
+            begins = now - self._sent_at > _PAUSE_S
+        self._sent_at = now
+        stamp = (now if made_at is None else made_at) + known.seconds
+        steer = Steer(fence, stamp, lifetime, setpoint)
+        self._outlet.put(pack_steer(steer, token, begins=begins))

@@ -8,37 +8,25 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import math
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Literal, Self
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.background import BackgroundTasks
-from m100link.apps.agent.lease import Lease, LeaseHeld
-from m100link.apps.agent.messages import Steer
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.control_session import ControlSession
+from m100link.apps.agent.lease import LEASE_LIFETIME, Lease
+from m100link.apps.agent.messages import LeaseChanged
 from m100link.apps.agent.orders import SETPOINT_LIFETIME, Order
 from m100link.apps.fleet.asking import STEP_S, Asker
+from m100link.apps.fleet.carrier import FleetChannel
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
-from m100link.apps.fleet.payloads import LeaseRequest, Progress, Reply, pack_steer
-from m100link.errors import (
-    FleetError,
-    GuardRefused,
-    M100Error,
-    OutcomeUnknown,
-    StaleLease,
-    UsageError,
-)
+from m100link.apps.fleet.payloads import Reply
+from m100link.errors import FleetError, M100Error, OutcomeUnknown, StaleLease, UsageError
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.setpoint import Setpoint
 
 _logger = logging.getLogger(__name__)
-
-
-_RENEWAL_S = 0.5
-_LEASE_S = 3.0
-_GIVEN_BACK_S = 1.0
-_AGAIN_S = 0.1
 
 
 class FleetControl:
@@ -60,10 +48,10 @@ class FleetControl:
         self._is_take_over = take_over
         self._keys = asker.keys
         self._clock = asyncio.get_running_loop().time
-        self._lease: Lease | None = None
-        self._renewed_at = 0.0
-        self._renewing: asyncio.Task[None] | None = None
-        self._owner: asyncio.Task[object] | None = None
+        self._stack = AsyncExitStack()  # the renewals, and the way to the agent
+        self._session: ControlSession | None = None
+        self._owner: asyncio.Task[object] | None = None  # who is in the block, and not leaving it
+        self._cancelled = 0  # how often others had cancelled him before
         self._has_entered = False
         self._lost: M100Error | None = None
         self._refused: M100Error | None = None
@@ -73,7 +61,8 @@ class FleetControl:
     @property
     def fence(self) -> int:
         """Number of the lease; 0 without one."""
-        return 0 if self._lease is None else self._lease.number
+        lease = None if self._session is None else self._session.lease
+        return 0 if lease is None else lease.number
 
     @property
     def proof(self) -> tuple[int, str]:
@@ -95,144 +84,84 @@ class FleetControl:
         # An order that says when it was made is not carried out when nobody waits for it any more.
         if await self._asker.is_there():
             await self._asker.look(within=STEP_S)
-        lease = await self._take_lease()
-        self._lease, self._renewed_at = lease, self._clock()
-        self._setpoints = SetpointSender(self._asker)
-        self._owner = asyncio.current_task()
-        self._renewing = asyncio.create_task(self._renew(), name="m100link: lease of a fleet")
+        self._owner = owner = asyncio.current_task()
+        self._cancelled = 0 if owner is None else owner.cancelling()
+        self._channel = FleetChannel(lambda _: self._asker, hears=False)
+        self._stack.callback(self._channel.close)
         try:
-            await self.ask(orders.Activate())
-            await self.ask(orders.Obtain())
+            client = await self._stack.enter_async_context(AgentClient(self._channel, self._name))
+            self._session = ControlSession(client, self._name)
+            client.on_lease.append(self._lease_changed)
+            client.on_steer_refused.append(self._steer_refused)
+            await self._stack.enter_async_context(self._session.kept())
+            await self._session.obtain(take_over=self._is_take_over)
         except BaseException as error:
             await self._leave()
-            self._raise_lost(error)
+            self._raise_lost(error, owner)
             raise
         self._has_entered = True
         return self
 
     async def __aexit__(self, _type: object, exc: BaseException | None, _: object) -> None:
-        is_lost = self._lost is not None
+        owner = self._owner
         try:
-            if not is_lost and self._stop == "land":
-                await self.land()
-        finally:
-            await self._leave()
-        if is_lost:
-            self._raise_lost(exc)
+            try:
+                if self._lost is None and self._stop == "land":
+                    await self.land()
+            finally:
+                await self._leave()
+        except asyncio.CancelledError as error:
+            self._raise_lost(error, owner)
+            raise
+        self._raise_lost(exc, owner)
 
-    def _raise_lost(self, exc: BaseException | None) -> None:
+    def _raise_lost(self, exc: BaseException | None, owner: asyncio.Task[object] | None) -> None:
         """Raise why the lease was lost, where that is what has ended the block."""
-        if isinstance(exc, asyncio.CancelledError) and self._lost is not None:
-            assert self._owner is not None
-            self._owner.uncancel()
+        if not isinstance(exc, asyncio.CancelledError) or self._lost is None or owner is None:
+            return
+        if owner.uncancel() <= self._cancelled:  # else somebody else wants it to end, too
             raise self._lost from exc
 
     async def _leave(self) -> None:
-        if self._renewing is not None:
-            self._renewing.cancel()
-            await asyncio.gather(self._renewing, return_exceptions=True)
-        self._setpoints.close()
-        lease, self._lease = self._lease, None
-        if lease is None or self._lost is not None:
-            return
-        await self._try(orders.ReleaseLease(), lease)
-
-    async def _try(self, order: Order, lease: Lease | None = None) -> None:
-        """Ask for what happens by itself as well, only later: expiry ends setpoint and lease."""
-        fence, token = (0, "") if lease is None else (lease.number, lease.token)
+        self._owner = None
         try:
-            await self._asker.ask(order, fence=fence, token=token, patience=_LEASE_S)
-        except FleetError as error:
-            _logger.warning("%s is left to silence: %s", self._keys.name, error.seen)
+            if self._lost is None:
+                await self._channel.let_go(LEASE_LIFETIME)
+        finally:
+            self._session = None
+            await self._stack.aclose()
 
     # -- the lease -------------------------------------------------------------------------------
 
-    async def _take_lease(self, offer: str = "") -> Lease:
-        request = self._asker.lease_request(offer)
-        try:
-            lease, _ = await self._asker.take_lease(request)
-        except LeaseHeld:
-            if not self._is_take_over or offer:
-                raise
-            found = await self._asker.ask(orders.AskTakeOver(self._name))
-            return await self._take_lease(found.offer)
-        except (OutcomeUnknown, asyncio.CancelledError):
-            await self._give_back(request)
-            raise
-        return lease
+    def _lease_changed(self, change: LeaseChanged) -> None:
+        if change.number == 0 and self._lost is None and self._owner is not None:
+            self._lost = self._channel.lost or self._silent()
+            self._owner.cancel()
 
-    async def _give_back(self, request: LeaseRequest) -> None:
-        """Give a lease back that was granted, or is about to be, to who waits for it no more."""
-        until = self._clock() + _GIVEN_BACK_S
-        while (left := until - self._clock()) > 0:
-            try:
-                found = await self._asker.look(request.order, within=left)
-            except FleetError as error:  # what ended the wait for it is what is told
-                _logger.warning("%s: its lease is left to silence: %s", self._keys.name, error.seen)
-                return
-            if found is not None and found.progress is Progress.DONE:
-                if found.key:
-                    lease = request.lease(found)
-                    await self._try(orders.ReleaseLease(), lease)
-                return
-            await asyncio.sleep(_AGAIN_S)
-
-    async def _renew(self) -> None:
-        """Renew the lease until it is lost; then whoever flies is told.
-
-        None waits for the answer to the one before: on board the lease ends 3 s after the last one
-        came, however long the answers take.
-        """
-        asking = BackgroundTasks()
-        try:
-            while self._lost is None and self._lease is not None:
-                asking.spawn(self._renew_once(self._lease), "renewal of a lease")
-                await asyncio.sleep(_RENEWAL_S)
-                if self._clock() - self._renewed_at > _LEASE_S:
-                    self._lose(self._silent())
-        finally:
-            asking.cancel()
+    def _steer_refused(self, _fence: int, error: M100Error) -> None:
+        self._refused = error
 
     def _silent(self) -> M100Error:
         """Why the lease is over when no renewal was answered."""
         if not self._has_entered:  # nothing was asked for under it that moves anything
             return StaleLease(
-                f"{self._keys.name} answered no renewal within {_LEASE_S:g} s: the lease cannot be "
-                "held",
+                f"{self._keys.name} answered no renewal within {LEASE_LIFETIME:g} s: the lease "
+                "cannot be held",
                 cause="the way there and back takes longer than a lease lasts without a word, or "
                 "is cut",
                 remedy="land and stop need no lease",
             )
         return OutcomeUnknown(
-            f"{self._keys.name} gave no answer for {_LEASE_S:g} s: the lease has ended",
+            f"{self._keys.name} gave no answer for {LEASE_LIFETIME:g} s: the lease has ended",
             remedy="it hovers, then does what its agent was told by --lost",
         )
 
-    async def _renew_once(self, lease: Lease) -> None:
-        try:
-            reply = await self._asker.renew(lease, within=_LEASE_S)
-        except GuardRefused:
-            return  # it came too late to renew anything, and says nothing of the lease
-        except M100Error as error:
-            self._lose(error)
-            return
-        if reply is not None:
-            self._renewed_at = self._clock()
-            if reply.fault is not None:
-                self._refused = reply.fault.error()
-
-    def _lose(self, error: M100Error) -> None:
-        if self._lost is not None:
-            return
-        self._lost = error
-        if self._owner is not None:
-            self._owner.cancel()
-
     def _held(self) -> Lease:
         """The lease; StaleLease where it has ended."""
-        if self._lease is None or self._lost is not None:
+        lease = None if self._session is None else self._session.lease
+        if lease is None:
             raise StaleLease(f"{self._name} has no control of {self._keys.name}") from self._lost
-        return self._lease
+        return lease
 
     # -- orders ----------------------------------------------------------------------------------
 
@@ -341,7 +270,7 @@ class FleetControl:
         refused, self._refused = self._refused, None
         if refused is not None:
             raise refused
-        self._setpoints.send(lease.number, lease.token, setpoint, lifetime, begins=begins)
+        self._channel.setpoints.send(lease.number, lease.token, setpoint, lifetime, begins=begins)
 
     @asynccontextmanager
     async def hold(self, setpoint: Setpoint, *, rate_hz: float = 20.0) -> AsyncIterator[FleetHold]:
@@ -380,7 +309,15 @@ class FleetControl:
             keeping.cancel()
             await asyncio.gather(keeping, return_exceptions=True)
             if self._lost is None:
-                await self._try(orders.Halt(f"{self._name} ended a hold"))
+                await self._halt()
+
+    async def _halt(self) -> None:
+        """Ask for what happens by itself as well, only later: a setpoint expires."""
+        halt = orders.Halt(f"{self._name} ended a hold")
+        try:
+            await self._asker.ask(halt, patience=LEASE_LIFETIME)
+        except FleetError as error:
+            _logger.warning("%s is left to silence: %s", self._keys.name, error.seen)
 
 
 class FleetHold:
@@ -392,64 +329,3 @@ class FleetHold:
     def set(self, setpoint: Setpoint) -> None:
         """Hold another one from now on."""
         self.setpoint = setpoint
-
-
-# -- setpoints on their way to an agent, stamped by its clock --------------------------------------
-
-
-MOST_CLOCK_BOUND_S = 0.1
-"""Seconds by which the agent's clock may be wrong; setpoints older than 0.2 s are not flown."""
-
-_UNANSWERED_S = 4.0
-_PAUSE_S = 0.5
-"""Seconds after which whoever sends again has decided so anew."""
-
-
-class SetpointSender:
-    """Sends to one aircraft until it is closed, by the agent's clock as its asker knows it."""
-
-    def __init__(self, asker: Asker) -> None:
-        self._name, self._agent_clock = asker.keys.name, asker.its_clock
-        self._clock = asyncio.get_running_loop().time
-        self._outlet = asker.bus.publish(asker.keys.setpoint)
-        self._sent_at = -math.inf
-
-    def close(self) -> None:
-        """Send no more."""
-        self._outlet.close()
-
-    def send(
-        self,
-        fence: int,
-        token: str,
-        setpoint: Setpoint,
-        lifetime: float,  # seconds that it lasts at the agent
-        *,
-        # When it was decided, on this event loop's clock, s; now by default.
-        made_at: float | None = None,
-        # Whether a stream begins with it; by default when none was sent for half a second.
-        begins: bool | None = None,
-    ) -> None:
-        """Send one; never waits."""
-        now = self._clock()
-        known = self._agent_clock.offset(now)
-        if known is None or self._agent_clock.way_s > MOST_CLOCK_BOUND_S:
-            raise UsageError(
-                f"the clock of {self._name} is not known to {MOST_CLOCK_BOUND_S:g} s",
-                cause="the way there and back takes too long for setpoints",
-                remedy="fly by tasks and fly_to(), whose loops are closed on board",
-            )
-        # What the agent's clock showed long ago says nothing of how slow the way is by now.
-        if (silent := self._agent_clock.silent_s(now)) > _UNANSWERED_S:
-            raise UsageError(
-                f"{self._name} has answered nothing for {silent:.0f} s: nobody knows whether it "
-                "flies what is sent",
-                cause="the way there and back is cut, or takes too long",
-                remedy="let go, and look where the aircraft is",
-            )
-        if begins is None:
-            begins = now - self._sent_at > _PAUSE_S
-        self._sent_at = now
-        stamp = (now if made_at is None else made_at) + known.seconds
-        steer = Steer(fence, stamp, lifetime, setpoint)
-        self._outlet.put(pack_steer(steer, token, begins=begins))

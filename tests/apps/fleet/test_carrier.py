@@ -118,7 +118,12 @@ async def steered(far: AgentClient, lease: Lease, seconds: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("delay", "told"), [(0.3, "the clock of a1 is not known"), (1.0, "has answered nothing for")]
+    ("delay", "told"),
+    [
+        (0.3, "the clock of a1 is not known"),
+        (1.0, "the clock of a1 is not known"),
+        (2.0, "has answered nothing for"),
+    ],
 )
 async def test_who_steers_over_a_way_that_became_slow_is_told_so_and_keeps_control(
     rig: Rig, delay: float, told: str
@@ -175,6 +180,11 @@ async def test_a_cut_network_is_a_hover_and_a_front_that_says_so(rig: Rig) -> No
         assert one.speed < 0.3
         assert far.view.hearing is Hearing.SILENT
         assert not far.is_connected
+        for _ in range(50):  # refused here, which is no word of the agent
+            far.steer(lease, NORTH)
+            await anyio.sleep(0.1)
+            assert far.is_silent
+        assert far.holder.number == 0, "nothing showed the lease for longer than it lasts"
         rig.network.join(one.bus)
         await steered(far, lease, 3.0)
         assert one.speed < 0.3, "a stream that was cut goes on"

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import inspect
+from random import Random
 
 import anyio
 import pytest
@@ -11,6 +13,7 @@ import pytest
 from m100link.apps.agent import orders
 from m100link.apps.agent.lease import LeaseHeld
 from m100link.apps.agent.orders import FlyTo
+from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.control import FleetControl
 from m100link.errors import GuardRefused, M100Error, OutcomeUnknown, StaleLease, UsageError
 from m100link.geodesy import LocalFrame
@@ -140,6 +143,101 @@ async def test_a_lease_that_comes_to_who_was_ended_meanwhile_goes_back(
     assert one.client.holder.number == 0
     assert [e.text for e in one.client.events if "has control" in e.text], "it was granted"
     assert not [e.text for e in one.client.events if "expired" in e.text]
+
+
+@pytest.mark.parametrize("after", [0.1, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6])
+async def test_a_take_over_of_what_is_given_back_meanwhile(rig: Rig, after: float) -> None:
+    """Whichever of its steps the first pilot leaves in, the second one has the lease then."""
+    one = await rig.aircraft("a1")
+    first, second = await rig.pilot("first"), await rig.pilot("second")
+
+    async def fly() -> None:
+        with contextlib.suppress(M100Error):
+            async with first["a1"].control():
+                await anyio.sleep(after)
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(fly)
+        await rig.until(lambda: one.client.state.has_authority)
+        rig.network.weather = Weather(delay_s=0.05)
+        async with second["a1"].control(take_over=True):
+            assert one.client.holder.name == "second"
+
+
+async def test_a_lease_that_is_lost_in_the_landing_of_its_end_is_told(rig: Rig) -> None:
+    """And the task that flew does not count as cancelled by somebody."""
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+
+    async def cut() -> None:
+        await rig.until(lambda: one.client.state.task == "land")
+        rig.cut(pilot)
+
+    async def fly() -> None:
+        async with pilot["a1"].control(stop="land") as control:
+            await control.take_off()
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(cut)
+        with pytest.raises(OutcomeUnknown, match="the lease has ended"):
+            await asyncio.create_task(fly())
+    await anyio.sleep(10.0)
+    assert one.height < 0.1
+
+
+async def test_who_is_ended_as_the_lease_is_lost_is_ended(rig: Rig) -> None:
+    """Ctrl-C at that moment is not taken for the loss."""
+    await rig.aircraft("a1")
+    pilot = await rig.pilot()
+    lost: list[bool] = []
+
+    async def fly() -> None:
+        async with pilot["a1"].control():
+            rig.cut(pilot)
+            try:
+                await anyio.sleep_forever()
+            finally:
+                lost.append(True)
+                await anyio.sleep(0.1)
+
+    flying = asyncio.create_task(fly())
+    await rig.until(lambda: lost)
+    flying.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await flying
+
+
+async def attacked(pilot: Fleet, draw: Random) -> None:
+    async with pilot["a1"].control(take_over=draw.random() < 0.5) as control:
+        await control.take_off()
+        async with control.hold(NORTH):
+            await anyio.sleep(2.0)
+
+
+@pytest.mark.parametrize("seed", range(2))
+async def test_whatever_ends_a_pilot_nobody_has_control_then(rig: Rig, seed: int) -> None:
+    """Cancelled, cut off for less or more than a lease lasts, or killed, at drawn moments."""
+    draw, one = Random(seed), await rig.aircraft("a1")
+    rig.network.seed(seed)
+    for attempt in range(5):
+        pilot = await rig.pilot()
+        rig.network.weather = Weather(delay_s=draw.choice([0.0, 0.05]), loss=draw.choice([0, 0.1]))
+        flying = asyncio.create_task(attacked(pilot, draw))
+        await anyio.sleep(draw.choice([draw.uniform(0.0, 0.5), draw.uniform(0.0, 12.0)]))
+        how = draw.choice(["cancelled", "cut", "killed"])
+        if how != "cancelled":
+            rig.cut(pilot)
+        if how == "cut":
+            await anyio.sleep(draw.choice([2.9, 3.1, 8.0]))
+            rig.join(pilot)
+            await anyio.sleep(draw.uniform(0.0, 1.0))
+        flying.cancel()
+        (ended,) = await asyncio.gather(flying, return_exceptions=True)
+        assert isinstance(ended, M100Error | asyncio.CancelledError | None), (seed, attempt)
+        await anyio.sleep(4.5)
+        where = f"seed {seed}, attempt {attempt}, {how}"
+        assert one.client.holder.number == 0, where
+        assert not one.client.state.has_authority, where
+        assert one.speed < 0.3, where
 
 
 async def test_setpoints_need_a_clock_that_is_known(rig: Rig) -> None:
