@@ -494,7 +494,12 @@ class ControlSession:
 
     def _lease_changed(self, message: LeaseChanged) -> None:
         lease = self._lease
-        if lease is None or 0 < message.number <= lease.number:
+        if lease is None or 0 < message.number < lease.number:
+            return
+        if message.number == lease.number:  # what was told of its end was wrong
+            self.lease_end = None
+            if self._state in (_S.LOST, _S.TAKEN_OVER):
+                self.feed(_I.GRANTED)
             return
         if self.lease_end is None:
             self.lease_end, self.loss = message, None

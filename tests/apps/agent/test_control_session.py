@@ -21,6 +21,8 @@ from m100link.apps.agent.control_session import (
     Terms,
 )
 from m100link.apps.agent.lease import Lease, LeaseHeld
+from m100link.apps.agent.lease import LeaseHeld
+from m100link.apps.agent.messages import LeaseChanged
 from m100link.apps.agent.server.server import Service
 from m100link.apps.agent.transports import MemoryChannel, memory_channels
 from m100link.errors import LinkError, M100Error, NoAuthority
@@ -153,6 +155,24 @@ async def test_another_pilot_takes_over(pilots: Pilots) -> None:
     one.let_go()  # which takes nothing from anybody
     await anyio.sleep(0.1)
     assert other.has_control
+
+
+@pytest.mark.parametrize("told", [LeaseChanged(0, ""), LeaseChanged(1000, "nobody")])
+async def test_a_lease_that_was_told_to_have_ended_and_is_in_force(
+    pilots: Pilots, told: LeaseChanged
+) -> None:
+    """As by a stranger on a network, or after a silence there: control is asked for anew."""
+    one, client = session(pilots), pilots.clients[0]
+    await one.obtain()
+    true = client.holder
+    client._receive(told)
+    assert at(one) in (S.LOST, S.TAKEN_OVER)
+    assert not one.has_control
+    client._receive(true)
+    assert at(one) is S.LEASED
+    assert one.lease_end is None
+    await one.obtain()
+    assert at(one) is S.HOLDING
 
 
 async def test_stop_stands_until_it_is_begun_anew(pilots: Pilots) -> None:
