@@ -59,6 +59,14 @@ _RENEWAL_S = 0.4
 """A tab renews with each beat; that often it goes over the network, be the last answered or not."""
 
 _LET_GO_S = 1.0
+_UNANSWERED_S = 4.0
+
+MOST_CLOCK_BOUND_S = 0.1
+"""Seconds by which the agent's clock may be wrong; setpoints older than 0.2 s are not flown."""
+
+_PAUSE_S = 0.5
+"""Seconds after which whoever sends again has decided so anew."""
+
 _MOST_LEASES = 8
 _MOST_ASKS = 64
 
@@ -92,7 +100,8 @@ class FleetChannel:
         self._bus, self._keys = self._asker.bus, self._asker.keys
         self._clock = asyncio.get_running_loop().time
         self._its_clock = self._asker.its_clock
-        self.setpoints = SetpointSender(self._asker)
+        self._outlet = self._bus.publish(self._keys.setpoint)
+        self._sent_at = -math.inf  # the newest setpoint
         self._background = BackgroundTasks()
         self._on_message: Callable[[Message], None] | None = None
         self._on_closed: Callable[[str], None] | None = None
@@ -155,7 +164,7 @@ class FleetChannel:
         if self._is_closed:
             return
         self._is_closed = True
-        for one in (*self._held, self.setpoints, self._telemetry):
+        for one in (*self._held, self._outlet, self._telemetry):
             if one is not None:
                 one.close()
         self._background.cancel()
@@ -343,18 +352,51 @@ class FleetChannel:
     def _steer(self, steer: Steer) -> None:
         try:
             lease = self._leases.get(steer.fence)
-            if lease is None or steer.fence != self._holder.number:
-                raise LeaseRefused(f"lease {steer.fence} is not in force")
             # Who steers renews nothing else meanwhile. What comes too late to be flown renews no
             # lease, and that it was not flown, and how slow the way is, is told by renewals alone.
+            if lease is None or steer.fence != self._holder.number:
+                raise LeaseRefused(f"lease {steer.fence} is not in force")
             self._keep(lease)
-            self.setpoints.send(
-                steer.fence, lease.token, steer.setpoint, steer.lifetime, made_at=steer.sent_at
-            )
+            self.fly(lease, steer.setpoint, steer.lifetime, made_at=steer.sent_at)
             if self._unflown is not None:
                 self._deliver(SteerRefused(steer.fence, self._unflown))
         except M100Error as error:
             self._deliver(SteerRefused(steer.fence, Fault.of(error)))
+
+    def fly(
+        self,
+        lease: Lease,
+        setpoint: Setpoint,
+        lifetime: float,  # seconds that it lasts at the agent
+        *,
+        # When it was decided, on this event loop's clock, s; now by default.
+        made_at: float | None = None,
+        # Whether a stream begins with it; by default when none was sent for half a second.
+        begins: bool | None = None,
+    ) -> None:
+        """Send a setpoint, by the agent's clock; UsageError: that is not known well enough."""
+        now = self._clock()
+        known = self._its_clock.offset(now)
+        if known is None or self._its_clock.way_s > MOST_CLOCK_BOUND_S:
+            raise UsageError(
+                f"the clock of {self._keys.name} is not known to {MOST_CLOCK_BOUND_S:g} s",
+                cause="the way there and back takes too long for setpoints",
+                remedy="fly by tasks and fly_to(), whose loops are closed on board",
+            )
+        # What its clock showed long ago says nothing of how slow the way is by now.
+        if (silent := self._its_clock.silent_s(now)) > _UNANSWERED_S:
+            raise UsageError(
+                f"{self._keys.name} has answered nothing for {silent:.0f} s: nobody knows whether "
+                "it flies what is sent",
+                cause="the way there and back is cut, or takes too long",
+                remedy="let go, and look where the aircraft is",
+            )
+        if begins is None:
+            begins = now - self._sent_at > _PAUSE_S
+        self._sent_at = now
+        stamp = (now if made_at is None else made_at) + known.seconds
+        steer = Steer(lease.number, stamp, lifetime, setpoint)
+        self._outlet.put(pack_steer(steer, lease.token, begins=begins))
 
     # -- the lease -------------------------------------------------------------------------------
 
@@ -420,64 +462,3 @@ class FleetChannel:
         else:
             lease = Lease(reply.text, token, reply.number)
             self._deliver(Outcome(identity, Stage.DONE, lease=lease))
-
-
-# -- setpoints on their way to an agent, stamped by its clock --------------------------------------
-
-
-MOST_CLOCK_BOUND_S = 0.1
-"""Seconds by which the agent's clock may be wrong; setpoints older than 0.2 s are not flown."""
-
-_UNANSWERED_S = 4.0
-_PAUSE_S = 0.5
-"""Seconds after which whoever sends again has decided so anew."""
-
-
-class SetpointSender:
-    """Sends to one aircraft until it is closed, by the agent's clock as its asker knows it."""
-
-    def __init__(self, asker: Asker) -> None:
-        self._name, self._agent_clock = asker.keys.name, asker.its_clock
-        self._clock = asyncio.get_running_loop().time
-        self._outlet = asker.bus.publish(asker.keys.setpoint)
-        self._sent_at = -math.inf
-
-    def close(self) -> None:
-        """Send no more."""
-        self._outlet.close()
-
-    def send(
-        self,
-        fence: int,
-        token: str,
-        setpoint: Setpoint,
-        lifetime: float,  # seconds that it lasts at the agent
-        *,
-        # When it was decided, on this event loop's clock, s; now by default.
-        made_at: float | None = None,
-        # Whether a stream begins with it; by default when none was sent for half a second.
-        begins: bool | None = None,
-    ) -> None:
-        """Send one; never waits."""
-        now = self._clock()
-        known = self._agent_clock.offset(now)
-        if known is None or self._agent_clock.way_s > MOST_CLOCK_BOUND_S:
-            raise UsageError(
-                f"the clock of {self._name} is not known to {MOST_CLOCK_BOUND_S:g} s",
-                cause="the way there and back takes too long for setpoints",
-                remedy="fly by tasks and fly_to(), whose loops are closed on board",
-            )
-        # What the agent's clock showed long ago says nothing of how slow the way is by now.
-        if (silent := self._agent_clock.silent_s(now)) > _UNANSWERED_S:
-            raise UsageError(
-                f"{self._name} has answered nothing for {silent:.0f} s: nobody knows whether it "
-                "flies what is sent",
-                cause="the way there and back is cut, or takes too long",
-                remedy="let go, and look where the aircraft is",
-            )
-        if begins is None:
-            begins = now - self._sent_at > _PAUSE_S
-        self._sent_at = now
-        stamp = (now if made_at is None else made_at) + known.seconds
-        steer = Steer(fence, stamp, lifetime, setpoint)
-        self._outlet.put(pack_steer(steer, token, begins=begins))

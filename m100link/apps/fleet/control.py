@@ -270,7 +270,7 @@ class FleetControl:
         refused, self._refused = self._refused, None
         if refused is not None:
             raise refused
-        self._channel.setpoints.send(lease.number, lease.token, setpoint, lifetime, begins=begins)
+        self._channel.fly(lease, setpoint, lifetime, begins=begins)
 
     @asynccontextmanager
     async def hold(self, setpoint: Setpoint, *, rate_hz: float = 20.0) -> AsyncIterator[FleetHold]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
+from random import Random
 
 import anyio
 import pytest
@@ -119,3 +121,30 @@ async def test_a_landing_that_was_taken_over_is_not_taken_up_again(rig: Rig) -> 
     await anyio.sleep(3.0)
     assert one.height > 1.0
     assert one.client.holder.number == 0
+
+
+async def test_whenever_a_landing_is_ended_nobody_has_control_then(rig: Rig) -> None:
+    """As by the revocation of who asked, or a take-over, at drawn moments."""
+    seed = 31
+    draw, one, pilot = Random(seed), await rig.aircraft("a1"), await rig.pilot()
+    async with pilot["a1"].control() as control:
+        await control.take_off()
+    ours = one.fleet_agent._orders
+    for attempt in range(12):
+        landing = asyncio.create_task(ours.descend(orders.Land(), "landing for somebody"))
+        for _ in range(draw.randrange(1, 40)):
+            await asyncio.sleep(draw.choice([0.0, 0.0, 0.02]))
+        assert ours._descent is not None
+        if draw.random() < 0.5:
+            ours._descent.cancel()
+        else:
+            offer = await one.client.ask_take_over("somebody else")
+            one.client.let_go(await one.client.confirm(offer.token))
+        await asyncio.gather(landing, return_exceptions=True)
+        await anyio.sleep(0.5)
+        assert one.client.holder.number == 0, (seed, attempt)
+        assert not one.client.state.has_authority, (seed, attempt)
+        assert one.speed < 1.0, "it stands, or it lands by itself"
+        if one.height < 0.8:
+            assert (await pilot.land())["a1"].is_ok
+            await pilot["a1"].take_off()

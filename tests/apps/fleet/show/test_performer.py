@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
+from random import Random
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -336,6 +338,22 @@ async def test_somebody_who_has_control_keeps_it(stand: Stand) -> None:
         await stand.rig.until(lambda: performer.stage is LEFT)
         assert isinstance(performer.fault, M100Error)
         assert "has control" in performer.fault.seen
+
+
+async def test_whenever_it_leaves_nobody_has_control_then(stand: Stand) -> None:
+    """While it takes control and off, at drawn moments."""
+    seed, performer, client = 31, stand.performer, stand.one.client
+    draw = Random(seed)
+    for attempt in range(30):
+        performer.load(FLOWN.to_bytes(), "hover")
+        performer.place("anna")
+        for _ in range(draw.randrange(1, 40)):
+            await asyncio.sleep(draw.choice([0.0, 0.0, 0.02]))
+        performer.leave()
+        await anyio.sleep(0.5)
+        assert performer.stage is LEFT, (seed, attempt)
+        assert client.holder.number == 0, (seed, attempt)
+        assert not client.state.has_authority, (seed, attempt)
 
 
 async def test_what_is_no_number_is_neither_flown_by_nor_told_to_the_others() -> None:
