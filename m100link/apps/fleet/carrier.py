@@ -188,6 +188,8 @@ class FleetChannel:
                 await self._asker.ask(
                     orders.ReleaseLease(), fence=lease.number, token=lease.token, patience=patience
                 )
+            except StaleLease:
+                pass  # it was on its way back already
             except M100Error as error:
                 _logger.warning("%s is left to silence: %s", self._keys.name, error.seen)
 
@@ -458,6 +460,8 @@ class FleetChannel:
             offer = TakeOver(name, reply.text, reply.offer, reply.number, until)
             self._deliver(Outcome(identity, Stage.DONE, offer=offer))
         elif isinstance(order, orders.ReleaseLease):
+            if fence == self._holder.number:
+                self._hold(LeaseChanged(0, ""))
             self._answer(identity, reply)
         else:
             lease = Lease(reply.text, token, reply.number)

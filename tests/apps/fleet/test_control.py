@@ -240,6 +240,19 @@ async def test_whatever_ends_a_pilot_nobody_has_control_then(rig: Rig, seed: int
         assert one.speed < 0.3, where
 
 
+async def test_a_lease_goes_back_once_where_control_is_refused(
+    rig: Rig, caplog: pytest.LogCaptureFixture
+) -> None:
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    one.aircraft.leave_f()
+    await anyio.sleep(1.0)
+    with pytest.raises(M100Error, match="mode switch P"):
+        async with pilot["a1"].control():
+            raise AssertionError("the pilot at the remote control flies")
+    assert one.client.holder.number == 0
+    assert not [it.message for it in caplog.records if "fleet" in it.name]
+
+
 async def test_setpoints_need_a_clock_that_is_known(rig: Rig) -> None:
     await rig.aircraft("a1")
     pilot = await rig.pilot()
