@@ -93,6 +93,7 @@ class FleetControl:
             self._session = ControlSession(client, self._name)
             client.on_lease.append(self._lease_changed)
             client.on_steer_refused.append(self._steer_refused)
+            self._stack.push_async_callback(self._give_back)  # once nothing renews it any more
             await self._stack.enter_async_context(self._session.kept())
             await self._session.obtain(take_over=self._is_take_over)
         except BaseException as error:
@@ -125,11 +126,13 @@ class FleetControl:
     async def _leave(self) -> None:
         self._owner = None
         try:
-            if self._lost is None:
-                await self._channel.let_go(LEASE_LIFETIME)
+            await self._stack.aclose()
         finally:
             self._session = None
-            await self._stack.aclose()
+
+    async def _give_back(self) -> None:
+        if self._lost is None:
+            await self._channel.let_go(LEASE_LIFETIME)
 
     # -- the lease -------------------------------------------------------------------------------
 

@@ -7,7 +7,6 @@ comes under the lease in force, and with the proof of it.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable
 from dataclasses import dataclass, field
 
 from m100link.apps.agent import orders
@@ -164,8 +163,12 @@ class Orders:
             raise StaleLease(f"lease {order.fence} is not in force{who}")
         return lease
 
-    async def _grant(self, order: Order, asked: Awaitable[Lease], key: bytes, secret: str) -> Done:
-        lease = await asked
+    async def _granted(self, order: Order, asked: orders.LeaseOrder) -> Done:
+        key, secret = agree(order)  # before anything is taken from anybody
+        if isinstance(asked, orders.ConfirmTakeOver):
+            lease = await self._client.confirm(asked.token)
+        else:
+            lease = await self._client.acquire(order.by)
         since = self._revoked(order.signer)
         if since:  # while it was being granted
             self._client.let_go(lease)
@@ -176,12 +179,8 @@ class Orders:
 
     async def _lease(self, order: Order, asked: orders.LeaseOrder) -> Done:
         client = self._client
-        if isinstance(asked, orders.AcquireLease):
-            key, secret = agree(order)  # before anything is taken from anybody
-            return await self._grant(order, client.acquire(order.by), key, secret)
-        if isinstance(asked, orders.ConfirmTakeOver):
-            key, secret = agree(order)
-            return await self._grant(order, client.confirm(asked.token), key, secret)
+        if isinstance(asked, orders.AcquireLease | orders.ConfirmTakeOver):
+            return await self._granted(order, asked)
         if isinstance(asked, orders.AskTakeOver):
             offer = await client.ask_take_over(order.by)
             return Done(offer.from_name, offer.number, offer.token)
