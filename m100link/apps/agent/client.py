@@ -74,7 +74,7 @@ class AgentClient:
         self._channel = OwnLoop(channel)
         self._name = name
         self.state = State(at=self.now)  #: where the agent stands
-        self.heard_at = self.now  #: when anything of the agent was heard last, s
+        self.heard_at = self.now  #: when a sign that the agent runs was heard last, s
         self.holder = LeaseChanged(0, "")  #: who has the lease
         #: What was counted on the line to the aircraft; None before, and while there is none.
         self.link: LinkCounted | None = None
