@@ -70,6 +70,25 @@ async def test_a_pilot_who_is_cut_off_longer_than_the_lease_is_told(rig: Rig) ->
     assert one.client.holder.number == 0
 
 
+@pytest.mark.parametrize("seconds", [2.4, 3.6])
+async def test_a_cut_that_is_shorter_than_the_lease_costs_nothing(rig: Rig, seconds: float) -> None:
+    """A renewal goes every 0.5 s, and the lease lasts 3 s after the last one: 2.5 s are sure."""
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    ended: list[M100Error] = []
+    try:
+        async with pilot["a1"].control() as control:
+            fence = control.fence
+            rig.cut(pilot)
+            await anyio.sleep(seconds)
+            rig.join(pilot)
+            await anyio.sleep(1.0)
+            assert one.client.holder.number == control.fence == fence
+    except M100Error as error:
+        ended.append(error)
+    assert [type(error) for error in ended] == ([OutcomeUnknown] if seconds > 3.0 else [])
+    assert one.client.holder.number == 0
+
+
 async def test_a_stop_ends_a_hold_until_the_pilot_begins_anew(rig: Rig) -> None:
     one = await rig.aircraft("a1")
     pilot, other = await rig.pilot(), await rig.pilot("other")
