@@ -21,7 +21,6 @@ from m100link.apps.agent.control_session import (
     Terms,
 )
 from m100link.apps.agent.lease import Lease, LeaseHeld
-from m100link.apps.agent.lease import LeaseHeld
 from m100link.apps.agent.messages import LeaseChanged
 from m100link.apps.agent.server.server import Service
 from m100link.apps.agent.transports import MemoryChannel, memory_channels

@@ -183,7 +183,7 @@ async def test_a_cut_network_is_a_hover_and_a_front_that_says_so(rig: Rig) -> No
         for _ in range(50):  # refused here, which is no word of the agent
             far.steer(lease, NORTH)
             await anyio.sleep(0.1)
-            assert far.is_silent
+            assert far.view.hearing is Hearing.SILENT
         assert far.holder.number == 0, "nothing showed the lease for longer than it lasts"
         rig.network.join(one.bus)
         await steered(far, lease, 3.0)

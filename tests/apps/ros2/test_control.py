@@ -393,10 +393,10 @@ async def test_control_is_given_back_for_lack_of_orders_where_it_is_seen_to_stan
     agent = KnownAgent(its)
     async with AgentClient(ours, "ROS 2") as client:
         helm = Helm(client)
-        await helm.obtain("ROS")
+        await helm.obtain()
         for _ in range(round(IDLE_S) + 2):
             agent.tell(agent.state)
             agent.tell_package(client.now, changed=told, without=() if told else (FlightStatus,))
             helm.advance()
             await anyio.sleep(1.0)
-        assert (helm.lease is not None) is is_kept
+        assert helm.session.has_lease is is_kept

@@ -360,14 +360,13 @@ async def test_what_is_no_number_is_neither_flown_by_nor_told_to_the_others() ->
     """A place of NaN is near to nobody: the others would fly into it."""
     state = AircraftState(lambda: 0.25)
     state.update(known.sample(changed=[Attitude(math.nan, 0, 0, 1), Velocity(math.nan, 1, 2, 7)]))
-    told: dict[str, Any] = {name: [] for name in ("event", "lease", "steer_refused")}
     client: Any = SimpleNamespace(
         view=known.seen(state, 0.25),
         now=5.0,
         on_event=[],
+        on_lease=[],
         on_steer_refused=[],
         on_authority_taken=[],
-        telemetry=state, now=5.0, on_authority_taken=[], **{f"on_{n}": to for n, to in told.items()}
     )
     performer = Performer(client, "a1")
     with pytest.raises(TelemetryStalled, match="nose"):
