@@ -26,8 +26,7 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from mcap.writer import CompressionType, Writer
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.messages import Steer
-from m100link.apps.agent.remote_error import Fault
+from m100link.apps.agent.messages import Fault, Steer
 from m100link.apps.bus.network import Answer
 from m100link.apps.cli.decode import _from_hex
 from m100link.apps.cli.fleet import borrowed

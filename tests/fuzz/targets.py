@@ -17,8 +17,7 @@ from typing import Any
 from m100link.aircraft.replaying import parse_replay
 from m100link.apps.agent.codec import decode as decode_message
 from m100link.apps.agent.codec import encode as encode_message
-from m100link.apps.agent.messages import Event, Hello, LeaseChanged, State
-from m100link.apps.agent.remote_error import MessageError
+from m100link.apps.agent.messages import Event, Hello, LeaseChanged, MessageError, State
 from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.cli.decode import decode_stream
 from m100link.apps.fleet.identity import Rights

@@ -32,6 +32,7 @@ from m100link.apps.agent.messages import (
     Event,
     Hello,
     LeaseChanged,
+    MessageError,
     Note,
     State,
     Steer,
@@ -42,7 +43,6 @@ from m100link.apps.agent.orders import (
     LeaseOrder,
     Right,
 )
-from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.agent.server.server import Service
 from m100link.apps.agent.transports import UnixChannel
 from m100link.apps.bus.network import Question, Received

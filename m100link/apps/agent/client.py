@@ -22,11 +22,13 @@ from m100link.apps.agent.messages import (
     Ask,
     AuthorityTaken,
     Event,
+    Fault,
     FromMobile,
     Hello,
     LeaseChanged,
     LinkCounted,
     Message,
+    MessageError,
     MissionTold,
     Note,
     Outcome,
@@ -36,9 +38,10 @@ from m100link.apps.agent.messages import (
     Steer,
     SteerRefused,
     Telemetry,
+    agent_gone,
+    agent_lost,
 )
 from m100link.apps.agent.orders import SETPOINT_LIFETIME
-from m100link.apps.agent.remote_error import Fault, MessageError, agent_gone, agent_lost
 from m100link.apps.agent.transports import Channel
 from m100link.apps.agent.view import MOMENT_S, VehicleView
 from m100link.errors import AuthorityLost, BadPlan, LayoutMismatch, M100Error

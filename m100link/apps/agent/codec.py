@@ -24,12 +24,12 @@ from m100link.apps.agent.messages import (
     Hello,
     LinkCounted,
     Message,
+    MessageError,
     State,
     Steer,
     Telemetry,
 )
 from m100link.apps.agent.orders import ORDERS, Order
-from m100link.apps.agent.remote_error import MessageError
 from m100link.errors.texts import read_json
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.setpoint import (
@@ -268,7 +268,7 @@ class Kinds:
 # What goes seldom is JSON, one object for each message: its kind and its fields. A setpoint and a
 # telemetry package go fifty and a hundred times a second, and somebody waits for the setpoint: they
 # are packed, after a first byte that no JSON begins with. Reading never raises anything but
-# :class:`~m100link.apps.agent.remote_error.MessageError`; what is longer than :data:`MAX_SIZE` is
+# :class:`~m100link.apps.agent.messages.MessageError`; what is longer than :data:`MAX_SIZE` is
 # not read.
 
 

@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Protocol
 
 from m100link.apps.agent.codec import MAX_SIZE, decode, encode
-from m100link.apps.agent.messages import Goodbye, Message, Telemetry
-from m100link.apps.agent.remote_error import MessageError
+from m100link.apps.agent.messages import Goodbye, Message, MessageError, Telemetry
 from m100link.errors import PortFailed, PortNotFound
 
 _logger = logging.getLogger(__name__)

@@ -189,7 +189,7 @@ def _show(page: _Page) -> None:
 def error_classes() -> list[type[M100Error]]:
     """Every class of errors of the package, each before those that derive from it."""
     for elsewhere in (
-        "m100link.apps.agent.remote_error",
+        "m100link.apps.agent.messages",
         "m100link.apps.fleet.pki",
         "m100link.apps.fleet.show.plan.steering",
         "m100link.sim.orders",

@@ -23,9 +23,8 @@ from typing import TypeVar
 import m100link
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.messages import Event, Telemetry
+from m100link.apps.agent.messages import Event, MessageError, Telemetry, fault_of
 from m100link.apps.agent.orders import Age, Right
-from m100link.apps.agent.remote_error import MessageError, fault_of
 from m100link.apps.agent.view import Hearing
 from m100link.apps.bus.network import Bus, Held, Question
 from m100link.apps.fleet.expiry import Dropped, OrderAges, SetpointStream, broken, require_young

@@ -17,7 +17,7 @@ from typing import Self
 from m100link.apps.agent import orders
 from m100link.apps.agent.latency import ClockEstimate
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.remote_error import Fault, MessageError
+from m100link.apps.agent.messages import Fault, MessageError
 from m100link.apps.bus.network import Answer, Bus
 from m100link.apps.fleet.keys import Keys, session_in
 from m100link.apps.fleet.payloads import (

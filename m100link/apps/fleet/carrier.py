@@ -27,11 +27,13 @@ from m100link.apps.agent.messages import (
     VERSION,
     Ask,
     Event,
+    Fault,
     Goodbye,
     Hello,
     LeaseChanged,
     LinkCounted,
     Message,
+    MessageError,
     Note,
     Outcome,
     Stage,
@@ -39,9 +41,9 @@ from m100link.apps.agent.messages import (
     Steer,
     SteerRefused,
     Telemetry,
+    agent_gone,
 )
 from m100link.apps.agent.orders import Right
-from m100link.apps.agent.remote_error import Fault, MessageError, agent_gone
 from m100link.apps.agent.view import MAX_SILENCE
 from m100link.apps.bus.network import Held
 from m100link.apps.fleet.asking import Asker

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
 
+from m100link.apps.agent.messages import MessageError, fault_of
 from m100link.apps.agent.orders import AskVersion, Land, Stop
-from m100link.apps.agent.remote_error import MessageError, fault_of
 from m100link.apps.bus.network import Bus, Held
 from m100link.apps.bus.session import LARGEST, Opening, ZenohBus, open_session
 from m100link.apps.fleet.asking import PATIENCE_S, Asker, Sign, nobody_there, unsigned

@@ -13,7 +13,7 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.lease import Flown, Lease
-from m100link.apps.agent.remote_error import Fault, fault_of
+from m100link.apps.agent.messages import Fault, fault_of
 from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.missions.board import Missions
 from m100link.apps.fleet.order_log import Ledger

@@ -23,9 +23,8 @@ from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X
 from m100link.apps.agent import orders
 from m100link.apps.agent.codec import BadValue, Fields, decode, encode, parsed
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused
-from m100link.apps.agent.messages import Message, Steer
+from m100link.apps.agent.messages import Fault, Message, MessageError, Steer
 from m100link.apps.agent.orders import Right
-from m100link.apps.agent.remote_error import Fault, MessageError
 from m100link.errors import (
     AckTimeout,
     AuthorityLost,

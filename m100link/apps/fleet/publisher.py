@@ -20,14 +20,15 @@ from m100link.apps.agent.messages import (
     VERSION,
     Activating,
     AuthorityTaken,
+    Fault,
     Hello,
     LeaseChanged,
     Message,
+    MessageError,
     PlanTold,
     Telemetry,
 )
 from m100link.apps.agent.orders import UploadPlan
-from m100link.apps.agent.remote_error import Fault, MessageError
 from m100link.apps.bus.network import Bus, Question
 from m100link.apps.fleet.keys import Keys, name_in
 from m100link.apps.fleet.payloads import pack, unpack_message

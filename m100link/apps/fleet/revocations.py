@@ -18,7 +18,7 @@ from typing import Any
 from cryptography import x509
 
 from m100link.apps.agent.background import BackgroundTasks
-from m100link.apps.agent.remote_error import MessageError, fault_of
+from m100link.apps.agent.messages import MessageError, fault_of
 from m100link.apps.bus.network import Bus, Question
 from m100link.apps.fleet.asking import believed, nobody_there
 from m100link.apps.fleet.identity import LARGEST, BadRevoked, Revoked, Rights

@@ -18,7 +18,7 @@ from contextlib import asynccontextmanager, suppress
 from dataclasses import asdict
 from typing import Any
 
-from m100link.apps.agent.remote_error import Fault
+from m100link.apps.agent.messages import Fault
 from m100link.apps.station.log_output import LogOutput, in_force, writing_log
 from m100link.errors import M100Error
 from m100link.errors.texts import read_json

@@ -19,6 +19,7 @@ from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused
 from m100link.apps.agent.messages import (
     VERSION,
     Ask,
+    Fault,
     Hello,
     Message,
     Note,
@@ -29,7 +30,6 @@ from m100link.apps.agent.messages import (
     Telemetry,
 )
 from m100link.apps.agent.orders import ChangeHeight
-from m100link.apps.agent.remote_error import Fault
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.server import Service
 from m100link.apps.agent.transports import MemoryChannel, memory_channels

@@ -34,6 +34,7 @@ from m100link.apps.agent.messages import (
     Ask,
     AuthorityTaken,
     Event,
+    Fault,
     FromMobile,
     Goodbye,
     Hello,
@@ -41,6 +42,7 @@ from m100link.apps.agent.messages import (
     Limits,
     LinkCounted,
     Message,
+    MessageError,
     MissionTold,
     Note,
     Outcome,
@@ -53,7 +55,6 @@ from m100link.apps.agent.messages import (
     Telemetry,
 )
 from m100link.apps.agent.orders import GuidedFlight
-from m100link.apps.agent.remote_error import Fault, MessageError
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.setpoint import ReferenceFrame, Setpoint
 from tests.apps.agent.examples import EXAMPLES as ORDERS

@@ -1,8 +1,84 @@
-"""The journal: events are numbered, bounded and told."""
+"""Errors on their way are what the agent met; events are numbered, bounded and told."""
 
 from __future__ import annotations
 
-from m100link.apps.agent.messages import Event, Journal, Topic
+import pytest
+
+from m100link import errors
+from m100link.apps.agent.codec import decode, encode
+from m100link.apps.agent.lease import LeaseHeld
+from m100link.apps.agent.messages import AuthorityTaken, Event, Fault, Journal, MessageError, Topic
+from m100link.errors import AuthorityLost, AuthorityRefused, GuardRefused, LossReason, M100Error
+
+ERRORS: list[M100Error] = [
+    M100Error("seen"),
+    LeaseHeld("held", holder="tab", remedy="ask"),
+    AuthorityRefused("no", command="request_authority", code=3, cause="a switch"),
+    AuthorityLost("lost", reason=LossReason.APP),
+    GuardRefused("too high", guard="height", measured=51.5, limit=50),
+    GuardRefused("lost", guard="gps", measured=float("nan")),
+    MessageError("what"),
+]
+
+
+def carried(error: M100Error) -> M100Error:
+    message = decode(encode(AuthorityTaken(Fault.of(error))))
+    assert isinstance(message, AuthorityTaken)
+    return message.fault.error()
+
+
+@pytest.mark.parametrize("error", ERRORS, ids=lambda one: type(one).__name__)
+def test_an_error_is_the_same_error_at_the_other_end(error: M100Error) -> None:
+    found = carried(error)
+    assert type(found) is type(error)
+    assert str(found) == str(error)
+    for name, value in vars(error).items():
+        if value == value:  # not a NaN, which becomes its name
+            assert getattr(found, name) == value
+
+
+def test_every_error_of_the_tree_can_be_carried() -> None:
+    for name in vars(errors)["__all__"]:
+        kind = getattr(errors, name)
+        if isinstance(kind, type) and issubclass(kind, M100Error):
+            error = kind.__new__(kind)
+            M100Error.__init__(error, "seen", cause="cause", remedy="remedy")
+            assert type(carried(error)) is kind
+
+
+def test_a_class_that_is_not_known_becomes_the_base_that_is() -> None:
+    class OfAPlugin(AuthorityRefused):
+        pass
+
+    assert type(carried(OfAPlugin("no", command="x"))) is AuthorityRefused
+    assert type(Fault("FromTheFuture", "seen").error()) is M100Error
+
+
+def test_details_of_a_stranger_leave_an_error_what_it_is() -> None:
+    """Whoever shows it reads its words, and the attributes of its class."""
+    told = {"seen": 5, "remedy": None, "error_code": 7, "args": 1, "manual": "x", "guard": "gps"}
+    error = Fault("GuardRefused", "seen", "cause", "remedy", told).error()
+    assert isinstance(error, GuardRefused)
+    assert str(error) == str(GuardRefused("seen", cause="cause", remedy="remedy"))
+    assert (error.error_code, error.guard) == ("M100-GUARD-REFUSED", "gps")
+    plain = Fault("GuardRefused", "seen").error()
+    assert isinstance(plain, GuardRefused)
+    assert (plain.guard, plain.measured, plain.limit) == ("", None, None)
+
+
+def test_no_detail_that_a_stranger_names_raises_where_it_is_read() -> None:
+    """Errors of the operating system have attributes of their own, which take numbers alone."""
+    for name in vars(errors)["__all__"]:
+        kind = getattr(errors, name)
+        if isinstance(kind, type) and issubclass(kind, M100Error):
+            for told in (*dir(kind), "", "no name", "\ud800"):
+                for value in (None, True, -1, 1.5, "x"):
+                    found = Fault(name, "seen", "cause", "remedy", {told: value}).error()
+                    assert (found.seen, found.cause, found.remedy) == ("seen", "cause", "remedy")
+                    assert str(found) == str(kind("seen", cause="cause", remedy="remedy"))
+
+
+# -- the journal ----------------------------------------------------------------------------------
 
 
 def test_events_are_numbered_told_and_bounded() -> None:

@@ -15,9 +15,8 @@ import pytest
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.codec import decode, encode
-from m100link.apps.agent.messages import Ask
+from m100link.apps.agent.messages import Ask, MessageError
 from m100link.apps.agent.orders import ORDERS, Age, Needs, Order, Right
-from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.agent.server import agent as handlers
 from m100link.errors import M100Error
 from tests.apps.agent.conftest import Rig

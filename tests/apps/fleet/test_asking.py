@@ -15,7 +15,7 @@ import pytest
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.remote_error import MessageError
+from m100link.apps.agent.messages import MessageError
 from m100link.apps.bus.network import Answer, Bus, Question
 from m100link.apps.fleet.asking import PATIENCE_S, STEP_S, Asker, Questions, believed, clocks_told
 from m100link.apps.fleet.client import Fleet, open_fleet

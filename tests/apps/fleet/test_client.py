@@ -10,7 +10,7 @@ import anyio
 import pytest
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.remote_error import MessageError
+from m100link.apps.agent.messages import MessageError
 from m100link.apps.fleet.client import Change, FleetAircraft
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.payloads import AskShow, Card, Outcome, pack

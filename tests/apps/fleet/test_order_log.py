@@ -10,7 +10,7 @@ from zlib import crc32
 
 import pytest
 
-from m100link.apps.agent.remote_error import MessageError
+from m100link.apps.agent.messages import MessageError
 from m100link.apps.fleet.order_log import (
     FENCES_AT_ONCE,
     KEPT_S,

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from m100link.apps.agent.lease import LeaseHeld, LeaseRefused
-from m100link.apps.agent.messages import Steer, Telemetry
+from m100link.apps.agent.messages import Fault, MessageError, Steer, Telemetry
 from m100link.apps.agent.orders import (
     AcquireLease,
     Land,
@@ -22,7 +22,6 @@ from m100link.apps.agent.orders import (
     TakeOff,
     UploadPlan,
 )
-from m100link.apps.agent.remote_error import Fault, MessageError
 from m100link.apps.fleet.identity import Gate, Rights, Signer
 from m100link.apps.fleet.payloads import (
     VERSION,

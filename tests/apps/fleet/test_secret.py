@@ -13,8 +13,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.messages import Steer
-from m100link.apps.agent.remote_error import MessageError
+from m100link.apps.agent.messages import MessageError, Steer
 from m100link.apps.bus.network import Answer, Question
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.keys import Keys

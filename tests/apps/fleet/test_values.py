@@ -24,9 +24,8 @@ from rich.console import Console
 pytest.importorskip("zenoh")
 
 import m100link
-from m100link.apps.agent.messages import Event, LeaseChanged, State, Steer, Telemetry
+from m100link.apps.agent.messages import Event, Fault, LeaseChanged, State, Steer, Telemetry
 from m100link.apps.agent.orders import TakeOff
-from m100link.apps.agent.remote_error import Fault
 from m100link.apps.cli import fleet_verbs, fleet_watch
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.keys import Keys

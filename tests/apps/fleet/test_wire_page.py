@@ -21,8 +21,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
 from m100link.apps.agent import orders
+from m100link.apps.agent.messages import Fault
 from m100link.apps.agent.orders import ORDERS, AskVersion, Ending, LeaseOrder
-from m100link.apps.agent.remote_error import Fault
 from m100link.apps.bus.network import Bus, fits
 from m100link.apps.fleet.identity import Rights
 from m100link.apps.fleet.keys import Keys

@@ -17,11 +17,13 @@ from m100link.apps.agent.messages import (
     Ask,
     AuthorityTaken,
     Event,
+    Fault,
     FromMobile,
     Hello,
     LeaseChanged,
     LinkCounted,
     Message,
+    MessageError,
     MissionTold,
     Note,
     Outcome,
@@ -31,9 +33,9 @@ from m100link.apps.agent.messages import (
     SteerRefused,
     Telemetry,
     Topic,
+    fault_of,
 )
 from m100link.apps.agent.orders import Halt, Right
-from m100link.apps.agent.remote_error import Fault, MessageError, fault_of
 from m100link.apps.agent.server.agent import Agent, Answer
 from m100link.apps.agent.server.connection import ConnectionState
 from m100link.apps.agent.server.mission import push_of

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from m100link.apps.agent.remote_error import MessageError
+from m100link.apps.agent.messages import MessageError
 from m100link.apps.fleet.asking import PATIENCE_S, Asker, nobody_there, reason_of
 from m100link.apps.fleet.logs.words import (
     LogEntry,

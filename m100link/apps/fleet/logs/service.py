@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from m100link.apps.agent.background import BackgroundTasks
-from m100link.apps.agent.remote_error import fault_of
+from m100link.apps.agent.messages import fault_of
 from m100link.apps.bus.network import Bus, Question
 from m100link.apps.fleet.agent import Verify, admit
 from m100link.apps.fleet.keys import Keys

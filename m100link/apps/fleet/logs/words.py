@@ -17,7 +17,7 @@ from io import FileIO
 from pathlib import Path
 
 from m100link.apps.agent.codec import parsed
-from m100link.apps.agent.remote_error import Fault, MessageError
+from m100link.apps.agent.messages import Fault, MessageError
 from m100link.apps.fleet.payloads import (
     VERSION,
     LogQuestion,

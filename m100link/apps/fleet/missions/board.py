@@ -13,9 +13,8 @@ from functools import partial
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.messages import LeaseChanged, MissionTold
+from m100link.apps.agent.messages import Fault, LeaseChanged, MissionTold, fault_of
 from m100link.apps.agent.orders import StartMission, UploadPlan
-from m100link.apps.agent.remote_error import Fault, fault_of
 from m100link.apps.fleet.payloads import MissionCard, MissionInput, MissionStage, after
 from m100link.errors import M100Error, UsageError
 from m100link.geodesy import distance_m

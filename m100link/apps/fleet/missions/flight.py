@@ -13,7 +13,7 @@ from collections.abc import Awaitable, Callable
 from typing import Self
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.remote_error import MessageError
+from m100link.apps.agent.messages import MessageError
 from m100link.apps.fleet.asking import PATIENCE_S, Asker, Questions
 from m100link.apps.fleet.payloads import MissionCard, MissionStage, Reply, unpack
 from m100link.errors import M100Error, MissionAborted, OutcomeUnknown

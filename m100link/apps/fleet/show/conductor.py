@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from m100link.apps.agent.remote_error import MessageError
+from m100link.apps.agent.messages import MessageError
 from m100link.apps.bus.network import Bus
 from m100link.apps.fleet.asking import Asker, Sign, unsigned
 from m100link.apps.fleet.keys import Keys

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.remote_error import MessageError, fault_of
+from m100link.apps.agent.messages import MessageError, fault_of
 from m100link.apps.bus.network import Bus, Question
 from m100link.apps.fleet.agent import Namesakes, Verify, admit
 from m100link.apps.fleet.identity import Since

@@ -9,7 +9,7 @@ from pathlib import Path
 import anyio
 import pytest
 
-from m100link.apps.agent.remote_error import MessageError
+from m100link.apps.agent.messages import MessageError
 from m100link.apps.bus.network import Question
 from m100link.apps.fleet.asking import PATIENCE_S
 from m100link.apps.fleet.logs.fetching import PIECE, Fetched, LogFetcher

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from m100link.apps.agent.remote_error import MessageError, fault_of
+from m100link.apps.agent.messages import MessageError, fault_of
 from m100link.apps.fleet.logs.words import (
     MOST_PIECE,
     LogEntry,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import anyio
 import pytest
 
-from m100link.apps.agent.remote_error import MessageError
+from m100link.apps.agent.messages import MessageError
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.missions.flight import FleetMission, mission_card
 from m100link.apps.fleet.payloads import MissionCard, MissionStage, pack

@@ -28,6 +28,7 @@ from m100link.apps.agent.messages import (
     Ask,
     AuthorityTaken,
     Event,
+    Fault,
     FromMobile,
     MissionTold,
     State,
@@ -35,7 +36,6 @@ from m100link.apps.agent.messages import (
     Telemetry,
 )
 from m100link.apps.agent.orders import CameraUse, Order
-from m100link.apps.agent.remote_error import Fault
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.station.ros.dji_sdk import DjiSdk
 from m100link.apps.station.ros.graph import Graph, add_rosout

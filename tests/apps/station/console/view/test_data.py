@@ -11,8 +11,7 @@ from itertools import pairwise
 import anyio
 import pytest
 
-from m100link.apps.agent.messages import Event, LeaseChanged, LinkCounted, State
-from m100link.apps.agent.remote_error import Fault
+from m100link.apps.agent.messages import Event, Fault, LeaseChanged, LinkCounted, State
 from m100link.apps.station.console.kept import COLUMNS, INTERVAL
 from m100link.apps.station.console.view.data import (
     FIRST_CHOICE,

@@ -25,13 +25,13 @@ from m100link.apps.agent.messages import (
     LeaseChanged,
     LinkCounted,
     Message,
+    MessageError,
     MissionTold,
     PlanTold,
     State,
     SteerRefused,
     Telemetry,
 )
-from m100link.apps.agent.remote_error import MessageError
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.station.console.view.fly import live
 from m100link.apps.station.console.view.situation import Inputs, Ship

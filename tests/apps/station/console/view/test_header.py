@@ -13,8 +13,7 @@ import anyio
 import pytest
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.messages import LeaseChanged, Replay, State
-from m100link.apps.agent.remote_error import Fault
+from m100link.apps.agent.messages import Fault, LeaseChanged, Replay, State
 from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.header import (
     RULES,
