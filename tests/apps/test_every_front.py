@@ -193,9 +193,9 @@ TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
         Console: End(H, LASTS_05, UNHEARD, "the pad shows no_control"),
         Rosbridge: End(H, LASTS_05, UNHEARD, "the agent that owns the aircraft has gone"),
         Mavlink: End(H, LASTS_05, UNHEARD, "no heartbeat"),
-        Ros2: End(H, LASTS_05, UNHEARD, "line: the agent is silent"),
+        Ros2: End(H, LASTS_05, UNHEARD, "line: the agent has gone"),
         FleetPilot: End(H, LASTS_05, UNHEARD, "OutcomeUnknown: a1 gave no answer for 3 s"),
-        FarConsole: End(H, LASTS_05, UNHEARD, "a1 has answered nothing"),
+        FarConsole: End(H, LASTS_05, UNHEARD, "has no control: the agent is silent"),
         Performer: End(H, LASTS_05, UNHEARD, UNTOLD),  # told after 7 s: see its own tests
         Sync: Cannot("it has no agent: the program is the owner of the line"),
     },

@@ -21,6 +21,7 @@ from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused, TakeOver
 from m100link.apps.agent.messages import Event, LeaseChanged, Outcome, Topic
 from m100link.apps.agent.orders import SETPOINT_LIFETIME
+from m100link.apps.agent.view import Hearing
 from m100link.errors import (
     AuthorityLost,
     GuardRefused,
@@ -179,12 +180,12 @@ class ControlSession:
     @property
     def lease(self) -> Lease | None:
         """The lease, if it is in force."""
-        return self._lease if self._agent.holds(self._lease) else None
+        return self._lease if self.has_lease else None
 
     @property
     def has_lease(self) -> bool:
         """Whether this pilot may steer."""
-        return self._agent.holds(self._lease)
+        return self._lease is not None and self._lease.number == self._agent.holder.number
 
     @property
     def has_control(self) -> bool:
@@ -214,15 +215,22 @@ class ControlSession:
 
         Raises:
             NoAuthority: Control is not held.
+            LinkError: The agent has gone.
         """
         lease = self.lease
         if lease is None or not self._agent.has_authority:
             raise self._no_control()
         return lease
 
-    def _no_control(self) -> NoAuthority:
-        holder, who = self._agent.holder, self._terms.who
-        other = f": {holder.name} has control" if holder.number and not self.has_lease else ""
+    def _no_control(self) -> M100Error:
+        agent, who = self._agent, self._terms.who
+        if agent.is_gone and agent.state.connection_fault is not None:
+            return agent.state.connection_fault.error()
+        other = ""
+        if agent.view.hearing is Hearing.SILENT:
+            other = ": the agent is silent"
+        elif agent.holder.number and not self.has_lease:
+            other = f": {agent.holder.name} has control"
         return NoAuthority(
             f"{who} has no control{other}; nothing was sent",
             cause="control was not asked for, or was lost since",
@@ -470,13 +478,13 @@ class ControlSession:
         return await self._agent.ask(order, lease, accepted)
 
     def steer(self, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
-        """Fly this for its lifetime. Raises NoAuthority: control is not held."""
+        """Fly this for its lifetime. Raises as :meth:`held`."""
         agent, lease, view = self._agent, self._lease, self._agent.view
         if lease is None or lease.number != view.holder.number or not view.has_authority:
             raise self._no_control()
         if self._state is _S.SUSPENDED:
             self.feed(_I.OBEYED)
-        self._used_at = self._renewed_at = agent.now  # it renews the lease
+        self._used_at = self._renewed_at = view.at  # it renews the lease
         agent.steer(lease, setpoint, lifetime)
 
     async def stop(self) -> None:

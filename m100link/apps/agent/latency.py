@@ -62,7 +62,7 @@ class _Way:
             self._before, self._least = self._least, math.inf
             self._window_ends_at = now + _WINDOW
         self._least = min(self._least, passage - DRIFT * now)
-        return self.fastest(now)
+        return min(self._least, self._before) + DRIFT * now
 
     def fastest(self, now: float) -> float:
         return min(self._least, self._before) + DRIFT * now

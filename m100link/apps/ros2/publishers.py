@@ -364,8 +364,8 @@ def _line(view: VehicleView) -> Status:
         "packages that do not fit": state.mismatches,
     }
     if not view.is_connected:
-        is_silent = view.hearing is Hearing.SILENT
-        message = "the agent is silent" if is_silent else state.connection
+        unheard = {Hearing.SILENT: "the agent is silent", Hearing.GONE: "the agent has gone"}
+        message = unheard.get(view.hearing, state.connection)
         return Status("line", Level.ERROR, message, values)
     if not view.is_heard:
         return Status("line", Level.STALE, "no telemetry", values)

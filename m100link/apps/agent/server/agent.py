@@ -190,6 +190,8 @@ class Agent:
             self.holding.let_go()
 
     def _holding_changed(self, before: HoldingState, after: HoldingState) -> None:
+        if after is HoldingState.HELD:
+            self._steered_at = self.now  # a front may have held a stream back until now
         # The pilot who comes back to F would give it to nobody.
         if after is not HoldingState.RELEASING:
             self._end_unclaimed("it was lost meanwhile")
@@ -261,8 +263,9 @@ class Agent:
             GuardRefused: Nothing began anew since STOP or a loss of control; or see below.
             NoAuthority, GuardRefused, UsageError: See :meth:`m100link.Control.send`.
         """
-        self.desk.renew(token, self.now)
-        since, self._steered_at = self.now - self._steered_at, self.now
+        now = self.now
+        self.desk.renew(token, now)
+        since, self._steered_at = now - self._steered_at, now
         is_new = since > _PAUSE_S and self.holding.has_authority
         if is_new and self._begin_anew == _LOST_MEANWHILE:
             self._begin_anew = ""

@@ -393,11 +393,12 @@ class Press:
 
     def fate(self, agent: AgentClient, now: float, *, has_lease: bool) -> Fate:
         """Return its fate until now."""
-        if not has_lease or not agent.has_authority:
+        view = agent.view
+        if not has_lease or not view.has_authority:
             return Fate.NO_CONTROL
         if now - self._refused_at <= _TOLD_FOR:
             return self._why
-        if agent.view.is_on_ground:
+        if view.is_on_ground:
             return Fate.ON_GROUND
         if self._passed_at < self._since or agent.heard_at - self._since < CERTAIN_AFTER:
             return Fate.SENT
