@@ -79,7 +79,7 @@ class ControlInput(Enum):
     ACTIVATE = "activate"
     OBTAIN = "obtain"
     OBEYED = "obeyed"  # authority is held
-    REFUSED = "refused"  # what was asked for
+    REFUSED = "refused"  # the lease, to who asked for it
     STOP = "stop"  # by anybody
     BEGUN_ANEW = "begun anew"  # the pilot let go of everything after a STOP
     LET_GO = "let go"
@@ -100,16 +100,16 @@ _LEASE = {
     _I.ENDED: _S.LOST,
     _I.OTHER: _S.TAKEN_OVER,
 }
-_UNDER_WAY = _LEASE | {_I.REFUSED: _S.LETTING_GO}
+_TAKEN = {_I.AUTHORITY_TAKEN: _S.SUSPENDED}
 
 TRANSITIONS: dict[ControlState, dict[ControlInput, ControlState]] = {
     _S.ABSENT: _FREE,
     _S.ASKING: {_I.GRANTED: _S.LEASED, _I.REFUSED: _S.ABSENT, _I.LET_GO: _S.LETTING_GO},
     _S.LEASED: _LEASE | {_I.ACTIVATE: _S.ACTIVATING},
-    _S.ACTIVATING: _UNDER_WAY,
-    _S.OBTAINING: _UNDER_WAY | {_I.OBEYED: _S.HOLDING},
-    _S.HOLDING: _LEASE | {_I.STOP: _S.STOPPED, _I.AUTHORITY_TAKEN: _S.SUSPENDED},
-    _S.STOPPED: _LEASE | {_I.BEGUN_ANEW: _S.HOLDING, _I.AUTHORITY_TAKEN: _S.SUSPENDED},
+    _S.ACTIVATING: _LEASE,
+    _S.OBTAINING: _LEASE | {_I.OBEYED: _S.HOLDING, _I.STOP: _S.STOPPED},
+    _S.HOLDING: _LEASE | _TAKEN | {_I.STOP: _S.STOPPED},
+    _S.STOPPED: _LEASE | _TAKEN | {_I.BEGUN_ANEW: _S.HOLDING},
     _S.SUSPENDED: _LEASE | {_I.OBEYED: _S.HOLDING},  # the pilot came back to F
     _S.LETTING_GO: dict.fromkeys((_I.GIVEN_BACK, _I.REFUSED, _I.ENDED, _I.OTHER), _S.ABSENT),
     _S.LOST: _FREE | {_I.LET_GO: _S.ABSENT},
@@ -340,7 +340,6 @@ class ControlSession:
             self._require(lease)
         except BaseException as error:
             is_unwanted = self._lease is not lease
-            self.feed(_I.REFUSED)
             self._end(lease)
             if is_unwanted and isinstance(error, M100Error):
                 raise self._not_wanted() from error
@@ -397,6 +396,8 @@ class ControlSession:
     def _end(self, lease: Lease) -> None:
         is_in_force = self._agent.holds(lease)
         if self._lease is lease:
+            if self._state not in (_S.LOST, _S.TAKEN_OVER):  # which stay as they are
+                self.feed(_I.LET_GO)
             self._forget()
             self.feed(_I.GIVEN_BACK)
         if is_in_force:

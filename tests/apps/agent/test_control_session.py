@@ -40,8 +40,8 @@ TABLE = """
 ABSENT      ASKING LEASED  .          .         .       .          .       .       .          .      .         .      .
 ASKING      .      LEASED  .          .         .       ABSENT     .       .       LETTING_GO .      .         .      .
 LEASED      .      .       ACTIVATING OBTAINING .       .          .       .       LETTING_GO .      .         LOST   TAKEN_OVER
-ACTIVATING  .      LEASED  .          OBTAINING .       LETTING_GO .       .       LETTING_GO .      .         LOST   TAKEN_OVER
-OBTAINING   .      LEASED  .          .         HOLDING LETTING_GO .       .       LETTING_GO .      .         LOST   TAKEN_OVER
+ACTIVATING  .      LEASED  .          OBTAINING .       .          .       .       LETTING_GO .      .         LOST   TAKEN_OVER
+OBTAINING   .      LEASED  .          .         HOLDING .          STOPPED .       LETTING_GO .      .         LOST   TAKEN_OVER
 HOLDING     .      LEASED  .          OBTAINING .       .          STOPPED .       LETTING_GO .      SUSPENDED LOST   TAKEN_OVER
 STOPPED     .      LEASED  .          OBTAINING .       .          .       HOLDING LETTING_GO .      SUSPENDED LOST   TAKEN_OVER
 SUSPENDED   .      LEASED  .          OBTAINING HOLDING .          .       .       LETTING_GO .      .         LOST   TAKEN_OVER
@@ -186,6 +186,63 @@ async def test_stop_stands_until_it_is_begun_anew(pilots: Pilots) -> None:
     assert "STOP was pressed" in refused[0].seen
     one.begin_anew()
     assert at(one) is S.HOLDING
+
+
+async def obtaining(one: ControlSession) -> asyncio.Task[None]:
+    """A request for control that has come so far."""
+    has_begun = asyncio.Event()
+    one.on_change = lambda state: has_begun.set() if state is S.OBTAINING else None
+    asking = asyncio.create_task(one.obtain())
+    await has_begun.wait()
+    return asking
+
+
+@pytest.mark.parametrize("turns", [0, 2, 5])
+async def test_stop_while_control_is_obtained_stands(pilots: Pilots, turns: int) -> None:
+    """The agent flies no setpoint then, and the front has to say so from the beginning."""
+    one, other = session(pilots), pilots.clients[1]
+    asking = await obtaining(one)
+    for _ in range(turns):
+        await asyncio.sleep(0.0)
+    assert at(one) is S.OBTAINING
+    await other.stop()
+    await asking
+    refused: list[M100Error] = []
+    one.on_refused = refused.append
+    assert at(one) is S.STOPPED
+    one.steer(NORTH)
+    await anyio.sleep(0.1)
+    assert [type(error).__name__ for error in refused] == ["GuardRefused"]
+    one.begin_anew()
+    assert at(one) is S.HOLDING
+    one.steer(NORTH)
+    await anyio.sleep(0.1)
+    assert len(refused) == 1
+
+
+@pytest.mark.parametrize("begins_anew", [False, True])
+async def test_stop_while_control_is_obtained_in_vain(pilots: Pilots, begins_anew: bool) -> None:
+    one, other, rig = session(pilots), pilots.clients[1], pilots.rig
+    rig.aircraft.set_rc_mode("P")
+    asking = await obtaining(one)
+    await other.stop()
+    assert at(one) is S.STOPPED
+    if begins_anew:
+        one.begin_anew()
+    with pytest.raises(M100Error):
+        await asking
+    assert at(one) is S.ABSENT
+    await anyio.sleep(0.1)
+    assert pilots.clients[0].holder.number == 0
+
+
+async def test_the_agent_goes_while_control_is_obtained(pilots: Pilots) -> None:
+    one = session(pilots)
+    asking = await obtaining(one)
+    pilots.ways[0].close("killed")
+    with pytest.raises(LinkError):
+        await asking
+    assert at(one) is S.ABSENT
 
 
 @pytest.mark.parametrize("gives_way", [False, True])
