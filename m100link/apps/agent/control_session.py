@@ -14,6 +14,7 @@ from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from typing import Any
 
 from m100link.apps.agent import orders
@@ -39,6 +40,9 @@ _DUE_S = 0.45  # a timer of 0.5 s that wakes a moment early is not to wait for a
 
 _TAKE_OVERS = 3
 """Attempts to take a lease over that changes hands meanwhile."""
+
+Grant = Callable[[], Coroutine[Any, Any, Lease]]
+"""Asks the agent for a lease."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,8 +221,8 @@ class ControlSession:
             NoAuthority: Control is not held.
             LinkError: The agent has gone.
         """
-        lease = self.lease
-        if lease is None or not self._agent.has_authority:
+        lease, view = self._lease, self._agent.view
+        if lease is None or lease.number != view.holder.number or not view.has_authority:
             raise self._no_control()
         return lease
 
@@ -258,11 +262,10 @@ class ControlSession:
                 raise self._not_wanted()
             yield
 
-    async def take(self, *, take_over: bool = False) -> Lease:
-        """Take the lease, if it is not held already.
+    async def take(self, grant: Grant | None = None, *, take_over: bool = False) -> Lease:
+        """Take the lease, if it is not held already: from its holder, too, where ``take_over``.
 
-        Args:
-            take_over: Whether somebody else loses it.
+        With ``grant``, a question of the caller's own, whatever lease that brings is held.
 
         Raises:
             LeaseHeld: Somebody else has it.
@@ -270,17 +273,13 @@ class ControlSession:
             LinkError: The agent has gone.
         """
         async with self._request():
-            return self.lease or await self._take(lambda: self._granted(take_over))
+            held = None if grant is not None else self.lease
+            return held or await self._take(grant or partial(self._granted, take_over))
 
-    async def take_by(self, grant: Callable[[], Coroutine[Any, Any, Lease]]) -> Lease:
-        """Hold the lease that a question of the caller's own brings; raises as :meth:`take`."""
-        async with self._request():
-            return await self._take(grant)
-
-    async def _take(self, grant: Callable[[], Coroutine[Any, Any, Lease]]) -> Lease:
+    async def _take(self, grant: Grant) -> Lease:
         began = self._let_gos
+        self._look()
         if not self.has_lease:
-            self._look()
             self._forget()
         self.feed(_I.ASKED)
         asking = self._agent.background.spawn(grant(), "lease")
@@ -327,7 +326,7 @@ class ControlSession:
             M100Error: As :meth:`m100link.apps.agent.client.AgentClient.ask`.
         """
         async with self._request():
-            await self._obtain(self.lease or await self._take(lambda: self._granted(take_over)))
+            await self._obtain(self.lease or await self._take(partial(self._granted, take_over)))
 
     async def _obtain(self, lease: Lease) -> None:
         try:
@@ -368,7 +367,7 @@ class ControlSession:
             M100Error: As :meth:`obtain`.
         """
         async with self._request():
-            await self._obtain(await self._take(lambda: self._agent.confirm(wanted.token)))
+            await self._obtain(await self._take(partial(self._agent.confirm, wanted.token)))
 
     def adopt(self, lease: Lease) -> None:
         """Hold a lease that was granted to this pilot."""
@@ -445,26 +444,19 @@ class ControlSession:
             agent.keep(lease)
 
     async def keep(self) -> None:
-        """Keep the lease until it ends: for a pilot whose connection is there as long."""
-        lease = self._lease
-        while lease is self._lease and self._agent.holds(lease):
+        """The pilot is there, and whatever lease is held lasts, until this is cancelled."""
+        while self._heard:  # until the session is closed, too
             self.heard()
             await asyncio.sleep(RENEWAL_S)
-        self._look()
 
     @asynccontextmanager
     async def kept(self) -> AsyncIterator[None]:
-        """While the block runs, whatever lease is held lasts: the pilot is the task in it."""
-        keeping = self._agent.background.spawn(self._keep(), f"lease of {self.name}")
+        """The same while the block runs: the pilot is the task in it."""
+        keeping = self._agent.background.spawn(self.keep(), f"lease of {self.name}")
         try:
             yield
         finally:
             keeping.cancel()
-
-    async def _keep(self) -> None:
-        while True:
-            self.heard()
-            await asyncio.sleep(RENEWAL_S)
 
     async def ask(self, order: orders.Order, accepted: Callable[[], None] | None = None) -> Outcome:
         """Ask for something under the lease.
@@ -480,13 +472,11 @@ class ControlSession:
 
     def steer(self, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
         """Fly this for its lifetime. Raises as :meth:`held`."""
-        agent, lease, view = self._agent, self._lease, self._agent.view
-        if lease is None or lease.number != view.holder.number or not view.has_authority:
-            raise self._no_control()
+        lease = self.held()
         if self._state is _S.SUSPENDED:
             self.feed(_I.OBEYED)
-        self._used_at = self._renewed_at = view.at  # it renews the lease
-        agent.steer(lease, setpoint, lifetime)
+        self._used_at = self._renewed_at = self._agent.view.at  # it renews the lease
+        self._agent.steer(lease, setpoint, lifetime)
 
     async def stop(self) -> None:
         """Stop whatever happens, whoever has the lease; setpoints fly after a new beginning."""

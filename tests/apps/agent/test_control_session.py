@@ -529,7 +529,7 @@ class Chaos:
         if what < 2:
             await self.begin(one.obtain(take_over=self.draw.random() < 0.3))
         elif what == 2:
-            await self.begin(one.take_by(lambda: client.acquire("first")))
+            await self.begin(one.take(lambda: client.acquire("first")))
         elif what == 3:
             await self.confirm()
         elif what == 4:

@@ -46,16 +46,15 @@ class Clients:
         if session is None:
             session = known[_CONTROL] = ControlSession(self._agent, client.name, self._terms)
             session.on_refused = partial(self.complain, client)
-            session.on_change = partial(self._changed, client, session)
+            session.on_change = partial(self._changed, client)
             if client not in self._graph.sessions:
                 session.close()
-        return session
-
-    def _changed(self, client: Listener, session: ControlSession, state: ControlState) -> None:
-        if state is ControlState.LEASED:
             # The client is there while its socket is.
             self._agent.background.spawn(session.keep(), f"lease of {client.name}")
-        elif state in (ControlState.LOST, ControlState.TAKEN_OVER):
+        return session
+
+    def _changed(self, client: Listener, state: ControlState) -> None:
+        if state in (ControlState.LOST, ControlState.TAKEN_OVER):
             holder = self._agent.holder
             client.status("error", str(not_in_force(holder.name if holder.number else None)))
 
@@ -193,7 +192,7 @@ class Clients:
     async def _acquire(self, call: Call) -> Message:
         name = call.request["name"] or call.session.name
         grant = partial(self._agent.acquire, name)
-        return {"token": (await self.session(call.session).take_by(grant)).token}
+        return {"token": (await self.session(call.session).take(grant)).token}
 
     async def _renew(self, call: Call) -> Message:
         renewed = await self._agent.ask(orders.RenewLease(call.request["token"]))
@@ -217,4 +216,4 @@ class Clients:
 
     async def _confirm(self, call: Call) -> Message:
         grant = partial(self._agent.confirm, call.request["token"])
-        return {"token": (await self.session(call.session).take_by(grant)).token}
+        return {"token": (await self.session(call.session).take(grant)).token}
