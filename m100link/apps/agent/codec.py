@@ -21,7 +21,6 @@ from m100link.apps.agent.messages import (
     LEVELS,
     Activating,
     Event,
-    Hello,
     LinkCounted,
     Message,
     MessageError,
@@ -79,7 +78,7 @@ def _read_float(value: Any) -> float:
     return float(value)
 
 
-def _write_float(value: float) -> float:
+def _finite(value: float) -> float:
     if not math.isfinite(value):
         raise BadValue("not a finite number")
     return value
@@ -158,7 +157,7 @@ def _read_pieces(value: Any) -> tuple[bytes, ...]:
 
 _PLAIN: dict[Any, _Codec] = {
     int: (_same, _read_int),
-    float: (_write_float, _read_float),
+    float: (_finite, _read_float),
     bool: (_same, _read_bool),
     str: (_write_text, _read_text),
     bytes: (_write_bytes, _read_bytes),
@@ -291,13 +290,11 @@ _FLAGS = {mode: flag for flag, mode in _MODES.items()}
 
 def _pack_steer(message: Steer) -> bytes:
     setpoint = message.setpoint
-    if not (math.isfinite(message.sent_at) and math.isfinite(message.lifetime)):
-        raise BadValue("not a finite number")
     return _STEER.pack(
         _IS_STEER,
         message.fence,
-        message.sent_at,
-        message.lifetime,
+        _finite(message.sent_at),
+        _finite(message.lifetime),
         _FLAGS[setpoint.mode, setpoint.frame, setpoint.stable],
         setpoint.x,
         setpoint.y,
@@ -308,33 +305,28 @@ def _pack_steer(message: Steer) -> bytes:
 
 def _unpack_steer(data: bytes) -> Steer:
     _, fence, sent_at, lifetime, flag, x, y, z, yaw = _STEER.unpack(data)
-    if not (math.isfinite(sent_at) and math.isfinite(lifetime)):
-        raise BadValue("not a finite number")
     if flag not in _MODES:
         raise BadValue(f"control flag 0x{flag:02X} names no control mode")
     mode, frame, stable = _MODES[flag]
-    return Steer(fence, sent_at, lifetime, Setpoint(mode, x, y, z, yaw, frame, stable))
+    setpoint = Setpoint(mode, x, y, z, yaw, frame, stable)
+    return Steer(fence, _finite(sent_at), _finite(lifetime), setpoint)
 
 
 def _pack_telemetry(message: Telemetry) -> bytes:
     if len(message.value) > MAX_BYTES:
         raise BadValue(f"more than {MAX_BYTES} bytes")
-    if not math.isfinite(message.received_at):
-        raise BadValue("not a finite number")
     profile = message.profile.encode()
-    return (
-        _TELEMETRY.pack(_IS_TELEMETRY, message.received_at, len(profile)) + profile + message.value
-    )
+    head = _TELEMETRY.pack(_IS_TELEMETRY, _finite(message.received_at), len(profile))
+    return head + profile + message.value
 
 
 def _unpack_telemetry(data: bytes) -> Telemetry:
     _, received_at, length = _TELEMETRY.unpack_from(data)
     begin = _TELEMETRY.size + length
-    if not math.isfinite(received_at):
-        raise BadValue("not a finite number")
     if not begin <= len(data) <= begin + MAX_BYTES:
         raise BadValue("not the bytes of a telemetry package")
-    return Telemetry(data[begin:], data[_TELEMETRY.size : begin].decode(), received_at)
+    profile = data[_TELEMETRY.size : begin].decode()
+    return Telemetry(data[begin:], profile, _finite(received_at))
 
 
 _PACK: dict[type[Any], Callable[[Any], bytes]] = {Steer: _pack_steer, Telemetry: _pack_telemetry}
@@ -423,19 +415,11 @@ _LONGEST_S = 1e10
 """No clock of an agent, nor a flight, is three centuries old."""
 
 
-def _hello(hello: Hello) -> str:
-    return "" if abs(hello.at) <= _LONGEST_S else "at is no time"
-
-
 def _event(event: Event) -> str:
-    if event.level not in LEVELS:
-        return "level is none"
-    return "" if abs(event.at) <= _LONGEST_S else "at is no time"
+    return "" if event.level in LEVELS else "level is none"
 
 
 def _state(state: State) -> str:
-    if not abs(state.at) <= _LONGEST_S:
-        return "at is no time"
     if state.connection not in _CONNECTIONS:
         return "connection is none"
     if state.activation_code is not None and state.activation_code not in _CODES:
@@ -449,8 +433,6 @@ def _state(state: State) -> str:
 
 
 def _counted(counted: LinkCounted) -> str:
-    if not abs(counted.at) <= _LONGEST_S:
-        return "at is no time"
     for name in ("counters", "discards", "round_trips"):
         numbers: Mapping[str, Any] = getattr(counted, name)
         if not all(type(one) in (int, float) for one in numbers.values()):
@@ -464,7 +446,6 @@ def _activating(activating: Activating) -> str:
 
 _WHY_NOT: dict[type[Any], Callable[[Any], str]] = {
     Event: _event,
-    Hello: _hello,
     State: _state,
     LinkCounted: _counted,
     Activating: _activating,
@@ -477,6 +458,8 @@ def require_possible(message: Message) -> None:
     Raises:
         BadValue: It cannot; the field is named.
     """
+    if not abs(getattr(message, "at", 0.0)) <= _LONGEST_S:
+        raise BadValue("at is no time")
     why_not = _WHY_NOT.get(type(message))
     why = "" if why_not is None else why_not(message)
     if why:

@@ -197,21 +197,13 @@ class LeaseDesk:
         return lease
 
     def renew(self, token: str, now: float) -> Lease:
-        """Let the lease last another lifetime from now.
-
-        Raises:
-            LeaseRefused: See :meth:`check`.
-        """
+        """Let the lease last another lifetime from now. Raises as :meth:`check`."""
         lease = self.check(token, now)
         self._expires_at = now + self.lifetime
         return lease
 
     def release(self, token: str, now: float, why: LeaseChange = LeaseChange.RELEASED) -> None:
-        """End the lease: its holder gives it back, or cannot hold it any more.
-
-        Raises:
-            LeaseRefused: See :meth:`check`.
-        """
+        """End the lease: its holder gives it back, or is gone. Raises as :meth:`check`."""
         self.check(token, now)
         self._change(why, None, now)
 

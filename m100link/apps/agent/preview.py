@@ -42,16 +42,9 @@ def preview(order: GuidedOrder, state: AircraftState | None, limits: Limits) -> 
     if isinstance(order, FlyTo):
         return foresee_flight(state, guards, **asdict(order))
     if isinstance(order, FlyAround):
-        return foresee_orbit(
-            state,
-            guards,
-            latitude_deg=order.latitude_deg,
-            longitude_deg=order.longitude_deg,
-            height=order.height,
-            radius=order.radius,
-            speed=order.speed,
-            turns=order.turns,
-        )
+        circle = asdict(order)
+        del circle["clockwise"]  # either way is as long
+        return foresee_orbit(state, guards, **circle)
     if isinstance(order, ChangeHeight):
         return foresee_climb(state, guards, order.height)
     assert isinstance(order, ChangeHeading)

@@ -153,13 +153,8 @@ class Flying:
     async def fly(self, task: Task, accepted: Callable[[], None] = ignore) -> None:
         """Take off, land or go home; done when seen to be done."""
         name = task.name.lower().replace("_", " ")
-        if self.task is not None:
-            raise TaskRefused(
-                f"{name} was asked for during {self.task}", remedy="wait for its end, or stop it"
-            )
-        self.mission.require_none(name)
-        self._end_program(f"{name} was asked for")
-        self.task, self._last = name, None
+        self._make_room(name)
+        self.task = name
         work = self._running_task = self._background.spawn(self._fly(task, name, accepted), name)
         try:
             await asyncio.shield(work)
@@ -168,6 +163,16 @@ class Flying:
                 # Not NoAuthority, which says that nothing was sent.
                 raise NotObserved(f"{name}: control ended before it was seen to end") from None
             raise
+
+    def _make_room(self, name: str) -> None:
+        """End a program for what was asked for; nothing ends a task or a mission for it."""
+        if self.task is not None:
+            raise TaskRefused(
+                f"{name} was asked for during {self.task}", remedy="wait for its end, or stop it"
+            )
+        self.mission.require_none(name)
+        self._end_program(f"{name} was asked for")
+        self._last = None
 
     async def _fly(self, task: Task, name: str, accepted: Callable[[], None]) -> None:
         control = self._control
@@ -237,14 +242,7 @@ class Flying:
 
     async def guide(self, order: GuidedOrder, accepted: Callable[[], None] = ignore) -> None:
         """Fly to where somebody points; done when it is there. Ends a program; the newest wins."""
-        name = order.label
-        if self.task is not None:
-            raise TaskRefused(
-                f"a {name} was asked for during {self.task}", remedy="wait for its end, or stop it"
-            )
-        self.mission.require_none(f"a {name}")
-        self._end_program(f"a {name} was asked for")
-        self._last = None
+        self._make_room(f"a {order.label}")
         await self.guiding.fly(order, accepted)
 
     # -- missions --------------------------------------------------------------------------------

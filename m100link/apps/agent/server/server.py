@@ -74,7 +74,9 @@ class Service:
 
     def attach(self, channel: Channel) -> None:
         """Serve the front at the other end of this channel."""
-        front = Front(self._agent, channel, on_gone=self._gone, before_outcome=self._tell_state)
+        front = Front(
+            self._agent, channel, on_gone=self._fronts.discard, before_outcome=self._tell_state
+        )
         self._fronts.add(front)
         front.greet(self._state())
 
@@ -82,9 +84,6 @@ class Service:
         """Close the channels of all fronts."""
         for front in list(self._fronts):
             front.close("the agent ends")
-
-    def _gone(self, front: Front) -> None:
-        self._fronts.discard(front)
 
     # -- what fronts are told --------------------------------------------------------------------
 
@@ -317,12 +316,6 @@ class Front:
         else:
             handler(message)
 
-    # -- the lease -------------------------------------------------------------------------------
-
-    def _token(self, fence: int) -> str:
-        """Proof of the lease with that number; empty when it was not granted over this channel."""
-        return self._tokens.get(fence, "")
-
     # -- setpoints -------------------------------------------------------------------------------
 
     def _on_steer(self, steer: Steer) -> None:
@@ -339,7 +332,8 @@ class Front:
                     if age > 0
                     else "the clock of the front is ahead of the agent's",
                 )
-            self._agent.steer(self._token(steer.fence), steer.setpoint, steer.lifetime)
+            token = self._tokens.get(steer.fence, "")
+            self._agent.steer(token, steer.setpoint, steer.lifetime)
         except M100Error as error:
             self._before_outcome()
             self.tell(SteerRefused(steer.fence, Fault.of(error)))
@@ -390,7 +384,7 @@ class Front:
             self._agent.journal.note(_line(why or f"{self._name}: hover"), "info", Topic.HALTED)
 
     def _begin(self, ask: Ask) -> Any:
-        token = self._token(ask.fence)
+        token = self._tokens.get(ask.fence, "")
         return self._agent.begin(ask.order, token, lambda: self._answer(ask, Stage.ACCEPTED))
 
     def _answer(
