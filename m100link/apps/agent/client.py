@@ -240,8 +240,7 @@ class AgentClient:
             self.unread += 1
             return
         self.telemetry.update(sample)
-        for callback in self.on_sample:
-            callback(sample)
+        _call_each(self.on_sample, sample)
         self._samples.publish(sample, self.now)
 
     def _on_from_mobile(self, message: FromMobile) -> None:
@@ -254,31 +253,25 @@ class AgentClient:
             # Another agent counts anew; whoever shows events goes by their numbers.
             event = replace(event, number=self.events[-1].number + 1)
         self.events.append(event)
-        for callback in self.on_event:
-            callback(event)
+        _call_each(self.on_event, event)
 
     def _on_lease_changed(self, message: LeaseChanged) -> None:
         self.holder = message
-        for callback in self.on_lease:
-            callback(message)
+        _call_each(self.on_lease, message)
 
     def _on_activating(self, message: Activating) -> None:
-        for callback in self.on_activating:
-            callback(ActivationCode(message.code))
+        _call_each(self.on_activating, ActivationCode(message.code))
 
     def _on_authority_taken(self, message: AuthorityTaken) -> None:
         error = message.fault.error()
         if isinstance(error, AuthorityLost):
-            for callback in self.on_authority_taken:
-                callback(error)
+            _call_each(self.on_authority_taken, error)
 
     def _on_steer_refused(self, message: SteerRefused) -> None:
-        for callback in self.on_steer_refused:
-            callback(message.fence, message.fault.error())
+        _call_each(self.on_steer_refused, message.fence, message.fault.error())
 
     def _on_mission_told(self, message: MissionTold) -> None:
-        for callback in self.on_mission_told:
-            callback(message)
+        _call_each(self.on_mission_told, message)
 
     def _on_plan_told(self, message: PlanTold) -> None:
         self.plan, self.plan_by = None, message.name
@@ -460,6 +453,18 @@ class Answers:
             answer.set_result(outcome)
         else:
             answer.set_exception(outcome.fault.error())
+
+
+def _call_each(callbacks: list[Callable[..., None]], *told: object) -> None:
+    """Tell everybody, whatever one of them raises: the next one may hold control."""
+    failed: Exception | None = None
+    for callback in tuple(callbacks):
+        try:
+            callback(*told)
+        except Exception as error:  # noqa: BLE001 (raised below)
+            failed = failed or error
+    if failed is not None:
+        raise failed
 
 
 def given(value: T | None) -> T:

@@ -163,10 +163,10 @@ class ControlSession:
 
     def close(self) -> None:
         """Give back what is held, and hear no more: nothing is held by it ever again."""
-        self.let_go()
         heard, self._heard = self._heard, ()
         for callbacks, callback in heard:
             callbacks.remove(callback)
+        self.let_go()
 
     # -- where it stands -------------------------------------------------------------------------
 
@@ -337,13 +337,13 @@ class ControlSession:
             self.feed(_I.OBTAIN)
             await self._agent.ask(orders.Obtain(), lease)
             self._require(lease)
+            self.feed(_I.OBEYED)
         except BaseException as error:
             is_unwanted = self._lease is not lease
             self._end(lease)
             if is_unwanted and isinstance(error, M100Error):
                 raise self._not_wanted() from error
             raise
-        self.feed(_I.OBEYED)
         self._used_at = self._agent.now
 
     def _require(self, lease: Lease) -> None:
@@ -387,20 +387,22 @@ class ControlSession:
     def let_go(self) -> None:
         """Give the lease back at once: motion stops, and authority goes back."""
         self._let_gos += 1
-        lease = self._lease
-        self.feed(_I.LET_GO)
-        if lease is not None:
+        if (lease := self._lease) is not None:
             self._end(lease)
+        self.feed(_I.LET_GO)
 
     def _end(self, lease: Lease) -> None:
-        is_in_force = self._agent.holds(lease)
-        if self._lease is lease:
-            if self._state not in (_S.LOST, _S.TAKEN_OVER):  # which stay as they are
-                self.feed(_I.LET_GO)
+        is_newest, is_in_force = self._lease is lease, self._agent.holds(lease)
+        if is_newest:
             self._forget()
-            self.feed(_I.GIVEN_BACK)
         if is_in_force:
-            self._agent.let_go(lease)
+            self._agent.let_go(lease)  # before anybody is told, who may raise
+        if is_newest:
+            try:
+                if self._state not in (_S.LOST, _S.TAKEN_OVER):  # which stay as they are
+                    self.feed(_I.LET_GO)
+            finally:
+                self.feed(_I.GIVEN_BACK)
 
     async def give_back(self) -> None:
         """Give the lease back; done when it is, or when nobody can tell any more."""
@@ -410,14 +412,16 @@ class ControlSession:
         async with self._changing:
             lease = self.lease
             self._let_gos += 1
-            self.feed(_I.LET_GO)
             self._forget()
             try:
-                if lease is not None:
-                    with suppress(M100Error):  # it ended meanwhile, which is what was wanted
-                        await self._agent.release_lease(lease.token)
+                self.feed(_I.LET_GO)
             finally:
-                self.feed(_I.GIVEN_BACK)
+                try:
+                    if lease is not None:
+                        with suppress(M100Error):  # it ended meanwhile, which is what was wanted
+                            await self._agent.release_lease(lease.token)
+                finally:
+                    self.feed(_I.GIVEN_BACK)
 
     # -- while it is held ------------------------------------------------------------------------
 
@@ -436,9 +440,9 @@ class ControlSession:
         if not is_idle:
             self._used_at = now
         if now - self._used_at >= self._terms.idle_s and not self.is_changing:
+            self.let_go()
             idle = f"no order in {self._terms.idle_s:g} s"
             agent.note(f"{self._terms.who} gives control back: {idle}")
-            self.let_go()
         elif now - self._renewed_at >= _DUE_S:
             self._renewed_at = now
             agent.keep(lease)
@@ -508,9 +512,11 @@ class ControlSession:
         if not self.has_lease:
             return
         self.loss = LossReason(error.reason)  # a text once it has been a message
-        self.feed(_I.AUTHORITY_TAKEN)
-        if self._terms.gives_way:
-            self.let_go()
+        try:
+            self.feed(_I.AUTHORITY_TAKEN)
+        finally:
+            if self._terms.gives_way:
+                self.let_go()
 
     def _event(self, event: Event) -> None:
         if event.topic is Topic.STOPPED:

@@ -325,15 +325,28 @@ class Journal:
         self._count = 0
         self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self.on_event: list[Callable[[Event], None]] = []  # called with each event
+        self.untold = 0  # how often the log, or a callback, failed over an event
 
     def note(self, text: str, level: str = "info", topic: Topic = Topic.NONE) -> None:
-        """Add an event."""
+        """Add an event. Raises nothing: what comes after it may end a flight."""
+        event = self._add(text, level, topic)
+        for tell in (_log, *self.on_event):
+            try:
+                tell(event)
+            except Exception as error:  # noqa: BLE001 (whatever it is; the next event says so)
+                self.untold += 1
+                if self.untold == 1:
+                    self._add(f"an event was not told everywhere: {error!r}", "error", Topic.NONE)
+
+    def _add(self, text: str, level: str, topic: Topic) -> Event:
         self._count += 1
         event = Event(self._count, self._clock(), level, text, topic)
         self.events.append(event)
-        _logger.log(_LEVELS[level], "%s", text)
-        for callback in self.on_event:
-            callback(event)
+        return event
+
+
+def _log(event: Event) -> None:
+    _logger.log(_LEVELS[event.level], "%s", event.text)
 
 
 # -- errors of this package as values, so that a front raises what the agent met -------------------

@@ -424,9 +424,9 @@ class FleetChannel:
         except GuardRefused:
             return  # it came too late to renew anything, and says nothing of the lease
         except M100Error as error:
-            _logger.info("%s: %s", self._keys.name, error.seen)
             if not self._hears and lease.number == self._holder.number:
                 self._lose(error)  # else the agent tells who has it
+            _logger.info("%s: %s", self._keys.name, error.seen)
             return
         if reply is not None and lease.number == self._holder.number:
             self._shown_at, self._unflown = self._clock(), reply.fault

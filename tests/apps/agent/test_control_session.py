@@ -496,6 +496,81 @@ async def test_a_closed_session_holds_nothing_that_comes_later(pilots: Pilots) -
     assert client.holder.number == 0
 
 
+@pytest.mark.parametrize("how", ["let_go", "give_back", "close", "obtain", "idle", "switch"])
+async def test_control_ends_whatever_those_raise_who_are_told_of_it(
+    pilots: Pilots, how: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, agent = session(pilots, gives_way=True, idle_s=1.0), pilots.rig.agent
+    if how != "obtain":
+        await one.obtain()
+
+    def raising(*_: object) -> None:
+        raise ZeroDivisionError
+
+    async def letting_go() -> None:
+        one.let_go()
+
+    async def closing() -> None:
+        one.close()
+
+    if how == "idle":
+        monkeypatch.setattr(pilots.clients[0], "note", raising)
+    else:
+        one.on_change = lambda state: None if state in (S.ASKING, S.LEASED) else raising()
+    if how == "switch":
+        pilots.rig.aircraft.set_rc_mode("P")
+    elif how == "idle":
+        await anyio.sleep(1.1)
+        with pytest.raises(ZeroDivisionError):
+            one.heard(is_idle=True)
+    else:
+        ways = {"let_go": letting_go, "close": closing}
+        with pytest.raises(ZeroDivisionError):
+            await ways.get(how, getattr(one, how))()
+    await anyio.sleep(1.0)
+    assert agent.desk.holder(agent.now) is None
+    assert not agent.holding.has_authority
+    assert at(one) is S.ABSENT
+    one.on_change = lambda _: None
+    if how not in ("close", "switch"):  # it can be had again
+        await one.obtain()
+        assert at(one) is S.HOLDING
+
+
+async def test_whatever_one_raises_the_next_one_is_told(pilots: Pilots) -> None:
+    """Many tabs share a client: the one that has control is told, whichever came before it."""
+    first, one = session(pilots), session(pilots, gives_way=True)
+
+    def raising(*_: object) -> None:
+        raise ZeroDivisionError
+
+    for callbacks in (pilots.clients[0].on_authority_taken, pilots.clients[0].on_event):
+        callbacks.insert(0, raising)
+    await one.obtain()
+    await pilots.clients[1].stop()
+    assert at(one) is S.STOPPED
+    pilots.rig.aircraft.set_rc_mode("P")
+    await anyio.sleep(1.0)
+    assert (at(one), at(first)) == (S.ABSENT, S.ABSENT)
+    assert pilots.clients[0].holder.number == 0
+
+
+async def test_a_log_that_raises_keeps_no_loss_from_being_told(pilots: Pilots) -> None:
+    one, journal = session(pilots), pilots.rig.agent.journal
+    await one.obtain()
+
+    def raising(*_: object) -> None:
+        raise ZeroDivisionError("a handler of the log")
+
+    journal.on_event.insert(0, raising)
+    pilots.rig.aircraft.set_rc_mode("P")
+    await anyio.sleep(1.0)
+    assert at(one) is S.SUSPENDED
+    assert one.loss is not None
+    told = [event.text for event in journal.events if "not told" in event.text]
+    assert told == ["an event was not told everywhere: ZeroDivisionError('a handler of the log')"]
+
+
 class Chaos:
     """One pilot who does everything at any moment, beside another one, with an agent that dies."""
 
