@@ -381,7 +381,8 @@ class FleetChannel:
         """Send a setpoint, by the agent's clock; UsageError: that is not known well enough."""
         now = self._clock()
         known = self._its_clock.offset(now)
-        if known is None or self._its_clock.way_s > MOST_CLOCK_BOUND_S:
+        # The way may be slow since its clock was measured, or its clock was set since it was fast.
+        if known is None or max(known.bound, self._its_clock.way_s) > MOST_CLOCK_BOUND_S:
             raise UsageError(
                 f"the clock of {self._keys.name} is not known to {MOST_CLOCK_BOUND_S:g} s",
                 cause="the way there and back takes too long for setpoints",

@@ -24,9 +24,10 @@ from m100link.apps.agent.lease import Lease, LeaseHeld
 from m100link.apps.agent.messages import LeaseChanged
 from m100link.apps.agent.server.server import Service
 from m100link.apps.agent.transports import MemoryChannel, memory_channels
-from m100link.errors import LinkError, M100Error, NoAuthority
+from m100link.errors import GuardRefused, LinkError, M100Error, NoAuthority
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.agent.conftest import Rig
+from tests.rig import put_in_the_air
 
 S, I = ControlState, ControlInput  # noqa: E741 - a table is read by its columns
 
@@ -569,6 +570,49 @@ async def test_a_log_that_raises_keeps_no_loss_from_being_told(pilots: Pilots) -
     assert one.loss is not None
     told = [event.text for event in journal.events if "not told" in event.text]
     assert told == ["an event was not told everywhere: ZeroDivisionError('a handler of the log')"]
+
+
+@pytest.mark.parametrize("how", ["a pause", "a new beginning", "control once more"])
+async def test_a_stream_that_went_on_without_control_needs_a_new_beginning(
+    pilots: Pilots, how: str
+) -> None:
+    """What is refused here does not reach the agent, which must not take it for a pause."""
+    one, rig = session(pilots), pilots.rig
+    put_in_the_air(rig.aircraft)
+    await one.obtain()
+
+    async def stream(seconds: float) -> list[type[Exception]]:
+        raised: list[type[Exception]] = []
+        one.on_refused = lambda error: raised.append(type(error))
+        for _ in range(round(seconds / 0.05)):
+            one.heard()
+            try:
+                one.steer(NORTH)
+            except M100Error as error:
+                raised.append(type(error))
+            await anyio.sleep(0.05)
+        return raised
+
+    flight = rig.aircraft.vehicle.flight.dynamics
+    assert await stream(2.0) == []
+    assert flight.speed > 0.9
+    rig.aircraft.set_rc_mode("P")
+    await stream(3.0)
+    rig.aircraft.set_rc_mode("F")
+    await stream(3.0)
+    assert one.has_control
+    assert await stream(3.0) == [GuardRefused] * 60
+    assert flight.speed < 0.1
+    if how == "a pause":
+        for _ in range(11):
+            one.heard()
+            await anyio.sleep(0.1)
+    elif how == "a new beginning":
+        one.begin_anew()
+    else:
+        await one.obtain()
+    assert await stream(2.0) == []
+    assert flight.speed > 0.9
 
 
 class Chaos:

@@ -11,6 +11,7 @@ import anyio
 import pytest
 
 from m100link.apps.agent import orders
+from m100link.apps.agent.latency import ClockEstimate
 from m100link.apps.agent.lease import LeaseHeld
 from m100link.apps.agent.orders import FlyTo
 from m100link.apps.fleet.client import Fleet
@@ -55,6 +56,27 @@ async def test_of_two_pilots_one_has_it_and_a_take_over_ends_the_other(rig: Rig)
             async with second["a1"].control(take_over=True) as taken:
                 assert taken.fence > control.fence
                 await anyio.sleep(5.0)
+
+
+@pytest.mark.parametrize("waits", ["as its clock is set", "as all before is forgotten"])
+async def test_no_setpoint_is_stamped_by_a_clock_that_is_not_known_any_more(
+    rig: Rig, waits: str
+) -> None:
+    """Answers that are slow now, where the last eight before were fast: it is 0.7 s wrong."""
+    await rig.aircraft("a1")
+    pilot = await rig.pilot()
+    async with pilot["a1"].control() as control:
+        clock, now = ClockEstimate(), anyio.current_time()
+        control._channel._its_clock = clock
+        begin = now - (4.0 if waits == "as its clock is set" else 100.0)
+        for later in range(6):
+            assert clock.heard(begin + later * 0.1, begin + later * 0.1, begin + later * 0.1)
+        is_set = 500.0 if waits == "as its clock is set" else 0.0
+        for ago in (50.0, 0.0)[-1 if is_set else 0 :]:
+            at = now - ago
+            assert clock.heard(at - 1.5, at - 0.1 + is_set, at)
+        with pytest.raises(UsageError, match=r"the clock of a1 is not known to 0\.1 s"):
+            control.send(NORTH)
 
 
 async def test_a_pilot_who_is_cut_off_longer_than_the_lease_is_told(rig: Rig) -> None:
