@@ -290,11 +290,12 @@ _FLAGS = {mode: flag for flag, mode in _MODES.items()}
 
 def _pack_steer(message: Steer) -> bytes:
     setpoint = message.setpoint
+    _finite(message.sent_at + message.lifetime)
     return _STEER.pack(
         _IS_STEER,
         message.fence,
-        _finite(message.sent_at),
-        _finite(message.lifetime),
+        message.sent_at,
+        message.lifetime,
         _FLAGS[setpoint.mode, setpoint.frame, setpoint.stable],
         setpoint.x,
         setpoint.y,
@@ -309,7 +310,8 @@ def _unpack_steer(data: bytes) -> Steer:
         raise BadValue(f"control flag 0x{flag:02X} names no control mode")
     mode, frame, stable = _MODES[flag]
     setpoint = Setpoint(mode, x, y, z, yaw, frame, stable)
-    return Steer(fence, _finite(sent_at), _finite(lifetime), setpoint)
+    _finite(sent_at + lifetime)
+    return Steer(fence, sent_at, lifetime, setpoint)
 
 
 def _pack_telemetry(message: Telemetry) -> bytes:

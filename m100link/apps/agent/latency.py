@@ -85,14 +85,19 @@ class ClockEstimate:
 
     # -- what comes ------------------------------------------------------------------------------
 
-    def late(self, sent_at: float, now: float) -> float:
+    def late(self, sent_at: float, now: float, asked_at: float | None = None) -> float:
         """Take a message, sent at that time of the other clock, s; returns how old it is at least.
 
         That is by how many seconds it is later than the fastest; infinite for what is no time.
+        ``asked_at``: as in :meth:`heard`, where the message says when a time of ours was heard.
         """
+        is_answer = asked_at is not None and self.heard(asked_at, sent_at, now)
         if not abs(sent_at) < _MOST_S:  # NaN is none either
             return math.inf
-        return max(0.0, now - sent_at - self._take(now - sent_at, None, now))
+        here = now - sent_at
+        return max(
+            0.0, here - (self._here.fastest(now) if is_answer else self._take(here, None, now))
+        )
 
     def heard(self, asked_at: float, there: float, now: float) -> bool:
         """Take an answer, or a message that says when the other side heard a time of ours.

@@ -190,10 +190,8 @@ class Tab:
         now, session, at = self._agent.now, self.session, message["at"] / 1000.0
         for kept in self.kept.values():
             kept.heard()
-        late = self.way.late(at, now)
         held = message.get("held", math.inf) / 1000.0
-        if "told" in message:
-            self.way.heard(message["told"] + held, at, now)
+        late = self.way.late(at, now, message["told"] + held if "told" in message else None)
         if message["op"] == "beat":
             if has_lease := session.has_lease:
                 self._steer(message, at, late, held, now)
