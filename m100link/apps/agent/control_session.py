@@ -475,11 +475,21 @@ class ControlSession:
         return await self._agent.ask(order, lease, accepted)
 
     def steer(self, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
-        """Fly this for its lifetime. Raises as :meth:`held`."""
-        lease = self.held()
-        if self._state is _S.SUSPENDED:
+        """Fly this for its lifetime. A refusal comes to ``on_refused``.
+
+        It goes to an agent that is heard, even while somebody else has authority: the agent has to
+        see that a stream goes on, which does not fly when authority is back.
+
+        Raises:
+            NoAuthority: The lease is not held.
+            LinkError: The agent has gone.
+        """
+        lease, view = self._lease, self._agent.view
+        if lease is None or lease.number != view.holder.number or view.hearing is not Hearing.HEARD:
+            raise self._no_control()
+        if self._state is _S.SUSPENDED and view.has_authority:
             self.feed(_I.OBEYED)
-        self._used_at = self._renewed_at = self._agent.view.at  # it renews the lease
+        self._used_at = self._renewed_at = view.at  # it renews the lease
         self._agent.steer(lease, setpoint, lifetime)
 
     async def stop(self) -> None:

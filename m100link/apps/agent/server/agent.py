@@ -190,8 +190,6 @@ class Agent:
             self.holding.let_go()
 
     def _holding_changed(self, before: HoldingState, after: HoldingState) -> None:
-        if after is HoldingState.HELD:
-            self._steered_at = self.now  # a front may have held a stream back until now
         # The pilot who comes back to F would give it to nobody.
         if after is not HoldingState.RELEASING:
             self._end_unclaimed("it was lost meanwhile")

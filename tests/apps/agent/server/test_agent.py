@@ -154,22 +154,6 @@ async def test_a_stream_does_not_go_on_after_the_pilot_gave_the_aircraft_back(
     rig.agent.steer(rig.token, NORTH)
 
 
-async def test_a_stream_that_a_front_held_back_while_the_pilot_flew_is_no_new_one(rig: Rig) -> None:
-    await airborne(rig)
-    rig.agent.steer(rig.token, NORTH)
-    rig.aircraft.leave_f()
-    await rig.until(lambda: not rig.holding.has_authority)
-    await anyio.sleep(1.5)
-    rig.aircraft.return_to_f()
-    await rig.until(lambda: rig.holding.has_authority)
-    for _ in range(30):
-        with pytest.raises(GuardRefused, match="control was lost meanwhile"):
-            rig.agent.steer(rig.token, NORTH)
-        await anyio.sleep(0.05)
-    await anyio.sleep(1.1)
-    rig.agent.steer(rig.token, NORTH)
-
-
 async def test_a_stop_is_not_undone_by_control_that_was_asked_for_before_it(rig: Rig) -> None:
     await airborne(rig)
     await rig.agent.stop()
