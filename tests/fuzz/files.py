@@ -71,7 +71,6 @@ from m100link.apps.mavlink.translator.codec import (
     SignatureMemory,
     Signer,
     Snapshot,
-    read_datagram,
     write_frame,
 )
 from m100link.apps.ros2.graph import Attachment, read_attachment
@@ -192,7 +191,7 @@ def mavlink(data: bytes) -> None:
     for signer in (Signer(_KEY), None):
         for message in Reading(data, signer=signer, now=10**9):
             frame = write_frame(message, system=message.system, sequence=0)
-            [again] = read_datagram(frame)
+            [again] = Reading(frame)
             _same(again.fields, message.fields)
 
 

@@ -32,7 +32,6 @@ IDLE_STEP_S = 0.05
 what a step costs is to wake up."""
 
 HIGHEST_SYSTEM = 250  # the greatest system id of an aircraft: those above are ground stations
-_GCS = 6
 _LARGEST = 1400  # bytes of a datagram that no network cuts up
 
 _READ_PER_STEP = 32768

@@ -28,7 +28,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
 from m100link.apps.cli.serve import StationOptions, _announce, aircraft_of
-from m100link.apps.mavlink.translator.codec import Message, read_datagram, write_frame
+from m100link.apps.mavlink.translator.codec import Message, Reading, write_frame
 from m100link.apps.station import log_output
 from m100link.apps.station.config import Settings
 from m100link.apps.station.listeners import FRONTS, Sockets, listen
@@ -454,7 +454,7 @@ def test_a_ground_station_sees_the_aircraft_and_sigterm_ends_it() -> None:
         ends = time.monotonic() + PATIENCE
         while not {"HEARTBEAT", "HOME_POSITION", "ATTITUDE"} <= names and time.monotonic() < ends:
             station.sendto(beat, address)
-            names |= {one.name for one in read_datagram(station.recv(2048))}
+            names |= {one.name for one in Reading(station.recv(2048))}
         assert {"HEARTBEAT", "HOME_POSITION", "ATTITUDE"} <= names
         bridge.send_signal(signal.SIGTERM)
         assert bridge.wait(PATIENCE) == 0

@@ -19,7 +19,7 @@ from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.server import Service
 from m100link.apps.agent.transports import MemoryChannel, memory_channels
 from m100link.apps.mavlink.bridge import Bridge
-from m100link.apps.mavlink.translator.codec import Message, Signer, read_datagram, write_frame
+from m100link.apps.mavlink.translator.codec import Message, Reading, Signer, write_frame
 from m100link.apps.mavlink.translator.modes import MODES, Mode
 from m100link.apps.mavlink.translator.numbers import Command, Result
 from m100link.apps.mavlink.translator.peers import Address
@@ -50,7 +50,7 @@ class Ground:
         rig.grounds.append(self)
 
     def hear(self, data: bytes) -> None:
-        self.heard += read_datagram(data, signer=self.rig.ground_signer, now=self.rig.stamp())
+        self.heard += Reading(data, signer=self.rig.ground_signer, now=self.rig.stamp())
 
     def send(self, message_name: str, **fields: Any) -> None:
         self.rig.sequence += 1

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.mavlink.translator.codec import Message, read_datagram, write_frame
+from m100link.apps.mavlink.translator.codec import Message, Reading, write_frame
 from m100link.apps.mavlink.translator.numbers import Command, Result
 from m100link.sim.orders import send_order
 from tests.browser.conftest import Console, Watch, context_of, running_console, until
@@ -60,7 +60,7 @@ class Station:
             await asyncio.sleep(0.05)
 
     def _hear(self, data: bytes) -> None:
-        for message in read_datagram(data):
+        for message in Reading(data):
             self.newest[message.name] = message
             if message.name == "COMMAND_ACK":
                 self.answers.append((message["command"], message["result"]))

@@ -365,11 +365,6 @@ class Reading:
             start = _START.search(data, found.end or at + 1)
 
 
-def read_datagram(data: bytes, *, signer: Signer | None = None, now: int = 0) -> Iterator[Message]:
-    """The valid messages of a datagram, see :class:`Reading`."""
-    return iter(Reading(data, signer=signer, now=now))
-
-
 class _Found(NamedTuple):
     """What stands behind a start byte."""
 

@@ -12,7 +12,15 @@ from m100link.apps.agent.preview import preview, preview_plan
 from m100link.apps.mavlink.translator.codec import LAYOUTS, Message
 from m100link.apps.mavlink.translator.deck import Deck
 from m100link.apps.mavlink.translator.modes import Mode, Phase, mode_of_number, mode_of_standard
-from m100link.apps.mavlink.translator.numbers import BaseMode, Command, Frame, Result, Severity
+from m100link.apps.mavlink.translator.numbers import (
+    RELATIVE,
+    SEA_LEVEL,
+    BaseMode,
+    Command,
+    Frame,
+    Result,
+    Severity,
+)
 from m100link.apps.mavlink.translator.orders import (
     Do,
     Flight,
@@ -28,11 +36,8 @@ from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.telemetry import NUMBERS, STREAMS, Rates
 from m100link.apps.mavlink.translator.world import World
 from m100link.errors import GuardRefused, UsageError
-from m100link.missions.plan import WaypointPlan
 
-_SEA_LEVEL = (Frame.GLOBAL, Frame.GLOBAL_INT)
 _Place = tuple[float, float]  # latitude and longitude, degrees
-_RELATIVE = (Frame.GLOBAL_RELATIVE_ALT, Frame.GLOBAL_RELATIVE_ALT_INT)
 _ORBIT_TURNS = 200.0
 _NO_PLACE = 0x7FFFFFFF
 
@@ -43,11 +48,12 @@ class Asked:
 
     command: int
     parameters: tuple[float, float, float, float]  # the first four, NaN where nothing is said
-    x: float  # latitude, °, or the fifth parameter
-    y: float  # longitude, °, or the sixth
-    z: float  # altitude, or the seventh
-    frame: int  # what the altitude counts from; above sea level where the message does not say it
     peer: Peer
+    x: float = math.nan  # latitude, °, or the fifth parameter
+    y: float = math.nan  # longitude, °, or the sixth
+    z: float = math.nan  # altitude, or the seventh
+    # What the altitude counts from; above sea level where the message does not say it.
+    frame: int = Frame.GLOBAL
 
 
 def read_command(message: Message, peer: Peer) -> Asked:
@@ -58,7 +64,7 @@ def read_command(message: Message, peer: Peer) -> Asked:
     else:
         raw, z, frame = (message["x"], message["y"]), message["z"], message["frame"]
         x, y = (math.nan if one == _NO_PLACE else one / 1e7 for one in raw)
-    return Asked(message["command"], four, x, y, z, frame, peer)
+    return Asked(message["command"], four, peer, x, y, z, frame)
 
 
 class Commands:
@@ -146,32 +152,22 @@ class Commands:
             order = TakeOff(self._take_off_height(math.nan))
             return self._deck.wish(Wish(mode, order, peer), now)
         if mode is Mode.MISSION:
-            if self._is_others(peer, mode.value):
-                return Result.TEMPORARILY_REJECTED
-            wish = self._mission(peer, None)
-            if wish is None:
-                self._tell(Severity.WARNING, "there is no mission to fly")
-                return Result.DENIED
-            return self._fly_mission(wish, now)
+            return self._start(peer, None, mode.value, now)
         is_steered = mode in (Mode.OFFBOARD, Mode.POSCTL, Mode.ALTCTL)
         if is_steered and not self._deck.has_setpoint(mode, peer, now):
             self._tell(Severity.WARNING, f"{mode.value}: no setpoint came yet")
             return Result.DENIED
-        orders: dict[Mode, Order] = {
-            Mode.HOLD: Halt(),
-            Mode.LAND: Land(),
-            Mode.RTL: GoHome(),
-        }
-        return self._deck.wish(Wish(mode, orders.get(mode), peer), now)
+        order_of: dict[Mode, Order] = {Mode.HOLD: Halt(), Mode.LAND: Land(), Mode.RTL: GoHome()}
+        return self._deck.wish(Wish(mode, order_of.get(mode), peer), now)
 
     # -- flights ---------------------------------------------------------------------------------
 
     def take_off(self, asked: Asked, now: float) -> Result:
         """NAV_TAKEOFF: to an altitude above sea level, or to the height of the parameter."""
         altitude = math.nan if asked.z == 0.0 else asked.z
-        if asked.frame not in (*_SEA_LEVEL, *_RELATIVE) and math.isfinite(altitude):
+        if asked.frame not in (*SEA_LEVEL, *RELATIVE) and math.isfinite(altitude):
             raise UsageError(f"take-off: an altitude in frame {asked.frame} cannot be flown to")
-        if asked.frame in _RELATIVE and math.isfinite(altitude):
+        if asked.frame in RELATIVE and math.isfinite(altitude):
             altitude += self._ground()
         order = TakeOff(self._take_off_height(altitude))
         return self._deck.wish(Wish(Mode.TAKEOFF, order, asked.peer), now)
@@ -253,9 +249,13 @@ class Commands:
     def start_mission(self, asked: Asked, now: float) -> Result:
         """MISSION_START, from an item."""
         first = asked.parameters[0]
-        if self._is_others(asked.peer, "mission"):
+        number = int(first) if math.isfinite(first) and first > 0 else None
+        return self._start(asked.peer, number, "mission", now)
+
+    def _start(self, peer: Peer, first: int | None, what: str, now: float) -> Result:
+        if self._is_others(peer, what):
             return Result.TEMPORARILY_REJECTED
-        wish = self._mission(asked.peer, int(first) if math.isfinite(first) and first > 0 else None)
+        wish = self._mission(peer, first)
         if wish is None:
             self._tell(Severity.WARNING, "there is no mission to fly")
             return Result.DENIED
@@ -279,18 +279,12 @@ class Commands:
             for leg in wish.order.legs:
                 before = self._check(leg, before)
             if wish.order.plan is not None:
-                self._check_plan(wish.order.plan)
+                # On the ground, what the agent would refuse when it has taken off: outside of the
+                # envelope, or the battery does not last.
+                known = self._world.known.view
+                for refusal in preview_plan(wish.order.plan, known.telemetry, known.state.limits):
+                    raise refusal
         return self._deck.wish(wish, now)
-
-    def _check_plan(self, plan: WaypointPlan) -> None:
-        """Refuse on the ground what the agent would refuse when it has taken off.
-
-        Raises:
-            GuardRefused: Outside of the envelope, or the battery does not last.
-        """
-        known = self._world.known.view
-        for refusal in preview_plan(plan, known.telemetry, known.state.limits):
-            raise refusal
 
     def set_current(self, asked: Asked, now: float) -> Result:
         """DO_SET_MISSION_CURRENT: the item to go on from, at once if the mission flies."""
@@ -324,7 +318,7 @@ class Commands:
     def _is_place(self, asked: Asked) -> bool:
         if math.isnan(asked.x) or math.isnan(asked.y):
             return False
-        if asked.frame not in (*_SEA_LEVEL, *_RELATIVE):  # elsewhere they are metres
+        if asked.frame not in (*SEA_LEVEL, *RELATIVE):  # elsewhere they are metres
             raise UsageError(f"a place in frame {asked.frame} cannot be flown to")
         if not (abs(asked.x) <= 89.0 and abs(asked.y) <= 180.0) or (asked.x, asked.y) == (0, 0):
             raise UsageError(f"there is no place {asked.x:.6f} {asked.y:.6f}")
@@ -337,10 +331,10 @@ class Commands:
             if height is None:
                 raise UsageError("nobody knows the height")
             return height
-        if asked.frame in _RELATIVE:
+        if asked.frame in RELATIVE:
             return asked.z
         ground = self._world.ground_altitude
-        if asked.frame not in _SEA_LEVEL or ground is None:
+        if asked.frame not in SEA_LEVEL or ground is None:
             raise UsageError(f"an altitude in frame {asked.frame} cannot be flown to")
         return asked.z - ground
 

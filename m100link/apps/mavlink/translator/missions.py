@@ -36,19 +36,6 @@ class _Upload:
     tries: int = 0
 
 
-@dataclass(slots=True)
-class _Stored:
-    """What was uploaded last: missions, and fences."""
-
-    items: dict[int, tuple[Message, ...]] = field(
-        default_factory=lambda: {
-            MissionType.MISSION: (),
-            MissionType.FENCE: (),
-            MissionType.RALLY: (),
-        }
-    )
-
-
 class Missions:
     """The missions of one aircraft."""
 
@@ -68,7 +55,10 @@ class Missions:
         self._ground = ground
         self._speed = speed
         self._may_change = may_change
-        self._stored = _Stored()
+        # What was uploaded last, by its kind.
+        self._stored: dict[int, tuple[Message, ...]] = dict.fromkeys(
+            (MissionType.MISSION, MissionType.FENCE, MissionType.RALLY), ()
+        )
         self._upload: _Upload | None = None
         # The answer to an upload, for whoever did not get it.
         self._answered: tuple[Peer, int, MissionResult, float] | None = None
@@ -81,7 +71,7 @@ class Missions:
     @property
     def items(self) -> tuple[Message, ...]:
         """The mission."""
-        return self._stored.items[MissionType.MISSION]
+        return self._stored[MissionType.MISSION]
 
     def route(self) -> Route | None:
         """The mission as it is flown; None without one.
@@ -97,23 +87,21 @@ class Missions:
 
     def receive(self, message: Message, peer: Peer, now: float) -> None:
         """A message of the protocol."""
+        upload = self._upload
         kind = message.fields.get("mission_type", MissionType.MISSION)
         if message.name == "MISSION_COUNT":
             self._begin(message["count"], kind, peer, now)
         elif message.name == "MISSION_ITEM_INT":
             self._take(message, kind, peer, now)
         elif message.name == "MISSION_REQUEST_LIST":
-            count = len(self._stored.items.get(kind, ()))
+            count = len(self._stored.get(kind, ()))
             self._send(Message("MISSION_COUNT", {"count": count} | _to(peer, kind)), peer)
         elif message.name in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
             self._give(message["seq"], kind, peer)
         elif message.name == "MISSION_CLEAR_ALL":
             self._clear(kind, peer)
-        elif message["type"] != MissionResult.ACCEPTED and self._is_uploading(peer):
+        elif upload and upload.peer == peer and message["type"] != MissionResult.ACCEPTED:
             self._upload = None  # MISSION_ACK: it does not want to go on
-
-    def _is_uploading(self, peer: Peer) -> bool:
-        return self._upload is not None and self._upload.peer == peer
 
     def _acknowledge(self, result: MissionResult, kind: int, peer: Peer) -> None:
         self._send(Message("MISSION_ACK", {"type": result} | _to(peer, kind)), peer)
@@ -131,7 +119,7 @@ class Missions:
         if why:
             self._tell(Severity.WARNING, f"mission: {why}")
             self._acknowledge(MissionResult.DENIED, kind, peer)
-        elif kind not in self._stored.items:
+        elif kind not in self._stored:
             self._acknowledge(MissionResult.UNSUPPORTED, kind, peer)
         elif count > MOST_ITEMS:
             self._acknowledge(MissionResult.NO_SPACE, kind, peer)
@@ -185,7 +173,7 @@ class Missions:
         except Refused as refused:
             self._tell(Severity.WARNING, f"mission refused: {refused.why}")
             return refused.result
-        self._stored.items[kind] = items
+        self._stored[kind] = items
         if kind == MissionType.MISSION:
             self.edition += 1
             self.restart()
@@ -197,7 +185,7 @@ class Missions:
             self._tell(Severity.NOTICE, f"mission: commands left out: {named}")
 
     def _give(self, number: int, kind: int, peer: Peer) -> None:
-        items = self._stored.items.get(kind, ())
+        items = self._stored.get(kind, ())
         if number >= len(items):
             self._acknowledge(MissionResult.INVALID_SEQUENCE, kind, peer)
             return
@@ -206,7 +194,7 @@ class Missions:
         self._send(Message("MISSION_ITEM_INT", fields), peer)
 
     def _clear(self, kind: int, peer: Peer) -> None:
-        kinds = list(self._stored.items) if kind == MissionType.ALL else [kind]
+        kinds = list(self._stored) if kind == MissionType.ALL else [kind]
         for one in kinds:
             why = self._may_change(peer, one)
             if why:
@@ -214,8 +202,8 @@ class Missions:
                 self._acknowledge(MissionResult.DENIED, kind, peer)
                 return
         for one in kinds:
-            if one in self._stored.items:
-                self._stored.items[one] = ()
+            if one in self._stored:
+                self._stored[one] = ()
             if one == MissionType.FENCE:
                 self.fence = Fence()
             elif one == MissionType.MISSION:

@@ -51,6 +51,12 @@ def _limited(value: float, limit: float) -> float:
     return max(-limit, min(limit, value))
 
 
+def _fastest(world: World, parameters: Parameters) -> float:
+    """Horizontal speed that is asked for at most, m/s."""
+    limit = world.known.view.state.limits.max_speed_m_s
+    return min(parameters["MPC_XY_VEL_MAX"], 10.0 if limit is None else limit)
+
+
 def _turn(yaw: float) -> float:
     return math.remainder(math.degrees(yaw), 360.0)
 
@@ -68,9 +74,8 @@ class Offboard:
         if message.name == "SET_ATTITUDE_TARGET":
             return self._attitude(message, now)
         fields = message.fields
-        numbers = [one for one in fields.values() if isinstance(one, float)]
         mask, frame = fields["type_mask"], fields["coordinate_frame"]
-        if any(map(math.isinf, numbers)):
+        if any(map(math.isinf, fields.values())):
             return "a setpoint that is not finite"
         # The bit that makes a force of an acceleration means nothing where there is none.
         if mask & _NO_FORCE != _NO_FORCE and any(fields[f"af{axis}"] for axis in "xyz"):
@@ -118,10 +123,10 @@ class Offboard:
         return self._take(Target(now, tilt=tilt, climb=up, yaw_deg=math.degrees(yaw)))
 
     def _take(self, target: Target) -> str:
-        flat = [*(target.place or ()), *(target.velocity or ()), *(target.tilt or ())]
+        pairs = (*(target.place or ()), *(target.velocity or ()), *(target.tilt or ()))
         ones = (target.height, target.climb, target.yaw_deg, target.yaw_rate)
-        flat += [one for one in ones if one is not None]
-        if not flat or not all(map(math.isfinite, flat)):
+        told = {*pairs, *ones} - {None}
+        if not told or not all(map(math.isfinite, told)):
             return "a setpoint that says nothing, or is not a number"
         self.target = target
         return ""
@@ -181,7 +186,7 @@ class Offboard:
                 return 0.0, 0.0  # without a place of its own nothing leads there
             first += _GAIN * (target.place[0] - here[0])
             second += _GAIN * (target.place[1] - here[1])
-        fastest = self._fastest()
+        fastest = _fastest(self._world, self._parameters)
         scale = max(1.0, math.hypot(first, second) / fastest)
         return first / scale, second / scale
 
@@ -189,10 +194,6 @@ class Offboard:
     def _is_located(self) -> bool:
         """Whether a loop may be closed over where it is; where it was a second ago leads astray."""
         return self._world.known.view.to_steer_by(Position) is not None
-
-    def _fastest(self) -> float:
-        limit = self._world.known.view.state.limits.max_speed_m_s
-        return min(self._parameters["MPC_XY_VEL_MAX"], 10.0 if limit is None else limit)
 
 
 # -- sticks of a ground station: MANUAL_CONTROL, as velocities (POSCTL) or as tilts (ALTCTL) -------
@@ -250,8 +251,7 @@ class Manual:
             return Setpoint.tilt(
                 roll_deg=roll * tilt, pitch_deg=-pitch * tilt, up=up, yaw_rate_deg_s=yaw_rate
             )
-        limit = self._world.known.view.state.limits.max_speed_m_s
-        speed = min(values["MPC_XY_VEL_MAX"], 10.0 if limit is None else limit)
+        speed = _fastest(self._world, values)
         scale = max(1.0, (pitch * pitch + roll * roll) ** 0.5)
         return Setpoint.velocity(
             forward=pitch * speed / scale,

@@ -6,7 +6,6 @@ the aircraft's limits; what cannot be set here is read-only, and answered with i
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -97,7 +96,7 @@ class Parameters:
         return Message("PARAM_VALUE", fields)
 
     def receive(self, message: Message) -> list[Message]:
-        """The answers to a question."""
+        """The answers to a question, or to a value that nobody refuses (:meth:`refusal`)."""
         if message.name == "PARAM_REQUEST_LIST":
             return [self.message(name) for name in _NAMES]
         name = str(message["param_id"])
@@ -106,15 +105,8 @@ class Parameters:
             if index >= 0:
                 name = _NAMES[index] if index < len(_NAMES) else ""
             return [self.message(name)] if name in PARAMETERS else []
-        return self._set(name, message["param_value"])
-
-    def _set(self, name: str, value: float) -> list[Message]:
-        """Set it, if it can be; the answer has the value in force either way."""
-        one = PARAMETERS.get(name)
-        if one is None:
-            return []
-        if one.is_settable and math.isfinite(value) and one.least <= value <= one.most:
-            self._values[name] = value
+        if PARAMETERS[name].is_settable:
+            self._values[name] = message["param_value"]
         return [self.message(name)]
 
     def refusal(self, message: Message) -> str:
@@ -123,12 +115,8 @@ class Parameters:
         one = PARAMETERS.get(name)
         if one is None:
             return f"there is no parameter {name}"
-        if not one.is_settable:
-            return "" if self._is_same(one, name, value) else f"{name} is read-only"
-        if not (math.isfinite(value) and one.least <= value <= one.most):
-            return f"{name} is {one.least:g} to {one.most:g}"
-        return ""
-
-    def _is_same(self, one: Parameter, name: str, value: float) -> bool:
+        if one.is_settable:
+            is_right = one.least <= value <= one.most  # which no NaN is
+            return "" if is_right else f"{name} is {one.least:g} to {one.most:g}"
         given = struct.unpack("<i", struct.pack("<f", value))[0] if one.is_whole else value
-        return bool(given == self[name])
+        return "" if given == self[name] else f"{name} is read-only"

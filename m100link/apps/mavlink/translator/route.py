@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from m100link.apps.agent.orders import FlyTo
 from m100link.apps.mavlink.translator.codec import Message
 from m100link.apps.mavlink.translator.modes import Mode
-from m100link.apps.mavlink.translator.numbers import Command, Frame, MissionResult
+from m100link.apps.mavlink.translator.numbers import RELATIVE, SEA_LEVEL, Command, MissionResult
 from m100link.errors import BadPlan
 from m100link.geodesy import normalize_degrees
 from m100link.missions.checks import MOST_ACTIONS
@@ -21,13 +21,11 @@ from m100link.missions.plan import AtEnd, Heading, Stay, Waypoint, WaypointPlan
 from m100link.protocol.commands.waypoint import WaypointMission
 from m100link.protocol.firmware import PROFILES
 
-_SEA_LEVEL = (Frame.GLOBAL, Frame.GLOBAL_INT)
-_RELATIVE = (Frame.GLOBAL_RELATIVE_ALT, Frame.GLOBAL_RELATIVE_ALT_INT)
 _LONGEST_WAIT = 600.0
 FASTEST_M_S = 10.0
 """Of a leg, and what the pilot's stick adds to a mission that the aircraft flies included."""
 
-_LAST_NAV, _LAST_CONDITION = 95, 114
+_LAST_CONDITION = 114  # up to here a command is a NAV or CONDITION item
 _CHANGES_THE_WAY = {177, 192, 3000}
 """DO_JUMP, DO_REPOSITION, VTOL transition: what is not a NAV item and moves all the same."""
 
@@ -90,11 +88,11 @@ class _Reader:
 
     def _height(self, number: int, item: Message) -> float:
         frame, height = item["frame"], float(item["z"])
-        if frame in _SEA_LEVEL:
+        if frame in SEA_LEVEL:
             if self._ground is None:
                 raise Refused(MissionResult.ERROR, "nobody knows the altitude of the ground")
             height -= self._ground
-        elif frame not in _RELATIVE:
+        elif frame not in RELATIVE:
             raise Refused(
                 MissionResult.UNSUPPORTED_FRAME, f"item {number}: frame {frame} is not flown"
             )

@@ -119,7 +119,7 @@ class Vehicle:
             "SET_POSITION_TARGET_LOCAL_NED": self._setpoint,
             "SET_ATTITUDE_TARGET": self._setpoint,
             "MANUAL_CONTROL": self._sticks,
-            **dict.fromkeys(_MISSION_MESSAGES, self._mission_message),
+            **dict.fromkeys(_MISSION_MESSAGES, self._missions.receive),
             "MISSION_SET_CURRENT": self._set_current,
             "REQUEST_DATA_STREAM": self._data_stream,
             "PING": self._ping,
@@ -179,19 +179,23 @@ class Vehicle:
     def _set_mode(self, message: Message, peer: Peer, now: float) -> None:
         """SET_MODE, which older programs send; it has no answer but the heartbeat."""
         number = message["custom_mode"]
-        mode = mode_of_number(number >> 16 & 0xFF, number >> 24)
-        if mode is None or not message["base_mode"] & BaseMode.CUSTOM:
+        main, sub = number >> 16 & 0xFF, number >> 24
+        if mode_of_number(main, sub) is None or not message["base_mode"] & BaseMode.CUSTOM:
             self._texts.tell(Severity.WARNING, f"mode 0x{number:08x} is not one of this aircraft")
             return
-        result = self._commands.carry_out(_as_command(number, peer), now)
+        asked = Asked(Command.DO_SET_MODE, (BaseMode.CUSTOM, main, sub, math.nan), peer)
+        result = self._commands.carry_out(asked, now)
         self._acknowledge(LAYOUTS["SET_MODE"].number, result or Result.ACCEPTED, peer)
 
     def _parameter(self, message: Message, peer: Peer, now: float) -> None:
         if message.name == "PARAM_SET":
             refusal = self._parameters.refusal(message)
             if not refusal and self.deck.other_operator(peer) is not None:
-                refusal, message = "a parameter: somebody else flies", _read_of(message)
+                refusal = "a parameter: somebody else flies"
             if refusal:
+                # The question for the value, instead of a new one.
+                fields = dict(message.fields) | {"param_index": -1}
+                message = Message("PARAM_REQUEST_READ", fields)
                 self._texts.tell(Severity.WARNING, refusal)
         for answer in self._parameters.receive(message):
             self._send(answer, peer)
@@ -241,14 +245,9 @@ class Vehicle:
 
     # -- missions --------------------------------------------------------------------------------
 
-    def _mission_message(self, message: Message, peer: Peer, now: float) -> None:
-        self._missions.receive(message, peer, now)
-
     def _set_current(self, message: Message, peer: Peer, now: float) -> None:
         number = (float(message["seq"]), math.nan, math.nan, math.nan)
-        nowhere = math.nan
-        asked = Asked(Command.DO_SET_MISSION_CURRENT, number, nowhere, nowhere, nowhere, 0, peer)
-        self._commands.carry_out(asked, now)
+        self._commands.carry_out(Asked(Command.DO_SET_MISSION_CURRENT, number, peer), now)
         self._send(self._missions.current_message(is_flying=self.deck.flies_mission))
 
     def _may_change(self, peer: Peer, kind: int) -> str:
@@ -438,15 +437,5 @@ class Vehicle:
             self._send(message)
 
 
-def _read_of(message: Message) -> Message:
-    """The question for the value, instead of a new one."""
-    return Message("PARAM_REQUEST_READ", dict(message.fields) | {"param_index": -1})
-
-
 def _whole(value: float) -> int:
     return int(value) if math.isfinite(value) else 0
-
-
-def _as_command(number: int, peer: Peer) -> Asked:
-    mode = (float(BaseMode.CUSTOM), float(number >> 16 & 0xFF), float(number >> 24), math.nan)
-    return Asked(Command.DO_SET_MODE, mode, math.nan, math.nan, math.nan, 0, peer)

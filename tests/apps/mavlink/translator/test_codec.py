@@ -21,7 +21,6 @@ from m100link.apps.mavlink.translator.codec import (
     Reading,
     SignatureMemory,
     Signer,
-    read_datagram,
     write_frame,
 )
 from m100link.apps.mavlink.translator.vehicle import Vehicle
@@ -37,7 +36,7 @@ def frame(name: str = "PING", *, sequence: int = 0, **fields: Any) -> bytes:
 
 def test_a_message_comes_out_as_it_went_in() -> None:
     fields: dict[str, Any] = {"severity": 4, "text": "no more than fifty", "id": 3, "chunk_seq": 1}
-    [message] = read_datagram(frame("STATUSTEXT", **fields))
+    [message] = Reading(frame("STATUSTEXT", **fields))
     assert message == Message("STATUSTEXT", fields, 7, 1)
 
 
@@ -45,15 +44,15 @@ def test_a_message_comes_out_as_it_went_in() -> None:
 def test_every_message_is_read_as_it_was_written(name: str) -> None:
     layout = LAYOUTS[name]
     values = layout.read(bytes(Random(name).choices(range(1, 60), k=layout.size)))
-    [message] = read_datagram(frame(name, **values))
+    [message] = Reading(frame(name, **values))
     assert message.fields == values
-    [empty] = read_datagram(frame(name))
+    [empty] = Reading(frame(name))
     assert set(empty.fields) == set(layout.fields)
 
 
 def test_values_at_the_end_that_are_zero_are_not_sent() -> None:
     assert len(frame("PING")) == 10 + 1 + 2
-    [message] = read_datagram(frame("PING"))
+    [message] = Reading(frame("PING"))
     assert message["seq"] == 0
 
 
@@ -61,7 +60,7 @@ def test_a_frame_of_the_first_version_is_read() -> None:
     heartbeat = bytes.fromhex("fe09 2a ff 00 00 00000000 06 08 c0 04 03".replace(" ", ""))
     crc = LAYOUTS["HEARTBEAT"].crc_extra
     whole = heartbeat + codec._CHECKSUM.pack(codec._crc(heartbeat[1:] + bytes([crc])))
-    [message] = read_datagram(whole)
+    [message] = Reading(whole)
     assert (message.name, message.system, message["mavlink_version"]) == ("HEARTBEAT", 255, 3)
 
 
@@ -71,7 +70,7 @@ def test_damage_is_refused() -> None:
         for bit in range(8):
             hurt = bytearray(whole)
             hurt[place] ^= 1 << bit
-            found = [one for one in read_datagram(bytes(hurt)) if one.name == "COMMAND_LONG"]
+            found = [one for one in Reading(bytes(hurt)) if one.name == "COMMAND_LONG"]
             # The flags of compatibility and the sequence are covered, too: nothing passes.
             assert found == []
 
@@ -80,7 +79,7 @@ def test_a_false_start_swallows_nothing_behind_it() -> None:
     random, valid = Random(2), frame("COMMAND_LONG", command=400, param1=1.0)
     for _ in range(500):
         junk = bytes(random.choices((0xFD, 0xFE, 0, 9, 76, 255), k=random.randrange(60)))
-        [message] = read_datagram(junk + valid + junk)
+        [message] = Reading(junk + valid + junk)
         assert message["command"] == 400
 
 
@@ -88,7 +87,7 @@ def test_junk_is_nothing() -> None:
     random = Random(4)
     for _ in range(3000):
         data = random.randbytes(random.randrange(300))
-        assert list(read_datagram(data)) == []
+        assert list(Reading(data)) == []
 
 
 def test_reading_tells_what_it_cost() -> None:
@@ -118,7 +117,7 @@ def signed(signer: Signer, now: int, name: str = "PING") -> bytes:
 
 
 def taken(reader: Signer, data: bytes, now: int = 1000) -> int:
-    return len(list(read_datagram(data, signer=reader, now=now)))
+    return len(list(Reading(data, signer=reader, now=now)))
 
 
 def test_what_is_signed_with_the_key_is_taken_once() -> None:
@@ -236,7 +235,7 @@ def test_what_pymavlink_writes_is_read(dialects: list[Any]) -> None:
     common = dialects[0]
     writer = common.MAVLink(None, srcSystem=9, srcComponent=4)
     data = common.MAVLink_param_set_message(1, 1, b"MIS_TAKEOFF_ALT", 7.5, 9).pack(writer)
-    [message] = read_datagram(bytes(data))
+    [message] = Reading(bytes(data))
     assert (message.system, message.component) == (9, 4)
     assert (message["param_id"], message["param_value"]) == ("MIS_TAKEOFF_ALT", 7.5)
     writer.signing.secret_key, writer.signing.sign_outgoing = KEY, True
@@ -258,7 +257,7 @@ def ping(at: int, system: int = 245) -> bytes:
 
 
 def is_taken(signer: Signer, frame: bytes, now: int) -> bool:
-    return bool(list(read_datagram(frame, signer=signer, now=now)))
+    return bool(list(Reading(frame, signer=signer, now=now)))
 
 
 def started(folder: Path, now: int = NOW) -> tuple[Signer, SignatureMemory]:

@@ -15,7 +15,7 @@ import pytest
 
 from m100link.apps.agent.messages import LeaseChanged, State
 from m100link.apps.agent.view import VehicleView
-from m100link.apps.mavlink.translator.codec import LAYOUTS, Message, read_datagram, write_frame
+from m100link.apps.mavlink.translator.codec import LAYOUTS, Message, Reading, write_frame
 from m100link.apps.mavlink.translator.modes import Mode
 from m100link.apps.mavlink.translator.numbers import Command, Result, Severity
 from m100link.apps.mavlink.translator.peers import MOST_PEERS, Peer
@@ -56,7 +56,7 @@ HERE = (30.0, -70.0, 12.34)
 def wire(name: str, fields: dict[str, Any]) -> Message:
     """As a ground station reads it."""
     frame = write_frame(Message(name, fields), system=1, sequence=1, signer=None, now=0)
-    [found] = read_datagram(frame, signer=None, now=0)
+    [found] = Reading(frame, signer=None, now=0)
     return found
 
 
