@@ -118,7 +118,8 @@ class Bridge:
             self.dropped += 1
             return
         most = self._shares[sender]
-        reading = Reading(data, signer=self._signer, now=signature_time(), most=most)
+        signed_at = signature_time() if self._signer is not None else 0
+        reading = Reading(data, signer=self._signer, now=signed_at, most=most)
         for message in reading:
             self._shares[sender] -= _MESSAGE_COST
             self._take(message, Peer(address, message.system, message.component), now)
@@ -158,8 +159,9 @@ class Bridge:
         self._stood_still(now)
         audience = self.peers.audience(now)
         for craft in self._crafts:
-            craft.sequences = {one: craft.sequences.get(one, 0) for one in audience}
-            craft.vehicle.advance(now, audience, lambda peer: self.peers.is_lost(peer, now))
+            if craft.sequences.keys() != audience.keys():
+                craft.sequences = {one: craft.sequences.get(one, 0) for one in audience}
+            craft.vehicle.advance(now, audience, self.peers.is_lost)
             craft.crew.advance()
         self._flush(now)
 
@@ -180,7 +182,11 @@ class Bridge:
                         break
                     if isinstance(to, Peer) and address in self._shares:
                         self._shares[address] -= len(frame)
-                    self._pack(packed.setdefault(address, bytearray()), frame, address)
+                    data = packed.setdefault(address, bytearray())
+                    if len(data) + len(frame) > _LARGEST:
+                        self._send(bytes(data), address)
+                        data.clear()
+                    data += frame
         for address, data in packed.items():
             if data:
                 self._send(bytes(data), address)
@@ -198,12 +204,6 @@ class Bridge:
         except (struct.error, OverflowError):
             self.unsent += 1  # a number that its field does not hold: nobody could use it
             return None
-
-    def _pack(self, data: bytearray, frame: bytes, address: Address) -> None:
-        if len(data) + len(frame) > _LARGEST:
-            self._send(bytes(data), address)
-            data.clear()
-        data += frame
 
     async def run(self) -> None:
         """Step for ever, until cancelled; then whatever is held is given back."""

@@ -81,6 +81,7 @@ class Crew:
         # What is told to a mission goes out in the order in which it was wanted.
         self._telling = asyncio.Lock()
         self._doing: dict[type[Any], Callable[[Any, Lease | None], Awaitable[None]]] = {
+            Arm: self._arm,
             Disarm: self._disarm,
             CallOff: self._call_off,
             TakeOff: self._take_off,
@@ -101,7 +102,7 @@ class Crew:
             elif isinstance(order, Drop):
                 self._drop()
             elif isinstance(order, Arm):
-                self._agent.background.spawn(self._arm(order), "arming")
+                self._agent.background.spawn(self._carry_out(order), "arming")
             else:
                 self._replace(order)
         if self._owes_a_stop and self._agent.is_connected and not self._session.is_obeyed:
@@ -143,20 +144,16 @@ class Crew:
         except M100Error as met:
             error = met
         finally:
-            self._deck.ended(order, error, self._agent.now)
+            if isinstance(order, Arm):
+                self._deck.armed(order, error, self._agent.now)
+            else:
+                self._deck.ended(order, error, self._agent.now)
 
     # -- control authority -----------------------------------------------------------------------
 
-    async def _arm(self, order: Arm) -> None:
-        error: M100Error | None = NoAuthority("it was broken off")
+    async def _arm(self, order: Arm, _: object) -> None:
         self._session.name = order.name
-        try:
-            await self._session.obtain()
-            error = None
-        except M100Error as met:
-            error = met
-        finally:
-            self._deck.armed(order, error, self._agent.now)
+        await self._session.obtain()
 
     async def _disarm(self, *_: object) -> None:
         await self._session.give_back()

@@ -339,7 +339,7 @@ async def test_a_setpoint_of_mavlink_is_a_few_calls() -> None:
 
         counted = calls(step)
     assert counted["AgentClient.steer"] == 1
-    is_asked_once(counted, 215)
+    is_asked_once(counted, 200)
 
 
 @pytest.mark.anyio

@@ -253,20 +253,13 @@ class Commands:
         return self._start(asked.peer, number, "mission", now)
 
     def _start(self, peer: Peer, first: int | None, what: str, now: float) -> Result:
-        if self._is_others(peer, what):
+        if self._deck.is_others(peer, what):
             return Result.TEMPORARILY_REJECTED
         wish = self._mission(peer, first)
         if wish is None:
             self._tell(Severity.WARNING, "there is no mission to fly")
             return Result.DENIED
         return self._fly_mission(wish, now)
-
-    def _is_others(self, asked_by: Peer, what: str) -> bool:
-        """Whether somebody else flies; what is asked for then changes nothing of the flight."""
-        other = self._deck.other_operator(asked_by)
-        if other is not None:
-            self._tell(Severity.WARNING, f"{what}: {other.name} flies")
-        return other is not None
 
     def _fly_mission(self, wish: Wish, now: float) -> Result:
         """Check each place of it first, and each way from one to the next.
@@ -291,7 +284,7 @@ class Commands:
         number = asked.parameters[0]
         if not math.isfinite(number) or number < 0:
             return Result.DENIED
-        if self._is_others(asked.peer, "mission"):
+        if self._deck.is_others(asked.peer, "mission"):
             return Result.TEMPORARILY_REJECTED
         wish = self._mission(asked.peer, int(number))
         if wish is None:
@@ -303,7 +296,7 @@ class Commands:
         speed = asked.parameters[1]
         if asked.parameters[0] not in (0.0, 1.0) or not 0.0 < speed <= 10.0:
             return Result.DENIED
-        if self._is_others(asked.peer, "speed"):
+        if self._deck.is_others(asked.peer, "speed"):
             return Result.TEMPORARILY_REJECTED
         self._speed = speed
         if self._deck.is_flown_by_aircraft:
@@ -339,7 +332,7 @@ class Commands:
         return asked.z - ground
 
     def _fly(self, order: GuidedOrder, mode: Mode, peer: Peer, now: float) -> Result:
-        if self._is_others(peer, mode.value):
+        if self._deck.is_others(peer, mode.value):
             return Result.TEMPORARILY_REJECTED
         self._check(order)
         return self._deck.wish(Wish(mode, Flight((order,)), peer), now)

@@ -143,9 +143,8 @@ class Deck:
     def wish(self, wish: Wish, now: float) -> Result:
         """Somebody wants a mode. Refusals are told to everybody, with the reason."""
         what, verdict = wish.mode.value, VERDICTS[self.phase][wish.mode]
-        other = self.other_operator(wish.peer)
-        if other is not None and wish.mode not in _ENDS:
-            return self._refuse(what, f"{other.name} flies")
+        if wish.mode not in _ENDS and self.is_others(wish.peer, what):
+            return Result.TEMPORARILY_REJECTED
         if verdict in _REFUSED:
             return self._refuse(what, self.explain(), _REFUSED[verdict])
         if verdict is Verdict.NOTHING:
@@ -166,8 +165,15 @@ class Deck:
         self._tell(Severity.WARNING, f"{what}: {why}")
         return result
 
+    def is_others(self, peer: Peer | None, what: str) -> bool:
+        """Whether another one flies than the one that asks; everybody is told."""
+        other = self.other_operator(peer)
+        if other is not None:
+            self._refuse(what, f"{other.name} flies")
+        return other is not None
+
     def other_operator(self, peer: Peer | None) -> Peer | None:
-        """Who flies, where that is not whoever asks."""
+        """The peer that flies, if another one asks; None asks for the bridge itself."""
         is_taken = self._arming is not None or self.phase in _CONTROLLED
         return self.operator if is_taken and peer not in (None, self.operator) else None
 
@@ -239,9 +245,8 @@ class Deck:
 
     def arm(self, peer: Peer, now: float) -> Result | None:
         """Obtain authority; None while that takes time, and :attr:`on_armed` is called then."""
-        other = self.other_operator(peer)
-        if other is not None:
-            return self._refuse("arm", f"{other.name} flies")
+        if self.is_others(peer, "arm"):
+            return Result.TEMPORARILY_REJECTED
         verdict = ARM_VERDICTS[self.phase]
         if verdict is Verdict.REJECT:
             return self._refuse("arm", self.explain())
@@ -261,9 +266,8 @@ class Deck:
 
     def disarm(self, peer: Peer) -> Result:
         """Give authority back, on the ground."""
-        other = self.other_operator(peer)
-        if other is not None:
-            return self._refuse("disarm", f"{other.name} flies")
+        if self.is_others(peer, "disarm"):
+            return Result.TEMPORARILY_REJECTED
         # A take-off that was ordered counts as flown for all wishes but this one: whoever stands
         # beside motors that stand still is obeyed.
         verdict = DISARM_VERDICTS[self._world.phase]

@@ -173,10 +173,9 @@ class Offboard:
         if target.height is not None:
             height = self._world.height if self._is_located else None
             climb = 0.0 if height is None else climb + _GAIN * (target.height - height)
-        return max(
-            -self._parameters["MPC_Z_VEL_MAX_DN"],
-            min(self._parameters["MPC_Z_VEL_MAX_UP"], climb),
-        )
+        if climb < 0.0:
+            return max(-self._parameters["MPC_Z_VEL_MAX_DN"], climb)
+        return min(self._parameters["MPC_Z_VEL_MAX_UP"], climb)
 
     def _speed(self, target: Target) -> tuple[float, float]:
         first, second = target.velocity or (0.0, 0.0)

@@ -400,14 +400,14 @@ class Vehicle:
         """Warn everybody."""
         self._texts.tell(Severity.WARNING, text)
 
-    def advance(self, now: float, audience: Audience, lost: Callable[[Peer], bool]) -> None:
+    def advance(self, now: float, audience: Audience, lost: Callable[[Peer, float], bool]) -> None:
         """Let time pass: steer, and send what is due.
 
-        ``now``: s.
+        ``now``: s. ``lost``: whether a peer is, at a time.
         """
         self.world.look()
         operator = self.deck.operator
-        if operator is not None and lost(operator):
+        if operator is not None and lost(operator, now):
             self.deck.operator_lost()
         self._watch_fence()
         self.deck.advance(now)

@@ -88,8 +88,7 @@ class World:
     def look(self) -> None:
         """Note where it stands, for home."""
         view = self.known.view
-        position = view.place
-        if position is None or not view.is_on_ground:
+        if not view.is_on_ground or (position := view.place) is None:
             return
         home = self.home
         if home is not None and abs(home.altitude_m - position.altitude_m) < 0.5:
@@ -117,11 +116,11 @@ class World:
         view = self.known.view
         if not view.is_heard:
             return Phase.AWAY
-        if self.session.is_others:
-            return Phase.OTHER
         on_ground = view.is_on_ground
         if self.session.is_obeyed:
             return Phase.ARMED if on_ground else Phase.AIRBORNE
+        if self.session.is_others:
+            return Phase.OTHER
         if on_ground:
             return Phase.DISARMED
         return Phase.FREE if view.switch is RcMode.F else Phase.PILOT

@@ -53,7 +53,7 @@ class Asked:
         deck = SimpleNamespace(
             wish=self._wish,
             phase=Phase.AIRBORNE,
-            other_operator=lambda peer: self.other,
+            is_others=lambda *_: self.other is not None,
             has_setpoint=lambda *_: True,
             is_flown_by_aircraft=True,
             flies_mission=True,
