@@ -73,7 +73,7 @@ from m100link.apps.mavlink.translator.codec import (
     Snapshot,
     write_frame,
 )
-from m100link.apps.ros2.graph import Attachment, read_attachment
+from m100link.apps.ros2.graph import read_attachment, write_attachment
 from m100link.apps.ros2.graph import read_token as read_ros2_token
 from m100link.apps.station.config import resolve
 from m100link.apps.station.console.view.texts import Settings
@@ -230,14 +230,15 @@ def cdr_seeds() -> list[bytes]:
     """The number of a type, and a message of it; the attachment of one."""
     return [
         bytes([number]) + encode_cdr(kind, _small(kind)) for number, kind in enumerate(_TYPES)
-    ] + [b"\xff" + bytes(Attachment(1, 2, bytes(16)))]
+    ] + [b"\xff" + write_attachment(1, 2, bytes(16))]
 
 
 def read_cdr(data: bytes) -> None:
     """A message of any type, and an attachment."""
     if data[:1] == b"\xff":
         found = read_attachment(data[1:])
-        _same(read_attachment(bytes(found)), found)
+        again = write_attachment(found.sequence, found.at_ns, found.gid)
+        _same(read_attachment(again), found)
         return
     kind = _TYPES[(data[0] if data else 0) % len(_TYPES)]
     message = decode_cdr(kind, data[1:])

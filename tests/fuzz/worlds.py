@@ -77,7 +77,7 @@ from m100link.apps.fleet.show.service import ShowService
 from m100link.apps.mavlink.translator.codec import LAYOUTS, Message, write_frame
 from m100link.apps.mavlink.translator.modes import Mode
 from m100link.apps.mavlink.translator.numbers import Command
-from m100link.apps.ros2.graph import Attachment, data_key
+from m100link.apps.ros2.graph import data_key, write_attachment
 from m100link.apps.ros2.topics import INPUTS, SERVICES
 from m100link.errors import M100Error
 from m100link.log.cdr import encode as encode_cdr
@@ -523,7 +523,7 @@ def ros2_seeds() -> list[bytes]:
         bytes([number, 1]) + encode_cdr(INPUTS[name].kind, empty[name])
         for number, name in enumerate(INPUTS)
     ]
-    plain = bytes(Attachment(1, 1_800_000_000_000_000_000, b"\1" * 16))
+    plain = write_attachment(1, 1_800_000_000_000_000_000, b"\1" * 16)
     seeds += [bytes([one[0], 0]) + plain + one[2:] for one in seeds]
     seeds += [bytes([len(INPUTS) + number, 1]) + _HEAD + bytes(4) for number in range(len(_CALLED))]
     return seeds

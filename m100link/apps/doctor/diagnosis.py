@@ -297,7 +297,7 @@ def _mode_switch(aircraft: Aircraft) -> Finding:
         return Finding(
             Stage.MODE_SWITCH,
             Verdict.SKIPPED,
-            f"{_item(RemoteControl)} does not arrive: nobody knows",
+            f"the telemetry item {BY_RECORD[RemoteControl].name} does not arrive: nobody knows",
             ("its telemetry rate is 0, or the remote control is off",),
             ("set it in the PC assistant",),
         )
@@ -309,10 +309,6 @@ def _mode_switch(aircraft: Aircraft) -> Finding:
         (f"put it to {RcMode.F.name}",),
         {"mode": rc.mode},
     )
-
-
-def _item(record: type) -> str:
-    return f"the telemetry item {BY_RECORD[record].name}"
 
 
 async def _authority(

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import asyncio
 import math
+from abc import ABC, abstractmethod
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, Protocol
+from typing import Any
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
@@ -33,7 +35,7 @@ _NOBODY = bytes(16)
 _NO_TIME = {"sec": 0, "nanosec": 0}
 
 # Return codes of action_msgs/srv/CancelGoal.
-_CANCELING, _REJECTED, _UNKNOWN, _TERMINATED = 0, 1, 2, 3
+_CANCELING, _UNKNOWN, _TERMINATED = 0, 2, 3
 
 
 class GoalStatus(IntEnum):
@@ -257,9 +259,14 @@ _SPEED, _FASTEST = 5.0, 10.0
 _LONGEST_WAIT_S = 600.0
 
 
-class Flight(Protocol):
-    """A goal that flies."""
+class Flight(ABC):
+    """A goal that flies: orders to the agent under the lease of their beginning."""
 
+    def __init__(self, agent: AgentClient, helm: Helm) -> None:
+        self._agent, self._lease = agent, helm.session.held()
+        self._ended = asyncio.Event()
+
+    @abstractmethod
     async def run(self) -> None:
         """Fly it; done when it is there.
 
@@ -267,31 +274,13 @@ class Flight(Protocol):
             M100Error: It was refused, or ended before its end.
         """
 
-    def end(self, why: str) -> None:
-        """End it with a hover; the autopilot's take-off is waited for."""
-
-    @property
-    def is_ours(self) -> bool:
-        """Whether control is still that under which it was asked for."""
-        ...
-
+    @abstractmethod
     def feedback(self) -> Mapping[str, Any]:
         """How far it is."""
-        ...
-
-
-class _Guided:
-    """Orders to the agent under the lease of their beginning, which end by a hover."""
-
-    def __init__(self, agent: AgentClient, helm: Helm) -> None:
-        self._agent, self._lease = agent, helm.session.held()
-        self.is_ended = False
-        self._hovering = asyncio.Event()
 
     def end(self, why: str) -> None:
-        """End what flies; nothing more is ordered."""
-        self.is_ended = True
-        self._hovering.set()
+        """End it with a hover, after the autopilot's take-off; nothing more is ordered."""
+        self._ended.set()
         if self.is_ours:  # what somebody else flies by now goes on
             self._agent.halt(why)  # not under the lease, by which setpoints would fly after STOP
 
@@ -302,16 +291,14 @@ class _Guided:
 
     async def guide(self, order: GuidedOrder) -> None:
         """Fly one order, unless it was ended."""
-        if not self.is_ended:
+        if not self._ended.is_set():
             await self._agent.ask(order, self._lease)
 
     async def wait(self, seconds: float) -> None:
-        """Hover for a while."""
-        try:
+        """Hover for a while, unless it was ended."""
+        with suppress(TimeoutError):
             async with asyncio.timeout(seconds):
-                await self._hovering.wait()
-        except TimeoutError:
-            return
+                await self._ended.wait()
 
     def progress(self) -> Mapping[str, Any]:
         """What remains of the order."""
@@ -321,7 +308,7 @@ class _Guided:
         return {"distance": distance, "seconds": seconds}
 
 
-class _TakeOff(_Guided):
+class _TakeOff(Flight):
     def __init__(self, agent: AgentClient, helm: Helm, goal: Mapping[str, Any]) -> None:
         super().__init__(agent, helm)
         self._height = _finite("a height", goal["height"])
@@ -341,7 +328,7 @@ class _TakeOff(_Guided):
         return {"height": self._now()}
 
 
-class _FlyTo(_Guided):
+class _FlyTo(Flight):
     def __init__(self, agent: AgentClient, helm: Helm, goal: Mapping[str, Any]) -> None:
         super().__init__(agent, helm)
         self._order = _order(goal, goal["speed"])
@@ -353,7 +340,7 @@ class _FlyTo(_Guided):
         return self.progress()
 
 
-class _FlyMission(_Guided):
+class _FlyMission(Flight):
     def __init__(self, agent: AgentClient, helm: Helm, goal: Mapping[str, Any]) -> None:
         super().__init__(agent, helm)
         points = goal["waypoints"]
@@ -366,7 +353,7 @@ class _FlyMission(_Guided):
         for place, (order, wait) in enumerate(self._legs):
             self._place = place
             await self.guide(order)
-            if wait and not self.is_ended:
+            if wait:
                 await self.wait(wait)
 
     def feedback(self) -> Mapping[str, Any]:

@@ -292,10 +292,6 @@ class Helm:
         self.session.held()
         await self.session.ask(order)
 
-    async def stop(self) -> None:
-        """Stop whatever happens; anybody may. Setpoints fly after the next ~/obtain_control."""
-        await self.session.stop()
-
     # -- setpoints -------------------------------------------------------------------------------
 
     def refusal(self) -> str:
@@ -310,10 +306,6 @@ class Helm:
         if state.task or (state.mission and state.mission != "no mission"):
             return f"{state.task or state.mission} flies"
         return "" if self._agent.view.is_airborne else "on the ground: call ~/takeoff first"
-
-    def steer(self, setpoint: Setpoint) -> None:
-        """Fly this until the next one, for :data:`LIFETIME` at most."""
-        self.session.steer(setpoint, LIFETIME)
 
     # -- time passes -----------------------------------------------------------------------------
 

@@ -196,8 +196,8 @@ class Ends:
         finally:
             service.calls -= 1
         at_ns = round(self._utc() * 1e9)
-        ours = Attachment(attachment.sequence, at_ns, attachment.gid)
-        request.answer(request.key, answer, bytes(ours))
+        ours = write_attachment(attachment.sequence, at_ns, attachment.gid)
+        request.answer(request.key, answer, ours)
 
 
 # -- services that do something: done, or why not, with cause and remedy ---------------------------

@@ -131,9 +131,6 @@ class Attachment:
     at_ns: int  # when it was sent, POSIX time in ns by the clock of the sender
     gid: bytes  # id of the sender; an answer has that of the request
 
-    def __bytes__(self) -> bytes:
-        return write_attachment(self.sequence, self.at_ns, self.gid)
-
 
 def write_attachment(sequence: int, at_ns: int, gid: bytes) -> bytes:
     """The attachment of these values, see :class:`Attachment`; for each message that is sent."""

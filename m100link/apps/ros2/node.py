@@ -15,7 +15,7 @@ from m100link.apps.agent.orders import CameraUse, SwitchMotors, UseCamera
 from m100link.apps.bus.network import PolledBus
 from m100link.apps.bus.session import LARGEST, Opening, ZenohBus, open_session
 from m100link.apps.ros2.actions import Actions
-from m100link.apps.ros2.control import Frames, Helm, speed, toward
+from m100link.apps.ros2.control import LIFETIME, Frames, Helm, speed, toward
 from m100link.apps.ros2.endpoints import (
     Call,
     Ends,
@@ -156,7 +156,7 @@ class Node:
             self._tell(f"{name}: {why}", "info")
             return
         try:
-            self.helm.steer(make(newest))
+            self.helm.session.steer(make(newest), LIFETIME)
         except M100Error as error:
             self._tell(f"{name}: {error.seen}", "warning")
 
@@ -181,7 +181,7 @@ class Node:
             "~/go_home": trigger(lambda: self._end(orders.GoHome()), "it flies home"),
             "~/arm": trigger(lambda: helm.do(SwitchMotors(on=True)), "the motors run"),
             "~/disarm": trigger(lambda: helm.do(SwitchMotors(on=False)), "the motors stand"),
-            "~/stop": trigger(helm.stop, "stopped"),
+            "~/stop": trigger(helm.session.stop, "stopped"),
             "~/take_photo": trigger(lambda: helm.do(UseCamera(CameraUse.PHOTO)), "sent"),
             "~/start_video": trigger(lambda: helm.do(UseCamera(CameraUse.START_VIDEO)), "sent"),
             "~/stop_video": trigger(lambda: helm.do(UseCamera(CameraUse.STOP_VIDEO)), "sent"),

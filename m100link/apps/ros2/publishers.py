@@ -100,6 +100,7 @@ class Teller:
         counted: Callable[[], Mapping[str, int]],  # what the node did not do, by the reason
     ) -> None:
         self._agent, self._names = agent, names
+        self._named = names.full("~/x")[1:-2]
         self._topics, self._counted = topics, counted
         self._stamps = Stamps(lambda: agent.now, utc)
         self.places = Places()  # where it is
@@ -116,13 +117,13 @@ class Teller:
             "~/imu": self._imu,
             "~/fix": _of(Position, self._messages.fix),
             "~/odom": self._odometry,
-            "~/pose": self._pose,
+            "~/pose": self._of_pose(self._messages.pose),
             "~/velocity": _of(Velocity, self._messages.velocity),
             "~/battery": _of(Battery, self._messages.battery),
             "~/magnetic_field": _of(Magnetometer, self._messages.magnetometer),
             "~/joy": _of(RemoteControl, self._messages.joy),
             "~/gimbal": _of(Gimbal, self._messages.gimbal),
-            "/tf": self._transform,
+            "/tf": self._of_pose(self._messages.transform),
             "/clock": lambda _, stamp: encode("rosgraph_msgs/Clock", {"clock": _time(stamp)}),
         }
         makers |= dji_makers()
@@ -202,17 +203,14 @@ class Teller:
             return None
         return self._messages.odometry(stamp, place, attitude, velocity, rates)
 
-    def _pose(self, sample: Sample, stamp: Stamp) -> bytes | None:
-        attitude, place = self._read(Attitude, sample), self._place(sample)
-        if attitude is None or place is None:
-            return None
-        return self._messages.pose(stamp, place, attitude)
+    def _of_pose(self, make: Callable[[Stamp, Place, Attitude], bytes]) -> _Make:
+        """What is made of a place and an attitude, where both are known."""
 
-    def _transform(self, sample: Sample, stamp: Stamp) -> bytes | None:
-        attitude, place = self._read(Attitude, sample), self._place(sample)
-        if attitude is None or place is None:
-            return None
-        return self._messages.transform(stamp, place, attitude)
+        def made(sample: Sample, stamp: Stamp) -> bytes | None:
+            attitude, place = self._read(Attitude, sample), self._place(sample)
+            return None if attitude is None or place is None else make(stamp, place, attitude)
+
+        return made
 
     # -- with time -------------------------------------------------------------------------------
 
@@ -240,11 +238,9 @@ class Teller:
         if is_wanted and now >= self._due.get("/diagnostics", now):
             self._due["/diagnostics"] = now + _STATE_S
             told = {"stamp": _time(self._stamps.at(now)), "frame_id": ""}
-            named = self._names.full("~/x")[1:-2]
-            status_of = diagnostics(self._agent.view, self._stamps.clock, self._counted())
-            self._topics["/diagnostics"].say(
-                {"header": told, "status": [one.told(named) for one in status_of]}
-            )
+            found = diagnostics(self._agent.view, self._stamps.clock, self._counted())
+            status_of = [one.told(self._named) for one in found]
+            self._topics["/diagnostics"].say({"header": told, "status": status_of})
 
     def _header(self, stamp: Stamp) -> dict[str, Any]:
         return {"stamp": _time(stamp), "frame_id": self._names.frame("base_link")}
@@ -270,7 +266,7 @@ class Teller:
         said = {
             "stamp": _time(self._stamps.at(event.at)),
             "level": _LEVELS.get(event.level, 20),
-            "name": self._names.full("~/x")[1:-2].replace("/", "."),
+            "name": self._named.replace("/", "."),
             "msg": event.text,
             "file": "",
             "function": "",
@@ -288,9 +284,7 @@ def _time(stamp: Stamp) -> dict[str, int]:
     return {"sec": stamp[0], "nanosec": stamp[1]}
 
 
-def _of(
-    record: type[R], make: Callable[[Stamp, R], bytes]
-) -> Callable[[Sample, Stamp], bytes | None]:
+def _of(record: type[R], make: Callable[[Stamp, R], bytes]) -> _Make:
     """What is made of one item, where a package has it."""
 
     def made(sample: Sample, stamp: Stamp) -> bytes | None:
@@ -343,14 +337,8 @@ def diagnostics(
 
     ``clock``: its clock; None before its first tick.
     """
-    return [
-        _line(view),
-        _clock(clock),
-        _navigation(view),
-        _control(view),
-        _battery(view),
-        _node(counted),
-    ]
+    node = Status("node", Level.OK, "what was not done since it began", counted)
+    return [_line(view), _clock(clock), _navigation(view), _control(view), _battery(view), node]
 
 
 def _line(view: VehicleView) -> Status:
@@ -415,10 +403,6 @@ def _battery(view: VehicleView) -> Status:
     if battery.percent <= _LOW_PERCENT:
         return Status("battery", Level.WARN, "low", values)
     return Status("battery", Level.OK, "charged", values)
-
-
-def _node(counted: Mapping[str, int]) -> Status:
-    return Status("node", Level.OK, "what was not done since it began", counted)
 
 
 # -- when packages were made, for the headers of messages: by the clock of the aircraft ------------

@@ -88,25 +88,25 @@ OUTPUTS: Mapping[str, Output] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Input:
-    """A topic that the node listens to."""
+class Taken:
+    """A topic that the node listens to, or a service that it offers."""
 
     kind: str
     text: str  # what it does, for the manual
 
 
-INPUTS: Mapping[str, Input] = {
-    "~/cmd_vel": Input(
+INPUTS: Mapping[str, Taken] = {
+    "~/cmd_vel": Taken(
         "geometry_msgs/TwistStamped",
         "fly at this velocity for 0.3 s: forward, left, up in base_link; east, north, up in odom "
         "or map; turn about the axis that points up",
     ),
-    "~/cmd_vel_unstamped": Input("geometry_msgs/Twist", "the same in base_link, without a header"),
-    "~/setpoint_position": Input(
+    "~/cmd_vel_unstamped": Taken("geometry_msgs/Twist", "the same in base_link, without a header"),
+    "~/setpoint_position": Taken(
         "geometry_msgs/PoseStamped",
         "fly towards this place in odom or map for 0.3 s, and turn to its heading",
     ),
-    "~/gimbal_speed": Input(
+    "~/gimbal_speed": Taken(
         "geometry_msgs/Vector3Stamped",
         "turn the camera for half a second, rad/s about forward, left, up (firmware 2.3 on)",
     ),
@@ -114,42 +114,34 @@ INPUTS: Mapping[str, Input] = {
 """By name."""
 
 
-@dataclass(frozen=True, slots=True)
-class Service:
-    """A service of the node."""
-
-    kind: str
-    text: str  # what it does, for the manual
-
-
 _TRIGGER = "std_srvs/srv/Trigger"
 
-SERVICES: Mapping[str, Service] = {
-    "~/obtain_control": Service(_TRIGGER, "take the lease, activate, obtain control authority"),
-    "~/release_control": Service(_TRIGGER, "give both back: the aircraft hovers, the pilot flies"),
-    "~/takeoff": Service(_TRIGGER, "start the motors and climb to about 1.2 m"),
-    "~/land": Service(_TRIGGER, "land in place; control is given back on the ground"),
-    "~/go_home": Service(_TRIGGER, "fly to the home point and land there"),
-    "~/arm": Service(_TRIGGER, "start the motors on the ground"),
-    "~/disarm": Service(_TRIGGER, "stop the motors on the ground"),
-    "~/stop": Service(
+SERVICES: Mapping[str, Taken] = {
+    "~/obtain_control": Taken(_TRIGGER, "take the lease, activate, obtain control authority"),
+    "~/release_control": Taken(_TRIGGER, "give both back: the aircraft hovers, the pilot flies"),
+    "~/takeoff": Taken(_TRIGGER, "start the motors and climb to about 1.2 m"),
+    "~/land": Taken(_TRIGGER, "land in place; control is given back on the ground"),
+    "~/go_home": Taken(_TRIGGER, "fly to the home point and land there"),
+    "~/arm": Taken(_TRIGGER, "start the motors on the ground"),
+    "~/disarm": Taken(_TRIGGER, "stop the motors on the ground"),
+    "~/stop": Taken(
         _TRIGGER, "stop whatever happens; anybody may, setpoints fly after ~/obtain_control"
     ),
-    "~/take_photo": Service(_TRIGGER, "take a photograph; nobody confirms it"),
-    "~/start_video": Service(_TRIGGER, "start video; nobody confirms it"),
-    "~/stop_video": Service(_TRIGGER, "stop video; nobody confirms it"),
-    "~/point_gimbal": Service(
+    "~/take_photo": Taken(_TRIGGER, "take a photograph; nobody confirms it"),
+    "~/start_video": Taken(_TRIGGER, "start video; nobody confirms it"),
+    "~/stop_video": Taken(_TRIGGER, "stop video; nobody confirms it"),
+    "~/point_gimbal": Taken(
         "m100_msgs/srv/PointGimbal", "point the camera (firmware 2.3 on); nobody confirms it"
     ),
-    "~/mission/upload": Service(
+    "~/mission/upload": Taken(
         "m100_msgs/srv/UploadMission", "check a plan for the aircraft's own missions (3.1)"
     ),
-    "~/mission/start": Service(
+    "~/mission/start": Taken(
         "m100_msgs/srv/StartMission", "upload it to the aircraft, which flies it by itself"
     ),
-    "~/mission/pause": Service(_TRIGGER, "let the mission hover where it is"),
-    "~/mission/resume": Service(_TRIGGER, "let it fly on"),
-    "~/mission/stop": Service(_TRIGGER, "end it: the aircraft hovers"),
+    "~/mission/pause": Taken(_TRIGGER, "let the mission hover where it is"),
+    "~/mission/resume": Taken(_TRIGGER, "let it fly on"),
+    "~/mission/stop": Taken(_TRIGGER, "end it: the aircraft hovers"),
 }
 """By name."""
 

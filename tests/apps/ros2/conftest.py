@@ -15,7 +15,7 @@ from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.server import Service
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.bus.network import Held, Inbox, Outlet, Question, Received, TokenChange
-from m100link.apps.ros2.graph import Attachment, Names, data_key, read_attachment
+from m100link.apps.ros2.graph import Names, data_key, read_attachment, write_attachment
 from m100link.apps.ros2.node import Node
 from m100link.apps.ros2.topics import INPUTS, OUTPUTS, SERVICES
 from m100link.log.cdr import decode, encode
@@ -103,14 +103,14 @@ class Program:
     def attachment(self) -> bytes:
         self.sequence += 1
         sent_at = self.rig.utc() - self.late
-        return bytes(Attachment(self.sequence, round(sent_at * 1e9), self.gid))
+        return write_attachment(self.sequence, round(sent_at * 1e9), self.gid)
 
     def publish(self, name: str, message: dict[str, Any]) -> None:
         kind = INPUTS[name].kind
         inbox = self.rig.inbox(name, kind)
         self.published += 1  # each end of a node counts what it sends
         sent_at = round((self.rig.utc() - self.late) * 1e9)
-        attachment = bytes(Attachment(self.published, sent_at, self.gid))
+        attachment = write_attachment(self.published, sent_at, self.gid)
         if not self.is_cut:
             inbox.waiting.append(Received(encode(kind, message), attachment))
 

@@ -18,6 +18,7 @@ from m100link.apps.ros2.graph import (
     data_key,
     read_attachment,
     read_token,
+    write_attachment,
 )
 from m100link.apps.station.config import Settings
 from m100link.apps.station.ros2 import check_ros2
@@ -74,7 +75,7 @@ def test_other_tokens_are_not_ours(key: str) -> None:
 
 def test_attachments() -> None:
     ours = Attachment(7, 8, bytes(range(16)))
-    data = bytes(ours)
+    data = write_attachment(7, 8, bytes(range(16)))
     assert data == b"\7" + bytes(7) + b"\x08" + bytes(7) + b"\x10" + bytes(range(16))
     assert read_attachment(data) == ours
     for bad in (b"", data[:-1], data[:16], data.replace(b"\x10", b"\x0f")):

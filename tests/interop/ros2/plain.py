@@ -11,7 +11,7 @@ from typing import Any
 
 import zenoh
 
-from m100link.apps.ros2.graph import Attachment, End, NodeName, Qos, data_key, read_attachment
+from m100link.apps.ros2.graph import End, NodeName, Qos, data_key, read_attachment, write_attachment
 from m100link.log.cdr import decode, encode
 
 FLY_TO = "m100_msgs/action/FlyTo"
@@ -34,7 +34,7 @@ def router(port: int) -> None:
 
 
 def attachment(sequence: int) -> bytes:
-    return bytes(Attachment(sequence, time.time_ns(), b"plain zenoh here"))
+    return write_attachment(sequence, time.time_ns(), b"plain zenoh here")
 
 
 def goal(port: int, node: str, latitude: str, longitude: str) -> None:
