@@ -195,7 +195,7 @@ TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
         Mavlink: End(H, LASTS_05, UNHEARD, "no heartbeat"),
         Ros2: End(H, LASTS_05, UNHEARD, "line: the agent has gone"),
         FleetPilot: End(H, LASTS_05, UNHEARD, "OutcomeUnknown: a1 gave no answer for 3 s"),
-        FarConsole: End(H, LASTS_05, UNHEARD, "has no control: the agent is silent"),
+        FarConsole: End(H, LASTS_05, UNHEARD, "the agent .* has said nothing for"),
         Performer: End(H, LASTS_05, UNHEARD, UNTOLD),  # told after 7 s: see its own tests
         Sync: Cannot("it has no agent: the program is the owner of the line"),
     },

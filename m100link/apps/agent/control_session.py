@@ -218,23 +218,24 @@ class ControlSession:
         """The lease under which something can be asked.
 
         Raises:
-            NoAuthority: Control is not held.
-            LinkError: The agent has gone.
+            NoAuthority: Control is not held, or the agent is not heard.
         """
         lease, view = self._lease, self._agent.view
         if lease is None or lease.number != view.holder.number or not view.has_authority:
             raise self._no_control()
         return lease
 
-    def _no_control(self) -> M100Error:
-        agent, who = self._agent, self._terms.who
-        if agent.is_gone and agent.state.connection_fault is not None:
-            return agent.state.connection_fault.error()
-        other = ""
-        if agent.view.hearing is Hearing.SILENT:
-            other = ": the agent is silent"
-        elif agent.holder.number and not self.has_lease:
-            other = f": {agent.holder.name} has control"
+    def _no_control(self) -> NoAuthority:
+        view, holder, who = self._agent.view, self._agent.holder, self._terms.who
+        if view.hearing is not Hearing.HEARD:
+            silent = f"has said nothing for {view.at - view.heard_at:.0f} s"
+            why = "has gone" if view.is_gone else silent
+            return NoAuthority(
+                f"the agent that owns the aircraft {why}; nothing was sent",
+                cause="its process, or the way to it, has ended or stands still",
+                remedy="look at the aircraft; the pilot gets it by leaving F",
+            )
+        other = f": {holder.name} has control" if holder.number and not self.has_lease else ""
         return NoAuthority(
             f"{who} has no control{other}; nothing was sent",
             cause="control was not asked for, or was lost since",
@@ -481,8 +482,7 @@ class ControlSession:
         see that a stream goes on, which does not fly when authority is back.
 
         Raises:
-            NoAuthority: The lease is not held.
-            LinkError: The agent has gone.
+            NoAuthority: The lease is not held, or the agent is not heard.
         """
         lease, view = self._lease, self._agent.view
         if lease is None or lease.number != view.holder.number or view.hearing is not Hearing.HEARD:

@@ -279,6 +279,8 @@ async def test_the_agent_goes(pilots: Pilots) -> None:
     await anyio.sleep(0.1)
     assert at(one) is S.LOST
     assert not one.has_control
+    with pytest.raises(NoAuthority, match=r"the agent .* has gone; nothing was sent"):
+        one.steer(NORTH)
     with pytest.raises(LinkError):
         await one.obtain()
     assert at(one) is S.ABSENT
