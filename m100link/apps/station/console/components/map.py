@@ -75,13 +75,9 @@ class MapPart:
         chart = view.chart
         if chart != self._shown:
             self._shown = chart
-            fence = chart.fence and [
-                [chart.fence.latitude_deg, chart.fence.longitude_deg],
-                chart.fence.radius_m,
-            ]
             ui.run_javascript(
                 'import("/console/shell.js").then(({m100}) => m100.onMap('
-                f"(map) => map.setChart({json.dumps(chart.route)}, {json.dumps(fence)})))"
+                f"(map) => map.setChart({json.dumps(chart.route)}, {json.dumps(chart.fence)})))"
             )
 
 

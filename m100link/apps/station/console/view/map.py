@@ -19,19 +19,12 @@ from m100link.geodesy import LocalFrame
 
 
 @dataclass(frozen=True, slots=True)
-class Fence:
-    """The circle of the envelope: beyond it nothing is flown."""
-
-    latitude_deg: float  # its middle: where control was obtained
-    longitude_deg: float
-    radius_m: float  # its radius, m
-
-
-@dataclass(frozen=True, slots=True)
 class Chart:
     """What stands on the map."""
 
-    fence: Fence | None  # the envelope; None without control, without GPS, or with that guard off
+    # The circle of the envelope, beyond which nothing is flown: latitude and longitude of its
+    # middle, degrees, and its radius, m. None without control, without GPS, or with that guard off.
+    fence: tuple[tuple[float, float], float] | None
     # Latitude and longitude of the plan's waypoints, degrees.
     route: tuple[tuple[float, float], ...]
 
@@ -44,17 +37,12 @@ def chart_of(inputs: Inputs) -> Chart:
     )
 
 
-def _fence(inputs: Inputs) -> Fence | None:
-    limits = inputs.vehicle.state.limits
+def _fence(inputs: Inputs) -> tuple[tuple[float, float], float] | None:
+    limits, is_heard = inputs.vehicle.state.limits, inputs.vehicle.hearing is Hearing.HEARD
     latitude, longitude, radius = limits.latitude_deg, limits.longitude_deg, limits.max_radius_m
-    if (
-        latitude is None
-        or longitude is None
-        or radius is None
-        or inputs.vehicle.hearing is not Hearing.HEARD
-    ):
+    if latitude is None or longitude is None or radius is None or not is_heard:
         return None
-    return Fence(latitude, longitude, radius)
+    return (latitude, longitude), radius
 
 
 # -- click to fly ----------------------------------------------------------------------------------

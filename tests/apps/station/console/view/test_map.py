@@ -11,7 +11,6 @@ from m100link.apps.agent.orders import ChangeHeading, ChangeHeight, FlyAround, F
 from m100link.apps.agent.preview import Preview
 from m100link.apps.station.console.view.map import (
     Drawing,
-    Fence,
     Pointed,
     Shown,
     Wish,
@@ -184,7 +183,7 @@ LIMITS = Limits(max_radius_m=150.0, latitude_deg=22.5, longitude_deg=113.9)
 
 def test_the_envelope_lies_around_where_control_was_obtained() -> None:
     state = State(0.0, "connected", limits=LIMITS)
-    assert chart_of(Inputs(vehicle=seen(None, state=state))).fence == Fence(22.5, 113.9, 150.0)
+    assert chart_of(Inputs(vehicle=seen(None, state=state))).fence == ((22.5, 113.9), 150.0)
     assert chart_of(Inputs(vehicle=seen(None, state=state, heard_at=-9.0))).fence is None
     assert (
         chart_of(
