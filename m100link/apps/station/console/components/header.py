@@ -150,8 +150,8 @@ class AlarmsPart:
     def _tell(self, view: View) -> None:
         """Hand what is new to sound and speech."""
         raised = [one for one in view.alarms if one.state is AlarmState.RAISED]
-        since = {one.name: one.began_at for one in raised}
-        new = [one for one in raised if self._spoken.get(one.name) != one.began_at]
+        since = {one.name: one.at for one in raised}
+        new = [one for one in raised if self._spoken.get(one.name) != one.at]
         self._spoken = since
         settings, wording = self._page.wording.settings, self._page.wording
         if new:

@@ -13,10 +13,7 @@ from enum import Enum
 
 from m100link.apps.agent.lease import Flown, LeaseChange
 from m100link.apps.agent.view import Hearing
-from m100link.apps.station.console.view.situation import (
-    Level,
-    Situation,
-)
+from m100link.apps.station.console.view.situation import Level, Situation
 from m100link.apps.station.console.view.texts import Quantity, Text, tr
 from m100link.errors import LossReason
 from m100link.protocol.records import FlightPhase
@@ -282,24 +279,13 @@ ALARMS: tuple[Definition, ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """An alarm that has something to tell."""
+    """An alarm as it stands now."""
 
     name: AlarmName
     level: Level  # how urgent it is
-    state: AlarmState  # where it stands; never quiet
+    state: AlarmState  # where it stands; quiet only where it is told that it became so
     text: Text  # what it says; of one that has passed, what it said last
-    began_at: float  # when it began, on the station's clock, s
-
-
-@dataclass(frozen=True, slots=True)
-class AlarmChange:
-    """Something that happened to an alarm, for the list of events."""
-
-    at: float  # when, on the station's clock, s
-    name: AlarmName  # of which alarm
-    level: Level  # how urgent it is
-    what: AlarmState  # where it stands now
-    text: Text  # what it says
+    at: float  # since when it stands so, on the station's clock, s
 
 
 @dataclass(slots=True)
@@ -313,11 +299,14 @@ class _Watched:
     turned_at: float | None = None
     mark: object = None  # the newest that was seen
     text: Text = field(default_factory=lambda: Text("alarms.none"))  # what it said last
-    began_at: float = 0.0  # when it began
+    at: float = 0.0  # since when it stands so, s
+
+    def alarm(self) -> Alarm:
+        return Alarm(self.one.name, self.one.level, self.state, self.text, self.at)
 
 
 class AlarmDesk:
-    """The alarms of one tab: whoever looks at it has to acknowledge them."""
+    """The alarms of one tab, which its operator acknowledges."""
 
     def __init__(self, definitions: tuple[Definition, ...] = ALARMS) -> None:
         self._watched = {one.name: _Watched(one) for one in definitions}
@@ -327,8 +316,8 @@ class AlarmDesk:
     def shown(self) -> tuple[Alarm, ...]:
         """What has something to tell, the most urgent first, without what a stronger one covers."""
         return tuple(
-            Alarm(name, watched.one.level, watched.state, watched.text, watched.began_at)
-            for name, watched in self._watched.items()
+            watched.alarm()
+            for watched in self._watched.values()
             if watched.state is not AlarmState.QUIET and not self._is_covered(watched.one)
         )
 
@@ -347,9 +336,9 @@ class AlarmDesk:
             stronger = above.one.within
         return False
 
-    def advance(self, now: Situation) -> list[AlarmChange]:
+    def advance(self, now: Situation) -> list[Alarm]:
         """Judge every alarm; returns what changed."""
-        changes: list[AlarmChange] = []
+        changes: list[Alarm] = []
         for watched in self._watched.values():
             one = watched.one
             if one.mark is not None:
@@ -359,7 +348,7 @@ class AlarmDesk:
         self._has_looked = True
         return changes
 
-    def acknowledge(self, name: AlarmName, at: float) -> list[AlarmChange]:
+    def acknowledge(self, name: AlarmName, at: float) -> list[Alarm]:
         """The operator knows of an alarm, and so of what it covers; returns what changed."""
         watched = self._watched[name]
         changes = self._feed(watched, AlarmInput.SEEN, at)
@@ -370,7 +359,7 @@ class AlarmDesk:
                 changes += self.acknowledge(covered, at)
         return changes
 
-    def _look_at_mark(self, watched: _Watched, mark: object, now: Situation) -> list[AlarmChange]:
+    def _look_at_mark(self, watched: _Watched, mark: object, now: Situation) -> list[Alarm]:
         is_new = mark is not None and mark != watched.mark
         has_ended = mark is None and watched.mark is not None
         watched.mark = mark
@@ -379,7 +368,7 @@ class AlarmDesk:
             return self._feed(watched, AlarmInput.BEGINS, now.now)
         return self._feed(watched, AlarmInput.ENDS, now.now) if has_ended else []
 
-    def _judge(self, watched: _Watched, verdict: bool | None, now: Situation) -> list[AlarmChange]:
+    def _judge(self, watched: _Watched, verdict: bool | None, now: Situation) -> list[Alarm]:
         one = watched.one
         if verdict is not None and verdict is not watched.is_so:
             watched.turned_at = now.now if watched.turned_at is None else watched.turned_at
@@ -396,11 +385,9 @@ class AlarmDesk:
                 watched.text = one.text(now)
         return []
 
-    def _feed(self, watched: _Watched, what: AlarmInput, at: float) -> list[AlarmChange]:
+    def _feed(self, watched: _Watched, what: AlarmInput, at: float) -> list[Alarm]:
         after = TRANSITIONS[watched.state].get(what)
         if after is None:
             return []
-        watched.state = after
-        if after is AlarmState.RAISED:
-            watched.began_at = at
-        return [AlarmChange(at, watched.one.name, watched.one.level, after, watched.text)]
+        watched.state, watched.at = after, at
+        return [watched.alarm()]

@@ -7,13 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from m100link.apps.station.console.view.alarms import (
-    Alarm,
-    AlarmChange,
-    AlarmDesk,
-    AlarmName,
-    AlarmState,
-)
+from m100link.apps.station.console.view.alarms import Alarm, AlarmDesk, AlarmName, AlarmState
 from m100link.apps.station.console.view.data import Diary, Line, LinkView, link_of
 from m100link.apps.station.console.view.fly import (
     Checklist,
@@ -99,7 +93,7 @@ class Memory:
     """One page's alarms, what its operator said before take-off, and its list of events."""
 
     def __init__(self) -> None:
-        self.alarms = AlarmDesk()  # whoever looks at the page has to acknowledge them
+        self.alarms = AlarmDesk()  # the operator of the page acknowledges them
         self.checklist = ChecklistDesk()  # what the operator said about this take-off
         self.diary = Diary()  # the station's events, and what happened to the alarms here
         self.situation = Situation()  # what was known when it looked last
@@ -119,11 +113,11 @@ class Memory:
         self._write(self.alarms.acknowledge(name, self.situation.now))
         return said
 
-    def _write(self, changes: list[AlarmChange]) -> None:
+    def _write(self, changes: list[Alarm]) -> None:
         for change in changes:
-            is_news = change.what in (AlarmState.RAISED, AlarmState.PASSED)
+            is_news = change.state in (AlarmState.RAISED, AlarmState.PASSED)
             self.diary.write(
-                tr(_TOLD[change.what], alarm=change.text),
+                tr(_TOLD[change.state], alarm=change.text),
                 change.at + self._ahead,
                 _LEVELS[change.level] if is_news else "info",
             )

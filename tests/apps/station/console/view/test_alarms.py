@@ -14,7 +14,7 @@ from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.alarms import (
     ALARMS,
     TRANSITIONS,
-    AlarmChange,
+    Alarm,
     AlarmDesk,
     AlarmInput,
     AlarmName,
@@ -73,7 +73,7 @@ class Flight:
     def __init__(self, **known: Any) -> None:
         self.desk = AlarmDesk()
         self.now = replace(FINE, now=0.0)
-        self.changes: list[AlarmChange] = []
+        self.changes: list[Alarm] = []
         self.fly(1.0)
         self.change(**known)
 
@@ -162,7 +162,7 @@ def test_each_alarm_begins_is_acknowledged_and_ends(name: AlarmName) -> None:
     flight.see(name)
     flight.change(**end)
     assert flight.shown == {}
-    told = [change.what for change in flight.changes if change.name is name]
+    told = [change.state for change in flight.changes if change.name is name]
     assert told == [S.RAISED, S.ACKNOWLEDGED, S.QUIET]
 
 
@@ -246,7 +246,7 @@ def test_a_value_at_the_edge_rings_once() -> None:
     flight = Flight()
     for height in (45.5, 44.0, 45.5, 44.0, 45.5):
         flight.change(0.25, height=height)
-    assert [change.what for change in flight.changes] == [S.RAISED]
+    assert [change.state for change in flight.changes] == [S.RAISED]
 
 
 def test_what_is_weak_for_a_moment_is_no_alarm() -> None:
@@ -263,7 +263,7 @@ def test_what_is_well_for_a_moment_ends_nothing() -> None:
     for _ in range(3):
         flight.change(1.0, gps=5)
         flight.change(0.5, gps=2)
-    assert [change.what for change in flight.changes] == [S.RAISED]
+    assert [change.state for change in flight.changes] == [S.RAISED]
 
 
 # -- one by one ------------------------------------------------------------------------------------
