@@ -23,6 +23,7 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
+from starlette.status import WS_1008_POLICY_VIOLATION
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from m100link.apps.agent.client import AgentClient
@@ -296,7 +297,6 @@ class Feed:
 # The server that Foxglove's own library brings takes pages of any origin: whatever site somebody
 # visits could read the flight. This one stands on the station's gate, and has nothing to send to.
 
-_POLICY_VIOLATION = 1008
 _MAX_VIEWERS = 8
 _WRITE_SIZE = 64 * 1024
 _WAITING_SAMPLES = 20
@@ -361,7 +361,7 @@ class FoxgloveServer:
         if spoken is None or len(self._viewers) >= _MAX_VIEWERS:
             why = "speaks another protocol" if spoken is None else "finds too many others"
             self._log.warning("a viewer was refused: it %s", why)
-            await websocket.close(_POLICY_VIOLATION)
+            await websocket.close(WS_1008_POLICY_VIOLATION)
             return
         wake = asyncio.Event()
         viewer = Viewer(self._feed.channels, self._session_id, wake.set)
@@ -395,7 +395,7 @@ class FoxgloveServer:
                     continue
                 await connection.send_all(frames)
                 await asyncio.sleep(0)
-            await websocket.close(_POLICY_VIOLATION, viewer.close_reason)
+            await websocket.close(WS_1008_POLICY_VIOLATION, viewer.close_reason)
 
 
 async def serve(fronts: Fronts) -> None:

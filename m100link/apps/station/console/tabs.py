@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from urllib.parse import urlencode
 
+from starlette.status import WS_1008_POLICY_VIOLATION
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from m100link.apps.agent.client import AgentClient
@@ -30,8 +31,6 @@ UNHEARD_INTERVAL = 0.25
 """Seconds between two words that the station is there while the agent is not heard."""
 
 PLACES = 32  # tabs that may have a socket
-
-_POLICY_VIOLATION = 1008
 
 
 @dataclass(slots=True, eq=False)
@@ -148,7 +147,7 @@ class Tabs:
         peer = websocket.client.host if websocket.client else ""
         tab = self.tabs.get(key)
         if tab is None or key in self._places or not self._make_room(peer):
-            await websocket.close(_POLICY_VIOLATION)
+            await websocket.close(WS_1008_POLICY_VIOLATION)
             return
         place = self._places[key] = _Place(tab, peer, self._agent.now, asyncio.Event())
         try:
@@ -186,7 +185,7 @@ class Tabs:
             at_once=place.tab.lost,  # motion stops
         )
         if place.leaving.is_set() and websocket.client_state is WebSocketState.CONNECTED:
-            await websocket.close(_POLICY_VIOLATION, "another tab needs the place")
+            await websocket.close(WS_1008_POLICY_VIOLATION, "another tab needs the place")
 
     async def _read(self, websocket: WebSocket, place: _Place) -> None:
         async for frame in frames_of(websocket):

@@ -21,6 +21,7 @@ from starlette.applications import Starlette
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
+from starlette.status import WS_1008_POLICY_VIOLATION
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from m100link.apps.agent.client import AgentClient
@@ -45,7 +46,6 @@ if TYPE_CHECKING:
 
 
 PING_INTERVAL, PING_TIMEOUT = 2.0, 3.0
-_POLICY_VIOLATION = 1008
 _BACKLOG = 128
 _GUARD_INTERVAL = 0.05
 _LAG = 0.1
@@ -166,7 +166,7 @@ class Bridge:
         peer = websocket.client.host if websocket.client else ""
         if not self._make_room(peer):
             self._log.warning("a client was refused: %d are connected", len(self.graph.sessions))
-            await websocket.close(_POLICY_VIOLATION)
+            await websocket.close(WS_1008_POLICY_VIOLATION)
             return
         name = f"rosbridge {peer}:{websocket.client.port}" if websocket.client else "rosbridge"
         wake, closing = asyncio.Event(), asyncio.Event()
@@ -230,7 +230,7 @@ class Bridge:
             self._log.warning("%s is disconnected: %s", session.name, session.close_reason)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(1.0):
-                    await websocket.close(_POLICY_VIOLATION, session.close_reason[:120])
+                    await websocket.close(WS_1008_POLICY_VIOLATION, session.close_reason[:120])
 
     async def _wait(self, session: Client, wake: asyncio.Event) -> None:
         due = session.outbox.next_wakeup()
