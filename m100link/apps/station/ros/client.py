@@ -362,11 +362,6 @@ class Client:
         """A message was published on a topic that this client subscribed."""
         self.outbox.deliver(publication, now)
 
-    def deliver_alone(self, publication: Publication, now: float) -> None:
-        """The same for a message that is meant for this client only."""
-        if self in publication.topic.subscribers:
-            self.deliver(publication, now)
-
     def _answer(self, frame: str | bytes) -> None:
         self.outbox.answers.append(frame)
         if len(self.outbox.answers) > self.limits.answers:

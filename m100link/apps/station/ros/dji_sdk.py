@@ -320,11 +320,7 @@ class Payload:
         except M100Error as error:
             self._clients.complain(session, error)
             return
-
-        async def send() -> None:
-            await self._clients.session(session).ask(order)
-
-        self._clients.run(session, send, order.label)
+        self._clients.run(session, lambda: self._clients.session(session).ask(order), order.label)
 
     async def _camera(self, call: Call) -> Message:
         number = call.request["camera_action"]

@@ -80,9 +80,6 @@ class Listener(Protocol):
     def deliver(self, publication: Publication, now: float) -> None:
         """A message was published on a topic that it subscribed."""
 
-    def deliver_alone(self, publication: Publication, now: float) -> None:
-        """The same for a message that is meant for this listener only."""
-
     def respond(self, call: Call, values: str, result: bool) -> None:
         """The answer to its call; ``values`` is JSON."""
 
@@ -215,7 +212,6 @@ class _Failed(Exception):
 def add_rosapi(graph: Graph) -> None:
     """Offer the services of rosapi about everything in the graph."""
     api, of_service = _RosApi(graph), partial(_details, "service", SERVICES)
-    no_param = _failing("there are no parameters here that could be changed")
     for name, kind, answer in (
         ("topics", "Topics", api.topics),
         ("topic_type", "TopicType", api.topic_type),
@@ -240,8 +236,8 @@ def add_rosapi(graph: Graph) -> None:
         ("get_param_names", "GetParamNames", lambda _: {"names": []}),
         ("has_param", "HasParam", lambda _: {"exists": False}),
         ("search_param", "SearchParam", lambda _: {"global_name": ""}),
-        ("set_param", "SetParam", no_param),
-        ("delete_param", "DeleteParam", no_param),
+        ("set_param", "SetParam", _no_parameters),
+        ("delete_param", "DeleteParam", _no_parameters),
     ):
         graph.add_service(f"/rosapi/{name}", f"rosapi/{kind}", _answering(answer))
 
@@ -256,11 +252,8 @@ def _answering(answer: Callable[[Message], Message]) -> Callable[[Call], None]:
     return on_call
 
 
-def _failing(reason: str) -> Callable[[Message], Message]:
-    def answer(_: Message) -> Message:
-        raise _Failed(reason)
-
-    return answer
+def _no_parameters(_: Message) -> Message:
+    raise _Failed("there are no parameters here that could be changed")
 
 
 class _RosApi:

@@ -107,19 +107,15 @@ class Clients:
         return False
 
     def run(
-        self,
-        client: Listener,
-        wish: Callable[[], Coroutine[Any, Any, None]],
-        name: str,
+        self, client: Listener, wish: Callable[[], Coroutine[Any, Any, object]], name: str
     ) -> None:
         """Run a client's wish, unless it wishes too much; it is told when it fails."""
         if not self.admits(client):
             return
-        work = wish()
 
         async def guarded() -> None:
             try:
-                await work
+                await wish()
             except M100Error as error:
                 client.status("error", str(error))
 

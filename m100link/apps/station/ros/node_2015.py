@@ -61,7 +61,7 @@ NO_AUTHORITY = 8.0
 _CLOSED_BY_APP = 4.0
 _VERSION_PAUSE = 10.0
 _MODE, _LAST = "control mode", "last setpoint"
-_Order = Callable[[Listener, float], Coroutine[Any, Any, None]]  # whose, and the number that came
+_Order = Callable[[Listener, float], Coroutine[Any, Any, object]]  # whose, and the number that came
 _NEEDS_MORE = (NotActivated, LevelTooLow, CommandNotSupported, KeyRejected)
 
 
@@ -142,7 +142,8 @@ class Node:
         except LeaseHeld:
             # Only this client is refused; the others still see it open.
             refused = Publication(self._open_close, {"data": float(AuthorityCode.NOT_IN_F)})
-            session.deliver_alone(refused, self._agent.now)
+            if session in self._open_close.subscribers:
+                session.deliver(refused, self._agent.now)
             raise
         except _NEEDS_MORE:
             self._tell(self._activation, NO_AUTHORITY)
