@@ -197,8 +197,7 @@ class AccessControl:
         origin = origin.lower()
         if origin in self._origins:
             return True
-        secure = scope["scheme"] in ("https", "wss")
-        return origin == f"{'https' if secure else 'http'}://{host.lower()}"
+        return origin == f"{'https' if _is_secure(scope) else 'http'}://{host.lower()}"
 
 
 def _headers(scope: Scope) -> dict[str, list[str]]:

@@ -56,10 +56,11 @@ class Wording:
         work: Callable[..., object] | None = None,  # what a click does; None where the page does it
         *,
         looks: str = "act plain",  # its classes
+        **values: object,  # what is filled into the text
     ) -> ui.element:
         """A button in the present element that gives the aircraft no order."""
         with ui.element("button").classes(looks).props(f"type=button {props}") as made:
-            self.label(key)
+            self.label(key, **values)
         if work is not None:
             made.on("click", work, args=[])
         return made

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from functools import partial
 from typing import Any
 
 from nicegui import events, ui
@@ -278,17 +279,12 @@ class EventsPart:
                 wording.put(attribute(words, "label"), "events.words")
             with ui.element("div").classes("acts"):
                 for how in Format:
-                    self._build_save(how)
+                    props, save = f"data-save={how.value}", partial(self._save, how)
+                    wording.button("events.export", props, save, how=how.value.upper())
             self._count = ui.label().props("id=event-count role=status").classes("note-plain")
             self._list = ui.element("div").classes("events w-full")
             self._list.props("id=events role=log tabindex=0 aria-live=off")
             wording.put(attribute(self._list, "aria-label"), "events.title")
-
-    def _build_save(self, how: Format) -> None:
-        save = ui.element("button").classes("act plain").props(f"type=button data-save={how.value}")
-        with save:
-            self._page.wording.label("events.export", how=how.value.upper())
-        save.on("click", lambda: self._save(how))
 
     def _choose(self, *, least: str | None = None, words: str | None = None) -> None:
         self._least = self._least if least is None else least

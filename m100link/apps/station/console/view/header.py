@@ -9,12 +9,7 @@ from enum import Enum
 
 from m100link.apps.agent.messages import Replay
 from m100link.apps.agent.view import Hearing
-from m100link.apps.station.console.view.situation import (
-    Inputs,
-    Level,
-    Ship,
-    Situation,
-)
+from m100link.apps.station.console.view.situation import Inputs, Level, Ship, Situation
 from m100link.apps.station.console.view.texts import Kind, Quantity, Text, problem_text, tr
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.codes import ActivationCode

@@ -14,14 +14,7 @@ from m100link.apps.agent.view import Hearing, VehicleView
 from m100link.errors import LossReason, M100Error
 from m100link.geodesy import distance_m
 from m100link.missions.plan import WaypointPlan
-from m100link.protocol.records import (
-    Battery,
-    ControlDevice,
-    Device,
-    FlightPhase,
-    Position,
-    RcMode,
-)
+from m100link.protocol.records import Battery, ControlDevice, Device, FlightPhase, Position, RcMode
 
 
 class Level(Enum):
