@@ -244,7 +244,7 @@ class ReplayPart:
             self._is_showing = False
 
     def _show(self, shown: ReplayView) -> None:
-        said = self._page.wording
+        said, told = self._page.wording, shown.told
         if not self._is_marked:
             self._is_marked = True
             ui.run_javascript('document.body.dataset.replay = "yes"')
@@ -252,13 +252,13 @@ class ReplayPart:
         self._place.set_text(said(shown.place))
         self._note.set_text("" if shown.note is None else said(shown.note))
         self._toggle.set_text(said(Text("replay.pause" if shown.is_running else "replay.resume")))
-        if shown.duration_s != self._duration_s:
-            self._duration_s = shown.duration_s
-            self._slider.props(f"max={max(_STEP, shown.duration_s):.1f}")
+        if told.duration_s != self._duration_s:
+            self._duration_s = told.duration_s
+            self._slider.props(f"max={max(_STEP, told.duration_s):.1f}")
         if not self._is_held:
-            self._slider.set_value(round(shown.position_s, 1))
-        if shown.speed in SPEEDS:
-            self._speed.set_value(shown.speed)
+            self._slider.set_value(round(told.position_s, 1))
+        if told.speed in SPEEDS:
+            self._speed.set_value(told.speed)
 
 
 # -- the aircraft that this station serves ---------------------------------------------------------

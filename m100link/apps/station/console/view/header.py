@@ -246,10 +246,8 @@ class ReplayView:
     title: Text  # that it is one, and of what
     place: Text  # how far it is, and when that was
     note: Text | None  # that it is at its end, or that there is no more; None for nothing
-    position_s: float  # seconds that were played
-    duration_s: float  # of the whole
-    speed: float  # times as fast as it was flown; 0: as fast as it can be
     is_running: bool  # whether it goes on by itself
+    told: Replay  # as the agent told it
 
 
 def replay_of(told: Replay | None) -> ReplayView | None:
@@ -269,10 +267,8 @@ def replay_of(told: Replay | None) -> ReplayView | None:
             when=when,
         ),
         note=note,
-        position_s=told.position_s,
-        duration_s=told.duration_s,
-        speed=told.speed,
         is_running=not (told.is_paused or told.is_at_end),
+        told=told,
     )
 
 
