@@ -280,10 +280,10 @@ async def _serve_console(
     ended = Told()
     async with options.open() as fleet, serving_fleet_console(fleet, settings, names) as served:
         scheme = "http" if settings.tls_cert is None else "https"
-        path = served.fronts.console_path()
-        url = f"{scheme}://{settings.authority(served.console_port)}{path}"
-        words = f"console:   {url}", f"aircraft:  {', '.join(served.names)}"
-        tell({"console": url, "aircraft": served.names}, *words, as_json=options.json_output)
+        path, shown = served.console_path(), list(served.agents)
+        url = f"{scheme}://{settings.authority(served.sockets.port('console'))}{path}"
+        words = f"console:   {url}", f"aircraft:  {', '.join(shown)}"
+        tell({"console": url, "aircraft": shown}, *words, as_json=options.json_output)
         warn_of(settings)
         if is_opened:
             await asyncio.to_thread(webbrowser.open, url)

@@ -30,7 +30,6 @@ from m100link.apps.fleet.show.service import Beside, ShowService
 from m100link.apps.station.config import Settings
 from m100link.apps.station.listeners import (
     Fronts,
-    Sockets,
     beside,
     keep_reached,
     open_sockets,
@@ -174,24 +173,6 @@ _LOOK_S = 0.5
 _COME_S = 2.0
 
 
-@dataclass(frozen=True, slots=True)
-class FleetConsole:
-    """A console that serves."""
-
-    fronts: Fronts  # what browsers reach
-    sockets: Sockets
-
-    @property
-    def names(self) -> list[str]:
-        """Aircraft that it shows."""
-        return list(self.fronts.agents)
-
-    @property
-    def console_port(self) -> int:
-        """Where browsers reach it."""
-        return self.sockets.port("console")
-
-
 class Ships:
     """The aircraft of a console, each by the newest way to it."""
 
@@ -279,7 +260,7 @@ async def names_of(fleet: Fleet, names: Sequence[str] = ()) -> list[str]:
 @asynccontextmanager
 async def serving_fleet_console(
     fleet: Fleet, settings: Settings, names: Sequence[str] = ()
-) -> AsyncIterator[FleetConsole]:
+) -> AsyncIterator[Fronts]:
     """Serve while the block runs.
 
     Raises ``Unreachable, UsageError``: as :func:`names_of`; something in the settings cannot be.
@@ -312,4 +293,4 @@ async def serving_fleet_console(
                 await asyncio.sleep(_LOOK_S)
 
         async with beside({"m100link console: come": come(), "m100link console: look": look()}):
-            yield FleetConsole(fronts, sockets)
+            yield fronts

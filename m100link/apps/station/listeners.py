@@ -216,7 +216,7 @@ class Fronts:
         is_kept: bool,  # whether an agent that has gone is looked for again
     ) -> None:
         self.stack, self.settings, self.orders = stack, settings, orders
-        self._sockets, self._reach, self._is_kept = sockets, reach, is_kept
+        self.sockets, self._reach, self._is_kept = sockets, reach, is_kept
         self._taken: set[str] = set()
         self.intake = Intake()  # of all servers of this process
         # The agents as the first front knows them, by the names of their aircraft; one that comes
@@ -233,7 +233,7 @@ class Fronts:
     def take(self, name: str) -> list[socket.socket]:
         """The sockets of a front, which serves on them from now on."""
         self._taken.add(name)
-        return list(self._sockets.of[name])
+        return list(self.sockets.of[name])
 
     async def reached(self, client: str) -> dict[str, AgentClient]:
         """All agents, each for a front that they know by that name.
@@ -256,13 +256,13 @@ class Fronts:
         Raises ``UsageError``: something in the settings cannot be. Raises ``LinkError``: an agent
         cannot be reached.
         """
-        for name in self._sockets.of:
+        for name in self.sockets.of:
             if name not in FRONTS:
                 raise M100Error(f"sockets came for {name!r}, which is no front of a station")
         for name, front in FRONTS.items():
-            if name in self._sockets.of:
+            if name in self.sockets.of:
                 await front.load().serve(self)
-        for name, row in self._sockets.of.items():
+        for name, row in self.sockets.of.items():
             if row and name not in self._taken:
                 raise M100Error(f"{name}: its module serves nobody on its sockets")
         if not self.agents:

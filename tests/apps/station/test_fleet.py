@@ -128,9 +128,9 @@ async def test_whichever_aircraft_it_shows_a_console_that_ends_gives_control_bac
     async with serving_fleet_console(await rig.pilot(), Settings()) as console:
         if name == "a2":
             one = await rig.served("a2")
-        await rig.until(lambda: name in console.names, within=5.0)
+        await rig.until(lambda: name in console.agents, within=5.0)
         one.client.on_lease.append(changes.append)
-        await console.fronts.agents[name].acquire("console 1")
+        await console.agents[name].acquire("console 1")
     await anyio.sleep(0.2)
     assert [(bool(one.number), one.why and one.why.value) for one in changes] == [
         (True, "acquired"),
