@@ -244,11 +244,8 @@ class Client:
             raise _Fault(f"at most {self.limits.subscriptions} subscriptions are possible")
         subscription = self.outbox.subscription(topic, name)
         topic.subscribers.add(self)
-        is_new = not subscription.wishes
         subscription.wishes[str(message.get("id"))] = wish
         subscription.merge()
-        if is_new and topic.last is not None:
-            self.outbox.offer(subscription, Publication(topic, topic.last), now)
 
     def _wish(self, message: dict[str, Any]) -> Wish:
         size, compression = self._packing(message)

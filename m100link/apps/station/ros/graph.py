@@ -95,9 +95,7 @@ class Topic:
     type: MessageType  # type of its messages
     # What a client's message does; None on topics that only the station publishes.
     on_publish: Callable[[Listener, Message, float], None] | None = None
-    latched: bool = False  # whether a new subscriber gets the last message at once
     subscribers: set[Listener] = field(default_factory=set)  # sessions that listen
-    last: Message | None = None  # last message of a latched topic
 
 
 @dataclass(slots=True, eq=False)
@@ -166,13 +164,10 @@ class Graph:
         name: str,
         type_name: str,
         on_publish: Callable[[Listener, Message, float], None] | None = None,
-        *,
-        latched: bool = False,
     ) -> Topic:
         """A topic that the station publishes, or takes messages from."""
         name = self.prefix + name
-        topic = Topic(name, MESSAGES[type_name], on_publish, latched)
-        self.topics[name] = topic
+        topic = self.topics[name] = Topic(name, MESSAGES[type_name], on_publish)
         return topic
 
     def add_service(self, name: str, type_name: str, on_call: Callable[[Call], None]) -> None:
@@ -182,8 +177,6 @@ class Graph:
 
     def publish(self, topic: Topic, message: Message, now: float) -> None:
         """Give a message to every subscriber."""
-        if topic.latched:
-            topic.last = message
         if topic.subscribers:
             publication = Publication(topic, message)
             for session in topic.subscribers:

@@ -303,7 +303,6 @@ class Server(uvicorn.Server):
         app: ASGIApp,
         settings: Settings,
         *,
-        message_size: int = Limits().message_size,
         lifespan: Literal["on", "off"] = "off",
         intake: Intake | None = None,
     ) -> Server:
@@ -311,7 +310,7 @@ class Server(uvicorn.Server):
         config = Config(
             app,
             intake,
-            ws_max_size=message_size,
+            ws_max_size=Limits().message_size,
             ws_ping_interval=PING_INTERVAL,
             ws_ping_timeout=PING_TIMEOUT,
             ws_per_message_deflate=False,

@@ -291,15 +291,6 @@ def test_the_level_decides_which_statuses_are_sent() -> None:
     assert bench.send("publish", topic="/nothing") == []
 
 
-def test_a_latched_topic_greets_a_subscriber_with_its_last_message() -> None:
-    bench = Bench()
-    bench.height.latched = True
-    bench.publish(7)
-    (greeting,) = bench.send("subscribe", topic="/height", id="1")
-    assert greeting["msg"] == {"data": 7}
-    assert bench.send("subscribe", topic="/height", id="2") == []  # it has it already
-
-
 def test_a_flood_is_dropped_and_in_the_end_disconnected() -> None:
     bench = Bench(Limits(rate=10, burst=20, faults=50))
     bench.send("advertise", topic="/steer", type="std_msgs/Float32")
