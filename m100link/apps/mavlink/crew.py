@@ -43,7 +43,6 @@ from m100link.apps.mavlink.translator.route import (
 from m100link.apps.mavlink.translator.world import World
 from m100link.errors import (
     AckTimeout,
-    GuardRefused,
     M100Error,
     MissionRefused,
     NoAuthority,
@@ -112,12 +111,8 @@ class Crew:
 
     def _steer(self, setpoint: Setpoint) -> None:
         if not self._owes_a_stop:  # a mission ignores setpoints: none before its stop is heard
-            try:
+            with suppress(NoAuthority):  # the agent fell silent since the deck looked
                 self._session.steer(setpoint, _LASTS_S)
-            except NoAuthority:
-                pass  # the agent fell silent since the deck looked
-            except GuardRefused as error:
-                self._deck.steer_refused(error)
 
     def _drop(self) -> None:
         if self._owes_a_stop and self._session.has_lease:

@@ -361,22 +361,6 @@ async def test_nothing_resumes_when_the_pilot_was_there_however_short(
         assert rig.speed < 0.1
 
 
-async def test_a_setpoint_that_its_session_refuses_ends_the_stream(
-    rig: Rig, ground: Ground
-) -> None:
-    await ground.fly(5.0)
-    send_velocity(ground, vx=2.0)
-    assert await ground.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
-    rig.vehicle.world.session._unflown_at = rig.client.now  # as where control was lost just now
-    for _ in range(40):
-        send_velocity(ground, vx=2.0)
-        await anyio.sleep(0.05)
-    assert not rig.work.done()
-    assert rig.speed < 0.1
-    assert ground.mode is Mode.HOLD
-    assert "Offboard: control was lost meanwhile" in ground.texts
-
-
 async def test_who_signs_is_not_kept_out_by_those_who_do_not() -> None:
     key = bytes(range(32))
     async with Rig(signer=Signer(key)).running() as rig:
