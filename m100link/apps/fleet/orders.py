@@ -13,7 +13,7 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.lease import Flown, Lease
-from m100link.apps.agent.messages import Fault, fault_of
+from m100link.apps.agent.messages import Fault, MessageError, fault_of
 from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.missions.board import Missions
 from m100link.apps.fleet.order_log import Ledger
@@ -98,29 +98,40 @@ class Orders:
             M100Error: As the agent tells.
         """
         client = self._client
-        if isinstance(asked, orders.LeaseOrder):
-            return await self._lease(order, asked)
-        if isinstance(asked, orders.Stop):
-            await client.stop()
-            return Done()
-        if isinstance(asked, orders.Halt):
-            client.halt(asked.why or f"{order.by}: hover", self._lease_if_any(order))
-            return Done()
-        if isinstance(asked, orders.Land) and not order.fence:
-            await self.descend(asked, f"landing for {order.by}", signer=order.signer)
-            return Done()
-        if isinstance(asked, orders.UploadPlan):
-            return Done(await self.missions.upload(self.require_lease(order), asked, order.by))
-        lease = self.lease_for(order, asked)
-        if isinstance(asked, orders.Activate) and client.state.is_activated:
-            return Done()
-        self._underway += 1
-        try:
-            return await self._do(asked, lease)
-        finally:
-            self._underway -= 1
+        match asked:
+            case orders.AcquireLease() | orders.ConfirmTakeOver():
+                return await self._granted(order, asked)
+            case orders.AskTakeOver():
+                offer = await client.ask_take_over(order.by)
+                return Done(offer.from_name, offer.number, offer.token)
+            case orders.ReleaseLease():
+                await client.release_lease(self.require_lease(order).token)
+            case orders.RenewLease():
+                lease = self.require_lease(order)
+                await client.ask(orders.RenewLease(lease.token))
+                refused, self.refused = self.refused, None
+                return Done(lease.name, lease.number, fault=fault_of(refused))
+            case orders.LeaseOrder():  # its token, which is no proof here, goes to no agent
+                raise MessageError(f"nobody asks a fleet for {asked.label}")
+            case orders.Stop():
+                await client.stop()
+            case orders.Halt():
+                client.halt(asked.why or f"{order.by}: hover", self._lease_if_any(order))
+            case orders.Land() if not order.fence:
+                await self.descend(asked, f"landing for {order.by}", signer=order.signer)
+            case orders.UploadPlan():
+                return Done(await self.missions.upload(self.require_lease(order), asked, order.by))
+            case _:
+                self._underway += 1
+                try:
+                    return await self._do(asked, self.lease_for(order, asked))
+                finally:
+                    self._underway -= 1
+        return Done()
 
     async def _do(self, asked: orders.Order, lease: Lease | None) -> Done:
+        if isinstance(asked, orders.Activate) and self._client.state.is_activated:
+            return Done()
         if isinstance(asked, orders.StartMission) and lease is not None:
             await self.missions.start(lease, asked)
             return Done()
@@ -145,8 +156,8 @@ class Orders:
         """
         if not asked.is_kept and asked.needs is orders.Needs.NOTHING:
             return None
-        is_activation = isinstance(asked, orders.Activate)
-        if is_activation and not order.fence and not self._client.holder.number:
+        is_free = not order.fence and not self._client.holder.number
+        if is_free and isinstance(asked, orders.Activate):
             return None
         return self.require_lease(order)
 
@@ -159,8 +170,8 @@ class Orders:
         lease = self._lease_if_any(order)
         if lease is None:
             holder = self._client.holder
-            who = f"; {holder.name} has control" if holder.number else "; nobody has control"
-            raise StaleLease(f"lease {order.fence} is not in force{who}")
+            who = holder.name if holder.number else "nobody"
+            raise StaleLease(f"lease {order.fence} is not in force; {who} has control")
         return lease
 
     async def _granted(self, order: Order, asked: orders.LeaseOrder) -> Done:
@@ -176,21 +187,6 @@ class Orders:
         self.leases[lease.number] = Granted(lease, secret, order.signer)
         await self._ledger.granted(lease.number)
         return Done(lease.name, lease.number, key=key)
-
-    async def _lease(self, order: Order, asked: orders.LeaseOrder) -> Done:
-        client = self._client
-        if isinstance(asked, orders.AcquireLease | orders.ConfirmTakeOver):
-            return await self._granted(order, asked)
-        if isinstance(asked, orders.AskTakeOver):
-            offer = await client.ask_take_over(order.by)
-            return Done(offer.from_name, offer.number, offer.token)
-        lease = self.require_lease(order)
-        if isinstance(asked, orders.ReleaseLease):
-            await client.release_lease(lease.token)
-            return Done()
-        await client.ask(orders.RenewLease(lease.token))
-        refused, self.refused = self.refused, None
-        return Done(lease.name, lease.number, fault=fault_of(refused))
 
     # -- down ------------------------------------------------------------------------------------
 

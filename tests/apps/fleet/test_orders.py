@@ -11,7 +11,7 @@ import pytest
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.lease import Flown
-from m100link.apps.agent.messages import State
+from m100link.apps.agent.messages import MessageError, State
 from m100link.apps.fleet.client import Fleet, FleetAircraft
 from m100link.apps.fleet.order_log import MemoryLedger
 from m100link.apps.fleet.payloads import Outcome
@@ -148,3 +148,20 @@ async def test_whenever_a_landing_is_ended_nobody_has_control_then(rig: Rig) -> 
         if one.height < 0.8:
             assert (await pilot.land())["a1"].is_ok
             await pilot["a1"].take_off()
+
+
+class BorrowLease(orders.LeaseOrder, is_kind=False):
+    """An order about the lease that no fleet knows."""
+
+    token: str = ""
+
+
+async def test_an_order_about_the_lease_that_a_fleet_does_not_know_reaches_no_agent(
+    rig: Rig,
+) -> None:
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    async with pilot["a1"].control() as control:
+        asked = BorrowLease("anything")
+        order = pilot.asker("a1").around(orders.AskVersion(), *control.proof)
+        with pytest.raises(MessageError, match="nobody asks a fleet for borrow lease"):
+            await one.fleet_agent._orders.carry_out(order, asked)
