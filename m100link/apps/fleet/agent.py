@@ -16,14 +16,14 @@ import zlib
 from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from typing import TypeVar
 
 import m100link
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.messages import Event, MessageError, Telemetry, fault_of
+from m100link.apps.agent.messages import Event, MessageError, Telemetry
 from m100link.apps.agent.orders import Age, Right
 from m100link.apps.agent.view import Hearing
 from m100link.apps.bus.network import Bus, Held, Question
@@ -39,7 +39,6 @@ from m100link.apps.fleet.payloads import (
     Order,
     Progress,
     Reply,
-    outcome_of,
     pack,
     unpack,
     unpack_steer,
@@ -219,13 +218,10 @@ class FleetAgent:
         clock = asyncio.get_running_loop().time
         due = clock() + (own - clock()) % _CARD_S
         while True:
-            self._state.put_later(self._packed_card)
+            self._state.put_later(lambda: pack(self.card()))
             self._look_for_namesakes()
             await asyncio.sleep(max(0.0, due - clock()))
             due += _CARD_S * (1 + max(0.0, clock() - due) // _CARD_S)
-
-    def _packed_card(self) -> bytes:
-        return pack(self.card())
 
     def _on_own_state(self, key: str, payload: bytes) -> None:
         try:
@@ -382,18 +378,8 @@ class FleetAgent:
 
     def _reply(self, identity: str, error: M100Error | None, done: Done | None = None) -> Reply:
         done = done or Done()
-        return Reply(
-            id=identity,
-            name=self._keys.name,
-            boot=self.boot,
-            progress=Progress.DONE,
-            outcome=outcome_of(error),
-            fault=fault_of(error) or done.fault,
-            text=done.text,
-            number=done.number,
-            offer=done.offer,
-            key=done.key,
-        )
+        told = {one.name: getattr(done, one.name) for one in fields(done)}
+        return Reply.done(identity, self._keys.name, self.boot, error, **told)
 
     async def _wait(self, identity: str) -> None:
         if identity in self._running:  # where it runs on, that is what is told

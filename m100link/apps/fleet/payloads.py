@@ -23,7 +23,7 @@ from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X
 from m100link.apps.agent import orders
 from m100link.apps.agent.codec import BadValue, Fields, decode, encode, parsed
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused
-from m100link.apps.agent.messages import Fault, Message, MessageError, Steer
+from m100link.apps.agent.messages import Fault, Message, MessageError, Steer, fault_of
 from m100link.apps.agent.orders import Right
 from m100link.errors import (
     AckTimeout,
@@ -351,6 +351,16 @@ class Reply:
     # :meth:`Order.digest` of the order that was heard under the id; empty where none was.
     order: bytes = b""
     show: ShowCard | None = None  # where a show was asked
+
+    @classmethod
+    def done(
+        cls, identity: str, name: str, boot: str, error: M100Error | None, **more: Any
+    ) -> Reply:
+        """What became of an order that is over; ``more``: the other fields that say something."""
+        told = more | {"outcome": outcome_of(error)}
+        if error is not None:
+            told["fault"] = fault_of(error)
+        return cls(identity, name, boot, Progress.DONE, **told)
 
 
 @dataclass(frozen=True, slots=True)

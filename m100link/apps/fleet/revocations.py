@@ -18,12 +18,12 @@ from typing import Any
 from cryptography import x509
 
 from m100link.apps.agent.background import BackgroundTasks
-from m100link.apps.agent.messages import MessageError, fault_of
+from m100link.apps.agent.messages import MessageError
 from m100link.apps.bus.network import Bus, Question
 from m100link.apps.fleet.asking import believed, nobody_there
 from m100link.apps.fleet.identity import LARGEST, BadRevoked, Revoked, Rights
 from m100link.apps.fleet.keys import Keys, session_in
-from m100link.apps.fleet.payloads import VERSION, Progress, Reply, body, outcome_of, pack
+from m100link.apps.fleet.payloads import VERSION, Reply, body, pack
 from m100link.errors import M100Error, OutcomeUnknown, UsageError
 from m100link.link.keyfile import replace_file
 
@@ -236,15 +236,8 @@ class RevocationService:
             fault = error
         finally:
             self._waiting -= 1
-        reply = Reply(
-            id="",
-            name=self._keys.name,
-            boot=self._boot,
-            progress=Progress.DONE,
-            outcome=outcome_of(fault),
-            fault=fault_of(fault),
-            number=self._revocations.number,
-        )
+        number = self._revocations.number
+        reply = Reply.done("", self._keys.name, self._boot, fault, number=number)
         question.answer(self._keys.revoked, pack(reply))
 
 

@@ -308,7 +308,7 @@ async def test_whoever_placed_an_aircraft_for_a_show_places_it_no_more(
 ) -> None:
     await site.begin()
     left: list[M100Error] = []
-    monkeypatch.setattr(site.show.performer, "shut_out", left.append)
+    monkeypatch.setattr(site.show.performer, "give_way", left.append)
     site.show._placed_by = "anna"
     await site.push(site.revoked("eve"))
     assert left == []

@@ -92,12 +92,12 @@ class Performer:
         self._start_at: float | None = None
         self._leave = "land"
         self._control = ControlSession(client, f"show of {name}")
+        self._control.on_refused = self._steer_refused
         self._refused: M100Error | None = None  # why the last setpoint was not flown
         self._work: asyncio.Task[None] | None = None
         self._heard_at = client.now  # whoever conducts, or asks where it stands
         client.on_event.append(self._hear)
-        client.on_steer_refused.append(self._steer_refused)
-        client.on_authority_taken.append(self._gave_way)
+        client.on_authority_taken.append(self.give_way)
 
     def close(self) -> None:
         """Leave, and hear nothing more of the agent; not even a landing is seen to its end."""
@@ -106,8 +106,7 @@ class Performer:
             self._work.cancel()
         self._control.close()
         self._client.on_event.remove(self._hear)
-        self._client.on_steer_refused.remove(self._steer_refused)
-        self._client.on_authority_taken.remove(self._gave_way)
+        self._client.on_authority_taken.remove(self.give_way)
 
     # -- who else wants the aircraft -------------------------------------------------------------
 
@@ -115,23 +114,19 @@ class Performer:
         if event.topic in (Topic.STOPPED, Topic.HALTED):
             # An order to take off may be on its way here, of somebody who has not seen it.
             self.ages.revoke(self._client.now)
-            self._gave_way(NoAuthority(f"{self._name} was stopped: {event.text}"))
+            self.give_way(NoAuthority(f"{self._name} was stopped: {event.text}"))
 
-    def _steer_refused(self, fence: int, error: M100Error) -> None:
-        if self._control.has_lease and self._client.holder.number == fence:
-            self._refused = error
+    def _steer_refused(self, error: M100Error) -> None:
+        self._refused = error
 
-    def _gave_way(self, error: M100Error) -> None:
+    def give_way(self, error: M100Error) -> None:
+        """Somebody else has the aircraft, or whoever placed it may not any more: it leaves."""
         if self.stage in _IN_SHOW:
             self.fault = error
             self.leave()
         elif self.stage is ShowStage.LEFT and isinstance(self.fault, NoAuthority):
             # It was told that nothing is flown before it was told who took the aircraft.
             self.fault = error
-
-    def shut_out(self, error: M100Error) -> None:
-        """Whoever placed it may not any more: it leaves, for this reason."""
-        self._gave_way(error)
 
     def heard(self, run: str = "") -> None:
         """Whoever conducts is there; another one who asks is not waited for."""
@@ -141,9 +136,8 @@ class Performer:
     def require_run(self, run: str) -> None:
         """Refuse an order of somebody who does not conduct the show that it is in."""
         silent = self._client.now - self._heard_at
-        is_over = (
-            self.stage is ShowStage.LOADED and silent > ATTENDED_S
-        )  # nobody conducts it any more
+        # What is loaded, and that nobody conducts any more.
+        is_over = self.stage is ShowStage.LOADED and silent > ATTENDED_S
         if run not in ("", self.run) and self.stage in _IN_SHOW and not is_over:
             raise UsageError(
                 f"{self._name} is {self.stage.value} in a show that another one conducts",

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.messages import MessageError, fault_of
+from m100link.apps.agent.messages import MessageError
 from m100link.apps.bus.network import Bus, Question
 from m100link.apps.fleet.agent import Namesakes, Verify, admit
 from m100link.apps.fleet.identity import Since
@@ -22,14 +22,12 @@ from m100link.apps.fleet.payloads import (
     LeaveShow,
     LoadTrack,
     Order,
-    Progress,
     Reply,
     SendTrack,
     ShowCard,
     ShowOrder,
     StartShow,
     TakePlace,
-    outcome_of,
     pack,
     unpack,
 )
@@ -111,7 +109,7 @@ class ShowService:
         """Leave the show of who is revoked: it hovers."""
         since = self._placed_by and revoked(self._placed_by)
         if since:
-            self.performer.shut_out(NotAllowed(f"{self._placed_by} is revoked since {since}"))
+            self.performer.give_way(NotAllowed(f"{self._placed_by} is revoked since {since}"))
 
     def _on_place(self, key: str, payload: bytes) -> None:
         if self.performer.neighbours is None or payload[:1] != bytes([VERSION]):
@@ -137,21 +135,17 @@ class ShowService:
             identity, digest = order.id, order.digest()
             if digest not in self._known:  # by its id somebody else's would be taken for it
                 asked = admit(order, self._keys, ShowOrder, self._verify)
-                self._known[digest] = self._obey(order, asked)
+                try:
+                    self._do(order, asked)
+                    self._known[digest] = None
+                except M100Error as error:
+                    self._known[digest] = error
                 if len(self._known) > _MOST_KNOWN:
                     del self._known[next(iter(self._known))]
             fault = self._known[digest]
         except M100Error as error:
             fault = error
         question.answer(self._keys.show, pack(self._reply(identity, fault)))
-
-    def _obey(self, order: Order, asked: ShowOrder) -> M100Error | None:
-        """Do it; what it is refused for, if it is."""
-        try:
-            self._do(order, asked)
-        except M100Error as error:
-            return error
-        return None
 
     def _do(self, order: Order, asked: ShowOrder) -> None:
         performer = self.performer
@@ -160,7 +154,7 @@ class ShowService:
         performer.heard(asked.run)
         if isinstance(asked, LoadTrack | TakePlace | StartShow):
             # It takes off: not minutes later, when whoever conducts has given up.
-            self._require_wanted(order)
+            performer.ages.check(order.clock, self._client.now)
         if isinstance(asked, TakePlace | StartShow) and self._namesakes is not None:
             self._namesakes.require_none(self._client.now)
         match asked:
@@ -178,10 +172,6 @@ class ShowService:
             case LeaveShow():
                 performer.leave()
 
-    def _require_wanted(self, order: Order) -> None:
-        """Refuse what nobody waits for still, or was made before whatever ended a show here."""
-        self.performer.ages.check(order.clock, self._client.now)
-
     def _take_piece(self, at: int, data: bytes) -> None:
         """A track comes in pieces: from the beginning, and each where the one before ended."""
         if not 0 <= at <= len(self._pieces) or at + len(data) > _MOST_BYTES:
@@ -195,18 +185,11 @@ class ShowService:
     def _reply(self, identity: str, error: M100Error | None) -> Reply:
         performer = self.performer
         track, why = performer.track, performer.fault
-        return Reply(
-            id=identity,
-            name=self._keys.name,
-            boot="",
-            progress=Progress.DONE,
-            outcome=outcome_of(error),
-            fault=fault_of(error),
-            clock=self._client.now,
-            show=ShowCard(
-                performer.stage,
-                "" if track is None else track.digest,
-                performer.farthest_m,
-                "" if why is None else why.seen,
-            ),
+        card = ShowCard(
+            performer.stage,
+            "" if track is None else track.digest,
+            performer.farthest_m,
+            "" if why is None else why.seen,
         )
+        now = self._client.now
+        return Reply.done(identity, self._keys.name, "", error, clock=now, show=card)
