@@ -126,7 +126,7 @@ class FleetAircraft:
         Raises:
             Unreachable, NotAllowed: It is not there, or refused who asked.
         """
-        return await self._fetcher().logs()
+        return await LogFetcher(self.asker).logs()
 
     async def fetch_log(
         self, log: str = "", to: Path | str = "", progress: Progress | None = None
@@ -144,7 +144,7 @@ class FleetAircraft:
             NotAllowed: It refused who asked.
             FleetError: What came is not what it has.
         """
-        return await self._fetcher().fetch(log, to, progress)
+        return await LogFetcher(self.asker).fetch(log, to, progress)
 
     async def mission(self) -> MissionCard:
         """Where its mission is.
@@ -155,9 +155,6 @@ class FleetAircraft:
         if not await self.asker.is_there():
             raise nobody_there(self.name)
         return await mission_card(self.asker, patience=self.asker.patience)
-
-    def _fetcher(self) -> LogFetcher:
-        return LogFetcher(self.asker)
 
     async def card(self) -> Card:
         """Where its agent stands.

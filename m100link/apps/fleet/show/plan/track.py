@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from operator import itemgetter
 from typing import Self
 
 from m100link.errors import UsageError
@@ -381,12 +382,9 @@ def closest(
         metric, sign = _metric(begin >= first.end, begin >= second.end)
         a, b = _piece(first, begin, end), _piece(second, begin, end)
         curve = _apart(a, b, sign)
-        found = min(found, _least(curve, begin, end, metric, min(found[0], below)), key=_distance)
+        least = _least(curve, begin, end, metric, min(found[0], below))
+        found = min(found, least, key=itemgetter(0))
     return found if found[0] < below else None
-
-
-def _distance(found: tuple[float, float]) -> float:
-    return found[0]
 
 
 def under(
