@@ -11,6 +11,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, Self, TypeVar
 
 from m100link.apps.agent import orders
@@ -114,13 +115,13 @@ class AgentClient:
             Telemetry: self._on_telemetry,
             FromMobile: self._on_from_mobile,
             Event: self._on_event,
-            LinkCounted: self._on_link_counted,
+            LinkCounted: partial(setattr, self, "link"),
             LeaseChanged: self._on_lease_changed,
             Outcome: self._answers.outcome,
             Activating: self._on_activating,
             AuthorityTaken: self._on_authority_taken,
             SteerRefused: self._on_steer_refused,
-            MissionTold: self._on_mission_told,
+            MissionTold: partial(_call_each, self.on_mission_told),
             PlanTold: self._on_plan_told,
         }
 
@@ -228,9 +229,6 @@ class AgentClient:
         elif self.telemetry is None:
             self.telemetry = AircraftState(lambda: self.state.flight_time(self.now))
 
-    def _on_link_counted(self, message: LinkCounted) -> None:
-        self.link = message
-
     def _on_telemetry(self, message: Telemetry) -> None:
         try:
             sample = Sample(message.value, PROFILES[message.profile], message.received_at)
@@ -270,9 +268,6 @@ class AgentClient:
     def _on_steer_refused(self, message: SteerRefused) -> None:
         _call_each(self.on_steer_refused, message.fence, message.fault.error())
 
-    def _on_mission_told(self, message: MissionTold) -> None:
-        _call_each(self.on_mission_told, message)
-
     def _on_plan_told(self, message: PlanTold) -> None:
         self.plan, self.plan_by = None, message.name
         if message.plan is not None:
@@ -310,7 +305,7 @@ class AgentClient:
         """Subscribe to the data of the app on the pilot's phone."""
         return self._from_mobile.subscribe(policy)
 
-    # -- the lease -------------------------------------------------------------------------------
+    # -- the lease: what its desk is asked, and raises; and LinkError, where the agent has gone ----
 
     def holds(self, lease: Lease | None) -> bool:
         """Whether that lease is in force, as far as is known here."""
@@ -327,39 +322,19 @@ class AgentClient:
         return lease
 
     async def acquire(self, name: str) -> Lease:
-        """Take the lease if it is free.
-
-        Raises:
-            LeaseHeld: It is not; the holder's name is in the error.
-            LinkError: The agent has gone.
-        """
+        """As :meth:`~m100link.apps.agent.lease.LeaseDesk.acquire`. Raises LinkError, too."""
         return given((await self.ask(orders.AcquireLease(name))).lease)
 
     async def release_lease(self, token: str) -> None:
-        """Give the lease back; motion stops and authority goes back.
-
-        Raises:
-            LeaseRefused: The token is not in force.
-            LinkError: The agent has gone.
-        """
+        """As the desk's ``release``: motion stops, and authority goes back."""
         await self.ask(orders.ReleaseLease(token))
 
     async def ask_take_over(self, name: str) -> TakeOver:
-        """First step of a take-over: learn who would lose control.
-
-        Raises:
-            LeaseRefused: Nobody holds the lease; it can simply be acquired.
-            LinkError: The agent has gone.
-        """
+        """As the desk's: who would lose control."""
         return given((await self.ask(orders.AskTakeOver(name))).offer)
 
     async def confirm(self, token: str) -> Lease:
-        """Second step: take the lease from the client that the first step named.
-
-        Raises:
-            LeaseRefused: There is nothing to confirm any more.
-            LinkError: The agent has gone.
-        """
+        """As the desk's: take the lease from the client that the first step named."""
         return given((await self.ask(orders.ConfirmTakeOver(token))).lease)
 
     def keep(self, lease: Lease) -> None:
