@@ -62,3 +62,7 @@ class BackgroundTasks:
         """Cancel every task and wait for its end."""
         self.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
+
+
+def ignore(*_: object) -> None:
+    """Nobody wants to hear it."""

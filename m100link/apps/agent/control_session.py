@@ -18,6 +18,7 @@ from functools import partial
 from typing import Any
 
 from m100link.apps.agent import orders
+from m100link.apps.agent.background import ignore
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused, TakeOver
 from m100link.apps.agent.messages import Event, LeaseChanged, Outcome, Topic
@@ -539,7 +540,3 @@ class ControlSession:
         if isinstance(error, GuardRefused) and error.guard == "stopped":
             self.feed(_I.STOP)
         self.on_refused(error)
-
-
-def ignore(_: object) -> None:
-    """Nobody wants to hear it."""

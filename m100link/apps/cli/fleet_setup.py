@@ -454,7 +454,7 @@ def check(
     as_json = wants_json(json)
     revocations = None if pki is None else Revocations.of_folder(pki, rights)
     for name in who or tuple(rights.identities):
-        one = rights.identity(name)
+        one = rights.identities.get(name)
         if one is None:
             raise BadRights(
                 f"nobody in {file} is called {name}",

@@ -104,10 +104,6 @@ class Rights:
             },
         )
 
-    def identity(self, name: str) -> Identity | None:
-        """Who has the name; None for nobody."""
-        return self.identities.get(name)
-
     @classmethod
     def read(cls, path: str | Path) -> Self:
         """Read a file.
@@ -434,7 +430,7 @@ class Gate:
                 cause="its certificate and key are said to be lost, or it may not be here any more",
                 remedy="whoever it is needs a certificate, a key and rights under another name",
             )
-        identity = self._rights.identity(who)
+        identity = self._rights.identities.get(who)
         if identity is None or not identity.may(right, self._aircraft):
             raise OrderRefused(
                 f"{who} may not {right.name.lower()} {self._aircraft}",

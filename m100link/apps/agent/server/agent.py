@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Self
 
 from m100link.aircraft import Aircraft
 from m100link.apps.agent import orders
-from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.background import BackgroundTasks, ignore
 from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseDesk, TakeOver
 from m100link.apps.agent.messages import Journal, PlanTold, Topic
 from m100link.apps.agent.orders import ORDERS, SETPOINT_LIFETIME, Needs, Order
@@ -25,7 +25,7 @@ from m100link.apps.agent.server.authority import (
     Inherited,
 )
 from m100link.apps.agent.server.connection import Connect, Connection
-from m100link.apps.agent.server.flight import Flying, ignore, pattern
+from m100link.apps.agent.server.flight import Flying, pattern
 from m100link.apps.agent.server.replays import Replays, refused
 from m100link.errors import AuthorityLost, GuardRefused, UsageError
 from m100link.flight.guards import Envelope, Guards

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import anyio
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.background import BackgroundTasks, ignore
 from m100link.apps.agent.lease import Flown
 from m100link.apps.agent.messages import Journal, Limits
 from m100link.apps.agent.orders import (
@@ -48,10 +48,6 @@ _AT_ONCE = 1e-3
 
 Pattern = Callable[[Control, Callable[[Setpoint], None]], Coroutine[Any, Any, None]]
 """A program that flies: takes the control and what sends a setpoint."""
-
-
-def ignore() -> None:
-    """Nobody wants to know that a task was accepted."""
 
 
 class Flying:

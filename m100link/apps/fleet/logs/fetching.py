@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from m100link.apps.agent.background import ignore
 from m100link.apps.agent.messages import MessageError
 from m100link.apps.fleet.asking import PATIENCE_S, Asker, nobody_there, reason_of
 from m100link.apps.fleet.logs.words import (
@@ -73,7 +74,7 @@ class LogFetcher:
         part = await _in_thread(Part, Path(to), f"{self._keys.name}-{entry.log}")
         try:
             await _in_thread(part.open, entry.size)
-            return await self._fetch(entry, part, progress or _ignore)
+            return await self._fetch(entry, part, progress or ignore)
         except M100Error as error:
             raise _with_rest(error, part, entry.size) from error
         finally:
@@ -202,7 +203,3 @@ def _with_rest(error: M100Error, part: Part, size: int) -> M100Error:
         told.remedy = error.remedy or "the same command goes on there"
         told.args = (told.seen, told.cause, told.remedy)
     return told
-
-
-def _ignore(at: int, size: int) -> None:
-    """Nobody wants to know how far it is."""

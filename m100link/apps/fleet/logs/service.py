@@ -158,14 +158,12 @@ class LogService:
         return 0.0
 
     async def _list(self, question: LogQuestion, order: Order) -> bytes:
-        again = await self._may_go(_LIST_COSTS)
-        if again:
+        if again := await self._may_go(_LIST_COSTS):
             return self._told(order, again_s=again)
         return self._told(order, pack_entries(await self._apart.do(self._shelf.entries)))
 
     async def _piece(self, question: LogQuestion, order: Order) -> bytes:
-        again = await self._may_go(question.length)
-        if again:
+        if again := await self._may_go(question.length):
             return self._told(order, again_s=again)
         log, offset, length = question.log, question.offset, question.length
         data, entry = await self._apart.do(lambda: self._shelf.piece(log, offset, length))

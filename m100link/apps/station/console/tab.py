@@ -18,8 +18,9 @@ from collections.abc import Awaitable, Callable
 from enum import StrEnum
 from typing import Any, TypeGuard
 
+from m100link.apps.agent.background import ignore
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.control_session import ControlSession, ControlState, Terms, ignore
+from m100link.apps.agent.control_session import ControlSession, ControlState, Terms
 from m100link.apps.agent.latency import (
     MAX_LATE,
     MAX_ORDER_LATE,
