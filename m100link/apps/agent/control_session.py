@@ -216,11 +216,7 @@ class ControlSession:
         return self._changing.locked()
 
     def held(self) -> Lease:
-        """The lease under which something can be asked.
-
-        Raises:
-            NoAuthority: Control is not held, or the agent is not heard.
-        """
+        """The lease to ask under. Raises NoAuthority: no control, or the agent is not heard."""
         lease, view = self._lease, self._agent.view
         if lease is None or lease.number != view.holder.number or not view.has_authority:
             raise self._no_control()
@@ -465,12 +461,7 @@ class ControlSession:
             keeping.cancel()
 
     async def ask(self, order: orders.Order, accepted: Callable[[], None] | None = None) -> Outcome:
-        """Ask for something under the lease.
-
-        Raises:
-            NoAuthority: It needs the lease, which is not held; nothing was sent.
-            M100Error: As the agent's client.
-        """
+        """As the agent's client, under the lease; NoAuthority: it is needed, and not held."""
         if (lease := self.lease) is None and order.needs is orders.Needs.LEASE:
             raise self._no_control()
         self._used_at = self._agent.now

@@ -149,11 +149,7 @@ class Orders:
         return granted.lease if order.proves(granted.secret) else None
 
     def lease_for(self, order: Order, asked: orders.Order) -> Lease | None:
-        """The lease that something is asked under; None for an activation that nobody minds.
-
-        Raises:
-            StaleLease: It needs the lease, and came without.
-        """
+        """As :meth:`require_lease`; None where none is needed, as to activate while it is free."""
         if not asked.is_kept and asked.needs is orders.Needs.NOTHING:
             return None
         is_free = not order.fence and not self._client.holder.number
@@ -162,11 +158,7 @@ class Orders:
         return self.require_lease(order)
 
     def require_lease(self, order: Order) -> Lease:
-        """The lease in force, if the order proves that its asker has it.
-
-        Raises:
-            StaleLease: It does not.
-        """
+        """The lease in force, if the order proves that its asker has it; else StaleLease."""
         lease = self._lease_if_any(order)
         if lease is None:
             holder = self._client.holder
