@@ -245,12 +245,8 @@ class LeaseDesk:
                 wanted = one
         if wanted is not None:
             self._take_overs.remove(wanted)
-        if (
-            wanted is None
-            or now >= wanted.expires_at
-            or self._lease is None
-            or self._lease.number != wanted.number
-        ):
+        number = None if self._lease is None else self._lease.number
+        if wanted is None or now >= wanted.expires_at or number != wanted.number:
             raise LeaseRefused(
                 "there is nothing to confirm",
                 cause="the request is too old, was used, or control changed hands meanwhile",
