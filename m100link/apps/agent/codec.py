@@ -290,7 +290,8 @@ _FLAGS = {mode: flag for flag, mode in _MODES.items()}
 
 def _pack_steer(message: Steer) -> bytes:
     setpoint = message.setpoint
-    _finite(message.sent_at + message.lifetime)
+    if not (math.isfinite(message.sent_at) and math.isfinite(message.lifetime)):
+        raise BadValue("not a finite number")
     return _STEER.pack(
         _IS_STEER,
         message.fence,
@@ -306,29 +307,33 @@ def _pack_steer(message: Steer) -> bytes:
 
 def _unpack_steer(data: bytes) -> Steer:
     _, fence, sent_at, lifetime, flag, x, y, z, yaw = _STEER.unpack(data)
+    if not (math.isfinite(sent_at) and math.isfinite(lifetime)):
+        raise BadValue("not a finite number")
     if flag not in _MODES:
         raise BadValue(f"control flag 0x{flag:02X} names no control mode")
     mode, frame, stable = _MODES[flag]
-    setpoint = Setpoint(mode, x, y, z, yaw, frame, stable)
-    _finite(sent_at + lifetime)
-    return Steer(fence, sent_at, lifetime, setpoint)
+    return Steer(fence, sent_at, lifetime, Setpoint(mode, x, y, z, yaw, frame, stable))
 
 
 def _pack_telemetry(message: Telemetry) -> bytes:
     if len(message.value) > MAX_BYTES:
         raise BadValue(f"more than {MAX_BYTES} bytes")
+    if not math.isfinite(message.received_at):
+        raise BadValue("not a finite number")
     profile = message.profile.encode()
-    head = _TELEMETRY.pack(_IS_TELEMETRY, _finite(message.received_at), len(profile))
+    head = _TELEMETRY.pack(_IS_TELEMETRY, message.received_at, len(profile))
     return head + profile + message.value
 
 
 def _unpack_telemetry(data: bytes) -> Telemetry:
     _, received_at, length = _TELEMETRY.unpack_from(data)
     begin = _TELEMETRY.size + length
+    if not math.isfinite(received_at):
+        raise BadValue("not a finite number")
     if not begin <= len(data) <= begin + MAX_BYTES:
         raise BadValue("not the bytes of a telemetry package")
     profile = data[_TELEMETRY.size : begin].decode()
-    return Telemetry(data[begin:], profile, _finite(received_at))
+    return Telemetry(data[begin:], profile, received_at)
 
 
 _PACK: dict[type[Any], Callable[[Any], bytes]] = {Steer: _pack_steer, Telemetry: _pack_telemetry}
