@@ -80,6 +80,7 @@ class AgentClient:
         self.state = State(at=self.now)  #: where the agent stands
         self.heard_at = self.now  #: when a sign that the agent runs was heard last, s
         self.holder = LeaseChanged(0, "")  #: who has the lease
+        self.agents_before = 0  #: how many have gone; each counts its leases from 1, maybe
         #: What was counted on the line to the aircraft; None before, and while there is none.
         self.link: LinkCounted | None = None
         #: Newest values and their ages; None while no aircraft is connected. When the agent itself
@@ -182,6 +183,7 @@ class AgentClient:
         self._channel.require()
         if self.events:
             self._known_until = self.events[-1].at
+        self.agents_before += 1
         self.state, self.heard_at = State(at=self.now), self.now
         self.telemetry = self.link = None  # of another aircraft, maybe
         self._channel = OwnLoop(channel)

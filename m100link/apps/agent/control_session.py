@@ -140,6 +140,7 @@ class ControlSession:
         self._terms = terms
         self._state = ControlState.ABSENT
         self._lease: Lease | None = None  # the newest one, in force or not
+        self._agents_before = agent.agents_before  # as that one was granted
         self._number = 0  # of the newest lease that was granted here, wanted or not
         #: How the lease was lost, and to whom; None while it is held or went back.
         self.lease_end: LeaseChanged | None = None
@@ -374,6 +375,7 @@ class ControlSession:
         elif self._lease != lease:
             self._forget()
             self._lease, self._number, self.lease_end = lease, lease.number, None
+            self._agents_before = self._agent.agents_before
             self._renewed_at = self._used_at = self._agent.now
             self.feed(_I.GRANTED)
 
@@ -499,7 +501,14 @@ class ControlSession:
 
     def _lease_changed(self, message: LeaseChanged) -> None:
         lease = self._lease
-        if lease is None or 0 < message.number < lease.number:
+        if lease is None:
+            return
+        if self._agents_before != self._agent.agents_before:
+            self.feed(_I.OTHER if message.number else _I.ENDED)
+            self._forget()  # this agent may give the same number to somebody else
+            self._number = 0
+            return
+        if 0 < message.number < lease.number:
             return
         if message.number == lease.number:  # what was told of its end was wrong
             self.lease_end = None

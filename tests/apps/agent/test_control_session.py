@@ -286,6 +286,28 @@ async def test_the_agent_goes(pilots: Pilots) -> None:
     assert at(one) is S.ABSENT
 
 
+@pytest.mark.parametrize("is_looked_at", [False, True])
+async def test_a_lease_of_the_same_number_at_the_next_agent_is_somebody_elses(
+    pilots: Pilots, is_looked_at: bool
+) -> None:
+    """As of an agent without its ledger, which counts anew."""
+    one, client = session(pilots), pilots.clients[0]
+    await one.obtain()
+    number = one.held().number
+    pilots.ways[0].close("killed")
+    if is_looked_at:
+        assert at(one) is S.LOST
+    ours, its = memory_channels(as_bytes=True)
+    its.send(LeaseChanged(number, "somebody else"))
+    client.reopen(ours)
+    assert client.holder.number == number
+    assert not one.has_lease
+    assert one.is_others
+    assert at(one) in (S.LOST, S.TAKEN_OVER)
+    with pytest.raises(NoAuthority):
+        one.steer(NORTH)
+
+
 async def test_whenever_it_is_let_go_nothing_stays_held(pilots: Pilots) -> None:
     """Let go, or cancelled, at any moment of the request: drawn, 60 of them."""
     seed, agent = 31, pilots.rig.agent
@@ -623,12 +645,14 @@ class Chaos:
         await self.begin(self.one.confirm(wanted))
 
     async def anew(self) -> None:
-        """The agent goes, and is found again."""
-        self.pilots.ways[0].close("killed")
+        """The way to the agent goes, which both ends hear, and is found again."""
+        client = self.pilots.clients[0]
+        client._channel.close("killed")
+        client._closed("killed")
         ours, its = memory_channels(as_bytes=True)
         self.pilots.service.attach(its)
         self.pilots.ways[0] = its
-        self.pilots.clients[0].reopen(ours)
+        client.reopen(ours)
 
     async def step(self) -> None:
         one, other, client = self.one, self.other, self.pilots.clients[0]
