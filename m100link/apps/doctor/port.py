@@ -65,9 +65,7 @@ def _exists(device: str, machine: Machine) -> Finding:
         )
     adapter = machine.adapter(device)
     names = machine.stable_names(device)
-    seen = " ".join(filter(None, (device, "→" if path != device else "", path)))
-    if path == device:
-        seen = device
+    seen = device if path == device else f"{device} → {path}"
     if adapter.name or adapter.driver:
         seen += f": {adapter.name or adapter.driver}"
     details = {"device": path, "adapter": adapter.name, "driver": adapter.driver}

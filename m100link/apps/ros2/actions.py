@@ -57,8 +57,6 @@ class GoalStatus(IntEnum):
 
 @dataclass(slots=True)
 class _Goal:
-    """A goal."""
-
     id: bytes
     action: _Action
     stamp: Mapping[str, int]  # when it was accepted
@@ -76,8 +74,6 @@ class _Goal:
 
 @dataclass(frozen=True, slots=True)
 class _Action:
-    """An action."""
-
     name: str  # private to the node
     topic: str
     make: Callable[[AgentClient, Helm, Mapping[str, Any]], Flight]  # makes what flies of a goal

@@ -88,8 +88,6 @@ class Input:
 
 @dataclass(slots=True)
 class _Service:
-    """A service that is offered."""
-
     topic: str
     kind: str
     key: str  # where it is asked
@@ -295,8 +293,6 @@ _MOST = 16  # sessions that are asked
 
 @dataclass(slots=True)
 class _Session:
-    """A session that is asked."""
-
     answered_at: float = -math.inf  # when it answered last, s; infinitely long ago before it did
     asked: list[Inbox[bool]] = field(default_factory=list)  # where its answers come
 

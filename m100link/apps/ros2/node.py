@@ -28,7 +28,7 @@ from m100link.apps.ros2.endpoints import (
 from m100link.apps.ros2.graph import ADMIN, Names, NodeName, Presence
 from m100link.apps.ros2.parameters import Parameters
 from m100link.apps.ros2.publishers import ALL_OUTPUTS, Teller
-from m100link.apps.ros2.services import Missions, Payload
+from m100link.apps.ros2.services import Missions, Payload, angles_of
 from m100link.apps.ros2.topics import DJI_OUTPUTS, INPUTS, SERVICES
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.records import Position
@@ -185,7 +185,9 @@ class Node:
             "~/take_photo": trigger(lambda: helm.do(UseCamera(CameraUse.PHOTO)), "sent"),
             "~/start_video": trigger(lambda: helm.do(UseCamera(CameraUse.START_VIDEO)), "sent"),
             "~/stop_video": trigger(lambda: helm.do(UseCamera(CameraUse.STOP_VIDEO)), "sent"),
-            "~/point_gimbal": answering(self._payload.point, "sent"),
+            "~/point_gimbal": answering(
+                lambda request: helm.do(orders.PointGimbal(angles_of(request))), "sent"
+            ),
         }
 
     async def _obtain(self) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from m100link.apps.agent.client import AgentClient
@@ -74,9 +75,7 @@ class Parameters:
             ends.serve(names.full(f"~/{name}"), f"rcl_interfaces/srv/{kind}", _at_once(answer))
 
     def _add_rate(self, topic: str, teller: Teller) -> None:
-        def take(value: float) -> None:
-            teller.set_hz(topic, value)
-
+        take = partial(teller.set_hz, topic)
         word = topic.rpartition("/")[2]
         text = f"messages per second of {topic} at most, 0 to {MOST_HZ:g}; 0: each that there is"
         self._rows[f"rates.{word}"] = Parameter(_DOUBLE, text, lambda: teller.hz[topic], take)

@@ -139,7 +139,7 @@ _PAUSE_S = 0.05  # seconds between two rates that are sent: one turns it for hal
 
 
 class Payload:
-    """What ROS programs want of the gimbal."""
+    """How fast ROS programs turn the gimbal."""
 
     def __init__(
         self, agent: AgentClient, helm: Helm, rates: Input, tell: Callable[[str, str], None]
@@ -147,14 +147,6 @@ class Payload:
         self._agent, self._helm, self._rates, self._tell = agent, helm, rates, tell
         self._due_at = agent.now
         self._is_busy = False
-
-    async def point(self, request: Mapping[str, Any]) -> None:
-        """m100_msgs/srv/orders.PointGimbal.
-
-        Raises:
-            M100Error: An angle that it does not have, or nothing may be sent.
-        """
-        await self._helm.do(orders.PointGimbal(angles_of(request)))
 
     def advance(self, *, is_deaf: bool) -> None:
         """Send the newest rates; to the deaf what comes now is old."""
@@ -175,7 +167,7 @@ class Payload:
 
 
 def angles_of(request: Mapping[str, Any]) -> GimbalAngle:
-    """The command of m100_msgs/srv/orders.PointGimbal."""
+    """The command of m100_msgs/srv/PointGimbal. Raises M100Error: no such angle."""
     mode = GimbalAngleMode(0) if request["is_relative"] else GimbalAngleMode.ABSOLUTE
     for axis in ("yaw", "roll", "pitch"):
         if request[f"keep_{axis}"]:

@@ -18,7 +18,6 @@ from m100link.telemetry.sample import Sample
 SENSOR = Qos(is_reliable=False)
 STATE = Qos(is_latched=True, depth=1)
 EVENTS = Qos(depth=100)
-RELIABLE = Qos()
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +74,7 @@ OUTPUTS: Mapping[str, Output] = {
     "/tf": Output("tf2_msgs/TFMessage", EVENTS, 50, "odom to base_link"),
     "/tf_static": Output("tf2_msgs/TFMessage", STATE, 0, "map to odom, which are the same"),
     "/diagnostics": Output(
-        "diagnostic_msgs/DiagnosticArray", RELIABLE, 1, "line, clock, control, battery, this node"
+        "diagnostic_msgs/DiagnosticArray", Qos(), 1, "line, clock, control, battery, this node"
     ),
     "/rosout": Output(
         "rcl_interfaces/Log", Qos(is_latched=True, depth=100), 0, "events of the aircraft"
