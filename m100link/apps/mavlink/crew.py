@@ -341,16 +341,15 @@ class MissionFlights:
 
     def _plan(self, legs: list[Leg], then: Mode) -> tuple[WaypointPlan | None, str]:
         """What the aircraft flies by itself; None with the reason where it does not."""
-        firmware = self._world.known.view.state.firmware
+        view = self._world.known.view
+        firmware = view.state.firmware
         if not flies_missions(firmware):
             return None, f"firmware {firmware or 'unknown'} has no missions"
         try:
             plan = plan_of(legs, then, yaw_deg=self._world.yaw_deg)
         except Unfit as unfit:
             return None, str(unfit)
-        for refusal in preview_plan(
-            plan, self._world.known.view.telemetry, self._world.known.view.state.limits
-        ):
+        for refusal in preview_plan(plan, view.telemetry, view.state.limits):
             if refusal.guard == "allow_far":
                 return None, f"it begins {refusal.measured:.0f} m from here"
         return plan, ""

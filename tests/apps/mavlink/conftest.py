@@ -6,7 +6,7 @@ import asyncio
 import math
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
-from typing import Any
+from typing import Any, cast
 
 import anyio
 import pytest
@@ -238,7 +238,7 @@ def world_of(known: Known, *, home: tuple[float, float, float] | None = None) ->
         known: What is told.
         home: How far north, east and up of home it is, m; None where nobody knows.
     """
-    world = World(known, session_of(known))
+    world = World(cast(AgentClient, known), session_of(known))
     if home is not None:
         north, east, up = home
         here = position()

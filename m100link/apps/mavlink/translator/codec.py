@@ -14,7 +14,6 @@ import hmac
 import json
 import os
 import re
-import struct
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -192,7 +191,6 @@ class Layout:
     # The byte that its checksum ends with: two ends with different definitions do not understand
     # each other.
     crc_extra: int
-    least: int  # bytes without extensions: what version 1 of the protocol carries
     _struct: Struct
     _fields: tuple[_Field, ...]
 
@@ -239,7 +237,6 @@ def _layout(row: str) -> Layout:
     number, name, told = re.fullmatch(r"(\d+) (\w+): (.+)", row).groups()  # type: ignore[union-attr]  # a row of ours
     basic, _, extensions = told.partition(" | ")
     extra, codes, fields = f"{name} ".encode(), "<", []
-    least = 0
     for is_extension, part in ((False, basic), (True, extensions)):
         for one in filter(None, part.split(", ")):
             kind, called = one.split(" ")
@@ -250,10 +247,8 @@ def _layout(row: str) -> Layout:
                 extra += f"{full} {called} ".encode() + (bytes([size]) if size else b"")
             codes += f"{size or ''}{code}"
             fields.append(_Field(called, base == "char", size))
-        if not is_extension:
-            least = Struct(codes).size
     crc = _crc(extra)
-    return Layout(int(number), name, (crc & 0xFF) ^ (crc >> 8), least, Struct(codes), tuple(fields))
+    return Layout(int(number), name, (crc & 0xFF) ^ (crc >> 8), Struct(codes), tuple(fields))
 
 
 LAYOUTS: dict[str, Layout] = {
@@ -395,9 +390,9 @@ def _frame_v2(data: bytes, at: int, signer: Signer | None, now: int) -> _Found:
         if not (is_signed and signer.takes(data[at:whole], sender, now)):
             signer.refused += 1
             return _Found(None, whole, whole - at)
-    payload = data[begin : begin + size]
+    fields = layout.read(data[begin : begin + size])
     is_right = signer is not None and is_signed
-    message = _message(layout, payload, system, component, is_signed=is_right)
+    message = Message(layout.name, fields, system, component, is_right)
     return _Found(message, whole, whole - at)
 
 
@@ -414,22 +409,14 @@ def _frame_v1(data: bytes, at: int, *, is_signed: bool) -> _Found:
         return _Found(None, 0, end - at)
     if is_signed and layout.name != "HEARTBEAT":
         return _Found(None, end, end - at)
-    message = _message(layout, data[begin : begin + size], system, component)
+    fields = layout.read(data[begin : begin + size])
+    message = Message(layout.name, fields, system, component)
     return _Found(message, end, end - at)
 
 
 def _is_whole(data: bytes, at: int, end: int, layout: Layout) -> bool:
     (told,) = _CHECKSUM.unpack_from(data, end - 2)
     return bool(told == _crc(data[at + 1 : end - 2] + bytes([layout.crc_extra])))
-
-
-def _message(
-    layout: Layout, payload: bytes, system: int, component: int, *, is_signed: bool = False
-) -> Message | None:
-    try:
-        return Message(layout.name, layout.read(payload), system, component, is_signed)
-    except struct.error:
-        return None
 
 
 # -- what was signed and taken, kept on disk: what is recorded now is not obeyed after a restar ----

@@ -187,14 +187,6 @@ class Commands:
         self._check(orders.ChangeHeight(height))
         return height
 
-    def land(self, asked: Asked, now: float) -> Result:
-        """NAV_LAND, in place."""
-        return self.wish_mode(Mode.LAND, asked.peer, now)
-
-    def go_home(self, asked: Asked, now: float) -> Result:
-        """NAV_RETURN_TO_LAUNCH."""
-        return self.wish_mode(Mode.RTL, asked.peer, now)
-
     def reposition(self, asked: Asked, now: float) -> Result:
         """DO_REPOSITION: a place, a height, a heading, or nothing of these, which is a pause."""
         if not self._is_place(asked) and math.isnan(asked.z):
@@ -411,6 +403,10 @@ def _is_byte(value: float) -> bool:
     return math.isfinite(value) and 0 <= value <= 255
 
 
+def _mode(mode: Mode) -> Callable[[Commands, Asked, float], Result]:
+    return lambda commands, asked, now: commands.wish_mode(mode, asked.peer, now)
+
+
 @dataclass(frozen=True, slots=True)
 class CommandRow:
     """A command that has a meaning here."""
@@ -426,8 +422,8 @@ COMMANDS: Mapping[int, CommandRow] = {
     Command.NAV_TAKEOFF: CommandRow(
         Commands.take_off, "the autopilot's take-off, then a climb; waits for arming up to 10 s"
     ),
-    Command.NAV_LAND: CommandRow(Commands.land, "lands in place, whatever place is named"),
-    Command.NAV_RETURN_TO_LAUNCH: CommandRow(Commands.go_home, "the autopilot's way home"),
+    Command.NAV_LAND: CommandRow(_mode(Mode.LAND), "lands in place, whatever place is named"),
+    Command.NAV_RETURN_TO_LAUNCH: CommandRow(_mode(Mode.RTL), "the autopilot's way home"),
     Command.DO_SET_MODE: CommandRow(Commands.set_mode, "the modes below, by the numbers of PX4"),
     Command.DO_SET_STANDARD_MODE: CommandRow(Commands.set_standard_mode, "the same by standard"),
     Command.DO_REPOSITION: CommandRow(

@@ -7,7 +7,7 @@ and the time is an argument.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from m100link.apps.agent.orders import PauseMission, ResumeMission
@@ -23,6 +23,7 @@ from m100link.apps.mavlink.translator.modes import (
     Verdict,
 )
 from m100link.apps.mavlink.translator.numbers import Result, Severity
+from m100link.apps.mavlink.translator.offboard import Manual, Offboard
 from m100link.apps.mavlink.translator.orders import (
     Arm,
     CallOff,
@@ -34,7 +35,6 @@ from m100link.apps.mavlink.translator.orders import (
     Halt,
     Land,
     Order,
-    Stream,
     TakeOff,
     Wish,
 )
@@ -60,7 +60,7 @@ class Deck:
         self,
         world: World,  # what is known of it
         tell: Callable[[Severity, str], None],  # takes what people have to know: severity and text
-        streams: dict[Mode, Stream],  # where setpoints come from, by mode
+        streams: Mapping[Mode, Offboard | Manual],  # where setpoints come from, by mode
     ) -> None:
         self._world = world
         self._tell = tell

@@ -60,7 +60,7 @@ class Missions:
             (MissionType.MISSION, MissionType.FENCE, MissionType.RALLY), ()
         )
         self._upload: _Upload | None = None
-        # The answer to an upload, for whoever did not get it.
+        # The answer to an upload, which may be lost: an item that comes again is answered by it.
         self._answered: tuple[Peer, int, MissionResult, float] | None = None
         self.fence = Fence()  # what was uploaded last
         self.current = 0  # number of the item that is flown to, or would be
@@ -137,7 +137,9 @@ class Missions:
     def _take(self, item: Message, kind: int, peer: Peer, now: float) -> None:
         upload = self._upload
         if upload is None or upload.peer != peer or upload.kind != kind:
-            self._answer_again(peer, kind, now)
+            told = self._answered
+            if told is not None and told[:2] == (peer, kind) and now - told[3] < _LATE_S:
+                self._acknowledge(told[2], kind, peer)
             return
         if item["seq"] != len(upload.items):
             return  # one that came twice, or too early: the next one is asked for again
@@ -151,11 +153,6 @@ class Missions:
         self._answered = peer, kind, result, now
         self._acknowledge(result, kind, peer)
 
-    def _answer_again(self, peer: Peer, kind: int, now: float) -> None:
-        answered = self._answered
-        if answered is not None and answered[:2] == (peer, kind) and now - answered[3] < _LATE_S:
-            self._acknowledge(answered[2], kind, peer)
-
     def _store(self, kind: int, items: tuple[Message, ...], peer: Peer) -> MissionResult:
         try:
             why = self._may_change(peer, kind)
@@ -167,9 +164,10 @@ class Missions:
                 # Kept for programs that want them back; nobody may believe in them.
                 self._tell(Severity.WARNING, "rally points are not flown to: return goes home")
             else:
-                self._tell_left_out(
-                    read_route(items, ground=self._ground() or 0.0, speed=self._speed())
-                )
+                route = read_route(items, ground=self._ground() or 0.0, speed=self._speed())
+                if route.left_out:
+                    named = ", ".join(map(str, dict.fromkeys(route.left_out)))
+                    self._tell(Severity.NOTICE, f"mission: commands left out: {named}")
         except Refused as refused:
             self._tell(Severity.WARNING, f"mission refused: {refused.why}")
             return refused.result
@@ -178,11 +176,6 @@ class Missions:
             self.edition += 1
             self.restart()
         return MissionResult.ACCEPTED
-
-    def _tell_left_out(self, route: Route) -> None:
-        if route.left_out:
-            named = ", ".join(str(one) for one in dict.fromkeys(route.left_out))
-            self._tell(Severity.NOTICE, f"mission: commands left out: {named}")
 
     def _give(self, number: int, kind: int, peer: Peer) -> None:
         items = self._stored.get(kind, ())
@@ -277,11 +270,7 @@ class Missions:
 
 
 def _to(peer: Peer, kind: int) -> dict[str, int]:
-    return {
-        "target_system": peer.system,
-        "target_component": peer.component,
-        "mission_type": kind,
-    }
+    return peer.target | {"mission_type": kind}
 
 
 # -- the fence of a ground station: areas to stay in, and areas to stay out of ---------------------

@@ -6,6 +6,7 @@ standard modes names the same modes for programs that ask instead of knowing.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -188,33 +189,27 @@ DISARM_VERDICTS: dict[Phase, Verdict] = {
 
 _ADVANCED, _NOT_SELECTABLE = 1, 2
 
-_SHOWN = tuple(MODES)
-
 
 def mode_of_number(main: int, sub: int) -> Mode | None:
     """The mode of that ``custom_mode``; None where the M100 has none, or it is not asked for so."""
-    for mode, row in MODES.items():
-        if row.main == main and row.sub == sub:
-            return mode if row.is_selectable else None
-    return None
+    return _selectable(lambda row: (row.main, row.sub) == (main, sub))
 
 
 def mode_of_standard(number: int) -> Mode | None:
     """The mode of that MAV_STANDARD_MODE."""
-    for mode, row in MODES.items():
-        if number and row.standard == number:
-            return mode if row.is_selectable else None
-    return None
+    return _selectable(lambda row: row.standard == number != 0)
+
+
+def _selectable(is_it: Callable[[ModeRow], bool]) -> Mode | None:
+    return next((one for one, row in MODES.items() if is_it(row) and row.is_selectable), None)
 
 
 def available(index: int) -> list[Message]:
     """AVAILABLE_MODES: one by its number from 1, all of them for 0; empty where there is none."""
-    wanted = range(1, len(_SHOWN) + 1) if index == 0 else [index]
-    return [_available(one) for one in wanted if 1 <= one <= len(_SHOWN)]
+    return [_available(one, mode) for one, mode in enumerate(MODES, 1) if index in (0, one)]
 
 
-def _available(index: int) -> Message:
-    mode = _SHOWN[index - 1]
+def _available(index: int, mode: Mode) -> Message:
     row = MODES[mode]
     properties = 0 if row.is_selectable else _NOT_SELECTABLE
     if mode is Mode.OFFBOARD:
@@ -222,7 +217,7 @@ def _available(index: int) -> Message:
     return Message(
         "AVAILABLE_MODES",
         {
-            "number_modes": len(_SHOWN),
+            "number_modes": len(MODES),
             "mode_index": index,
             "standard_mode": row.standard,
             "custom_mode": row.number,

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.orders import FlyTo, GuidedOrder
 from m100link.apps.mavlink.translator.modes import Mode, Running
 from m100link.apps.mavlink.translator.peers import Peer
 from m100link.missions.plan import WaypointPlan
-from m100link.protocol.setpoint import Setpoint
 
 
 class Order:
@@ -123,22 +122,7 @@ class Drop:
     """Leave the order under way as it is: control was lost, and what was to come is not flown."""
 
 
-# -- what ground stations want to be flown, and where setpoints come from: values for the deck -----
-
-
-class Stream(Protocol):
-    """Where setpoints of a mode come from."""
-
-    def setpoint(self, now: float) -> Setpoint | None:
-        """What to fly now; None when nobody says it any more."""
-
-    def is_fresh(self, now: float) -> bool:
-        """Whether somebody says it."""
-        ...
-
-    def wants_up(self, now: float) -> bool:
-        """Whether it asks to leave the ground."""
-        ...
+# -- a wish of a ground station: a value for the deck ----------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)

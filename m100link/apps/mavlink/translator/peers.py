@@ -1,8 +1,7 @@
-"""Who is at the other end of the datagrams: known by a heartbeat, few, and forgotten soon."""
+"""The peers at the other end of datagrams: known by a heartbeat, few, and forgotten soon."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 Address = tuple[str, int]  # host and port
@@ -25,6 +24,11 @@ class Peer:
         """What it is called for people."""
         return f"MAVLink {self.system} at {self.address[0]}:{self.address[1]}"
 
+    @property
+    def target(self) -> dict[str, int]:
+        """The fields of a message that is for it alone."""
+        return {"target_system": self.system, "target_component": self.component}
+
 
 class Peers:
     """Those that have been heard, by address and system id."""
@@ -36,8 +40,8 @@ class Peers:
         self._trusted: dict[Peer, float] = {}
         self.refused = 0
 
-    def heartbeat(self, peer: Peer, now: float, *, is_trusted: bool = True) -> bool:
-        """It is there. Returns whether it is one of the peers: there may be too many.
+    def heartbeat(self, peer: Peer, now: float, *, is_trusted: bool = True) -> None:
+        """It is there, and one of the peers unless these are too many.
 
         ``now``: s. One that is trusted keeps a flight going: with a key only what is signed by it.
         """
@@ -45,11 +49,10 @@ class Peers:
             self.forget(now)
             if len(self._heard) >= MOST_PEERS and not (is_trusted and self._make_room()):
                 self.refused += 1
-                return False
+                return
         self._heard[peer] = now
         if is_trusted:
             self._trusted[peer] = now
-        return True
 
     def _make_room(self) -> bool:
         """Who cannot be trusted makes way for who can: without a key anybody sends heartbeats."""
@@ -84,6 +87,3 @@ class Peers:
         for peer in self._heard:
             found[peer.address] = (*found.get(peer.address, ()), peer)
         return found
-
-    def __iter__(self) -> Iterator[Peer]:
-        return iter(tuple(self._heard))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from m100link.apps.agent.orders import FlyTo
 from m100link.apps.mavlink.translator.codec import Message
@@ -48,28 +48,21 @@ class Leg:
     wait: float = 0.0  # seconds to hover there
 
 
-@dataclass(slots=True)
 class Route:
-    """A mission that can be flown."""
-
-    legs: list[Leg] = field(default_factory=list)
-    # To climb to after a take-off, m above the ground; None without such an item.
-    height: float | None = None
-    then: Mode = Mode.HOLD  # how it ends: RTL, LAND, or hovering
-    left_out: list[int] = field(default_factory=list)  # commands of items that are not carried out
-    speed: float = 5.0  # of the legs that follow, m/s
-
-
-class _Reader:
-    """Reads item after item.
+    """A mission that can be flown, as far as it was read.
 
     ``ground``: altitude of the take-off point above sea level, m; None while nobody knows.
     """
 
     def __init__(self, ground: float | None, speed: float) -> None:
         self._ground = ground
-        self.route = Route(speed=speed)
         self._is_over = False
+        self.legs: list[Leg] = []
+        # To climb to after a take-off, m above the ground; None without such an item.
+        self.height: float | None = None
+        self.then = Mode.HOLD  # how it ends: RTL, LAND, or hovering
+        self.left_out: list[int] = []  # commands of items that are not carried out
+        self._speed = speed  # of the legs that follow, m/s
 
     def read(self, number: int, item: Message) -> None:
         """The next item."""
@@ -84,7 +77,7 @@ class _Reader:
                 MissionResult.UNSUPPORTED, f"item {number}: the M100 does not fly command {command}"
             )
         else:
-            self.route.left_out.append(command)
+            self.left_out.append(command)
 
     def _height(self, number: int, item: Message) -> float:
         frame, height = item["frame"], float(item["z"])
@@ -102,9 +95,9 @@ class _Reader:
 
     def take_off(self, number: int, item: Message) -> None:
         """NAV_TAKEOFF."""
-        if self.route.legs:
+        if self.legs:
             raise Refused(MissionResult.INVALID, f"item {number}: a take-off in the air")
-        self.route.height = self._height(number, item)
+        self.height = self._height(number, item)
 
     def waypoint(self, number: int, item: Message) -> None:
         """NAV_WAYPOINT, with its time."""
@@ -120,36 +113,36 @@ class _Reader:
         yaw = item["param4"]
         heading = math.remainder(yaw, 360.0) if math.isfinite(yaw) else None
         height = self._height(number, item)
-        order = FlyTo(latitude, longitude, height, self.route.speed, heading)
-        self.route.legs.append(Leg(number, order, wait))
+        order = FlyTo(latitude, longitude, height, self._speed, heading)
+        self.legs.append(Leg(number, order, wait))
 
     def delay(self, number: int, item: Message) -> None:
         """NAV_DELAY by seconds."""
         wait = _seconds(number, item["param1"])
-        if not wait or not self.route.legs:
+        if not wait or not self.legs:
             raise Refused(MissionResult.INVALID, f"item {number}: a delay by seconds, in the air")
-        last = self.route.legs[-1]
-        self.route.legs[-1] = Leg(last.item, last.order, min(_LONGEST_WAIT, last.wait + wait))
+        last = self.legs[-1]
+        self.legs[-1] = Leg(last.item, last.order, min(_LONGEST_WAIT, last.wait + wait))
 
-    def speed(self, number: int, item: Message) -> None:
+    def change_speed(self, number: int, item: Message) -> None:
         """DO_CHANGE_SPEED of the legs that follow."""
         speed = item["param2"]
         if math.isfinite(speed) and speed > 0.0:
             if speed > FASTEST_M_S:
                 raise Refused(MissionResult.INVALID, f"item {number}: {speed:g} m/s is too fast")
-            self.route.speed = speed
+            self._speed = speed
 
     def go_home(self, number: int, item: Message) -> None:
         """NAV_RETURN_TO_LAUNCH: the end."""
-        self.route.then, self._is_over = Mode.RTL, True
+        self.then, self._is_over = Mode.RTL, True
 
     def land(self, number: int, item: Message) -> None:
         """NAV_LAND: the end, at a place if one is named."""
-        if (item["x"] or item["y"]) and self.route.legs:
-            height = self.route.legs[-1].order.height
+        if (item["x"] or item["y"]) and self.legs:
+            height = self.legs[-1].order.height
             place = _place(number, item)
-            self.route.legs.append(Leg(number, FlyTo(*place, height, self.route.speed)))
-        self.route.then, self._is_over = Mode.LAND, True
+            self.legs.append(Leg(number, FlyTo(*place, height, self._speed)))
+        self.then, self._is_over = Mode.LAND, True
 
 
 def _place(number: int, item: Message) -> tuple[float, float]:
@@ -171,19 +164,19 @@ def _seconds(number: int, value: float) -> float:
 class ItemRow:
     """An item that is flown."""
 
-    reader: Callable[[_Reader, int, Message], None]  # what reads it
+    reader: Callable[[Route, int, Message], None]  # what reads it
     meaning: str  # for the manual
 
 
 ITEMS: Mapping[int, ItemRow] = {
-    Command.NAV_TAKEOFF: ItemRow(_Reader.take_off, "height of the climb after the take-off"),
-    Command.NAV_WAYPOINT: ItemRow(_Reader.waypoint, "straight there; hold time, heading if named"),
-    Command.NAV_LOITER_TIME: ItemRow(_Reader.waypoint, "the same, with its time"),
-    Command.NAV_LOITER_UNLIM: ItemRow(_Reader.loiter, "straight there, and the end"),
-    Command.NAV_DELAY: ItemRow(_Reader.delay, "seconds, at the waypoint before"),
-    Command.DO_CHANGE_SPEED: ItemRow(_Reader.speed, "of what follows, up to 10 m/s"),
-    Command.NAV_RETURN_TO_LAUNCH: ItemRow(_Reader.go_home, "the autopilot's way home at the end"),
-    Command.NAV_LAND: ItemRow(_Reader.land, "the autopilot's landing at the end"),
+    Command.NAV_TAKEOFF: ItemRow(Route.take_off, "height of the climb after the take-off"),
+    Command.NAV_WAYPOINT: ItemRow(Route.waypoint, "straight there; hold time, heading if named"),
+    Command.NAV_LOITER_TIME: ItemRow(Route.waypoint, "the same, with its time"),
+    Command.NAV_LOITER_UNLIM: ItemRow(Route.loiter, "straight there, and the end"),
+    Command.NAV_DELAY: ItemRow(Route.delay, "seconds, at the waypoint before"),
+    Command.DO_CHANGE_SPEED: ItemRow(Route.change_speed, "of what follows, up to 10 m/s"),
+    Command.NAV_RETURN_TO_LAUNCH: ItemRow(Route.go_home, "the autopilot's way home at the end"),
+    Command.NAV_LAND: ItemRow(Route.land, "the autopilot's landing at the end"),
 }
 """By number. Other NAV and CONDITION items refuse the mission; all else is left out by name."""
 
@@ -197,12 +190,12 @@ def read_route(items: Sequence[Message], *, ground: float | None, speed: float) 
     Raises:
         Refused: It cannot be flown; with the item and the reason.
     """
-    reader = _Reader(ground, speed)
+    route = Route(ground, speed)
     for number, item in enumerate(items):
-        reader.read(number, item)
-    if items and not reader.route.legs:
+        route.read(number, item)
+    if items and not route.legs:
         raise Refused(MissionResult.INVALID, "the mission has no place to fly to")
-    return reader.route
+    return route
 
 
 # -- A mission as the aircraft flies it by itself: a plan of waypoints, or why there is none -------

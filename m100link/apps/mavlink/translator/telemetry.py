@@ -176,8 +176,8 @@ def _home(world: World, now: float) -> Fields | None:
     if home is None:
         return None
     return {
-        "latitude": round(home.latitude_deg * 1e7),
-        "longitude": round(home.longitude_deg * 1e7),
+        "latitude": round(home.frame.latitude_deg * 1e7),
+        "longitude": round(home.frame.longitude_deg * 1e7),
         "altitude": round(home.altitude_m * 1000),
         "q": (math.nan,) * 4,
         **dict.fromkeys(("approach_x", "approach_y", "approach_z"), math.nan),

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 
 from m100link import __version__
+from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.messages import Event, Topic
 from m100link.apps.agent.orders import FlyAround, FlyTo
@@ -31,7 +32,6 @@ from m100link.apps.mavlink.translator.numbers import (
     Severity,
 )
 from m100link.apps.mavlink.translator.offboard import Manual, Offboard
-from m100link.apps.mavlink.translator.orders import Stream
 from m100link.apps.mavlink.translator.parameters import Parameters
 from m100link.apps.mavlink.translator.peers import Address, Peer
 from m100link.apps.mavlink.translator.telemetry import (
@@ -42,7 +42,7 @@ from m100link.apps.mavlink.translator.telemetry import (
     heartbeat,
     severity_of,
 )
-from m100link.apps.mavlink.translator.world import Known, World
+from m100link.apps.mavlink.translator.world import World
 from m100link.errors import M100Error
 from m100link.geodesy import LocalFrame
 from m100link.protocol.records import Position, Velocity
@@ -68,7 +68,9 @@ _MISSION_MESSAGES = (
 class Vehicle:
     """The vehicle, with a system id of 1 to 250."""
 
-    def __init__(self, known: Known, session: ControlSession, system: int, autopilot: int) -> None:
+    def __init__(
+        self, known: AgentClient, session: ControlSession, system: int, autopilot: int
+    ) -> None:
         self.system = system
         self._autopilot = autopilot
         # What has to be sent: to which peer, to which addresses, or None for everybody.
@@ -81,8 +83,8 @@ class Vehicle:
             mode: Manual(self.world, self._parameters, is_tilt=mode is Mode.ALTCTL)
             for mode in (Mode.POSCTL, Mode.ALTCTL)
         }
-        streams: dict[Mode, Stream] = {Mode.OFFBOARD: self._offboard, **self._manual}
-        self.deck = Deck(self.world, self._texts.tell, streams)
+        tell = self._texts.tell
+        self.deck = Deck(self.world, tell, {Mode.OFFBOARD: self._offboard, **self._manual})
         self.deck.on_armed = self._armed
         self._rates = Rates(self.world)
         self._commands = Commands(
@@ -90,20 +92,19 @@ class Vehicle:
             self.deck,
             self._parameters,
             self._rates,
-            tell=self._texts.tell,
+            tell=tell,
             request=self._request,
             mission=lambda peer, first: self.flights.wish(peer, first),
             fence=self._may_fly_to,
         )
         self._missions = Missions(
             self._send,
-            self._texts.tell,
+            tell,
             ground=lambda: self.world.ground_altitude,
             speed=lambda: self._parameters["MPC_XY_CRUISE"],
             may_change=self._may_change,
         )
-        # The mission, and how far it is.
-        self.flights = MissionFlights(self.world, self.deck, self._missions, self._texts.tell)
+        self.flights = MissionFlights(self.world, self.deck, self._missions, tell)
         self._breach_m: float | None = None  # the least since it is outside; None inside
         # Who waits for the answer to arming, and when they were told last that it takes time.
         self._arming: dict[Peer, float] = {}
@@ -165,10 +166,8 @@ class Vehicle:
             "command": command,
             "result": result,
             "progress": _UNKNOWN_PROGRESS if result is Result.IN_PROGRESS else 0,
-            "target_system": peer.system,
-            "target_component": peer.component,
         }
-        self._send(Message("COMMAND_ACK", fields), peer)
+        self._send(Message("COMMAND_ACK", fields | peer.target), peer)
 
     def _armed(self, error: M100Error | None) -> None:
         result = Result.ACCEPTED if error is None else Result.TEMPORARILY_REJECTED
@@ -223,8 +222,7 @@ class Vehicle:
 
     def _ping(self, message: Message, peer: Peer, now: float) -> None:
         if message["target_system"] == 0:
-            to = {"target_system": peer.system, "target_component": peer.component}
-            self._send(Message("PING", dict(message.fields) | to), peer)
+            self._send(Message("PING", dict(message.fields) | peer.target), peer)
 
     def _timesync(self, message: Message, peer: Peer, now: float) -> None:
         if message["tc1"] == 0:
@@ -240,8 +238,8 @@ class Vehicle:
         sequence = (payload[0] | payload[1] << 8) + 1 & 0xFFFF
         answer = [sequence & 0xFF, sequence >> 8, payload[2], 129, 1, payload[3]]
         answer += [0] * (12 - len(answer)) + [7]
-        to = {"target_system": peer.system, "target_component": peer.component}
-        self._send(Message("FILE_TRANSFER_PROTOCOL", {"payload": tuple(answer)} | to), peer)
+        fields = {"payload": tuple(answer)} | peer.target
+        self._send(Message("FILE_TRANSFER_PROTOCOL", fields), peer)
 
     # -- missions --------------------------------------------------------------------------------
 

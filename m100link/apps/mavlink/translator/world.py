@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
+from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
-from m100link.apps.agent.view import VehicleView
 from m100link.apps.mavlink.translator.modes import REMEDIES, Mode, Phase
 from m100link.geodesy import LocalFrame
 from m100link.protocol.records import Attitude, Position, RcMode
@@ -22,29 +21,18 @@ _TASKS = {"take off": Mode.TAKEOFF, "land": Mode.LAND, "go home": Mode.RTL}
 _BY_SWITCH = {RcMode.P: Mode.POSCTL, RcMode.F: Mode.POSCTL, RcMode.A: Mode.ALTCTL}
 
 
-class Known(Protocol):
-    """What is read of an :class:`~m100link.apps.agent.client.AgentClient`."""
-
-    @property
-    def view(self) -> VehicleView:
-        """What may be believed of the aircraft now."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class Home:
     """Where the aircraft stood last, with a position by GPS."""
 
-    latitude_deg: float
-    longitude_deg: float
+    frame: LocalFrame  # whose origin it is
     altitude_m: float  # barometric altitude, as the wire has it
-    frame: LocalFrame  # origin of the local frame
 
 
 class World:
     """One aircraft as it is now."""
 
-    def __init__(self, known: Known, session: ControlSession) -> None:
+    def __init__(self, known: AgentClient, session: ControlSession) -> None:
         self.known = known
         self.session = session  # control by the bridge
         # Whether a take-off was called off, and the aircraft may fly it all the same.
@@ -95,8 +83,8 @@ class World:
             north, east = home.frame.to_local(position.latitude_deg, position.longitude_deg)
             if math.hypot(north, east) < 1.0:
                 return  # the origin of the local frame does not follow the noise of GPS
-        place = position.latitude_deg, position.longitude_deg
-        self.home = Home(*place, position.altitude_m, LocalFrame(*place))
+        frame = LocalFrame(position.latitude_deg, position.longitude_deg)
+        self.home = Home(frame, position.altitude_m)
 
     # -- the flight ------------------------------------------------------------------------------
 

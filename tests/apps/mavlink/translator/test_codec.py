@@ -479,5 +479,6 @@ def test_each_message_that_is_sent_or_read_is_defined() -> None:
     made = set(re.findall(r'\bMessage\(\s*"(\w+)"', ROOM))
     assert len(made) > 15
     assert made - LAYOUTS.keys() == set()
-    read = Vehicle(known := Known(), session_of(known), 1, 12)._handlers
+    known: Any = Known()
+    read = Vehicle(known, session_of(known), 1, 12)._handlers
     assert read.keys() - LAYOUTS.keys() == set()

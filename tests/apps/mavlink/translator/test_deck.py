@@ -84,7 +84,7 @@ class Still(World):
     """A world that stands where the test says."""
 
     def __init__(self, phase: Phase) -> None:
-        known = Known()
+        known: Any = Known()
         known.is_connected, known.holder = False, LeaseChanged(3, "the console")
         super().__init__(known, session_of(known))
         self.now_phase = phase

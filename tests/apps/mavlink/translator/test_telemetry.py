@@ -398,7 +398,8 @@ class NoAircraft:
 
 
 def rates() -> Rates:
-    return Rates(World(nothing := NoAircraft(), session_of(nothing, number=0)))
+    nothing: Any = NoAircraft()
+    return Rates(World(nothing, session_of(nothing, number=0)))
 
 
 def counted(one: Rates, *peers: Peer, begin: float = 0.0) -> Counter[tuple[str, int]]:

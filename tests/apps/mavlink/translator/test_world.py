@@ -29,7 +29,7 @@ P, A, F = (RemoteControl(0, 0, 0, 0, mode, None) for mode in (-8000, 0, 8000))
 
 def world(*values: Any, **state: Any) -> World:
     """By name: holder, authority, lease; anything else is of the agent's state."""
-    known = Known(*values)
+    known: Any = Known(*values)
     if state.pop("no_switch", False):
         known.without(RemoteControl)
     known.holder = LeaseChanged(state.pop("holder", 0), "somebody")
