@@ -33,7 +33,7 @@ class BackgroundTasks:
     ) -> asyncio.Task[Any]:
         """Run what sets an event as it begins; returns its task then.
 
-        Raises what it raises at its beginning. Whoever waits here no more ends nothing.
+        Raises the error of its beginning. A caller that stops waiting ends nothing.
         """
         begun = asyncio.Event()
         task, beginning = self.spawn(work(begun), name), self.spawn(begun.wait(), name)

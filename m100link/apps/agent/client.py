@@ -138,7 +138,7 @@ class AgentClient:
 
     @property
     def view(self) -> VehicleView:
-        """What may be believed of the aircraft now: one for a step, until something arrives."""
+        """The view of the aircraft now: one for a step, until something arrives."""
         now, view = self._clock(), self._view
         if view is None or now - view.at > MOMENT_S:
             view = self._view = VehicleView(
@@ -418,7 +418,7 @@ class Answers:
     # -- what comes in ---------------------------------------------------------------------------
 
     def outcome(self, outcome: Outcome) -> None:
-        """What became of a question. What is over stays so, and begins once."""
+        """The end of a question. It stays the end, and a question begins once."""
         answer, accepted = self._waiting.get(outcome.id, (None, None))
         if answer is None or answer.done():
             return

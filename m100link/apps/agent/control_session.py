@@ -487,7 +487,7 @@ class ControlSession:
         self._agent.steer(lease, setpoint, lifetime)
 
     async def stop(self) -> None:
-        """Stop whatever happens, whoever has the lease; setpoints fly after a new beginning."""
+        """Stop any movement, under any lease; setpoints fly after a new beginning."""
         self.feed(_I.STOP)
         await self._agent.stop()
 

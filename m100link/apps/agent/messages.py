@@ -30,7 +30,7 @@ from m100link.errors import LinkError, LinkLost, M100Error
 from m100link.protocol.setpoint import Setpoint
 
 JOURNAL_LOG = __name__
-"""Name of the log that has every event, for whoever shows events in another way."""
+"""Name of the log that has every event, for programs that show events in another way."""
 
 _logger = logging.getLogger(JOURNAL_LOG)
 

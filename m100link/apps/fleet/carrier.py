@@ -67,7 +67,7 @@ MOST_CLOCK_BOUND_S = 0.1
 """Seconds by which the agent's clock may be wrong; setpoints older than 0.2 s are not flown."""
 
 _PAUSE_S = 0.5
-"""Seconds after which whoever sends again has decided so anew."""
+"""Seconds without a setpoint after which the next one is a new decision."""
 
 _MOST_LEASES = 8
 _MOST_ASKS = 64

@@ -278,7 +278,7 @@ class Order:
     # Public half of the secret of the lease that it asks for; see
     # :class:`Half`. Empty where it asks for none.
     key: bytes = b""
-    # Before the JSON, zeros for none: of whom, and that whoever asks has the lease.
+    # Before the JSON, zeros for none: the signature, and the proof that the sender has the lease.
     signature: bytes = bytes(_SIGNATURE)
     proof: bytes = bytes(_PROOF)
 
@@ -296,7 +296,7 @@ class Order:
         return hashlib.sha256(self.document).digest()[:16]
 
     def under(self, token: str) -> Order:
-        """The order with the proof that whoever asks has the lease; as it is without a token."""
+        """The order with the proof that its sender has the lease; unchanged without a token."""
         return self.sealed(proof=_proof(token, self.document)) if token else self
 
     def proves(self, token: str) -> bool:

@@ -314,6 +314,6 @@ class Helm:
         self.stick.look(self._agent.now)
         if self.session.state is not ControlState.HOLDING:
             self.stick.end()  # STOP, by whomever, is for those who send setpoints, too
-        # What nobody knows counts as the air: control is not let go of there.
+        # An unknown status counts as the air: control is not let go of there.
         is_on_ground = self._agent.view.is_on_ground and not self._agent.state.task
         self.session.heard(is_idle=bool(is_on_ground) and not self.goal)

@@ -120,7 +120,7 @@ class Performer:
         self._refused = error
 
     def give_way(self, error: M100Error) -> None:
-        """Somebody else has the aircraft, or whoever placed it may not any more: it leaves."""
+        """Another pilot has the aircraft, or its conductor was revoked: it leaves."""
         if self.stage in _IN_SHOW:
             self.fault = error
             self.leave()

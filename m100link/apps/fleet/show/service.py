@@ -153,7 +153,7 @@ class ShowService:
             performer.require_run(asked.run)
         performer.heard(asked.run)
         if isinstance(asked, LoadTrack | TakePlace | StartShow):
-            # It takes off: not minutes later, when whoever conducts has given up.
+            # It takes off: not minutes later, when the conductor has given up.
             performer.ages.check(order.clock, self._client.now)
         if isinstance(asked, TakePlace | StartShow) and self._namesakes is not None:
             self._namesakes.require_none(self._client.now)

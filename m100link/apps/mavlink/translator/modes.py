@@ -163,7 +163,7 @@ RUNNING: dict[Running, dict[Mode, Step]] = {
 ARM_VERDICTS: dict[Phase, Verdict] = {
     Phase.AWAY: _V.REJECT,
     Phase.OTHER: _V.REJECT,
-    Phase.DISARMED: _V.START,  # whoever asks again is answered with the same request
+    Phase.DISARMED: _V.START,  # a second request gets the answer of the first
     Phase.ARMED: _V.NOTHING,
     Phase.AIRBORNE: _V.NOTHING,
     Phase.FREE: _V.START,

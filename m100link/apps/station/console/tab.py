@@ -41,7 +41,7 @@ SPENT_AFTER = 1.0
 
 TERMS = Terms(activates=False, who="this page", remedy="obtain control first")
 
-# What a hand that still holds something had no part in, by where control stands then.
+# Why a hand that still holds a key has to let go, by the state of control.
 _HAS_TO_LET_GO = {
     ControlState.OBTAINING: "control was obtained meanwhile",
     ControlState.STOPPED: "STOP was pressed",
@@ -78,7 +78,7 @@ class Tab:
         self._stopped_at = -math.inf
         self._complained_at = -math.inf
         self._stopping: asyncio.Task[Any] | None = None  # one at a time, however often it is said
-        # Until it has let go, a hand moves nothing, whoever it was. Empty when it may.
+        # Why a hand that holds a key moves nothing until it lets go. Empty when it may.
         self._has_to_let_go = ""
         self._beat_at = -math.inf  # the last one, flown or refused, by the page's clock
         self._late_since: float | None = None  # the first late one since one was in time
@@ -220,7 +220,7 @@ class Tab:
     def _check(self, at: float, late: float, held: float) -> None:
         """Refuse what was decided too long ago, by an old picture, or by a hand that has to let go.
 
-        Who could not steer for a second has to let go of everything first: the aircraft stood
+        A pilot whose beats were late for a second has to let go first: the aircraft stood
         meanwhile, and perhaps nobody looks when the way is fast again.
 
         Raises ``GuardRefused``: it was.
