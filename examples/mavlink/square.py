@@ -16,7 +16,7 @@ import time
 from collections.abc import Iterator
 from urllib.parse import urlsplit
 
-from m100link.apps.mavlink.translator.codec import Message, read_datagram, write_frame
+from m100link.apps.mavlink.translator.codec import Message, Reading, write_frame
 from m100link.apps.mavlink.translator.numbers import BaseMode, Command, Frame, Result
 
 OFFBOARD, HOLD = (6, 0), (4, 3)  # main and sub mode, by the numbers of PX4
@@ -49,7 +49,7 @@ class Vehicle:
             self.beaten_at = time.monotonic()
             self.say("HEARTBEAT", type=6, autopilot=8)
         with contextlib.suppress(TimeoutError, ConnectionRefusedError):
-            for message in read_datagram(self.line.recv(65536)):
+            for message in Reading(self.line.recv(65536)):
                 self.newest[message.name] = message
                 if message.name == "STATUSTEXT":  # why something was refused, or happened
                     print("   ", message["text"])

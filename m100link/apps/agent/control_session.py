@@ -154,18 +154,18 @@ class ControlSession:
         self._changing = asyncio.Lock()
         self._let_gos = 0  # what was asked for before the newest one is not wanted any more
         self._renewed_at = self._used_at = agent.now
-        self._heard: tuple[tuple[list[Any], Callable[..., None]], ...] = (
+        self._heard: list[tuple[list[Any], Callable[..., None]]] = [
             (agent.on_lease, self._lease_changed),
             (agent.on_authority_taken, self._authority_taken),
             (agent.on_event, self._event),
             (agent.on_steer_refused, self._steer_refused),
-        )
+        ]
         for callbacks, callback in self._heard:
             callbacks.append(callback)
 
     def close(self) -> None:
         """Give back what is held, and hear no more: nothing is held by it ever again."""
-        heard, self._heard = self._heard, ()
+        heard, self._heard = self._heard, []
         for callbacks, callback in heard:
             callbacks.remove(callback)
         self.let_go()

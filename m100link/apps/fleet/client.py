@@ -372,7 +372,7 @@ async def connect(
         endpoints: Of routers, such as ``tcp/127.0.0.1:7447``; the first that answers serves.
         site: Which site.
         name: Who this is, for people.
-        sign: Signs orders; see :mod:`m100link.apps.fleet.identity`.
+        sign: Signs orders; see :func:`m100link.apps.fleet.signing.signing`.
         options: More options of zenoh, by name, as JSON: certificates, for example.
         patience: Seconds without any answer after which an outcome is unknown.
 

@@ -104,6 +104,10 @@ class Rights:
             },
         )
 
+    def identity(self, name: str) -> Identity | None:
+        """Who has the name; None for nobody."""
+        return self.identities.get(name)
+
     @classmethod
     def read(cls, path: str | Path) -> Self:
         """Read a file.
@@ -430,7 +434,7 @@ class Gate:
                 cause="its certificate and key are said to be lost, or it may not be here any more",
                 remedy="whoever it is needs a certificate, a key and rights under another name",
             )
-        identity = self._rights.identities.get(who)
+        identity = self._rights.identity(who)
         if identity is None or not identity.may(right, self._aircraft):
             raise OrderRefused(
                 f"{who} may not {right.name.lower()} {self._aircraft}",

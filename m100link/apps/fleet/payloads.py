@@ -357,7 +357,7 @@ class Reply:
         cls, identity: str, name: str, boot: str, error: M100Error | None, **more: Any
     ) -> Reply:
         """What became of an order that is over; ``more``: the other fields that say something."""
-        told = more | {"outcome": outcome_of(error)}
+        told: dict[str, Any] = more | {"outcome": outcome_of(error)}
         if error is not None:
             told["fault"] = fault_of(error)
         return cls(identity, name, boot, Progress.DONE, **told)

@@ -98,7 +98,7 @@ class Revocations:
     def since(self, name: str) -> str:
         """Since when somebody is revoked, by its own name or that of its certificate; or empty."""
         names = self.revoked.names
-        one = None if self._rights is None else self._rights.identities.get(name)
+        one = None if self._rights is None else self._rights.identity(name)
         common_name = name if one is None else one.common_name
         return names.get(name) or names.get(common_name, "")
 

@@ -281,7 +281,7 @@ TABLE = [
 @pytest.mark.parametrize(("who", "aircraft", "most"), TABLE)
 @pytest.mark.parametrize("right", Right)
 def test_who_may_do_what(who: str, aircraft: str, most: Right | None, right: Right) -> None:
-    identity = Rights.parse(FILE).identities.get(who)
+    identity = Rights.parse(FILE).identity(who)
     assert identity is not None
     assert identity.may(right, aircraft) == (most is not None and right <= most)
 
@@ -290,7 +290,7 @@ def test_names_keys_and_common_names_are_as_the_file_says() -> None:
     rights = Rights.parse(FILE)
     assert rights.site == "field"
     assert rights.aircraft == {"a1": "a1", "a2": "board-7", "b1": "b1"}
-    assert rights.identities.get("nobody") is None
+    assert rights.identity("nobody") is None
     anna, wall = rights.identities.values()
     assert (anna.common_name, anna.public_key) == ("anna", b"\x0a" * 32)
     assert (wall.common_name, wall.public_key) == ("screen", None)

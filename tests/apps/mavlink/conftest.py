@@ -257,7 +257,7 @@ def world_of(known: Known, *, home: tuple[float, float, float] | None = None) ->
 class Told:
     """A client of that agent, as far as control needs one."""
 
-    now = 0.0
+    now, agents_before = 0.0, 0
 
     def __init__(self, known: Any) -> None:
         self._known = known

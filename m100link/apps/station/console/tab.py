@@ -326,7 +326,7 @@ def _read(text: str | bytes) -> dict[str, Any] | None:
     if "told" in message or "held" in message:  # both times of the station, or none
         numbers += ("told", "held")
     for name in numbers:
-        value = message.get(name)
+        value = message.get(name, math.nan)
         # Neither a truth, nor NaN, nor what overflows when it is reckoned with.
         if type(value) not in (int, float) or not -1e15 < value < 1e15:
             return None

@@ -367,6 +367,7 @@ async def test_what_is_no_number_is_neither_flown_by_nor_told_to_the_others() ->
         on_lease=[],
         on_steer_refused=[],
         on_authority_taken=[],
+        agents_before=0,
     )
     performer = Performer(client, "a1")
     with pytest.raises(TelemetryStalled, match="nose"):
