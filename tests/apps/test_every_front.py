@@ -170,7 +170,7 @@ TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
         Sync: End(H, LASTS_02, FRONT, UNTOLD, "let go"),
     },
     Event.HANG: {
-        Console: End(H, LASTS_03, NOBODY, r"gave control back \(expired\)"),
+        Console: End(H, LASTS_03, NOBODY, r"lost control \(expired\)"),
         Rosbridge: End(H, LASTS_02, NOBODY, UNTOLD),
         Mavlink: End(H, LASTS_05, FRONT, "is lost", "control"),
         Ros2: End(H, LASTS_03, FRONT, UNTOLD, "let go"),

@@ -458,7 +458,9 @@ def body(payload: bytes, most: int = _MOST) -> bytes:
         raise MessageError(f"{len(payload)} bytes are no payload of a fleet")
     if payload[0] != VERSION:
         raise MessageError(
-            f"it speaks version {payload[0]} of the fleet's messages, this side {VERSION}",
+            # Agent and pilot both read this sentence: it has no "this side".
+            f"version {payload[0]} of the fleet's messages came to a program that reads version "
+            f"{VERSION}",
             cause="an old agent and a new pilot, or the other way round",
             remedy="install the same release on both",
         )

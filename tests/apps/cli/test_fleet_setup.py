@@ -335,7 +335,7 @@ def test_what_happens_is_told_once_and_on_one_line(
         agent.send_signal(signal.SIGTERM)
         _, told = agent.communicate(timeout=PATIENCE)
     lines = told.splitlines()
-    assert sum("gave control back (expired)" in line for line in lines) == 1
+    assert sum("lost control (expired)" in line for line in lines) == 1
     assert sum(f"recorded into {folder}/a1/" in line for line in lines) == (0 if is_json else 1)
     if is_json:
         expired = [json.loads(line) for line in lines if "expired" in line]

@@ -334,7 +334,7 @@ OLD_LOGS = (
     b'"is_written":false}\n'
 )
 OLD_HELLO = b'\x02{"kind":"Hello","version":1,"name":"5c0f8b1e","at":12.5}'
-BOTH = "it speaks version 2 of the fleet's messages, this side 3"
+BOTH = "version 2 of the fleet's messages came to a program that reads version 3"
 
 
 @pytest.mark.parametrize(

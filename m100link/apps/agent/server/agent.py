@@ -166,7 +166,8 @@ class Agent:
             self.journal.note(f"{new.name} has control ({why.value}{whom})")
         elif old is not None:
             level = "warning" if why in _LOST else "info"
-            self.journal.note(f"{old.name} gave control back ({why.value})", level)
+            how = "lost control" if why in _LOST else "gave control back"
+            self.journal.note(f"{old.name} {how} ({why.value})", level)
 
     def _keep_for_nobody(self) -> None:
         self._unclaimed = asyncio.get_running_loop().call_later(
