@@ -53,7 +53,7 @@ class Terms:
     #: Whether control authority brings an activation with it, where the aircraft is not active.
     activates: bool = True
     #: Whether the lease goes back when somebody takes authority. Otherwise it is kept, and the
-    #: aircraft obeys again when the pilot comes back to F.
+    #: aircraft obeys again when the pilot comes back to F: setpoints after a pause of a second.
     gives_way: bool = False
     idle_s: float = math.inf  #: seconds without use after which control is given back
     who: str = "this client"  #: who has no control, in the error
@@ -84,12 +84,12 @@ class ControlInput(Enum):
     ACTIVATE = "activate"
     OBTAIN = "obtain"
     OBEYED = "obeyed"  # authority is held
-    REFUSED = "refused"  # the lease, to who asked for it
+    REFUSED = "refused"  # the lease, to this pilot
     STOP = "stop"  # by anybody
     BEGUN_ANEW = "begun anew"  # the pilot let go of everything after a STOP
     LET_GO = "let go"
     GIVEN_BACK = "given back"
-    AUTHORITY_TAKEN = "authority taken"  # by the pilot's switch, the app, or nobody knows whom
+    AUTHORITY_TAKEN = "authority taken"  # by the switch, the app, or unknown
     ENDED = "ended"  # nobody has the lease any more
     OTHER = "other"  # somebody else has it
 
@@ -126,7 +126,9 @@ TRANSITIONS: dict[ControlState, dict[ControlInput, ControlState]] = {
 class ControlSession:
     """Control of one aircraft, for one pilot.
 
-    Its callbacks hang on the client until :meth:`close`.
+    A front calls :meth:`heard` twice a second while its pilot is there: three seconds after the
+    last call, or the last setpoint, the lease ends. It sets ``on_refused``, the only sign of a
+    setpoint that the agent did not fly, and calls :meth:`close` when its pilot has gone.
     """
 
     def __init__(
@@ -200,7 +202,10 @@ class ControlSession:
 
     @property
     def is_obeyed(self) -> bool:
-        """The same, and its pilot was told so, and was heard again since the last loss."""
+        """The same, and its pilot was told so, and was heard again since the last loss.
+
+        True after a STOP, too: tasks are obeyed then, and setpoints after :meth:`begin_anew`.
+        """
         lease, view = self._lease, self._agent.view  # asked many times in each step
         if lease is None or lease.number != view.holder.number:
             return False
@@ -217,7 +222,11 @@ class ControlSession:
         return self._changing.locked()
 
     def held(self) -> Lease:
-        """The lease to ask under. Raises NoAuthority: no control, or the agent is not heard."""
+        """The lease, where the aircraft obeys this pilot.
+
+        Raises:
+            NoAuthority: Control is not held, or the agent is not heard.
+        """
         lease, view = self._lease, self._agent.view
         if lease is None or lease.number != view.holder.number or not view.has_authority:
             raise self._no_control()
@@ -317,7 +326,7 @@ class ControlSession:
             self._agent.let_go(asking.result())
 
     async def obtain(self, *, take_over: bool = False) -> None:
-        """Take the lease and control authority; gives the lease back when that fails.
+        """Take the lease and control authority; a STOP is over. A failure gives the lease back.
 
         Raises:
             LeaseHeld: Somebody else has the lease.
@@ -426,7 +435,9 @@ class ControlSession:
     # -- while it is held ------------------------------------------------------------------------
 
     def heard(self, *, is_idle: bool = False) -> None:
-        """The pilot is there: the lease lasts. Nobody calls this for a pilot who is silent.
+        """The pilot is there: the lease lasts three more seconds.
+
+        A front that calls this for a pilot who is silent keeps the aircraft from all others.
 
         Args:
             is_idle: Whether nothing is wanted of the aircraft.
@@ -448,7 +459,7 @@ class ControlSession:
             agent.keep(lease)
 
     async def keep(self) -> None:
-        """The pilot is there, and whatever lease is held lasts, until this is cancelled."""
+        """Call :meth:`heard` twice a second until this is cancelled; nobody looks at the pilot."""
         while self._heard:  # until the session is closed, too
             self.heard()
             await asyncio.sleep(RENEWAL_S)
@@ -463,14 +474,21 @@ class ControlSession:
             keeping.cancel()
 
     async def ask(self, order: orders.Order, accepted: Callable[[], None] | None = None) -> Outcome:
-        """As the agent's client, under the lease; NoAuthority: it is needed, and not held."""
+        """Ask for something under the lease; returns its outcome, for a task seconds later.
+
+        The front renews the lease meanwhile: a take-off lasts longer than a lease.
+
+        Raises:
+            NoAuthority: It needs the lease, which is not held; nothing was sent.
+            M100Error: As the agent's client.
+        """
         if (lease := self.lease) is None and order.needs is orders.Needs.LEASE:
             raise self._no_control()
         self._used_at = self._agent.now
         return await self._agent.ask(order, lease, accepted)
 
     def steer(self, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
-        """Fly this for its lifetime. A refusal comes to ``on_refused``.
+        """Fly this for its lifetime, s. A refusal comes to ``on_refused``, after this returned.
 
         It goes to an agent that is heard, even while somebody else has authority: the agent has to
         see that a stream goes on, which does not fly when authority is back.
@@ -487,12 +505,12 @@ class ControlSession:
         self._agent.steer(lease, setpoint, lifetime)
 
     async def stop(self) -> None:
-        """Stop any movement, under any lease; setpoints fly after a new beginning."""
+        """Stop all that flies, without a lease, too; :meth:`begin_anew` lets setpoints fly."""
         self.feed(_I.STOP)
         await self._agent.stop()
 
     def begin_anew(self, why: str = "") -> None:
-        """The pilot let go of everything: motion stops, and a STOP is over."""
+        """The pilot let go of everything: motion stops, and a STOP is over. Needs the lease."""
         if (lease := self.lease) is not None:
             self.feed(_I.BEGUN_ANEW)
             self._agent.halt(why, lease)

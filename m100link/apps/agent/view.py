@@ -45,7 +45,7 @@ class Hearing(Enum):
 
 @dataclass(frozen=True, slots=True)
 class VehicleView:
-    """One aircraft, as it may be believed to be at one moment."""
+    """One aircraft, as it may be believed to be at one moment; it does not change afterwards."""
 
     at: float  # the moment on the clock of the front, s
     heard_at: float  # when anything of the agent was heard last, by the same clock, s
@@ -86,7 +86,7 @@ class VehicleView:
     # -- its items -------------------------------------------------------------------------------
 
     def get(self, record: type[R]) -> R | None:
-        """The newest value of an item; None when it is old, or cannot be."""
+        """The newest value of an item; None when it is old, impossible, or the agent is silent."""
         known: R | None = self._known.get(record, _NOT_ASKED)
         if known is _NOT_ASKED:
             known = self._known[record] = self._within(record, FRESH_S[record])
