@@ -72,7 +72,7 @@ def fly(
         name: Which aircraft.
         plan: A file, JSON or .plan; - is standard input.
         take_off: Take off first, from the ground.
-        take_over: Take control from whoever has it.
+        take_over: Take control from its holder, in one step.
         yes: Do not ask.
     """
     found = read_plan(plan, file)

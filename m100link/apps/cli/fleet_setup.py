@@ -107,8 +107,8 @@ def router(
 ) -> int:
     """Be the router that agents and pilots connect to, until Ctrl-C. Any zenohd does as well.
 
-    Whoever reaches it can fly every aircraft behind it: let it listen on loopback, in a network of
-    your own, or behind certificates.
+    Everybody who reaches it can fly every aircraft behind it: let it listen on loopback, in a
+    network of your own, or behind certificates.
 
     Args:
         listen: Where, such as tcp/0.0.0.0:7447, or tls/… with --pki; several times for several.

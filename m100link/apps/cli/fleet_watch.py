@@ -184,7 +184,7 @@ def lease(name: str, /, *, take_over: Flag = False, options: FleetOptions = NO_O
 
     Args:
         name: Which.
-        take_over: Take it from whoever has it.
+        take_over: Take it from its holder, in one step.
     """
 
     async def run() -> None:
