@@ -418,9 +418,9 @@ class ControlSession:
         if self.is_changing:
             self.let_go()  # the request under way ends by that, and may wait for long
             return
+        self._let_gos += 1  # at once: one may be next in the line, and would obtain control first
         async with self._changing:
             lease = self.lease
-            self._let_gos += 1
             self._forget()
             try:
                 self.feed(_I.LET_GO)

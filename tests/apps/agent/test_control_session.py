@@ -1163,6 +1163,26 @@ async def test_nothing_is_flown_under_a_lease_that_goes_back(
             assert at(pilot.one) is S.ABSENT
 
 
+async def test_giving_back_ends_what_waits_behind_a_request_that_has_just_ended() -> None:
+    """The lock is free for a moment then, and the next one in the line has not run yet."""
+    async with front() as pilot:
+        later: list[asyncio.Task[None]] = []
+
+        async def shortly() -> None:
+            await pilot.one.obtain()
+            later.append(asyncio.create_task(pilot.one.obtain()))
+            await pilot.one.give_back()
+            assert pilot.orders() == ["AcquireLease", "Obtain", "ReleaseLease"]
+
+        first = asyncio.create_task(shortly())
+        waiting = asyncio.create_task(pilot.one.obtain())
+        await first
+        with pytest.raises(NoAuthority, match="gave control back"):
+            await waiting
+        await later[0]  # that was asked for after it
+        assert at(pilot.one) is S.HOLDING
+
+
 # -- by chance -----------------------------------------------------------------------------------
 
 
