@@ -13,7 +13,15 @@ import random
 
 import pytest
 
-from m100link.apps.agent.latency import DRIFT, MAX_LATE, PAGE_GRAIN, ClockEstimate
+from m100link.apps.agent.latency import (
+    DRIFT,
+    MAX_LATE,
+    MAX_ORDER_LATE,
+    MAX_ROUND_TRIP,
+    MAX_UNHEARD,
+    PAGE_GRAIN,
+    ClockEstimate,
+)
 from m100link.apps.agent.messages import Steer
 from m100link.apps.fleet.expiry import MAX_AGE_S, MOST_AGE_S, OrderAges, SetpointStream
 from m100link.errors import GuardRefused
@@ -88,8 +96,11 @@ def test_the_bound_widens_while_nobody_answers() -> None:
     first, later = estimate.offset(0.002), estimate.offset(100.002)
     assert first is not None
     assert later is not None
-    assert later.bound - first.bound == pytest.approx(100 * DRIFT)
+    assert later.bound - first.bound == pytest.approx(0.01), "6 ms a minute"
     assert later.seconds == pytest.approx(first.seconds)
+    earlier = estimate.offset(-1e3)
+    assert earlier is not None
+    assert earlier.bound == 0.0, "what was not measured yet is no bound below nothing"
 
 
 @SEEDS
@@ -205,6 +216,11 @@ def test_a_way_that_became_slow_is_slow_however_well_the_clock_is_known() -> Non
     assert found.bound < 0.01
 
 
+def test_the_limits_are_those_of_the_manual() -> None:
+    found = (MAX_LATE, MAX_ROUND_TRIP, MAX_UNHEARD, MAX_ORDER_LATE, DRIFT)
+    assert found == (0.3, 0.4, 1.0, 2.0, 0.0001)
+
+
 # -- how late a message is -------------------------------------------------------------------------
 
 
@@ -229,7 +245,7 @@ def test_what_is_much_later_than_the_fastest_of_lately_is_refused(seed: int) -> 
         lately = [one for at, one in delays if at >= now + delay - FORGOTTEN_S / 2]
         known = [one for at, one in delays if at >= now + delay - FORGOTTEN_S - 1.0]
         assert delay - min(lately) - 1e-6 - FORGOTTEN_S * 2 * DRIFT <= late
-        assert late <= delay - min(known) + FORGOTTEN_S * 2 * DRIFT
+        assert 0.0 <= late <= delay - min(known) + FORGOTTEN_S * 2 * DRIFT
         refused += late > MAX_LATE
     assert refused > 10
 
@@ -359,10 +375,12 @@ def test_what_no_clock_shows_is_refused_and_changes_nothing(nonsense: float) -> 
     assert way.oldest(nonsense, 1.0) >= 0.0
 
 
-def test_an_answer_of_before_its_question_is_refused() -> None:
+@pytest.mark.parametrize("asked_at", [1.0, -math.inf])
+def test_an_answer_of_before_its_question_is_refused(asked_at: float) -> None:
+    """And one to a question that was never asked."""
     way = ClockEstimate()
-    assert not way.heard(1.0, 101.0, 0.9)
-    assert (way.offset(1.1), way.round_trip) == (None, None)
+    assert not way.heard(asked_at, 101.0, 0.9)
+    assert (way.offset(1.1), way.round_trip, way.silent_s(1.1)) == (None, None, math.inf)
 
 
 def test_what_is_made_at_a_time_that_is_not_yet_has_no_age() -> None:

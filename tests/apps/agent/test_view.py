@@ -38,12 +38,13 @@ from m100link.protocol.records import (
 )
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.virtual import VirtualAircraft
+from m100link.telemetry.integrity import Integrity, IntegrityState
 from m100link.telemetry.state import AircraftState
 from tests.apps.mavlink import conftest as mavlink
 from tests.apps.ros2 import conftest as ros2
 from tests.apps.station import conftest as station
 from tests.apps.station.console.test_tab import airborne
-from tests.known import CONNECTED, KnownAgent, position, sample, seen
+from tests.known import CONNECTED, Known, KnownAgent, position, sample, seen
 
 AGES_S = dict.fromkeys(BY_RECORD, 1.2) | {FlightStatus: 2.5, Battery: 5.0}
 """An item at 1 Hz is known all the time; of the status one package may be lost, of the charge four.
@@ -81,7 +82,7 @@ def test_an_item_is_known_until_its_age_and_no_longer(record: type[Any]) -> None
 
 
 @pytest.mark.parametrize(
-    ("age", "is_heard"), [(0.0, True), (1.199, True), (1.201, False), (-2.0, False)]
+    ("age", "is_heard"), [(0.0, True), (1.2, True), (1.201, False), (-1.2, True), (-2.0, False)]
 )
 def test_an_aircraft_is_heard_that_tells_something_once_a_second(
     age: float, is_heard: bool
@@ -89,6 +90,40 @@ def test_an_aircraft_is_heard_that_tells_something_once_a_second(
     assert seen(told(), age).is_heard is is_heard
     assert not seen(None).is_heard
     assert not seen(AircraftState(lambda: 0.0)).is_heard
+
+
+@pytest.mark.parametrize("record", AGES_S, ids=lambda record: record.__name__)
+def test_an_item_arrives_until_its_age_whatever_it_says(record: type[Any]) -> None:
+    limit, one = AGES_S[record], told(Battery(101))
+    ages = (0.0, limit, -limit, limit + 1e-3, -limit - 1e-3)
+    assert [seen(one, age).is_new(record) for age in ages] == [True, True, True, False, False]
+    assert not seen(one, is_gone=True).is_new(record)
+    assert not seen(told(without=(record,))).is_new(record)
+    assert not seen(None).is_new(record)
+    assert (seen(one, 0.75).age(record), seen(told(without=(record,))).age(record)) == (0.75, None)
+
+
+@pytest.mark.parametrize(
+    ("age", "rate_hz"), [(0.0, 10.0), (1.2, 10.0), (1.201, 0.0), (-1.2, 10.0), (-1.201, 0.0)]
+)
+def test_a_rate_is_that_of_lately(age: float, rate_hz: float) -> None:
+    one = told(at=-1.0)
+    assert seen(one, -1.0).rate_hz(Velocity) == 0.0, "one arrival is none"
+    for tenth in range(9, -1, -1):
+        one.update(sample(at=-tenth / 10, without=(Position,)))
+    assert seen(one, age).rate_hz(Velocity) == pytest.approx(rate_hz)
+    assert seen(one, 0.5).rate_hz(Position) == 0.0
+    assert seen(None).rate_hz(Velocity) == 0.0
+
+
+def test_when_telemetry_came_last_and_whether_it_can_be_true() -> None:
+    one = told()
+    one.update(sample(at=0.7, without=(Position,)))
+    assert (seen(one, 9.0).telemetry_at, seen(one, 9.0).integrity) == (0.7, one.integrity)
+    assert seen(None).telemetry_at is None
+    assert seen(None).integrity == Integrity(IntegrityState.UNKNOWN)
+    good = Known().view
+    assert good.integrity == Integrity(IntegrityState.GOOD, "", 0.25, 0.375)
 
 
 HEARD = {Hearing.HEARD: (0.0, 2.0), Hearing.SILENT: (2.001, 60.0, -3.0, math.nan)}
