@@ -134,7 +134,7 @@ def at(one: ControlSession) -> ControlState:
 
 async def test_taken_kept_and_given_back(pilots: Pilots) -> None:
     one, agent = session(pilots), pilots.rig.agent
-    assert at(one) is S.ABSENT
+    assert (at(one), one.lease_end, one.loss) == (S.ABSENT, None, None)
     with pytest.raises(NoAuthority, match=r"this client has no control; nothing was sent"):
         one.held()
     await one.obtain()
@@ -1117,6 +1117,7 @@ async def test_a_refused_setpoint_is_told_to_its_pilot(
 ) -> None:
     async with front() as pilot:
         refused: list[str] = []
+        pilot.one.on_refused(error)  # nobody wants to hear it
         pilot.one.on_refused = lambda found: refused.append(found.seen)
         pilot.agent.tell(SteerRefused(fence, Fault.of(error)))
         assert refused == [], "without the lease"
