@@ -828,6 +828,8 @@ async def test_a_loss_that_nobody_told_is_seen_by_the_next_word_and_the_next_que
         await pilot.one.obtain()
         pilot.states.clear()
         pilot.client.holder = LeaseChanged(number, "")
+        pilot.returned()
+        assert (pilot.one.is_obeyed, pilot.states) == (False, [])
         pilot.one.heard()
         assert pilot.states == [lost]
     async with front() as pilot:
@@ -984,6 +986,7 @@ async def test_what_goes_out_and_what_is_obeyed(
 ) -> None:
     for is_asked in (True, False):
         async with front() as pilot:
+            pilot.now = 50.0
             if is_asked:
                 await pilot.one.obtain()
             pilot.client._receive(holder)
