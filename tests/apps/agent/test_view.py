@@ -30,6 +30,7 @@ from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
     Attitude,
     Battery,
+    FlightPhase,
     FlightStatus,
     Position,
     RcMode,
@@ -113,6 +114,7 @@ def test_a_rate_is_that_of_lately(age: float, rate_hz: float) -> None:
         one.update(sample(at=-tenth / 10, without=(Position,)))
     assert seen(one, age).rate_hz(Velocity) == pytest.approx(rate_hz)
     assert seen(one, 0.5).rate_hz(Position) == 0.0
+    assert seen(told(without=(Velocity,))).rate_hz(Velocity) == 0.0
     assert seen(None).rate_hz(Velocity) == 0.0
 
 
@@ -161,6 +163,8 @@ def test_what_is_not_seen_on_the_ground_is_not_on_it(
 ) -> None:
     one = seen(told(FlightStatus(status)))
     assert (one.is_on_ground, one.is_airborne) == (on_ground, is_airborne)
+    phases = {1: FlightPhase.STANDBY, 2: FlightPhase.TAKING_OFF, 3: FlightPhase.IN_AIR}
+    assert one.phase is {**phases, 4: FlightPhase.LANDING}.get(status)
     gone = seen(told(FlightStatus(status), without=(FlightStatus,)))
     assert (gone.is_on_ground, gone.is_airborne, gone.phase) == (None, False, None)
 
