@@ -116,7 +116,10 @@ TRANSITIONS: dict[ControlState, dict[ControlInput, ControlState]] = {
     _S.HOLDING: _LEASE | _TAKEN | {_I.STOP: _S.STOPPED},
     _S.STOPPED: _LEASE | _TAKEN | {_I.BEGUN_ANEW: _S.HOLDING},
     _S.SUSPENDED: _LEASE | {_I.OBEYED: _S.HOLDING},  # the pilot came back to F
-    _S.LETTING_GO: dict.fromkeys((_I.GIVEN_BACK, _I.REFUSED, _I.ENDED, _I.OTHER), _S.ABSENT),
+    _S.LETTING_GO: {
+        _I.GRANTED: _S.LEASED,  # another one, that was handed on meanwhile
+        **dict.fromkeys((_I.GIVEN_BACK, _I.REFUSED, _I.ENDED, _I.OTHER), _S.ABSENT),
+    },
     _S.LOST: _FREE | {_I.LET_GO: _S.ABSENT},
     _S.TAKEN_OVER: _FREE | {_I.LET_GO: _S.ABSENT},
 }

@@ -70,7 +70,7 @@ OBTAINING   .      LEASED  .          .         HOLDING .          STOPPED .    
 HOLDING     .      LEASED  .          OBTAINING .       .          STOPPED .       LETTING_GO .      SUSPENDED LOST   TAKEN_OVER
 STOPPED     .      LEASED  .          OBTAINING .       .          .       HOLDING LETTING_GO .      SUSPENDED LOST   TAKEN_OVER
 SUSPENDED   .      LEASED  .          OBTAINING HOLDING .          .       .       LETTING_GO .      .         LOST   TAKEN_OVER
-LETTING_GO  .      .       .          .         .       ABSENT     .       .       .          ABSENT .         ABSENT ABSENT
+LETTING_GO  .      LEASED  .          .         .       ABSENT     .       .       .          ABSENT .         ABSENT ABSENT
 LOST        ASKING LEASED  .          .         .       .          .       .       ABSENT     .      .         .      .
 TAKEN_OVER  ASKING LEASED  .          .         .       .          .       .       ABSENT     .      .         .      .
 """  # noqa: E501 - a table
@@ -1062,7 +1062,7 @@ async def test_which_end_of_a_lease_is_believed(
         assert pilot.one.loss is loss
 
 
-@pytest.mark.parametrize("way", ["heard", "steer", "obtain", "adopt", "take", "give_back"])
+@pytest.mark.parametrize("way", ["heard", "steer", "obtain", "adopt", "give_back"])
 async def test_who_took_it_is_known_until_it_is_had_again(way: str) -> None:
     async with front() as pilot:
         pilot.taken()
@@ -1085,8 +1085,9 @@ async def test_who_took_it_is_known_until_it_is_had_again(way: str) -> None:
             await pilot.one.give_back()
             expected = S.ABSENT
         else:
-            pilot.agent.tell(LeaseChanged(8, "front"))
             pilot.one.adopt(EIGHT)
+            assert pilot.one.loss is None
+            pilot.agent.tell(LeaseChanged(8, "front"))
             expected = S.LEASED
         assert (at(pilot.one), pilot.one.loss) == (expected, None)
 
@@ -1165,6 +1166,28 @@ async def test_nothing_is_flown_under_a_lease_that_goes_back(
             answer.set_exception(LinkError("it has gone"))
             await giving
             assert at(pilot.one) is S.ABSENT
+
+
+async def test_a_lease_that_is_handed_on_while_another_goes_back_is_held(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with front() as pilot:
+        await pilot.one.obtain()
+        answer: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+        async def release(token: str) -> None:
+            await answer
+
+        monkeypatch.setattr(pilot.client, "release_lease", release)
+        giving = await pilot.begin(pilot.one.give_back())
+        pilot.agent.tell(LeaseChanged(8, "front"))
+        pilot.one.adopt(EIGHT)
+        answer.set_exception(LeaseRefused("this lease is not in force"))
+        await giving
+        assert (at(pilot.one), pilot.one.lease) == (S.LEASED, EIGHT)
+        await pilot.one.obtain()
+        assert at(pilot.one) is S.HOLDING
+        assert pilot.one.is_obeyed
 
 
 async def test_giving_back_ends_what_waits_behind_a_request_that_has_just_ended() -> None:
