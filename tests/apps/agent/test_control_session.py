@@ -1168,6 +1168,18 @@ async def test_nothing_is_flown_under_a_lease_that_goes_back(
             assert at(pilot.one) is S.ABSENT
 
 
+async def test_giving_back_waits_for_no_request_that_is_under_way() -> None:
+    async with front() as pilot:
+        pilot.agent.is_slow = True
+        asking = await pilot.begin(pilot.one.obtain())
+        giving = await pilot.begin(pilot.one.give_back())
+        assert giving.done()
+        assert pilot.orders() == ["AcquireLease", "Obtain", "ReleaseLease"]
+        pilot.answer()
+        with pytest.raises(NoAuthority):
+            await asking
+
+
 async def test_a_lease_that_is_handed_on_while_another_goes_back_is_held(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
