@@ -830,8 +830,10 @@ async def test_a_loss_that_nobody_told_is_seen_by_the_next_word_and_the_next_que
         pilot.client.holder = LeaseChanged(number, "")
         pilot.returned()
         assert (pilot.one.is_obeyed, pilot.states) == (False, [])
+        pilot.now = 9.0
         pilot.one.heard()
         assert pilot.states == [lost]
+        assert pilot.orders() == ["AcquireLease", "Obtain"], "what ended is not renewed"
     async with front() as pilot:
         await pilot.one.obtain()
         pilot.states.clear()
