@@ -939,7 +939,8 @@ async def test_idle_counts_from_the_newest_use(use: str) -> None:
         if use == "hear":
             pilot.one.heard()
         elif use == "ask":
-            await pilot.one.ask(orders.Land())
+            assert (await pilot.one.ask(orders.Land())).stage is Stage.DONE
+            assert getattr(pilot.agent.heard[-1], "fence", None) == 7
         elif use == "steer":
             pilot.one.steer(NORTH)
         pilot.now = 7.9
