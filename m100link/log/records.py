@@ -149,6 +149,7 @@ class _Reader:
         self, stream: IO[bytes], topics: Collection[str], losses: Losses | None = None
     ) -> None:
         self._stream = stream
+        # Nothing behind it is read: a file that is being written grows.
         self._size = stream.seek(0, 2)
         self._topics = topics
         self._losses = losses or Losses()
@@ -191,7 +192,7 @@ class _Reader:
             goes_on = _fits(head) and self._goes_on(end)
             is_there = goes_on or (_fits(head) and not is_part and end <= self._size)
             if is_there and kind in _READ:
-                yield at, kind, self._read(at, end)
+                yield at, kind, self._read(at + _HEAD.size, length)
             if goes_on:
                 at = end
                 continue
@@ -226,21 +227,21 @@ class _Reader:
         is_cut = any(head) and len(head) < _LONGEST_PART_HEAD
         if not is_cut and len(head) >= _HEAD.size and _fits(head):
             is_cut = at + _HEAD.size + _head(head)[1] > self._size
-        self._stream.seek(-min(len(MAGIC), self._size), 2)
-        if is_cut and self._stream.read() != MAGIC:
+        if is_cut and self._read(max(0, self._size - len(MAGIC)), len(MAGIC)) != MAGIC:
             self._losses.cut_bytes = self._size - at
         else:
             self._losses.place(at, self._size)
 
-    def _read(self, at: int, end: int) -> bytes:
-        self._stream.seek(at + _HEAD.size)
-        return self._stream.read(end - at - _HEAD.size)
+    def _read(self, at: int, size: int) -> bytes:
+        if at >= self._size:  # a damaged length leads where no system seeks to
+            return b""
+        self._stream.seek(at)
+        return self._stream.read(min(size, self._size - at))
 
     def _checksum(self, begin: int, end: int) -> int:
         found = 0
-        self._stream.seek(begin)
         for at in range(begin, end, _ALL_AT_ONCE):
-            found = crc32(self._stream.read(min(_ALL_AT_ONCE, end - at)), found)
+            found = crc32(self._read(at, min(_ALL_AT_ONCE, end - at)), found)
         return found
 
     def _outside(self, at: int, kind: int, body: bytes) -> Iterator[Record]:
@@ -284,8 +285,7 @@ class _Reader:
 
     def _head_at(self, at: int) -> bytes:
         """Kind and length of a record, and enough of its body to see whether they fit it."""
-        self._stream.seek(min(at, self._size))  # a damaged length leads where no system seeks to
-        return self._stream.read(_LONGEST_PART_HEAD)
+        return self._read(at, _LONGEST_PART_HEAD)
 
     def _goes_on(self, at: int) -> bool:
         """Whether another record begins there, or the file ends as it should."""
@@ -300,8 +300,7 @@ class _Reader:
         length = _length_of_part(head)
         if length is None or head[0] != _CHUNK:
             return None
-        self._stream.seek(at + _HEAD.size)
-        body = self._stream.read(length)
+        body = self._read(at + _HEAD.size, length)
         try:
             _unpacked(body)
         except Exception:  # noqa: BLE001 - whatever unpacking bytes of chance raises
@@ -311,8 +310,7 @@ class _Reader:
     def _next_part(self, at: int) -> int | None:
         """Where the next part begins whose lengths fit each other."""
         while True:
-            self._stream.seek(at)
-            window = self._stream.read(_WINDOW)
+            window = self._read(at, _WINDOW)
             for found in _PART.finditer(window):
                 if _fits(window[found.start() : found.start() + _LONGEST_PART_HEAD]):
                     return at + found.start()

@@ -8,7 +8,6 @@ import pytest
 
 from m100link.sim import VirtualClockEventLoop
 
-# The thread that opens a log would load it beside a virtual clock, whose loop never rests.
 pytest.importorskip("mcap.writer", reason="the extra `log` is not installed")
 
 

@@ -67,6 +67,31 @@ async def test_a_part_that_is_damaged_costs_itself_alone(
         assert set(kept) <= set(every)
 
 
+class Growing(io.BytesIO):
+    """A file whose program writes more of it at each seek of its reader."""
+
+    def __init__(self, data: bytes, size: int, step: int) -> None:
+        super().__init__(data[:size])
+        self._rest, self._step = data[size:], step
+
+    def seek(self, at: int, whence: int = 0) -> int:
+        found = super().seek(at, whence)
+        new, self._rest = self._rest[: self._step], self._rest[self._step :]
+        super().seek(0, 2)
+        self.write(new)
+        return super().seek(found)
+
+
+async def test_a_file_that_grows_is_read_as_it_was_when_it_was_opened(whole: bytes) -> None:
+    """Its reader went on for ever behind the end that it had seen."""
+    drawn = random.Random(SEED)
+    for _ in range(30):
+        size = drawn.randrange(len(whole))
+        growing = Growing(whole, size, step=drawn.choice((1, 40, 5_000, len(whole))))
+        found = list(itertools.islice(records(growing), 100_000))
+        assert found == list(records(io.BytesIO(whole[:size]))), f"{size} bytes"
+
+
 @pytest.mark.parametrize("value", [0x01, 0x7F, 0xFF])
 async def test_a_length_beyond_any_file_costs_one_part_at_most(
     whole: bytes, value: int, tmp_path: Path
