@@ -95,6 +95,10 @@ class ScaledEventLoop(asyncio.SelectorEventLoop):
         return self._now
 
 
+_FAIR_S = 0.005  # real time; after which an interpreter asks a thread for its lock, too
+_MOMENT_S = 0.0001
+
+
 class _JumpingSelector(selectors.DefaultSelector):
     """Instead of waiting, lets the clock jump over the time it was asked to wait."""
 
@@ -102,6 +106,7 @@ class _JumpingSelector(selectors.DefaultSelector):
     waiters = 0  # only where time stands still without one
     _unpolled = 0
     _registered = 0
+    _slept_at = 0.0  # real time, s
 
     def register(self, *args: Any, **options: Any) -> selectors.SelectorKey:
         key = super().register(*args, **options)
@@ -126,7 +131,19 @@ class _JumpingSelector(selectors.DefaultSelector):
             events = super().select(0)
         if not events and timeout > 0.0:
             self.now += timeout
+            self._let_threads_run()
         return events
+
+    def _let_threads_run(self) -> None:
+        """Sleep for a moment of real time, now and then.
+
+        A thread that never sleeps and polls all the time starves the others: each poll gives up
+        the interpreter's lock and has it back before another thread has woken up.
+        """
+        real = time.monotonic()
+        if real - self._slept_at >= _FAIR_S:
+            time.sleep(_MOMENT_S)
+            self._slept_at = time.monotonic()
 
 
 class VirtualClockEventLoop(asyncio.SelectorEventLoop):

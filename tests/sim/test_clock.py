@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import os
 import socket
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -94,6 +96,27 @@ def test_the_end_waits_for_a_thread_in_real_time() -> None:
     with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
         runner.run(main())
     assert has_ended.is_set()
+
+
+def test_a_loop_that_never_rests_lets_threads_run() -> None:
+    """A flight log took 17 s of a processor: its thread was starved."""
+
+    def work() -> None:
+        with Path(os.devnull).open("wb", buffering=0) as stream:
+            for _ in range(200):  # each call gives up the interpreter's lock
+                stream.write(b"x")
+
+    async def main() -> None:
+        thread = threading.Thread(target=work)
+        thread.start()
+        began = time.thread_time()
+        while thread.is_alive():
+            await asyncio.sleep(0.001)
+            sum(range(500))  # some work, as an aircraft has
+            assert time.thread_time() - began < 3.0
+
+    with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
+        runner.run(main())
 
 
 def test_virtual_timeouts_time_out() -> None:
