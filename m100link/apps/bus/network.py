@@ -182,19 +182,6 @@ class PolledBus(Session, Protocol):
         ...
 
 
-def fits(pattern: str, key: str) -> bool:
-    """Whether a key is one of those that a pattern names."""
-    return _fits(pattern.split("/"), key.split("/"))
-
-
-def _fits(pattern: list[str], key: list[str]) -> bool:
-    if not pattern:
-        return not key
-    if pattern[0] == "**":
-        return any(_fits(pattern[1:], key[start:]) for start in range(len(key) + 1))
-    return bool(key) and pattern[0] in ("*", key[0]) and _fits(pattern[1:], key[1:])
-
-
 # -- what waits between zenoh's threads and the event loop: on its way in, and on its way out ------
 # Where a thousand aircraft are told of, waking a thread for each message costs twenty times what
 # the message itself does. So what may wait a moment goes with others, and what comes can wait in

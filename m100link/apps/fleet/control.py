@@ -74,12 +74,6 @@ class FleetControl:
         lease = self._held()
         return lease.number, lease.token
 
-    @property
-    def clock_bound_s(self) -> float | None:
-        """By how much the agent's clock is known, s."""
-        known = self._asker.its_clock.offset(self._clock())
-        return None if known is None else known.bound
-
     async def __aenter__(self) -> Self:
         # An order that says when it was made is not carried out when nobody waits for it any more.
         if await self._asker.is_there():

@@ -23,12 +23,24 @@ from m100link.apps.bus.network import (
     Question,
     Received,
     TokenChange,
-    fits,
 )
 
 T = TypeVar("T")
 
 _TICK_S = 1e-9
+
+
+def fits(pattern: str, key: str) -> bool:
+    """Whether a key is one of those that a pattern names."""
+    return _fits(pattern.split("/"), key.split("/"))
+
+
+def _fits(pattern: list[str], key: list[str]) -> bool:
+    if not pattern:
+        return not key
+    if pattern[0] == "**":
+        return any(_fits(pattern[1:], key[start:]) for start in range(len(key) + 1))
+    return bool(key) and pattern[0] in ("*", key[0]) and _fits(pattern[1:], key[1:])
 
 
 @dataclass(slots=True)

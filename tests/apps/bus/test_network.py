@@ -21,9 +21,9 @@ from m100link.apps.bus.network import (
     Patient,
     Queue,
     Ring,
-    fits,
 )
 from m100link.sim.clock import virtual_clock_loop
+from tests.apps.bus.memory import fits
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X
 from m100link.apps.agent import orders
 from m100link.apps.agent.messages import Fault
 from m100link.apps.agent.orders import ORDERS, AskVersion, Ending, LeaseOrder
-from m100link.apps.bus.network import Bus, fits
+from m100link.apps.bus.network import Bus
 from m100link.apps.fleet.identity import Rights
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.logs.words import LogEntry, LogReply
@@ -41,6 +41,7 @@ from m100link.apps.fleet.payloads import (
 )
 from m100link.apps.fleet.pki import router_config
 from m100link.apps.fleet.signing import verifying
+from tests.apps.bus.memory import fits
 from tests.apps.fleet.conftest import SITE, Rig
 from tests.apps.fleet.test_signing import RIGHTS
 
