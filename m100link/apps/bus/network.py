@@ -28,16 +28,12 @@ DEPTH = 1024
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A message."""
-
     payload: bytes  # none of what is longer than its taker reads
     attachment: bytes  # what goes beside them; empty where there is none
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """Somebody asks."""
-
     key: str  # what was asked, which may be a pattern
     payload: bytes  # as in :class:`Received`
     # Takes key, payload and attachment of the answer, once. Under a key of one's own: of two
@@ -49,8 +45,6 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What somebody answered."""
-
     key: str
     payload: bytes
     session: str = ""  # id of the session that answered, as it says itself; empty when it does not
@@ -87,8 +81,6 @@ class Outlet(Held, Protocol):
 
 
 class Inbox(Protocol[T]):
-    """What has come and waits."""
-
     def take(self) -> list[T]:
         """All of it, oldest first; never waits."""
         ...
@@ -108,8 +100,6 @@ class Session(Protocol):
 
 
 class Bus(Session, Protocol):
-    """One session, which hands over."""
-
     def publish(self, key: str, *, within: float = 0.0) -> Outlet:
         """Offer messages under a key to other sessions; one does not hear itself.
 
@@ -294,7 +284,6 @@ class Bundle:
             self._send_in(_NEXT_S)
 
     def flush(self) -> None:
-        """Send what waits."""
         while self._waiting:
             self._send()
 
@@ -306,7 +295,6 @@ class Patient(Outlet):
         self._outlet, self._bundle, self._within = outlet, bundle, within
 
     def put(self, payload: bytes, attachment: bytes | None = None) -> None:
-        """Let one wait, and go."""
         self._bundle.put(partial(self._outlet.put, payload, attachment), self._within)
 
     def put_later(self, make: Callable[[], bytes]) -> None:
@@ -318,7 +306,6 @@ class Patient(Outlet):
         return self._outlet.is_wanted()
 
     def close(self) -> None:
-        """Send what waits, and end."""
         self._bundle.flush()
         self._outlet.close()
 
@@ -353,7 +340,6 @@ class Looks(Held):
             self._timer = self._loop.call_later(pause, self._look)
 
     def close(self) -> None:
-        """Look no more."""
         self._is_open = False
         self._timer.cancel()
         self._declared.close()

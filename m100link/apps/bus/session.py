@@ -145,7 +145,6 @@ class ZenohBus:
 
     @property
     def session(self) -> str:
-        """Id of the session."""
         return str(self._session.zid())
 
     def _bytes(self, data: zenoh.ZBytes | None) -> bytes:
@@ -183,7 +182,6 @@ class ZenohBus:
         return _Outlet(latched, is_kept=True)
 
     def declare(self, token: str) -> Held:
-        """Show a token."""
         return _Declared(self._session.liveliness().declare_token(token))
 
     # -- what comes in ---------------------------------------------------------------------------
@@ -211,7 +209,6 @@ class ZenohBus:
         depth: int = DEPTH,
         within: float = 0.0,
     ) -> Held:
-        """Hear messages."""
         if within:
             return self._look(pattern, take, depth, within)
         queue = Queue(self._loop, take, depth)
@@ -234,7 +231,6 @@ class ZenohBus:
         return Looks(_Declared(declared), ring, lambda one: take(*one), within)
 
     def serve(self, key: str, take: Callable[[Question], None], *, depth: int = DEPTH) -> Held:
-        """Hear questions."""
         queue = Queue(self._loop, take, depth)
 
         def heard(query: zenoh.Query) -> None:
@@ -243,7 +239,6 @@ class ZenohBus:
         return _Declared(self._session.declare_queryable(key, heard))
 
     def watch(self, pattern: str, take: Callable[[str, bool], None]) -> Held:
-        """See tokens come and go."""
         queue = Queue(self._loop, take, DEPTH)
         put = self._zenoh.SampleKind.PUT
 
@@ -257,7 +252,6 @@ class ZenohBus:
     # -- taken in steps --------------------------------------------------------------------------
 
     def inbox(self, pattern: str, depth: int) -> Inbox[Received]:
-        """Hear messages."""
         ring: Any = self._zenoh.handlers.RingChannel(depth)
         return Ring(
             self._session.declare_subscriber(pattern, ring),
@@ -267,14 +261,12 @@ class ZenohBus:
         )
 
     def questions(self, key: str, depth: int) -> Inbox[Question]:
-        """Hear questions."""
         ring: Any = self._zenoh.handlers.RingChannel(depth)
         # Complete: a client of rmw_zenoh asks those alone that answer for the whole key.
         declared = self._session.declare_queryable(key, ring, complete=True)
         return Ring(declared, self._question, depth, self._zenoh.ZError)
 
     def changes(self, pattern: str) -> Inbox[TokenChange]:
-        """See tokens come and go."""
         ring: Any = self._zenoh.handlers.RingChannel(DEPTH)
         declared = self._session.liveliness().declare_subscriber(pattern, ring, history=True)
         put = self._zenoh.SampleKind.PUT
@@ -285,7 +277,6 @@ class ZenohBus:
         return Ring(declared, change, DEPTH, self._zenoh.ZError)
 
     def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
-        """Ask whether anybody answers."""
         # No ring, which is emptied when the question has ended.
         queue: Any = self._zenoh.handlers.FifoChannel(_MOST_ANSWERS)
         asked = self._session.get(key, queue, timeout=timeout)
@@ -294,7 +285,6 @@ class ZenohBus:
     # -- waited for ------------------------------------------------------------------------------
 
     async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:
-        """Ask everybody who serves it."""
 
         def get(handler: Any) -> None:
             self._session.get(
@@ -312,7 +302,6 @@ class ZenohBus:
         ]
 
     async def tokens(self, pattern: str, *, timeout: float) -> list[str]:
-        """The tokens that are there."""
 
         def get(handler: Any) -> None:
             self._session.liveliness().get(pattern, handler, timeout=timeout)

@@ -20,8 +20,6 @@ _TTY_MASTER = "/dev/ptmx"
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """A program that runs."""
-
     pid: int
     name: str
 
@@ -45,8 +43,6 @@ class Permission:
 
 @dataclass(frozen=True, slots=True)
 class Adapter:
-    """What a port hangs on."""
-
     driver: str  # name of its kernel driver, empty if unknown
     vendor: str = ""  # USB vendor id, four hex digits; empty for what is not on USB
     product: str = ""  # USB product id

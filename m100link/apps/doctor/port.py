@@ -159,8 +159,6 @@ def look_at_latency(device: str, machine: Machine) -> Finding:
 
 
 class Ear(asyncio.Protocol):
-    """Keeps what arrives."""
-
     def __init__(self) -> None:
         self.data = bytearray()  # all of it
         self.is_lost = False

@@ -82,8 +82,6 @@ def admit(order: Order, keys: Keys, kind: type[T], verify: Verify | None) -> T:
 
 
 class FleetAgent:
-    """One aircraft of a fleet."""
-
     def __init__(
         self,
         client: AgentClient,  # what knows its agent
@@ -164,7 +162,6 @@ class FleetAgent:
 
     @property
     def missions(self) -> Missions:
-        """What flies by plans."""
         return self._orders.missions
 
     def shut_out(self) -> None:
@@ -244,7 +241,6 @@ class FleetAgent:
             client.note(f"no other agent is named {self._keys.name} any more")
 
     def card(self) -> Card:
-        """Where the agent stands."""
         view, state = self.client.view, self.client.state
         position, battery, phase = view.get(Position), view.get(Battery), view.phase
         return Card(
@@ -488,7 +484,6 @@ class Namesakes:
             self._heard[boot] = first, now
 
     def is_there(self, now: float) -> bool:
-        """Whether there is another one."""
         return any(
             last - first >= _SURE_S and now - last <= GONE_S for first, last in self._heard.values()
         )

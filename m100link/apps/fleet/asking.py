@@ -58,8 +58,6 @@ unsigned: Sign = Order.under
 
 
 class Asker:
-    """Asks one aircraft."""
-
     def __init__(
         self,
         bus: Bus,
@@ -87,7 +85,6 @@ class Asker:
         self.doubtful_clocks: list[float] = []
 
     async def is_there(self) -> bool:
-        """Whether its agent shows itself."""
         if not self._known():
             tokens = await self.bus.tokens(self.keys.live, timeout=self.patience)
             self._found = frozenset(map(session_in, tokens))

@@ -133,7 +133,6 @@ class FleetChannel:
     # -- the channel -----------------------------------------------------------------------------
 
     def open(self, on_message: Callable[[Message], None], on_closed: Callable[[str], None]) -> None:
-        """Begin to receive."""
         self._on_message, self._on_closed = on_message, on_closed
         bus, keys = self._bus, self._keys
         self._deliver(Hello(VERSION, self._boot, self._clock()))

@@ -107,8 +107,6 @@ class Dropped(Enum):
 
 
 class SetpointStream:
-    """The setpoints of one aircraft."""
-
     def __init__(self) -> None:
         self._newest = (0, -math.inf)  # fence and stamp
         self._flown_at = -math.inf

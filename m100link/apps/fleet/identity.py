@@ -228,7 +228,6 @@ _MOST_DATE = 32
 
 
 def nobody(name: str) -> str:
-    """Where there is no list."""
     return ""
 
 

@@ -112,7 +112,6 @@ class Lost:
             self._waiting = None
 
     def _bereave(self) -> None:
-        """The pilot is lost."""
         task = _TASKS.get(self._plan.action)
         if task is None:
             self._aloft.flown_under(0)
@@ -234,8 +233,6 @@ KEPT_AGAIN_S = 30.0
 
 
 class Aloft:
-    """Writes down who flies."""
-
     def __init__(self, client: AgentClient, ledger: Ledger) -> None:
         self._client = client
         self._ledger = ledger

@@ -190,7 +190,6 @@ class FileLedger:
     # -- in the event loop -------------------------------------------------------------------------
 
     async def begin(self, identity: str) -> None:
-        """Keep that an order begins."""
         async with self._writing:
             boot, up = self._up()
             await self._write(_begun(identity, boot, up))
@@ -358,7 +357,6 @@ class OrderBook:
         self._ended: dict[str, tuple[float, Reply]] = {}
 
     def is_known(self, identity: str) -> bool:
-        """Whether this agent heard it."""
         return identity in self._running or identity in self._ended
 
     def heard(self, identity: str, digest: bytes) -> bool:
@@ -397,7 +395,6 @@ class OrderBook:
             del self._ended[old]
 
     def end(self, reply: Reply, now: float) -> None:
-        """It is over."""
         self._running.pop(reply.id, None)
         self._ended[reply.id] = now, reply
 
@@ -445,8 +442,6 @@ def seal(number: int, first: int, content: dict[str, Any]) -> str:
 
 @dataclass
 class Words:
-    """The content of a file."""
-
     # The readable records by number, in order.
     kept: dict[int, dict[str, Any]] = field(default_factory=dict)
     damaged: int = 0  # number of records that are damaged or missing

@@ -27,8 +27,6 @@ _AGAIN_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """What an order gave."""
-
     text: str = ""  # where it is a text
     number: int = 0  # where it is a number
     offer: str = ""  # what confirms a take-over
@@ -46,8 +44,6 @@ class Granted:
 
 
 class Orders:
-    """Carries orders out."""
-
     def __init__(self, client: AgentClient, ledger: Ledger, revoked: Since = nobody) -> None:
         self._revoked = revoked
         # Who signed for the landing under way: they may be revoked meanwhile.

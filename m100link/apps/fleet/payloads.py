@@ -118,8 +118,6 @@ class MissionStage(Enum):
 
 
 class MissionInput(Enum):
-    """What happens to it."""
-
     UPLOADED = "uploaded"  # another plan is whole
     ASKED = "asked"  # to start it
     BEGUN = "begun"  # the aircraft flies it
@@ -215,8 +213,6 @@ class AskShow(ShowOrder):
 
 @dataclass(frozen=True, slots=True)
 class SendTrack(ShowOrder):
-    """A piece of its track."""
-
     at: int  # first byte
     data: bytes
 
@@ -237,8 +233,6 @@ class TakePlace(ShowOrder):
 
 @dataclass(frozen=True, slots=True)
 class StartShow(ShowOrder):
-    """Begin its track."""
-
     digest: str  # of the track
     at: float  # when, by its own clock, s
     bound: float  # by how much that may be wrong, s

@@ -267,7 +267,6 @@ def _usage(*, digital_signature: bool, key_cert_sign: bool) -> x509.KeyUsage:
 
 
 def _authority(folder: Path, now: datetime) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
-    """Its certificate and key."""
     try:
         certificate = x509.load_pem_x509_certificate((folder / AUTHORITY).read_bytes())
         key = load_pem_private_key((folder / f"{_CA}.key").read_bytes(), None)

@@ -62,7 +62,6 @@ class AgentTold:
         self._plan: WaypointPlan | None = None
 
     async def run(self) -> None:
-        """Tell until this is cancelled."""
         client = self._client
         with ExitStack() as stack:
             self._outlet = self._bus.publish(self._keys.told)

@@ -108,7 +108,6 @@ class Bridge:
         self._is_short = False
 
     def received(self, data: bytes, address: Address) -> None:
-        """A datagram came."""
         now = self._clock()
         if self._stood_still(now):
             return
@@ -154,7 +153,6 @@ class Bridge:
         return True
 
     def step(self) -> None:
-        """Let time pass."""
         now = self._clock()
         self._stood_still(now)
         audience = self.peers.audience(now)

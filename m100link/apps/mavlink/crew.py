@@ -261,7 +261,6 @@ class Crew:
         self._owes_a_stop = False
 
     async def end(self) -> None:
-        """Give back what is held."""
         if self._work is not None:
             self._work.cancel()
         await self._session.give_back()

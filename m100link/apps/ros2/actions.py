@@ -51,7 +51,6 @@ class GoalStatus(IntEnum):
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing follows."""
         return self >= GoalStatus.SUCCEEDED
 
 
@@ -68,7 +67,6 @@ class _Goal:
 
     @property
     def info(self) -> dict[str, Any]:
-        """As action_msgs/msg/GoalInfo."""
         return {"goal_id": {"uuid": list(self.id)}, "stamp": self.stamp}
 
 
@@ -82,8 +80,6 @@ class _Action:
 
 
 class Actions:
-    """All actions of a node."""
-
     def __init__(
         self,
         agent: AgentClient,
@@ -220,7 +216,6 @@ class Actions:
             self.end(event.text)
 
     def end(self, why: str) -> None:
-        """Cancel what flies."""
         if self._current is not None:
             self._cancel(self._current, why)
 
@@ -297,7 +292,6 @@ class Flight(ABC):
                 await self._ended.wait()
 
     def progress(self) -> Mapping[str, Any]:
-        """What remains of the order."""
         guided = self._agent.state.guided
         known = (None, None) if guided is None else (guided.distance_m, guided.seconds)
         distance, seconds = (math.nan if one is None else one for one in known)

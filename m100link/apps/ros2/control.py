@@ -30,8 +30,6 @@ _MOST_SENDERS = 32
 
 @dataclass(slots=True)
 class _Sender:
-    """A publisher of setpoints."""
-
     heard_at: float = -math.inf  # when it was heard last, s
     sent_at: float = -math.inf  # when that was sent, s, by the clock of its sender
     sequence: int = 0  # how many it had sent by then, as it counts
@@ -39,8 +37,6 @@ class _Sender:
 
 
 class Stick:
-    """Who has it."""
-
     def __init__(self) -> None:
         self.holder: bytes | None = None  # id of who has it; None for nobody
         self.is_open = False  # whether anybody may have it: control is held

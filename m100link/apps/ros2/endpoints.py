@@ -60,11 +60,9 @@ class Topic:
         self._outlet.put(payload, write_attachment(self._sequence, at_ns, self._gid))
 
     def say(self, message: Mapping[str, Any]) -> None:
-        """Send a message."""
         self.put(encode(self._kind, message))
 
     def look(self) -> None:
-        """See whether anybody listens."""
         self.is_wanted = self._outlet.is_wanted()
 
 
@@ -121,7 +119,6 @@ class Ends:
         self._tokens.append(self._bus.declare(token))
 
     def publish(self, topic: str, kind: str, qos: Qos) -> Topic:
-        """Offer a topic."""
         kept = qos.depth if qos.is_latched else 0
         outlet = self._bus.publish(data_key(self._name.domain, topic, kind), kept=kept)
         made = self.topics[topic] = Topic(outlet, kind, self._utc)
@@ -129,7 +126,6 @@ class Ends:
         return made
 
     def subscribe(self, topic: str, kind: str) -> Input:
-        """Listen to a topic."""
         inbox = self._bus.inbox(data_key(self._name.domain, topic, kind), _DEPTH)
         made = Input(inbox, kind)
         self.inputs[f"{topic} {kind}"] = made
@@ -149,7 +145,6 @@ class Ends:
         return self.refused + sum(one.refused for one in self.inputs.values())
 
     def look(self) -> None:
-        """See who listens."""
         for topic in self.topics.values():
             topic.look()
 
@@ -215,7 +210,6 @@ def answering(doing: Callable[[Mapping[str, Any]], Awaitable[None]], done: str) 
 
 
 def trigger(doing: Callable[[], Awaitable[None]], done: str) -> Call:
-    """The same without a question."""
     return answering(lambda _: doing(), done)
 
 
@@ -235,7 +229,6 @@ _NAMES = {full_name(one): one for one in DEFINITIONS}
 
 
 def serve_descriptions(ends: Ends, names: Names) -> None:
-    """Offer the service."""
     ends.serve(names.full("~/get_type_description"), _KIND, _answer)
 
 

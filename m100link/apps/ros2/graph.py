@@ -25,8 +25,6 @@ _TOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 class End(Enum):
-    """What a token stands for."""
-
     NODE = "NN"
     PUBLISHER = "MP"
     SUBSCRIBER = "MS"
@@ -66,8 +64,6 @@ def _mangled(name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class NodeName:
-    """A node of this process."""
-
     domain: int  # ROS_DOMAIN_ID
     session: str  # id of the zenoh session
     namespace: str  # ``/`` or ``/drones/first``
@@ -76,7 +72,6 @@ class NodeName:
 
     @property
     def full(self) -> str:
-        """Its name with its namespace."""
         return f"{self.namespace.rstrip('/')}/{self.name}"
 
     def _token(self, number: int, end: End) -> str:
@@ -215,8 +210,6 @@ _MOST = 4 * DEPTH  # tokens that are known: a graph of hundreds of nodes has few
 
 
 class Presence:
-    """The ends of others."""
-
     def __init__(self, watch: Callable[[], Inbox[TokenChange]]) -> None:
         self._watch = watch
         self._inbox = watch()

@@ -57,8 +57,6 @@ Make = Callable[[dict[str, Any]], Setpoint]
 
 
 class Node:
-    """A node for one aircraft."""
-
     def __init__(
         self,
         agent: AgentClient,  # the agent of the aircraft

@@ -33,8 +33,6 @@ _EMPTY: Mapping[str, Any] = {
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter."""
-
     kind: int
     text: str  # what it is
     value: Callable[[], float | bool | None]  # its value now; None where there is none
@@ -124,7 +122,6 @@ class Parameters:
         }
 
     def _set(self, parameters: list[dict[str, Any]]) -> Mapping[str, Any]:
-        """All of them, or none."""
         for one in parameters:
             refusal = self._refusal(one["name"], one["value"])
             if refusal:

@@ -88,8 +88,6 @@ class _Source:
 
 
 class Teller:
-    """Makes the messages."""
-
     def __init__(
         self,
         agent: AgentClient,
@@ -140,13 +138,11 @@ class Teller:
     # -- times -----------------------------------------------------------------------------------
 
     def time_now(self) -> dict[str, int]:
-        """Now, as builtin_interfaces/Time."""
         return _time(self._stamps.at(self._agent.now))
 
     # -- with each package -----------------------------------------------------------------------
 
     def hear(self, sample: Sample) -> None:
-        """A package of telemetry came."""
         now = sample.received_at
         self._stamps.hear(sample)
         due = [one for one in self._sources if one.topic.is_wanted and now >= one.due_at]
@@ -302,8 +298,6 @@ _BOUND_S = 0.05
 
 
 class Level(IntEnum):
-    """As diagnostic_msgs/msg/DiagnosticStatus numbers them."""
-
     OK = 0
     WARN = 1
     ERROR = 2
@@ -312,15 +306,12 @@ class Level(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """How one thing is."""
-
     name: str
     level: Level
     message: str  # in a few words
     values: Mapping[str, object] = field(default_factory=dict)  # numbers, by name
 
     def told(self, node: str) -> dict[str, Any]:
-        """As diagnostic_msgs/msg/DiagnosticStatus."""
         return {
             "level": self.level,
             "name": f"{node}: {self.name}",

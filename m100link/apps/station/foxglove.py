@@ -251,7 +251,6 @@ class Feed:
             self._tell(name, TRANSFORM, at, transform)
 
     def hear_event(self, name: str, event: Event) -> None:
-        """Something happened."""
         said = {
             "timestamp": self._stamp(event.at),
             "level": _LEVELS.get(event.level, 0),
@@ -263,7 +262,6 @@ class Feed:
         self._tell(name, MESSAGE, event.at, said)
 
     def hear_state(self, name: str, agent: AgentClient) -> None:
-        """How the agent stands now."""
         if not self._wants(name, STATE):
             return
         view, state = agent.view, agent.state
@@ -303,8 +301,6 @@ _WAITING_SAMPLES = 20
 
 
 class FoxgloveServer:
-    """Viewers of some aircraft."""
-
     def __init__(self, agents: Mapping[str, AgentClient]) -> None:
         self._agents = agents
         self._viewers: dict[Viewer, None] = {}
@@ -314,7 +310,6 @@ class FoxgloveServer:
         self._feed = Feed(agents, offset, self._is_wanted, self._publish)
 
     def app(self, settings: Settings) -> AccessControl:
-        """The application behind its gate."""
         routes = [WebSocketRoute("/{path:path}", self._serve), Route("/", self._greet)]
         return settings.gate(Starlette(routes=routes))
 
@@ -399,7 +394,6 @@ class FoxgloveServer:
 
 
 async def serve(fronts: Fronts) -> None:
-    """Serve viewers."""
     server = FoxgloveServer(await fronts.reached("foxglove"))
     await fronts.stack.enter_async_context(server.feeding())
     await serve_http(fronts, "foxglove", server.app(fronts.settings))

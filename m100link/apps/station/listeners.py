@@ -122,7 +122,6 @@ class Sockets:
         return self.ports(name)[0]
 
     def datagram_urls(self, name: str) -> list[str]:
-        """Where a front takes datagrams."""
         ends = (one.getsockname() for one in self.of.get(name, ()))
         return [f"udp://{host}:{port}" for host, port in ends]
 
@@ -132,7 +131,6 @@ class Sockets:
 
     @classmethod
     def inherited(cls, descriptors: Mapping[str, Sequence[int]]) -> Sockets:
-        """Those that another process opened."""
         return cls(
             {
                 name: [socket.socket(fileno=number) for number in numbers]

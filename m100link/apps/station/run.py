@@ -71,8 +71,6 @@ BESIDE = 10.0  # metres to the east from one virtual aircraft of a station to th
 
 @dataclass(frozen=True, slots=True)
 class Owner:
-    """What owns the aircraft."""
-
     agent: Agent  # the aircraft and its lease
     service: Service  # what serves fronts
     virtual: VirtualAircraft | None  # the virtual aircraft that it brought, or None
@@ -182,7 +180,6 @@ class Running:
 
     @property
     def bridge(self) -> Bridge:
-        """What rosbridge clients reach."""
         return cast("Bridge", self.fronts.made["rosbridge"])
 
     def console_path(self) -> str:
@@ -234,8 +231,6 @@ async def running(
 
 @dataclass(frozen=True, slots=True)
 class RunningApart:
-    """A station in two processes."""
-
     agent: Agent  # the aircraft and its lease, in this process
     virtual: VirtualAircraft | None  # the virtual aircraft that it brought, or None
     front: Child  # the other process
@@ -342,8 +337,6 @@ async def running_apart(
 
 @dataclass(frozen=True, slots=True)
 class RunningSeveral:
-    """A station that runs."""
-
     owners: Mapping[str, Child]  # the process that owns an aircraft, by its name
     agents: Mapping[str, AgentClient]  # what is known here of each agent
     front: Child  # the process of the fronts

@@ -32,8 +32,6 @@ END_TIMEOUT = 5.0  # seconds that a child has to end in order
 
 
 class Child:
-    """A process that is kept."""
-
     def __init__(
         self,
         role: str,  # which of those of :mod:`m100link.apps.station.process` it is

@@ -419,7 +419,6 @@ class Activation:
             aircraft.use_key(self._credentials)
 
     async def activate(self, aircraft: Aircraft) -> Version:
-        """Activate the aircraft."""
         if self._credentials is None:
             raise UsageError(
                 "this station has no app id and key", remedy="start it with --app-id and --key-file"

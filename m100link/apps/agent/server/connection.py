@@ -31,8 +31,6 @@ Connect = Callable[[], Awaitable[Aircraft]]
 
 
 class ConnectionState(Enum):
-    """State of the line."""
-
     CONNECTING = "connecting"  # being opened, for the first time or again
     CONNECTED = "connected"  # the aircraft answered
     LOST = "lost"  # it was connected; the next attempt comes after a pause
@@ -71,7 +69,6 @@ class Connection:
         return None if self.aircraft is None else self._supervised.round_trip
 
     async def keep(self) -> None:
-        """Keep it connected, until cancelled."""
         while True:
             try:
                 async with self._supervised as one, asyncio.TaskGroup() as group:

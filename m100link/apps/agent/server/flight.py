@@ -92,7 +92,6 @@ class Flying:
 
     @property
     def flown(self) -> Flown:
-        """What flies the aircraft now."""
         if self.task is not None:
             return Flown(self.task)
         if self.mission.is_flying:
@@ -330,8 +329,6 @@ _PATIENCE_S = 30.0
 
 @dataclass(slots=True, eq=False)
 class _Flight:
-    """One of them."""
-
     order: GuidedOrder
     accepted: Callable[[], None]  # called when it has begun
     work: asyncio.Task[None] | None = None  # the task in which it flies

@@ -233,8 +233,6 @@ _NOTES_PER_S, _MAX_NOTES = 5.0, 20.0
 
 
 class Front:
-    """One front."""
-
     def __init__(
         self,
         agent: Agent,
@@ -277,11 +275,9 @@ class Front:
         self._channel.open(self._receive, self._closed)
 
     def tell(self, message: Message) -> None:
-        """Send it a message."""
         self._channel.send(message)
 
     def close(self, reason: str) -> None:
-        """End the connection."""
         self._channel.close(reason)
         self._leave(LeaseChange.RELEASED)
 

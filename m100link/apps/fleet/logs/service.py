@@ -107,7 +107,6 @@ class LogService:
         }
 
     async def run(self) -> None:
-        """Answer until this is cancelled."""
         with ExitStack() as stack:
             stack.callback(self._end)
             served = self._bus.serve(self._keys.log, self._on_question, depth=_MOST_WAITING)

@@ -29,8 +29,6 @@ _MOST_REACHED = 1024
 
 
 class Missions:
-    """The missions of one aircraft."""
-
     def __init__(self, client: AgentClient) -> None:
         self._client = client
         self.stage = MissionStage.NONE  # how far the mission is
@@ -154,7 +152,6 @@ class Missions:
         return "" if state.mission == "no mission" else state.mission
 
     def card(self, name: str, boot: str) -> MissionCard:
-        """Where the mission is."""
         client, state, plan = self._client, self._client.state, self._plan
         until = client.now if self._ended_at is None else self._ended_at
         index = state.mission_index

@@ -72,8 +72,6 @@ _IN_SHOW = (ShowStage.LOADED, *_BUSY)
 
 
 class Performer:
-    """One aircraft."""
-
     def __init__(self, client: AgentClient, name: str) -> None:
         self._client = client
         self._name = name

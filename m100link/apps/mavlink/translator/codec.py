@@ -160,8 +160,6 @@ _TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message."""
-
     name: str  # as in the definitions
     fields: Mapping[str, Any]  # values by name; a text for characters, a tuple for other arrays
     system: int = 0  # who sent it; 0 for what is to be sent
@@ -201,7 +199,6 @@ class Layout:
 
     @property
     def size(self) -> int:
-        """Bytes with extensions."""
         return self._struct.size
 
     def write(self, values: Mapping[str, Any]) -> bytes:
@@ -433,15 +430,11 @@ _PARTS = 3
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """What is written."""
-
     sent: int  # newest time that was signed or taken
     newest: dict[Sender, int]  # newest time of each sender; what is not later is not taken
 
 
 class SignatureMemory:
-    """The file of one key."""
-
     def __init__(self, folder: Path, signer: Signer) -> None:
         self._signer = signer
         named = hashlib.sha256(b"m100link MAVLink signatures" + signer.key).hexdigest()[:16]

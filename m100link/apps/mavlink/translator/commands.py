@@ -44,8 +44,6 @@ _NO_PLACE = 0x7FFFFFFF
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """A command as it came."""
-
     command: int
     parameters: tuple[float, float, float, float]  # the first four, NaN where nothing is said
     peer: Peer

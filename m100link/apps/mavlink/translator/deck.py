@@ -98,7 +98,6 @@ class Deck:
 
     @property
     def mode(self) -> Mode:
-        """What ground stations are shown."""
         phase = self.phase
         if phase is Phase.AIRBORNE and self._is_flown_by_a_stranger:
             return Mode.MISSION

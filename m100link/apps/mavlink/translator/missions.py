@@ -26,8 +26,6 @@ _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE, _NONE = 2, 3, 4, 5, 1
 
 @dataclass(slots=True)
 class _Upload:
-    """Items on their way in."""
-
     peer: Peer  # who sends them
     kind: int
     count: int
@@ -37,8 +35,6 @@ class _Upload:
 
 
 class Missions:
-    """The missions of one aircraft."""
-
     def __init__(
         self,
         # Sends a message to a peer, None for everybody.
@@ -70,7 +66,6 @@ class Missions:
 
     @property
     def items(self) -> tuple[Message, ...]:
-        """The mission."""
         return self._stored[MissionType.MISSION]
 
     def route(self) -> Route | None:
@@ -86,7 +81,6 @@ class Missions:
     # -- what comes in ---------------------------------------------------------------------------
 
     def receive(self, message: Message, peer: Peer, now: float) -> None:
-        """A message of the protocol."""
         upload = self._upload
         kind = message.fields.get("mission_type", MissionType.MISSION)
         if message.name == "MISSION_COUNT":
@@ -224,7 +218,6 @@ class Missions:
             self._told_at = float("-inf")
 
     def reached(self, number: int) -> None:
-        """An item is done."""
         self._reached = number
         self._send(Message("MISSION_ITEM_REACHED", {"seq": number}), None)
 
@@ -310,8 +303,6 @@ def _local(frame: LocalFrame, latitude_deg: float, longitude_deg: float) -> _Loc
 
 @dataclass(frozen=True, slots=True)
 class _Area:
-    """A polygon, or a circle."""
-
     is_inside: bool  # whether to stay in it
     frame: LocalFrame  # of the edges
     middle: tuple[float, float, float]  # of a circle, or the last corner: in space, m

@@ -132,7 +132,6 @@ class Offboard:
         return ""
 
     def is_fresh(self, now: float) -> bool:
-        """Whether a setpoint came lately."""
         return self.target is not None and now - self.target.at <= self._parameters["COM_OF_LOSS_T"]
 
     # -- what is flown ---------------------------------------------------------------------------
@@ -230,7 +229,6 @@ class Manual:
         self._sticks, self._at = (first, second, third, fourth), now
 
     def is_fresh(self, now: float) -> bool:
-        """Whether sticks came lately."""
         return now - self._at <= STICKS_LIFETIME
 
     def wants_up(self, now: float) -> bool:

@@ -73,8 +73,6 @@ class GoHome(Order):
 
 @dataclass(frozen=True, slots=True)
 class Halt(Order):
-    """Hover."""
-
     is_interrupting: bool = False  # as in Land
     why: str = ""
 

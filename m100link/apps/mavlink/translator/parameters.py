@@ -18,8 +18,6 @@ _REAL32, _INT32 = 9, 6
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One of them."""
-
     value: float | None  # at first; of one that tells of the aircraft, None
     meaning: str  # for the manual
     least: float = 0.0  # what it may be set to
@@ -30,7 +28,6 @@ class Parameter:
 
     @property
     def is_settable(self) -> bool:
-        """Whether it can be set."""
         return self.most > self.least
 
 
@@ -69,8 +66,6 @@ _NAMES = tuple(PARAMETERS)
 
 
 class Parameters:
-    """The parameters of one aircraft."""
-
     def __init__(self, world: World, system: int) -> None:
         self._world = world
         self._system = system

@@ -13,8 +13,6 @@ MOST_PEERS = 16  # ground stations and programs at once: each costs the telemetr
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """A ground station or program."""
-
     address: Address  # where its datagrams come from
     system: int
     component: int

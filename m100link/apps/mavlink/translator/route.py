@@ -31,8 +31,6 @@ _CHANGES_THE_WAY = {177, 192, 3000}
 
 
 class Refused(Exception):
-    """The mission cannot be flown."""
-
     def __init__(self, result: MissionResult, why: str) -> None:
         super().__init__(why)
         self.result = result  # for the ground station
@@ -65,7 +63,6 @@ class Route:
         self._speed = speed  # of the legs that follow, m/s
 
     def read(self, number: int, item: Message) -> None:
-        """The next item."""
         command = item["command"]
         row = ITEMS.get(command)
         if row is not None:
@@ -162,8 +159,6 @@ def _seconds(number: int, value: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class ItemRow:
-    """An item that is flown."""
-
     reader: Callable[[Route, int, Message], None]  # what reads it
     meaning: str  # for the manual
 

@@ -322,8 +322,6 @@ def _felt(acceleration: Acceleration, attitude: Attitude) -> tuple[float, float,
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """A message of telemetry."""
-
     hz: float  # how often it is sent; 0 until somebody asks
     group: int  # MAV_DATA_STREAM of REQUEST_DATA_STREAM
     # Makes it; None where what it says is not known.
@@ -484,7 +482,6 @@ class Texts:
         self._allowed, self._at = _AT_ONCE, 0.0
 
     def tell(self, severity: Severity, text: str) -> None:
-        """Send it to everybody."""
         self._waiting.append((severity, text))
 
     def due(self, now: float) -> Iterator[Message]:

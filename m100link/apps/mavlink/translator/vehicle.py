@@ -395,7 +395,6 @@ class Vehicle:
             self.deck.stopped("STOP was pressed" if is_stop else event.text)
 
     def tell(self, text: str) -> None:
-        """Warn everybody."""
         self._texts.tell(Severity.WARNING, text)
 
     def advance(self, now: float, audience: Audience, lost: Callable[[Peer, float], bool]) -> None:

@@ -100,7 +100,6 @@ class World:
 
     @property
     def phase(self) -> Phase:
-        """Where the flight stands."""
         view = self.known.view
         if not view.is_heard:
             return Phase.AWAY

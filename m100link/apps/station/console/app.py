@@ -116,7 +116,6 @@ def console_app(
 
 
 async def serve(fronts: Fronts) -> None:
-    """Serve the console."""
     agents = await fronts.reached("console")
     tabs = Tabs(agents, fronts.dropped.get("rosbridge", dict))
     app = console_app(agents, fronts.settings, fronts.orders, tabs)

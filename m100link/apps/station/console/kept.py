@@ -39,8 +39,6 @@ _LONGEST_GAP_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class _Look:
-    """One word."""
-
     at: float  # when it was said, on the agent's clock, s
     connection: AircraftState  # the telemetry of the connection then: each connection has another
 

@@ -391,7 +391,6 @@ class Press:
         self._passed_at = -math.inf  # what comes after it is another press
 
     def fate(self, agent: AgentClient, now: float, *, has_lease: bool) -> Fate:
-        """Return its fate until now."""
         view = agent.view
         if not has_lease or not view.has_authority:
             return Fate.NO_CONTROL

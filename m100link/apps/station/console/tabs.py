@@ -54,7 +54,6 @@ class _Move:
     tab: Tab | None = None  # the page of the other aircraft, once it was asked for
 
     def sessions(self) -> list[ControlSession]:
-        """Control on its way."""
         return [*self.kept.values(), *([] if self.tab is None else [self.tab.session])]
 
 
@@ -78,7 +77,6 @@ class Tabs:
         self._places: dict[str, _Place] = {}
 
     def open(self, aircraft: str = "", moved: str = "") -> tuple[str, Tab]:
-        """A new tab."""
         if aircraft not in self.agents:
             aircraft = next(iter(self.agents))
         self._count += 1

@@ -70,8 +70,6 @@ class _Fault(Exception):
 
 
 class Client:
-    """One client."""
-
     def __init__(
         self,
         graph: Graph,  # topics and services
@@ -119,7 +117,6 @@ class Client:
         graph.sessions.add(self)
 
     def close(self, now: float) -> None:
-        """The client has gone."""
         self.outbox.clear()
         self.graph.leave(self, now)
 
@@ -374,7 +371,6 @@ class Client:
 
     @property
     def subscribes(self) -> bool:
-        """Whether it gets anything."""
         return bool(self.outbox.subscriptions)
 
 
@@ -413,8 +409,6 @@ COMPRESSIONS = ("none", "png", "cbor", "cbor-raw")
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What one subscription asked for."""
-
     throttle: float = 0.0  # seconds between two messages, at least
     queue_length: int = 0  # messages that are kept while the throttle holds them back
     fragment_size: int | None = None  # characters of a fragment, None for whole messages
@@ -439,7 +433,6 @@ class Subscription:
         self.next_at = float("-inf")  # when the throttle lets the next one through
 
     def merge(self) -> None:
-        """The wishes have changed."""
         wishes = self.wishes.values()
         sizes = [one.fragment_size for one in wishes if one.fragment_size is not None]
         self.wish = Wish(
@@ -504,7 +497,6 @@ class Outbox:
         return not rest
 
     def clear(self) -> None:
-        """The client has gone."""
         self.subscriptions.clear()
         self._by_topic.clear()
         self._queue.clear()
@@ -548,7 +540,6 @@ class Outbox:
         self._on_output()
 
     def _take(self, subscription: Subscription) -> None:
-        """One message of it less."""
         crowds, pending = self._crowds, subscription.pending
         del crowds[pending][subscription]
         if pending > 1:

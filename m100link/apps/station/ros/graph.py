@@ -89,8 +89,6 @@ class Listener(Protocol):
 
 @dataclass(slots=True, eq=False)
 class Topic:
-    """A topic."""
-
     name: str  # its name, with a leading slash
     type: MessageType  # type of its messages
     # What a client's message does; None on topics that only the station publishes.
@@ -117,7 +115,6 @@ class Call:
             self.session.respond(self, type_.to_json(type_.default() | response), True)
 
     def fail(self, reason: str) -> None:
-        """Answer that the call failed."""
         if not self.is_answered:
             self.is_answered = True
             self.session.respond(self, json.dumps(reason), False)
@@ -125,8 +122,6 @@ class Call:
 
 @dataclass(slots=True, eq=False)
 class Service:
-    """A service."""
-
     name: str  # its name, with a leading slash
     type: ServiceType
     on_call: Callable[[Call], None]  # answers a call, at once or later
@@ -183,7 +178,6 @@ class Graph:
                 session.deliver(publication, now)
 
     def leave(self, session: Listener, now: float) -> None:
-        """A client has gone."""
         if session in self.sessions:
             self.sessions.discard(session)
             for topic in self.topics.values():
@@ -354,7 +348,6 @@ LEVELS = {"info": 2, "warning": 4, "error": 8}
 
 
 def add_rosout(agents: Mapping[str, AgentClient], graph: Graph) -> None:
-    """Publish each event."""
     topic = graph.add_topic("/rosout", "rosgraph_msgs/Log")
 
     def tell(agent: AgentClient, node: str, event: Event) -> None:

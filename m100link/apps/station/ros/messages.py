@@ -175,8 +175,6 @@ class BadMessage(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A field of a message."""
-
     name: str
     type: str  # type of the value, or of the elements of an array
     # None for a single value, 0 for an array of any length, else the exact length.
@@ -243,8 +241,6 @@ class MessageType:
 
 @dataclass(frozen=True, slots=True)
 class ServiceType:
-    """A service type."""
-
     name: str
     request: MessageType  # what is sent
     response: MessageType  # what comes back

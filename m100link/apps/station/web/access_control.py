@@ -57,7 +57,6 @@ class Access:
         return f"{name}={self.cookie}; HttpOnly; SameSite=Strict; Path=/{more}"
 
     def is_token(self, given: str) -> bool:
-        """Whether this is the token."""
         return secrets.compare_digest(given.encode(), self._token.encode())
 
     def has_cookie(self, header: str, *, is_secure: bool) -> bool:

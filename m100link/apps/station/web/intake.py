@@ -89,7 +89,6 @@ class Intake:
         self._opens_at = 0.0
 
     def put(self, one: Waiting) -> None:
-        """Let it have one turn."""
         loop = asyncio.get_running_loop()
         if one.steers:
             self._first.append(one)
@@ -296,8 +295,6 @@ _FULL = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
 
 class Listener:
-    """Listens, until it is closed."""
-
     steers, is_dear = False, False
 
     def __init__(
@@ -349,7 +346,6 @@ class Listener:
         self._newcomers.discard(newcomer)
 
     def close(self) -> None:
-        """Take no new connections."""
         if not self._is_closed:
             self._is_closed = True
             self._loop.remove_reader(self._listening)
@@ -399,7 +395,6 @@ class _Newcomer:
         self._listener.forget(self)
 
     def step(self) -> None:
-        """Admit the connection."""
         if self._accepted.fileno() >= 0:
             self._patience.cancel()
             self._task = asyncio.create_task(self._enter(), name="m100link station: newcomer")

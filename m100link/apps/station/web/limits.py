@@ -48,7 +48,6 @@ class TokenBucket:
         self._level -= cost
 
     def wait(self, now: float) -> float:
-        """Seconds until there is anything."""
         self._fill(now)
         return max(0.0, -self._level / self._rate)
 
@@ -81,7 +80,6 @@ class SparingLogger(logging.LoggerAdapter[logging.Logger]):
 
     @property
     def level(self) -> int:
-        """That of the logger."""
         return self.logger.level
 
     def isEnabledFor(self, level: int) -> bool:  # noqa: N802 - the name that logging gives it
@@ -137,7 +135,6 @@ class ConnectionLimit:
         return len(self._open)
 
     def enter(self, visitor: Visitor) -> None:
-        """A connection was opened."""
         self._open[visitor] = None
         self._count[visitor.peer] += 1
         if self._count[visitor.peer] > self._per_peer:

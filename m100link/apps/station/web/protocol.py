@@ -81,8 +81,6 @@ def _framed(message: str | bytes) -> bytes:
 
 
 class _Frames(ServerProtocol):
-    """Frames of a WebSocket, counted."""
-
     count = 0  # how many came
 
     def recv_frame(self, frame: Frame) -> None:
@@ -104,8 +102,6 @@ class _Frames(ServerProtocol):
 
 
 class WebSocketConnection(WebSocketsSansIOProtocol):
-    """A WebSocket of the station."""
-
     config: Config
 
     def __init__(self, *args: Any, **keywords: Any) -> None:

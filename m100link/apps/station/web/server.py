@@ -99,7 +99,6 @@ class Bridge:
         return next(iter(self.agents.values()))
 
     def app(self, settings: Settings) -> AccessControl:
-        """The application behind its gate."""
         return settings.gate(self._app)
 
     async def _greet(self, request: Request) -> Response:
@@ -364,7 +363,6 @@ class Server(uvicorn.Server):
 
 
 async def serve(fronts: Fronts) -> None:
-    """Serve rosbridge."""
     agents = await fronts.reached("rosbridge")
     settings = fronts.settings
     bridge = Bridge(agents, max_clients=settings.max_clients, pages=settings.pages)

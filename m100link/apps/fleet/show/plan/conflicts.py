@@ -44,8 +44,6 @@ _MOST_M = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Ahead:
-    """Where one aircraft will be."""
-
     show: str  # which show, by its digest
     name: str  # of the aircraft
     at: float  # when the first place is, s from the beginning of the show; each half a second later
@@ -84,7 +82,6 @@ class Ahead:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Read what another aircraft tells."""
         try:
             if len(data) > _MOST_BYTES:
                 raise ValueError("too long")

@@ -85,7 +85,6 @@ class Leg:
 
     @property
     def duration(self) -> float:
-        """Seconds."""
         return self.end - self.begin
 
     def moment(self, at: float) -> Moment:

@@ -94,7 +94,6 @@ class Wording:
         show()
 
     def choose(self, settings: Settings) -> None:
-        """Take other settings."""
         self.settings = settings
         for show in self._followers:
             show()
@@ -232,7 +231,6 @@ class ReadingRow:
         self._is_stale = False
 
     def show(self, reading: Reading) -> None:
-        """Show it."""
         self._value.set_text(self._wording(reading.text))
         self._note.set_text("" if reading.note is None else self._wording(reading.note))
         if reading.is_stale is not self._is_stale:

@@ -73,7 +73,6 @@ class TelemetryPart:
             scene.move_camera(0, -2.6, 1.4, 0, 0, 0, duration=0)
 
     def update(self, view: View) -> None:
-        """Show what is."""
         for name, row in self._rows.items():
             row.show(view.instruments.readings[name])
         attitude = view.instruments.attitude
@@ -108,7 +107,6 @@ class LinkPart:
                 self._tables[name] = box, ()
 
     def update(self, view: View) -> None:
-        """Show what is."""
         speak = self._wording
         for name, text in view.link.texts.items():
             self._numbers[name].set_text(speak(text))
@@ -302,7 +300,6 @@ class EventsPart:
         ui.download.content(text, f"m100link-events.{how.value}", MIME[how])
 
     def update(self, view: View) -> None:
-        """Show what is."""
         wording = self._page.wording
         newest = view.events[-1].number if view.events else 0
         if (newest, wording.settings) == (self._last, self._said_in):

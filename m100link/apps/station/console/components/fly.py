@@ -29,8 +29,6 @@ from m100link.errors import M100Error
 
 
 class Fly:
-    """A part made of parts."""
-
     def __init__(self, page: PageContext) -> None:
         made: tuple[tuple[str, Callable[[PageContext], Component]], ...] = (
             ("hud", InstrumentsPart),
@@ -45,7 +43,6 @@ class Fly:
             _build_sticks(page.wording)
 
     def update(self, view: View) -> None:
-        """Show what is."""
         for part in self._parts:
             part.update(view)
 
@@ -119,7 +116,6 @@ class InstrumentsPart:
             self._rows = {name: ReadingRow(name, page.wording) for name in names}
 
     def update(self, view: View) -> None:
-        """Show what is."""
         for name, row in self._rows.items():
             row.show(view.instruments.readings[name])
 
@@ -143,7 +139,6 @@ class TakeOverDialog:
             self._is_wanted = True
 
     def update(self) -> None:
-        """Ask, if that is wanted."""
         if self._is_wanted:
             self._is_wanted = False
             ui.timer(0.0, self._ask, once=True)
@@ -243,7 +238,6 @@ class ChecklistPart:
         page.tabs.looks.say(page.tab.person, page.tab.aircraft, page.agent, is_free=is_free)
 
     def update(self, view: View) -> None:
-        """Show what is."""
         self._take_over.update()
         checklist, wording = view.checklist, self._page.wording
         for check in checklist.checks:
@@ -313,7 +307,6 @@ class ActionsPart:
             why_not.on("click", lambda: page.show("check"), args=[])
 
     def update(self, view: View) -> None:
-        """Show what is."""
         self._take_over.update()
         wording = self._page.wording
         self._activation.set_text(wording(view.activation))

@@ -57,7 +57,6 @@ class StatusPart:
         self._beat = ui.element("i").props("id=view-beat hidden")
 
     def update(self, view: View) -> None:
-        """Show what is."""
         line, said = view.status, self._page.wording
         self._text.set_text(said(line.text))
         self._remedy.set_text(said(line.remedy) if line.remedy is not None else "")
@@ -82,8 +81,6 @@ class StatusPart:
 
 @dataclass(slots=True)
 class _Row:
-    """One alarm on the page."""
-
     box: Any  # the whole row
     shape: Any
     text: Any  # what it says
@@ -126,7 +123,6 @@ class AlarmsPart:
             self._page.agent.note(f"{self._page.tab.session.name} acknowledged: {english(text)}")
 
     def update(self, view: View) -> None:
-        """Show what is."""
         shown = {alarm.name: alarm for alarm in view.alarms}
         for name, row in self._rows.items():
             self._show(row, shown.get(name))
@@ -235,7 +231,6 @@ class ReplayPart:
             self._order(f"speed {event.value:g}")
 
     def update(self, view: View) -> None:
-        """Show what is."""
         shown = view.replay
         self._bar.set_visibility(shown is not None)
         if shown is not None:
@@ -314,7 +309,6 @@ class _ShipRow:
         agent.background.spawn(tab.attempt(agent.stop), f"stop of {tab.session.name}")
 
     def show(self, row: FleetRow) -> None:
-        """Show what has changed."""
         said = self._page.wording
         before, self._shown = self._shown, (row, said.settings)
         if self._shown == before:

@@ -288,7 +288,6 @@ class ClickPart:
     # -- what is shown ---------------------------------------------------------------------------
 
     def update(self, view: View) -> None:
-        """Show what is."""
         agent = self._page.agent
         order = self._pointed.order if self._is_open else None
         has_control = self._page.tab.session.has_control

@@ -298,7 +298,6 @@ class PlanPart:
                     row.on("click", partial(self._choose, index), args=[])
 
     def update(self, view: View) -> None:
-        """Show what is."""
         agent = self._page.agent
         uploaded = upload_of(self._found.plan, agent.plan, agent.plan_by)
         self._uploaded.set_text(self._say(uploaded))
@@ -330,8 +329,6 @@ def _place(args: Any) -> Place | None:
 
 
 class WaypointPart:
-    """A card for one waypoint."""
-
     def __init__(
         self,
         wording: Wording,  # says what stands there
@@ -372,7 +369,6 @@ class WaypointPart:
         self._card.set_visibility(False)
 
     def show(self, index: int | None, point: Waypoint | None) -> None:
-        """Show one, or none."""
         self._card.set_visibility(point is not None)
         if index is None or point is None:
             return
@@ -429,8 +425,6 @@ it measures."""
 
 
 class WholePart:
-    """Two cards."""
-
     def __init__(
         self,
         wording: Wording,  # says what stands there

@@ -150,8 +150,6 @@ _Handler: TypeAlias = "Callable[[ValueChangeEventArguments[Any]], Awaitable[None
 
 
 class SimPanel:
-    """What plays pilot and weather."""
-
     def __init__(self, orders: Orders, wording: Wording) -> None:
         self._orders, self._wording = orders, wording
         shown = orders.status

@@ -30,8 +30,6 @@ _LINK_CLEAR_AGE = MAX_TELEMETRY_AGE / 2
 
 
 class AlarmState(Enum):
-    """Where an alarm stands."""
-
     QUIET = "quiet"  # nothing to tell
     RAISED = "raised"  # it is so, and nobody has said that they know
     ACKNOWLEDGED = "acknowledged"  # it is so, and the operator knows
@@ -76,8 +74,6 @@ class AlarmName(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Definition:
-    """What an alarm is."""
-
     name: AlarmName
     level: Level  # how urgent it is
     text: Callable[[Situation], Text]  # what is said
@@ -290,8 +286,6 @@ class Alarm:
 
 @dataclass(slots=True)
 class _Watched:
-    """One alarm of one tab."""
-
     one: Definition
     state: AlarmState = AlarmState.QUIET  # where it stands
     is_so: bool = False  # what was judged last and was not unknown

@@ -38,8 +38,6 @@ LINK_ITEMS = (
 
 @dataclass(frozen=True, slots=True)
 class ItemRate:
-    """How a telemetry item arrives."""
-
     name: Text  # of the item
     rate: str  # arrivals per second lately
     jitter: str  # mean deviation of their intervals, ms
@@ -48,8 +46,6 @@ class ItemRate:
 
 @dataclass(frozen=True, slots=True)
 class LinkView:
-    """How the link does."""
-
     # A text by the name of each of :data:`LINK_ITEMS`; a dash for what nobody knows.
     texts: dict[str, Text]
     # Causes of damaged frames, each with how many, the most first.
@@ -304,8 +300,6 @@ MIME = {Format.TEXT: "text/plain", Format.JSON: "application/json", Format.CSV: 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One event."""
-
     number: int  # counts the lines of this page from 1
     at: float  # seconds since 1970, UTC
     level: str  # one of :data:`LEVELS`

@@ -70,8 +70,6 @@ class ItemState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One line of the list."""
-
     item: Item  # what it is about
     state: ItemState  # how it stands
     seen: Text  # what telemetry says
@@ -81,8 +79,6 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class Checklist:
-    """The whole list."""
-
     checks: tuple[Check, ...]
     is_green: bool  # whether everything is right
     is_possible: bool  # whether all that is needed is right
@@ -216,7 +212,6 @@ class ChecklistDesk:
         self._reason = " ".join(reason.split())[:200]
 
     def look(self, now: Situation) -> Checklist:
-        """The list for a situation."""
         if now.is_on_ground is False:
             self._free_said_at, self._reason = -math.inf, ""  # the next take-off is another one
         is_free = self.is_free(now.now)
@@ -297,8 +292,6 @@ def actions_of(inputs: Inputs, now: Situation, checklist: Checklist) -> frozense
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A field of the console."""
-
     name: str  # identifies it in the page; ``instruments.<name>`` is what it is called
     record: type[Any]  # telemetry record that it comes from
     text: Callable[[Any], Text]  # the value, to be said
@@ -389,8 +382,6 @@ def read(field: Field, view: VehicleView) -> Reading:
 
 @dataclass(frozen=True, slots=True)
 class Instruments:
-    """What the instruments show."""
-
     readings: dict[str, Reading]  # a reading by the name of each of :data:`FIELDS`
     # Roll, pitch and yaw, degrees; None when nobody knows.
     attitude: tuple[float, float, float] | None

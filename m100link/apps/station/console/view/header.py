@@ -44,7 +44,6 @@ def mission_of(inputs: Inputs) -> MissionView:
 
 
 def summary(plan: WaypointPlan | None) -> Text:
-    """A plan in one line."""
     if plan is None:
         return tr("mission.no_plan")
     low, high = map(Quantity.length, plan.heights)
@@ -158,8 +157,6 @@ _TASKS = {
 
 @dataclass(frozen=True, slots=True)
 class StatusLine:
-    """What the status line shows."""
-
     cause: Cause  # why it says so
     level: Level  # how urgent it is
     text: Text  # what it says
@@ -176,7 +173,6 @@ _WITHOUT_REMEDY = (Cause.PENDING, Cause.GIVING_BACK, Cause.YOURS)
 
 
 def status_line(now: Situation) -> StatusLine:
-    """The line for a situation."""
     cause, level = next((cause, level) for cause, (level, holds) in RULES.items() if holds(now))
     key = f"status.{cause.value}"
     return StatusLine(
@@ -285,8 +281,6 @@ _LOW_PERCENT = 25
 
 @dataclass(frozen=True, slots=True)
 class FleetRow:
-    """One aircraft."""
-
     name: str  # what it is called
     is_shown: bool  # whether the page shows it and steers it
     kind: str  # ``"mine"``, ``"theirs"``, ``"free"`` or ``"lost"``: colour and shape

@@ -20,8 +20,6 @@ from m100link.geodesy import LocalFrame
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """What stands on the map."""
-
     # The circle of the envelope, beyond which nothing is flown: latitude and longitude of its
     # middle, degrees, and its radius, m. None without control, without GPS, or with that guard off.
     fence: tuple[tuple[float, float], float] | None
@@ -177,8 +175,6 @@ class Drawing:
 
 @dataclass(frozen=True, slots=True)
 class ClickView:
-    """What stands beside the point."""
-
     preview: Text | None  # what it would take; None while there is no point
     # Why it would be refused, or was; empty while nothing stands against it.
     refusals: tuple[Refusal, ...]

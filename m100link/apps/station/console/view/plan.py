@@ -56,7 +56,6 @@ class Draft:
 
     @classmethod
     def of(cls, plan: WaypointPlan, area: tuple[Place, ...] = ()) -> Self:
-        """The draft of a plan."""
         same = {name: getattr(plan, name) for name in _OF_A_PLAN}
         return cls(points=tuple(plan.waypoints), area=area, **same)
 
@@ -76,7 +75,6 @@ class Draft:
         return replace(self, points=(*self.points[:at], point, *self.points[at:]))
 
     def moved(self, index: int, place: Place) -> Draft:
-        """With a point somewhere else."""
         return self.changed(index, latitude_deg=place[0], longitude_deg=place[1])
 
     def changed(self, index: int, **values: object) -> Draft:
@@ -88,7 +86,6 @@ class Draft:
         return replace(self, points=(*self.points[:index], point, *self.points[index + 1 :]))
 
     def removed(self, index: int) -> Draft:
-        """Without a point."""
         return replace(self, points=(*self.points[:index], *self.points[index + 1 :]))
 
     def put(self, index: int, to: int) -> Draft:
@@ -104,7 +101,6 @@ class Draft:
         return replace(self, area=(*self.area, place))
 
     def corner_moved(self, index: int, place: Place) -> Draft:
-        """With a corner somewhere else."""
         if not 0 <= index < len(self.area):
             return self
         return replace(self, area=(*self.area[:index], place, *self.area[index + 1 :]))
@@ -153,7 +149,6 @@ class History:
         return History(draft, (*self.before[1 - _MOST_UNDONE :], self.draft))
 
     def undo(self) -> History:
-        """The one before."""
         if not self.before:
             return self
         return History(self.before[-1], self.before[:-1], (*self.undone, self.draft))
@@ -170,8 +165,6 @@ class History:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """Something about a plan."""
-
     text: str
     point: int | None = None  # index of the waypoint, None for the whole
     is_error: bool = False  # whether the aircraft would refuse it; otherwise it may surprise
@@ -179,8 +172,6 @@ class Note:
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """A draft after the checks."""
-
     plan: WaypointPlan | None  # the plan; None if the aircraft would refuse it
     notes: tuple[Note, ...]  # what is wrong, and what may surprise
     estimate: PlanEstimate | None  # of the plan; None without one
@@ -278,7 +269,6 @@ def text_of(actions: Sequence[WaypointAction]) -> str:
 
 
 def summary_of(draft: Draft, found: Checked) -> Text:
-    """A draft in one line."""
     if not draft.points:
         return tr("plan.empty")
     if found.plan is None or found.estimate is None:
@@ -311,7 +301,6 @@ def upload_of(plan: WaypointPlan | None, uploaded: WaypointPlan | None, name: st
 
 
 def row_of(number: int, point: Waypoint) -> Text:
-    """A waypoint in one line."""
     actions = text_of(point.actions)
     height = Quantity.length(point.height, 1)
     return tr("plan.row", number=number, height=height, actions=f", {actions}" * bool(actions))

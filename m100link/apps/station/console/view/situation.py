@@ -91,7 +91,6 @@ class Situation:
 
 
 def situation_of(inputs: Inputs) -> Situation:
-    """What is known now."""
     view = inputs.vehicle
     state, holder = view.state, view.holder
     aborted = max(

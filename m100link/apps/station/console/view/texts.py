@@ -96,7 +96,6 @@ class Units:
         return shown / self.convert(1.0, kind)
 
     def unit(self, kind: Kind) -> str:
-        """The sign of the unit."""
         return self.length.value if kind is Kind.LENGTH else self.speed.value
 
     def text(self, quantity: Quantity, language: Language = Language.ENGLISH) -> str:
@@ -147,8 +146,6 @@ def translations(language: Language = Language.ENGLISH) -> Mapping[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """Something to be said."""
-
     key: str  # of its entry
     # What stands in its braces: a text, a whole number, a number with one digit behind the point, a
     # quantity, the unit of a kind, or another text to be said.

@@ -34,8 +34,6 @@ from m100link.apps.station.console.view.texts import Text, problem_text, tr
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What the page shows."""
-
     at: float  # time on the agent's clock, s
     situation: Situation  # what is known, as plain values
     status: StatusLine  # the status line
