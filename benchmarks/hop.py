@@ -28,7 +28,7 @@ from pathlib import Path
 import m100link
 from benchmarks.program import main
 from benchmarks.rows import NotMeasured, Program, Row, Setting, Side, percentile, ratio, times
-from m100link.apps.agent.messages import Event, Message, Note, Steer
+from m100link.apps.agent.messages import Event, JournalNote, Message, Steer
 from m100link.apps.agent.transports import (
     UnixChannel,
     connect_unix,
@@ -175,11 +175,11 @@ class Front:
     async def _steer(self, count: int) -> dict[str, float]:
         loop = asyncio.get_running_loop()
         setpoint = Setpoint.velocity(north=1.0, east=2.0, up=0.5, yaw_rate_deg_s=10.0)
-        self._channel.send(Note("info", REPORT))
+        self._channel.send(JournalNote("info", REPORT))
         for _ in range(count):
             await asyncio.sleep(PERIOD_S)
             self._channel.send(Steer(1, loop.time(), 0.2, setpoint))
-        self._channel.send(Note("info", REPORT))
+        self._channel.send(JournalNote("info", REPORT))
         try:
             async with asyncio.timeout(PATIENCE_S):
                 answer = await self._answers.get()

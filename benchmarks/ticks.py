@@ -34,7 +34,7 @@ from benchmarks.rows import (
     percentile,
     ratio,
 )
-from m100link.flight.pacing import Alarm, Ticker
+from m100link.flight.pacing import DeadlineTimer, Ticker
 
 SECONDS = 2.0
 RATES = (50, 100)
@@ -70,7 +70,7 @@ def by_ticker(hz: int) -> Measure:
 
 def by_alarm(hz: int) -> Measure:
     """The alarm below it, which knows no limit."""
-    alarm = Alarm()
+    alarm = DeadlineTimer()
 
     async def measure(count: int) -> list[float]:
         clock = asyncio.get_running_loop().time

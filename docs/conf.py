@@ -60,7 +60,7 @@ nitpick_ignore_regex = [
     (r"py:.*", r"(anyio|cryptography|serial|serial_asyncio)(\..*)?"),
     (r"py:class", r"(Path|(random\.)?Random)"),
     # What is signed is handed on as it is.
-    (r"py:class", r"m100link\.apps\.fleet\.payloads\.Order"),
+    (r"py:class", r"m100link\.apps\.fleet\.payloads\.OrderMessage"),
     # Attributes are described by their class, they are not entries of their own.
     (r"py:attr", r"state"),
     # Programs get a Control or a Subscription from the aircraft and never make one.
@@ -69,9 +69,9 @@ nitpick_ignore_regex = [
     (r"py:class", r"m100link\.sync\.portal\.(Portal|Caller)"),
     (
         r"py:class",
-        r"m100link\.flight\.missions\.(context\.Deck|keeper\.MissionKeeper|run\.MissionRun)",
+        r"m100link\.flight\.missions\.\w+\.Mission(Context|Guard|Session)",
     ),
-    (r"py:class", r"m100link\.(flight\.guards\.GuardKeeper|telemetry\.subscription\.Queue)"),
+    (r"py:class", r"m100link\.(flight\.guards\.GuardKeeper|telemetry\.subscription\.SampleQueue)"),
     # Type variables.
     (r"py:class", r"m100link\.[\w.]+\.[RT]"),
     # A default factory makes a signature that Sphinx cannot parse; it guesses at the pieces.

@@ -92,7 +92,7 @@ if TYPE_CHECKING:
         HotpointFlight,
         Target,
     )
-    from m100link.flight.missions.keeper import MissionFlight
+    from m100link.flight.missions.mission_guard import MissionFlight
     from m100link.flight.missions.waypoint import WaypointFlight
     from m100link.flight.pacing import Tick, Ticker
     from m100link.flight.tasks import TaskProgress
@@ -324,7 +324,7 @@ _ROOMS = (
     "flight.guidance",
     "flight.mission_state",
     "flight.missions.events",
-    "flight.missions.keeper",
+    "flight.missions.mission_guard",
     "flight.missions.waypoint",
     "flight.missions.hotpoint",
     "flight.control",

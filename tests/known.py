@@ -17,11 +17,11 @@ from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import (
     VERSION,
     Ask,
+    GuardLimits,
     Hello,
     LeaseChanged,
-    Limits,
     Message,
-    Outcome,
+    OrderOutcome,
     Stage,
     State,
     Telemetry,
@@ -176,7 +176,7 @@ class Known:
         return self
 
     def limited(self, speed: float) -> Known:
-        self.state = State(0.0, limits=Limits(max_speed_m_s=speed))
+        self.state = State(0.0, limits=GuardLimits(max_speed_m_s=speed))
         return self
 
     def doubted(self, state: IntegrityState) -> Known:
@@ -338,10 +338,10 @@ class KnownAgent:
         if isinstance(order, LeaseOrder):
             is_over, name = isinstance(order, orders.ReleaseLease), getattr(order, "name", "")
             self.tell(LeaseChanged(0, "") if is_over else LeaseChanged(7, name))
-            self.tell(Outcome(identity, Stage.DONE, lease=Lease(name, "token", 7)))
+            self.tell(OrderOutcome(identity, Stage.DONE, lease=Lease(name, "token", 7)))
             return
         if isinstance(order, orders.Obtain | orders.Release):
             self.tell(replace(self.state, has_authority=isinstance(order, orders.Obtain)))
         if identity and not self.is_slow:
             number = round(1000 * getattr(order, "speed", 0.0))
-            self.tell(Outcome(identity, Stage.DONE, text=self.version, number=number))
+            self.tell(OrderOutcome(identity, Stage.DONE, text=self.version, number=number))

@@ -108,7 +108,7 @@ def test_who_listens_does_not_load_what_flies() -> None:
     loaded = own("from m100link import connect")
     flying = {
         "flight.control",
-        "flight.missions.run",
+        "flight.missions.mission_session",
         "missions.plan",
         "protocol.commands.missions",
     }
@@ -228,6 +228,22 @@ def test_what_is_below_a_room_that_moved_is_loaded_once_and_warns() -> None:
     assert "m100link.fleet.show is m100link.apps.fleet.show now" in asked.stderr
     missing = run("try: import m100link.fleet.nothing\nexcept ModuleNotFoundError as e: print(e)")
     assert missing.stdout == "No module named 'm100link.apps.fleet.nothing'\n"
+
+
+@pytest.mark.parametrize(
+    ("module", "old", "now"),
+    [
+        ("m100link.apps.agent.lease", "LeaseDesk", "LeaseManager"),
+        ("m100link.apps.agent.messages", "PlanTold", "PlanChanged"),
+        ("m100link.log.story", "Story", "FlightSummary"),
+    ],
+)
+def test_a_documented_class_has_its_old_name_too(module: str, old: str, now: str) -> None:
+    room = importlib.import_module(module)
+    with pytest.warns(DeprecationWarning, match=f"{module}.{old} is {now} now"):
+        assert getattr(room, old) is getattr(room, now)
+    with pytest.raises(AttributeError, match="has no attribute 'Nothing'"):
+        room.Nothing  # noqa: B018 - it is asked for
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from tables import TableDirective
 
 from m100link.apps.mavlink.translator.commands import COMMANDS
 from m100link.apps.mavlink.translator.modes import MODES
-from m100link.apps.mavlink.translator.numbers import Command
+from m100link.apps.mavlink.translator.numbers import MavCommand
 from m100link.apps.mavlink.translator.parameters import PARAMETERS
 from m100link.apps.mavlink.translator.route import ITEMS
 from m100link.apps.mavlink.translator.telemetry import STREAMS
@@ -41,7 +41,7 @@ class Commands(TableDirective):
         """One row per command."""
         yield "Number", "Command", "What it does"
         for number, row in COMMANDS.items():
-            yield str(int(number)), f"``{Command(number).name}``", row.meaning
+            yield str(int(number)), f"``{MavCommand(number).name}``", row.meaning
 
 
 class Telemetry(TableDirective):
@@ -61,7 +61,7 @@ class Items(TableDirective):
         """One row per item."""
         yield "Number", "Item", "What it is here"
         for number, row in ITEMS.items():
-            yield str(int(number)), f"``{Command(number).name}``", row.meaning
+            yield str(int(number)), f"``{MavCommand(number).name}``", row.meaning
 
 
 class Settings(TableDirective):

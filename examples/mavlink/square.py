@@ -16,8 +16,8 @@ import time
 from collections.abc import Iterator
 from urllib.parse import urlsplit
 
-from m100link.apps.mavlink.translator.codec import Message, Reading, write_frame
-from m100link.apps.mavlink.translator.numbers import BaseMode, Command, Frame, Result
+from m100link.apps.mavlink.translator.codec import MavlinkMessage, MessageReader, write_frame
+from m100link.apps.mavlink.translator.numbers import BaseMode, MavCommand, MavFrame, MavResult
 
 OFFBOARD, HOLD = (6, 0), (4, 3)  # main and sub mode, by the numbers of PX4
 LEGS = [(2.0, 0.0), (0.0, 2.0), (-2.0, 0.0), (0.0, -2.0)]  # m/s north, m/s east
@@ -34,13 +34,13 @@ class Vehicle:
         self.line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.line.connect((place.hostname, place.port))
         self.line.settimeout(0.05)
-        self.newest: dict[str, Message] = {}
+        self.newest: dict[str, MavlinkMessage] = {}
         self.sent, self.beaten_at = 0, -math.inf
 
     def say(self, message: str, **fields: float) -> None:
         self.sent += 1
         to = {"target_system": 1, "target_component": 1}
-        values = Message(message, fields | to, component=190)
+        values = MavlinkMessage(message, fields | to, component=190)
         self.line.send(write_frame(values, system=255, sequence=self.sent))
 
     def listen(self) -> None:
@@ -49,12 +49,12 @@ class Vehicle:
             self.beaten_at = time.monotonic()
             self.say("HEARTBEAT", type=6, autopilot=8)
         with contextlib.suppress(TimeoutError, ConnectionRefusedError):
-            for message in Reading(self.line.recv(65536)):
+            for message in MessageReader(self.line.recv(65536)):
                 self.newest[message.name] = message
                 if message.name == "STATUSTEXT":  # why something was refused, or happened
                     print("   ", message["text"])
 
-    def wait(self, name: str, **wanted: float) -> Message:
+    def wait(self, name: str, **wanted: float) -> MavlinkMessage:
         """Wait for a message, with these values if any are named."""
         self.newest.pop(name, None)
         ends = time.monotonic() + PATIENCE
@@ -70,18 +70,18 @@ class Vehicle:
         given = (*parameters, *[math.nan] * (7 - len(parameters)))
         named = {f"param{place}": value for place, value in enumerate(given, 1)}
         self.say("COMMAND_LONG", command=number, **named)
-        result = Result.IN_PROGRESS
-        while result is Result.IN_PROGRESS:  # arming takes as long as the aircraft takes
-            result = Result(self.wait("COMMAND_ACK", command=number)["result"])
-        print(f"{Command(number).name}: {result.name}")
-        if result is not Result.ACCEPTED:
+        result = MavResult.IN_PROGRESS
+        while result is MavResult.IN_PROGRESS:  # arming takes as long as the aircraft takes
+            result = MavResult(self.wait("COMMAND_ACK", command=number)["result"])
+        print(f"{MavCommand(number).name}: {result.name}")
+        if result is not MavResult.ACCEPTED:
             raise SystemExit(1)
 
     def fly(self, north: float, east: float, seconds: float) -> None:
         """Velocity setpoints, 20 a second or more: when they stop coming it hovers."""
         ends = time.monotonic() + seconds
         while time.monotonic() < ends:
-            mask = {"coordinate_frame": Frame.LOCAL_NED, "type_mask": ONLY_VELOCITY}
+            mask = {"coordinate_frame": MavFrame.LOCAL_NED, "type_mask": ONLY_VELOCITY}
             self.say("SET_POSITION_TARGET_LOCAL_NED", vx=north, vy=east, **mask)
             self.listen()
 
@@ -106,18 +106,18 @@ def virtual_aircraft() -> Iterator[str]:
 
 def fly(vehicle: Vehicle) -> None:
     vehicle.wait("HOME_POSITION")
-    vehicle.command(Command.COMPONENT_ARM_DISARM, 1)
-    vehicle.command(Command.NAV_TAKEOFF)
+    vehicle.command(MavCommand.COMPONENT_ARM_DISARM, 1)
+    vehicle.command(MavCommand.NAV_TAKEOFF)
     while vehicle.wait("GLOBAL_POSITION_INT")["relative_alt"] < 2000:  # mm
         pass
     vehicle.fly(0.0, 0.0, 0.2)  # offboard begins only where there is something to fly
-    vehicle.command(Command.DO_SET_MODE, BaseMode.CUSTOM, *OFFBOARD)
+    vehicle.command(MavCommand.DO_SET_MODE, BaseMode.CUSTOM, *OFFBOARD)
     for number, (north, east) in enumerate(LEGS, 1):
         vehicle.fly(north, east, LEG_SECONDS)
         print("corner {}: {:5.1f} m north {:5.1f} m east".format(number, *vehicle.place()))
     print(f"back within {math.hypot(*vehicle.place()):.1f} m")
-    vehicle.command(Command.DO_SET_MODE, BaseMode.CUSTOM, *HOLD)
-    vehicle.command(Command.NAV_LAND)
+    vehicle.command(MavCommand.DO_SET_MODE, BaseMode.CUSTOM, *HOLD)
+    vehicle.command(MavCommand.NAV_LAND)
     while vehicle.wait("HEARTBEAT")["base_mode"] & BaseMode.ARMED:
         pass
     print("landed")

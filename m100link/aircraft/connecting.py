@@ -12,7 +12,7 @@ from m100link.aircraft.aircraft import Aircraft
 from m100link.errors import UsageError
 from m100link.errors.base import of_the_system
 from m100link.link import Direction, Link, Tap, open_link
-from m100link.link.statistics import Listener
+from m100link.link.statistics import TapListener
 from m100link.protocol.firmware import FirmwareProfile, profile
 
 if TYPE_CHECKING:
@@ -193,7 +193,7 @@ def _recorder(record: str | PathLike[str] | Recording) -> Recording:
 def _both(tap: Tap | None, recorder: Recording | None) -> Tap | None:
     if tap is None or recorder is None:
         return tap if recorder is None else recorder.tap
-    write, also = recorder.tap, Listener(tap)
+    write, also = recorder.tap, TapListener(tap)
 
     def hear(direction: Direction, data: bytes, now: float) -> None:
         write(direction, data, now)

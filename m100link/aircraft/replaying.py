@@ -12,8 +12,8 @@ from m100link.errors import BadURL, UsageError
 from m100link.errors.texts import read_path
 from m100link.flight.authority import TRANSITIONS, Authority, AuthorityInput, AuthorityState
 from m100link.link import Tap
-from m100link.link.statistics import Listener
-from m100link.log.player import FASTEST, SLOWEST, Player, ReplayedLink, Stage, begin_of
+from m100link.link.statistics import TapListener
+from m100link.log.player import FASTEST, SLOWEST, PlaybackTarget, Player, ReplayedLink, begin_of
 from m100link.log.reading import read
 from m100link.protocol.firmware import FirmwareProfile
 
@@ -106,7 +106,7 @@ async def open_replay(
     telemetry = aircraft._telemetry
     telemetry.utc_offset_s = player.utc_offset_s
     player.play(
-        Stage(
+        PlaybackTarget(
             decode=link.decode,
             deliver=link.deliver,
             tell=lambda told: _tell(aircraft.authority, told),
@@ -114,7 +114,7 @@ async def open_replay(
             end=link.end,
             has_consumers=lambda: telemetry.hub.has_consumers,
             room=lambda: telemetry.hub.room,
-            tap=None if tap is None else Listener(tap).hear,
+            tap=None if tap is None else TapListener(tap).hear,
         )
     )
     return aircraft

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
+from warnings import warn
+
 from m100link.errors.base import M100Error
 
 __all__ = [
@@ -127,3 +131,15 @@ class PayloadTooLarge(
     remedy="send it in pieces",
 ):
     """The data do not fit into one frame (document 1.2) or one transparent message (2.2.1.3)."""
+
+
+def renamed(module: str, **now: str) -> Callable[[str], object]:
+    """The ``__getattr__`` of a module whose documented classes have other names now."""
+
+    def look(name: str) -> object:
+        if name not in now:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        warn(f"{module}.{name} is {now[name]} now", DeprecationWarning, stacklevel=2)
+        return getattr(sys.modules[module], now[name])
+
+    return look

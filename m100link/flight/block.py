@@ -28,7 +28,7 @@ from m100link.flight.guardian import Guardian, control_plan
 from m100link.flight.guards import GuardKeeper
 from m100link.flight.handover import authority_lost, is_unexplained, obtain_authority
 from m100link.flight.lifecycle import BlockClaim, BlockInput, BlockState, Lifecycle, StopCause
-from m100link.flight.missions.keeper import MissionKeeper
+from m100link.flight.missions.mission_guard import MissionGuard
 from m100link.flight.pacing import MAX_RATE_HZ, period_of
 from m100link.flight.reserves import free, reserve
 from m100link.flight.setpoints import SETPOINT_LIFETIME, SetpointLoop, check_lifetime
@@ -53,7 +53,7 @@ class ControlBlock:
         commander: Commander,
         claim: BlockClaim,  # kept while the block lives: one at a time
         setpoints: SetpointLoop,  # what the block sends
-        missions: MissionKeeper,  # what the block lets the aircraft fly by itself
+        missions: MissionGuard,  # what the block lets the aircraft fly by itself
         guards: GuardKeeper,  # their clock starts when authority was obtained
         *,
         stop: StopAction,  # what the stop path does after the neutral setpoint
@@ -374,12 +374,12 @@ BLOCKED_S = 0.5
 line may be busy, and the aircraft does not fly on by the last one for much longer."""
 
 
-class Steering:
+class SetpointSender:
     """Sends setpoints for whoever may steer: the program, or the closed loop that flies."""
 
     block: ControlBlock  # the control block, to be set before the first setpoint
 
-    def __init__(self, commander: Commander, guards: GuardKeeper, missions: MissionKeeper) -> None:
+    def __init__(self, commander: Commander, guards: GuardKeeper, missions: MissionGuard) -> None:
         self._requests = commander.requests
         self._authority = commander.authority
         self._guards = guards  # asked before each frame

@@ -10,14 +10,14 @@ from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 from m100link.errors import TaskFailed, TaskRefused, UsageError
 from m100link.flight.authority import AuthorityState
-from m100link.flight.block import ControlBlock, PauseAction, Steering
+from m100link.flight.block import ControlBlock, PauseAction, SetpointSender
 from m100link.flight.guardian import patience_of
 from m100link.flight.guards import GuardKeeper, Guards
 from m100link.flight.guidance import Guidance
 from m100link.flight.lifecycle import BlockClaim, BlockState, StopCause
 from m100link.flight.loops import ClosedLoops
-from m100link.flight.missions.context import Deck
-from m100link.flight.missions.keeper import MissionKeeper
+from m100link.flight.missions.context import MissionContext
+from m100link.flight.missions.mission_guard import MissionGuard
 from m100link.flight.missions.missions import Missions
 from m100link.flight.pacing import MAX_RATE_HZ, Pace, Tick, Ticker, period_of
 from m100link.flight.setpoints import SETPOINT_LIFETIME, Hold
@@ -93,8 +93,8 @@ class Control:
         self._requests = commander.requests
         self._authority = commander.authority
         self._guards = GuardKeeper(guards or Guards(), commander.state)
-        keeper = MissionKeeper(commander)
-        self._steering = Steering(commander, self._guards, keeper)
+        keeper = MissionGuard(commander)
+        self._steering = SetpointSender(commander, self._guards, keeper)
         self._setpoints = self._steering.setpoints
         self._block = self._steering.block = ControlBlock(
             commander,
@@ -113,8 +113,8 @@ class Control:
         self._loops = ClosedLoops(commander.state, self._guards, self._guidance)
         self._motors = Motors(commander, self._guards, self._make_way, self._block.armed)
         self._keeper = keeper
-        deck = Deck(commander, self._guards, self._block, self._make_way_for_mission)
-        self._missions = Missions(deck, keeper, self.take_off)
+        context = MissionContext(commander, self._guards, self._block, self._make_way_for_mission)
+        self._missions = Missions(context, keeper, self.take_off)
         self._unended_task: Task | None = None
 
     # -- the block -------------------------------------------------------------------------------

@@ -50,7 +50,7 @@ _RELEASE_GAP_MS = 50
 _STICKS_GAP_MS = 100
 
 
-class Step(NamedTuple):
+class GuardianStep(NamedTuple):
     """One frame."""
 
     frame: bytes  # its bytes
@@ -61,8 +61,10 @@ class Step(NamedTuple):
 class GuardianPlan(NamedTuple):
     """The frames for both cases."""
 
-    stalled: tuple[Step, ...] = ()  # for a program that is blocked for longer than a setpoint lives
-    last: tuple[Step, ...] = ()  # for a program that is gone, or is blocked for too long
+    stalled: tuple[
+        GuardianStep, ...
+    ] = ()  # for a program that is blocked for longer than a setpoint lives
+    last: tuple[GuardianStep, ...] = ()  # for a program that is gone, or is blocked for too long
 
 
 class Wanted(NamedTuple):
@@ -88,12 +90,12 @@ class _Orders:
         self._requests = commander.requests
         self._sequence = count(first_sequence)
 
-    def steps(self, request: Request[Any], gap_ms: int) -> Iterator[Step]:
+    def steps(self, request: Request[Any], gap_ms: int) -> Iterator[GuardianStep]:
         """One order: a pause, then the same bytes a few times."""
         sequence = next(self._sequence) & 0xFFFF
         frame = self._requests.prepared(request, session=_SESSION, sequence=sequence)
-        yield Step(frame, gap_ms)
-        yield Step(frame, _REPEAT_GAP_MS, _REPEATS - 1)
+        yield GuardianStep(frame, gap_ms)
+        yield GuardianStep(frame, _REPEAT_GAP_MS, _REPEATS - 1)
 
 
 def control_plan(commander: Commander, wanted: Wanted, first_sequence: int) -> GuardianPlan:
@@ -103,11 +105,11 @@ def control_plan(commander: Commander, wanted: Wanted, first_sequence: int) -> G
     landing as much time as the stop path before the release, which would end it in the air.
     """
     orders = _Orders(commander, first_sequence)
-    neutrals: tuple[Step, ...] = ()
+    neutrals: tuple[GuardianStep, ...] = ()
     if wanted.neutral is not None:
         frame = commander.requests.prepared(wanted.neutral)
-        neutrals = (Step(frame), Step(frame, _NEUTRAL_GAP_MS, _NEUTRALS - 1))
-    last: list[Step] = []
+        neutrals = (GuardianStep(frame), GuardianStep(frame, _NEUTRAL_GAP_MS, _NEUTRALS - 1))
+    last: list[GuardianStep] = []
     if wanted.mission is not None:
         for _ in range(2):
             last += orders.steps(ORDERS[wanted.mission].stop, _REPEAT_GAP_MS)
@@ -134,8 +136,12 @@ def virtual_rc_plan(commander: Commander, *, falls_back: bool) -> GuardianPlan:
     centred = commander.requests.prepared(CENTRED.encoded())
     off = commander.requests.prepared(VirtualRcSettings(False, falls_back))
     times = round(SETTINGS_INTERVAL_S * 1000) // _STICKS_GAP_MS
-    last = (Step(centred), Step(centred, _STICKS_GAP_MS, times), Step(off, _STICKS_GAP_MS))
-    return GuardianPlan((Step(centred), Step(centred, _STICKS_GAP_MS, 3)), last)
+    last = (
+        GuardianStep(centred),
+        GuardianStep(centred, _STICKS_GAP_MS, times),
+        GuardianStep(off, _STICKS_GAP_MS),
+    )
+    return GuardianPlan((GuardianStep(centred), GuardianStep(centred, _STICKS_GAP_MS, 3)), last)
 
 
 # -- guardian --------------------------------------------------------------------------------------

@@ -49,7 +49,7 @@ _FACING_DEG = 5.0  # it begins to move when it looks at the centre: tilt lags be
 
 
 @dataclass(frozen=True, slots=True)
-class Steering:
+class LoopOutput:
     """What to fly now."""
 
     north: float  # velocity, m/s
@@ -117,7 +117,7 @@ class Orbit:
         velocity: tuple[float, float] | None,  # north and east, m/s; None when it is unknown
         heading_deg: float | None,  # of the nose; None when it is unknown
         elapsed: float,  # seconds since the call before
-    ) -> Steering:
+    ) -> LoopOutput:
         """The next velocity."""
         bearing = math.degrees(math.atan2(place[1], place[0]))
         if self._bearing is not None:
@@ -130,7 +130,7 @@ class Orbit:
         out = place[0] / distance, place[1] / distance
         ahead = -out[1] * self._sense, out[0] * self._sense
         along, inward = self._velocity(distance, out, ahead, velocity, elapsed)
-        return Steering(
+        return LoopOutput(
             north=ahead[0] * along - out[0] * inward,
             east=ahead[1] * along - out[1] * inward,
             yaw_deg=yaw_deg,

@@ -58,7 +58,7 @@ class Ticker:
         self.missed = 0
         self._start: float | None = None
         self._index = -1
-        self._alarm = Alarm()
+        self._alarm = DeadlineTimer()
 
     def __aiter__(self) -> Self:
         return self
@@ -181,7 +181,7 @@ class Lead:
         self.seconds = min(max(self.seconds + change, 0.0), self.MOST)
 
 
-class Alarm:
+class DeadlineTimer:
     """Sleeps until an absolute time of the event loop's clock, never less than an instant before.
 
     The event loop rounds its time-outs up to whole milliseconds. Where the system has timerfd
@@ -198,7 +198,7 @@ class Alarm:
         self._lead = Lead()
         if self._fd >= 0:
             # The loop must not keep it alive: a Ticker has no end that its user would mark.
-            alarm: weakref.ref[Alarm] = weakref.ref(self)
+            alarm: weakref.ref[DeadlineTimer] = weakref.ref(self)
             self._loop.add_reader(self._fd, _ring, alarm)
             _alarms.add(self)
 
@@ -257,7 +257,7 @@ class Alarm:
             self.close()
 
 
-def _ring(reference: weakref.ref[Alarm]) -> None:
+def _ring(reference: weakref.ref[DeadlineTimer]) -> None:
     alarm = reference()
     if alarm is not None:
         alarm._on_alarm()
@@ -274,7 +274,7 @@ def _after_fork() -> None:
             os.close(alarm._fd)
 
 
-_alarms: weakref.WeakSet[Alarm] = weakref.WeakSet()
+_alarms: weakref.WeakSet[DeadlineTimer] = weakref.WeakSet()
 if hasattr(os, "register_at_fork"):  # not on Windows
     os.register_at_fork(after_in_child=_after_fork)
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from m100link.errors import UsageError
 from m100link.flight.cancellation import new_task
-from m100link.flight.pacing import INSTANT, KEPT, MAX_RATE_HZ, Alarm, Pace
+from m100link.flight.pacing import INSTANT, KEPT, MAX_RATE_HZ, DeadlineTimer, Pace
 from m100link.protocol.setpoint import Setpoint
 
 _logger = logging.getLogger(__name__)
@@ -229,7 +229,7 @@ class SetpointLoop:
         self._on_failure(error)
 
     async def _repeat(self) -> None:
-        with Alarm() as alarm:
+        with DeadlineTimer() as alarm:
             while True:
                 now = self._loop.time()
                 self._expire(now)

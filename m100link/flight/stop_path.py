@@ -14,7 +14,7 @@ from m100link.flight.guardian import NOTHING, Wanted
 from m100link.flight.guards import known
 from m100link.flight.handover import explained_loss, release_authority
 from m100link.flight.lifecycle import STOP_PLANS, BlockState, Lifecycle, StopCause
-from m100link.flight.missions.keeper import MissionKeeper
+from m100link.flight.missions.mission_guard import MissionGuard
 from m100link.flight.setpoints import NEUTRAL_TIME, SetpointLoop
 from m100link.flight.tasks import Commander, is_on_ground, run_task, switch_motors
 from m100link.protocol.commands.control import Task
@@ -40,7 +40,7 @@ class StopPath:
         commander: Commander,
         life: Lifecycle,  # of the control block; its plan says what is to be done
         setpoints: SetpointLoop,  # what the block sends
-        missions: MissionKeeper,  # what the block lets the aircraft fly by itself
+        missions: MissionGuard,  # what the block lets the aircraft fly by itself
         action: StopAction,  # what the program asked for
     ) -> None:
         self._commander = commander

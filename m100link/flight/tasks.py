@@ -312,7 +312,7 @@ _GEAR_DOWN, _MODE_P = 1324, 1552
 _CORNER = 0.9
 
 
-class Sticks(NamedTuple):
+class Deflections(NamedTuple):
     """Deflections, -1 (left or down) to 1 (right or up)."""
 
     roll: float = 0.0
@@ -332,8 +332,8 @@ class Sticks(NamedTuple):
         return VirtualRcData((*sticks, _GEAR_DOWN, CENTRE, _MODE_P, *[CENTRE] * 9))
 
 
-CENTRED = Sticks()
-GESTURE = Sticks(roll=-1.0, pitch=-1.0, throttle=-1.0, yaw=1.0)
+CENTRED = Deflections()
+GESTURE = Deflections(roll=-1.0, pitch=-1.0, throttle=-1.0, yaw=1.0)
 
 
 class SettingsPace:

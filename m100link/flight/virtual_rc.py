@@ -36,7 +36,14 @@ from m100link.flight.lifecycle import (
     StopCause,
 )
 from m100link.flight.reserves import free, reserve
-from m100link.flight.tasks import CENTRED, GESTURE, Commander, SettingsPace, Sticks, is_on_ground
+from m100link.flight.tasks import (
+    CENTRED,
+    GESTURE,
+    Commander,
+    Deflections,
+    SettingsPace,
+    is_on_ground,
+)
 from m100link.flight.watchdog import TelemetryWatchdog
 from m100link.protocol.command import in_range
 from m100link.protocol.commands.virtual_rc import VirtualRcSettings
@@ -334,7 +341,7 @@ class VirtualRc:
             NoAuthority: Outside its block; or what ended it.
         """
         self._require_flying()
-        sticks = Sticks(roll, pitch, throttle, yaw)
+        sticks = Deflections(roll, pitch, throttle, yaw)
         for name, deflection in sticks._asdict().items():
             in_range(f"{name} stick", deflection, -1.0, 1.0)
         if sticks.are_in_corner:

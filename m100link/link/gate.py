@@ -19,7 +19,7 @@ GUARDIAN_NAME = "m100link-guard"
 """What the system calls the process that ends the flight of a program that cannot."""
 
 
-class Gate(Protocol):
+class WriteGate(Protocol):
     """The line asks it before each write, and reports to it afterwards."""
 
     def opens(self, size: int) -> bool:

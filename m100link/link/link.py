@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, cast
 
 from m100link.errors import AckTimeout, LinkClosed, LinkError, LinkLost
-from m100link.link.gate import Gate, descriptor_of, lose_at_fork, lose_line, require_loop
+from m100link.link.gate import WriteGate, descriptor_of, lose_at_fork, lose_line, require_loop
 from m100link.link.statistics import (
     LinkStatistics,
     RoundTrips,
@@ -86,7 +86,9 @@ class Link(asyncio.Protocol):
         self.on_received = on_received
         self.on_lost = on_lost
         self.name = "link"
-        self.gate: Gate | None = None  # asked before each write, where a guardian shares the line
+        self.gate: WriteGate | None = (
+            None  # asked before each write, where a guardian shares the line
+        )
         self._transport: asyncio.Transport | None = None  # until the line is open
         # Who waits for which ack, and the word for it in errors, by the session's token.
         self._pending: dict[int, tuple[asyncio.Future[bytes], str]] = {}

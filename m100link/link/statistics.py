@@ -121,7 +121,7 @@ called again; the line goes on.
 """
 
 
-class Listener:
+class TapListener:
     """Calls a tap until it raises."""
 
     __slots__ = ("_tap",)
@@ -144,7 +144,7 @@ class _TappedTransport:
     """A transport whose writes are heard; all the rest is its own."""
 
     def __init__(
-        self, transport: asyncio.BaseTransport, listener: Listener, clock: Callable[[], float]
+        self, transport: asyncio.BaseTransport, listener: TapListener, clock: Callable[[], float]
     ) -> None:
         self._transport = cast(asyncio.Transport, transport)
         self._listener = listener
@@ -167,7 +167,7 @@ class TappedProtocol(asyncio.Protocol):
 
     def __init__(self, protocol: asyncio.Protocol, tap: Tap, clock: Callable[[], float]) -> None:
         self._protocol = protocol  # gets everything that the transport tells
-        self._listener = Listener(tap)
+        self._listener = TapListener(tap)
         self._clock = clock  # the event loop's clock
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:

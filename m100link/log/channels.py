@@ -132,7 +132,7 @@ class Thinned(NamedTuple):
         return next((one for one in found if one is not None), None)
 
 
-class Thinning:
+class RateLimiter:
     """Lets some packages through.
 
     Items come at rates of their own: every tenth package may never have the battery. So a row
@@ -287,7 +287,7 @@ def fix_of(position: Position) -> dict[str, Any]:
     }
 
 
-class Witness:
+class FrameInterpreter:
     """Two decoders, one for each direction, and what was asked.
 
     ``rate_hz``: telemetry at most so often; 0: every package.
@@ -295,7 +295,7 @@ class Witness:
 
     def __init__(self, rate_hz: float) -> None:
         self._sent, self._received = FrameDecoder(), FrameDecoder()
-        self._thinning = Thinning(1.0 / rate_hz if rate_hz else 0.0)
+        self._thinning = RateLimiter(1.0 / rate_hz if rate_hz else 0.0)
         # What was asked by session and sequence; the answer does not say it. A number is used again
         # within 65536 requests, so there are never more.
         self._asked: dict[tuple[int, int, bool], type[Command]] = {}

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from m100link.errors import UsageError
 from m100link.geodesy import MapView, svg_dot, svg_line, svg_text
-from m100link.log.story import Curve, Span, Story
+from m100link.log.story import Curve, FlightSummary, Span
 
 # -- what is drawn of a flight, whether as a picture or as a page: panels, their curves, colour ----
 
@@ -36,7 +36,7 @@ PHASE_COLOURS = {
 """Colour of a phase, and of who has control."""
 
 
-class Line(NamedTuple):
+class PlotLine(NamedTuple):
     """A curve with its name and colour."""
 
     name: str
@@ -48,7 +48,7 @@ class Panel(NamedTuple):
     """Curves over one scale."""
 
     title: str  # what they are, with the unit
-    lines: tuple[Line, ...]
+    lines: tuple[PlotLine, ...]
     least: tuple[float, float]  # values that the scale has at least
 
     def span(self) -> tuple[float, float]:
@@ -62,35 +62,37 @@ class Panel(NamedTuple):
         return (low if low == self.least[0] else low - room), high + room
 
 
-def panels(story: Story) -> list[Panel]:
+def panels(story: FlightSummary) -> list[Panel]:
     """What is drawn over time."""
     curves = story.curves
     return [
-        Panel("Height, m", (Line("height", "#3b7dd8", curves.height_m),), (0.0, 2.0)),
+        Panel("Height, m", (PlotLine("height", "#3b7dd8", curves.height_m),), (0.0, 2.0)),
         Panel(
             "Speed, m/s",
             (
-                Line("over ground", "#3b7dd8", curves.ground_speed_m_s),
-                Line("climb", "#e8a33d", curves.climb_m_s),
+                PlotLine("over ground", "#3b7dd8", curves.ground_speed_m_s),
+                PlotLine("climb", "#e8a33d", curves.climb_m_s),
             ),
             (0.0, 1.0),
         ),
-        Panel("Battery, %", (Line("charge", "#2a9d8f", curves.battery_percent),), (0.0, 100.0)),
+        Panel("Battery, %", (PlotLine("charge", "#2a9d8f", curves.battery_percent),), (0.0, 100.0)),
         Panel(
-            "Telemetry, packages/s", (Line("arrived", "#3b7dd8", curves.packages_per_s),), (0, 10)
+            "Telemetry, packages/s",
+            (PlotLine("arrived", "#3b7dd8", curves.packages_per_s),),
+            (0, 10),
         ),
         Panel(
             "Line",
             (
-                Line("round trip, ms", "#e8a33d", curves.round_trip_ms),
-                Line("bytes lost per s", "#d64545", curves.discarded_bytes_per_s),
+                PlotLine("round trip, ms", "#e8a33d", curves.round_trip_ms),
+                PlotLine("bytes lost per s", "#d64545", curves.discarded_bytes_per_s),
             ),
             (0.0, 5.0),
         ),
     ]
 
 
-def facts(story: Story) -> list[tuple[str, str]]:
+def facts(story: FlightSummary) -> list[tuple[str, str]]:
     """The flight in numbers: what, and how much; what was never heard is left out."""
     most = story.maxima
     battery = None
@@ -207,7 +209,7 @@ class Comparison:
         return max(self.apart, key=lambda one: one.metres) if self.apart else None
 
 
-def compare(first: Story, second: Story) -> Comparison:
+def compare(first: FlightSummary, second: FlightSummary) -> Comparison:
     """Lay two flights beside each other, aligned at their take-offs."""
     values = [Difference("duration_s", first.duration_s, second.duration_s)]
     for name in ("ground", "take-off", "flight", "landing"):
@@ -229,20 +231,20 @@ def compare(first: Story, second: Story) -> Comparison:
     )
 
 
-def _lasted(story: Story, phase: str) -> float:
+def _lasted(story: FlightSummary, phase: str) -> float:
     return sum(span.end_s - span.begin_s for span in story.phases if span.name == phase)
 
 
-def _rate(story: Story) -> float | None:
+def _rate(story: FlightSummary) -> float | None:
     return story.packages / story.duration_s if story.duration_s else None
 
 
-def _mean_trip(story: Story) -> float | None:
+def _mean_trip(story: FlightSummary) -> float | None:
     found = [value for _, value in story.curves.round_trip_ms.points() if not math.isnan(value)]
     return fmean(found) if found else None
 
 
-def _apart(first: Story, second: Story) -> Iterator[Apart]:
+def _apart(first: FlightSummary, second: FlightSummary) -> Iterator[Apart]:
     one, other = first.took_off_s, second.took_off_s
     ours, theirs = first.track.places(), second.track.places()
     if one is None or other is None or not ours or not theirs:
@@ -275,7 +277,7 @@ _ALARM = "#d64545"
 _MOST_FACTS = 12
 
 
-def picture(story: Story, *, width_px: int = 1400) -> bytes:
+def picture(story: FlightSummary, *, width_px: int = 1400) -> bytes:
     """Draw it as PNG.
 
     Args:
@@ -335,7 +337,7 @@ def picture(story: Story, *, width_px: int = 1400) -> bytes:
     return drawn_into.getvalue()
 
 
-def _began(story: Story, nothing: str) -> str:
+def _began(story: FlightSummary, nothing: str) -> str:
     if story.began_utc is None:
         return nothing
     return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(story.began_utc))
@@ -345,7 +347,7 @@ def _colour(name: str) -> str:
     return PHASE_COLOURS.get(name, PHASE_COLOURS["unknown"])
 
 
-def _draw_strip(story: Story, axes: Any) -> None:
+def _draw_strip(story: FlightSummary, axes: Any) -> None:
     """Phases, control, setpoints and alarms as bars."""
     rows = (
         ("phase", story.phases),
@@ -364,7 +366,7 @@ def _draw_strip(story: Story, axes: Any) -> None:
     axes.tick_params(labelbottom=False)
 
 
-def _draw_track(story: Story, axes: Any) -> None:
+def _draw_track(story: FlightSummary, axes: Any) -> None:
     axes.set_title("Track over the take-off point, m", fontsize=9)
     axes.set_xlabel("east", fontsize=8)
     axes.set_ylabel("north", fontsize=8)
@@ -391,7 +393,7 @@ def _draw_track(story: Story, axes: Any) -> None:
     axes.set_aspect("equal")
 
 
-def _write_facts(story: Story, axes: Any) -> None:
+def _write_facts(story: FlightSummary, axes: Any) -> None:
     axes.set_axis_off()
     for number, (name, value) in enumerate(facts(story)[:_MOST_FACTS]):
         x, y = (number // 6) * 0.5, 0.92 - (number % 6) * 0.17
@@ -438,7 +440,7 @@ _PAGE = """<!doctype html>
 """
 
 
-def page(story: Story) -> str:
+def page(story: FlightSummary) -> str:
     """The page. It opens from a disk as well as from a server, on a telephone as on a desk."""
     here = files("m100link.log")
     drawn = panels(story)
@@ -466,7 +468,7 @@ def page(story: Story) -> str:
     )
 
 
-def _points(line: Line) -> list[tuple[float, float | None]]:
+def _points(line: PlotLine) -> list[tuple[float, float | None]]:
     return [
         (round(at, 2), None if math.isnan(value) else round(value, 3))
         for at, value in line.curve.points()
@@ -476,7 +478,7 @@ def _points(line: Line) -> list[tuple[float, float | None]]:
 # -- over time ------------------------------------------------------------------------------------
 
 
-def _charts(story: Story, drawn: list[Panel], duration: float) -> str:
+def _charts(story: FlightSummary, drawn: list[Panel], duration: float) -> str:
     shade = "".join(_rect(span, duration, 0.0, _HEIGHT, 0.10) for span in story.phases)
     shade += "".join(_alarm(span, duration) for span in story.alarms)
     shade += "".join(
@@ -524,7 +526,7 @@ def _svg(inner: str) -> str:
     )
 
 
-def _path(line: Line, duration: float, low: float, scale: float) -> str:
+def _path(line: PlotLine, duration: float, low: float, scale: float) -> str:
     pieces: list[str] = []
     pen = "M"
     for at, value in line.curve.points():
@@ -556,7 +558,7 @@ def _alarm(span: Span, duration: float) -> str:
     )
 
 
-def _strip(story: Story, duration: float) -> str:
+def _strip(story: FlightSummary, duration: float) -> str:
     """Phases, control and setpoints as three bars."""
     rows = (("phase", story.phases), ("control", story.control), ("setpoints", story.streams))
     inner, labels = "", ""
@@ -591,7 +593,7 @@ def _times(duration: float) -> str:
 # -- from above -----------------------------------------------------------------------------------
 
 
-def _track(story: Story) -> tuple[str, list[tuple[float, float, float]]]:
+def _track(story: FlightSummary) -> tuple[str, list[tuple[float, float, float]]]:
     """The drawing, and time and place in it of each point."""
     places = story.track.places()
     if not places:
@@ -617,7 +619,7 @@ def _track(story: Story) -> tuple[str, list[tuple[float, float, float]]]:
 
 
 def _by_phase(
-    story: Story, drawn: list[tuple[float, float, float]]
+    story: FlightSummary, drawn: list[tuple[float, float, float]]
 ) -> Iterator[tuple[str, list[tuple[float, float]]]]:
     """Pieces of the track that were flown in one phase; each begins where the last ended."""
     spans = story.phases or [Span("unknown", 0.0, math.inf)]
@@ -633,7 +635,7 @@ def _by_phase(
 # -- in words -------------------------------------------------------------------------------------
 
 
-def _rows(story: Story) -> Iterator[str]:
+def _rows(story: FlightSummary) -> Iterator[str]:
     said: list[tuple[float, str, str]] = [
         *((one.begin_s, one.name, "") for one in story.phases),
         *((one.begin_s, f"control: {one.name}", "") for one in story.control),

@@ -114,7 +114,7 @@ def _version(frame: Frame) -> Version | None:
         return None
 
 
-class Stage(NamedTuple):
+class PlaybackTarget(NamedTuple):
     """Who is played to."""
 
     # Makes frames of the bytes of a read, and of the time when they came.
@@ -171,7 +171,7 @@ class Player:
         # Where the recorded clock stood when the event loop's stood there: the last change of both.
         self._here = begin.at + self._from, self._loop.time()
         self.is_paused = False
-        self._stage: Stage | None = None  # None before it is played, and after it
+        self._stage: PlaybackTarget | None = None  # None before it is played, and after it
         self._moments: Iterator[Chunk | Message] = iter(())
         self._next: Chunk | Message | None = None
         self._frames: deque[tuple[Frame, float]] = deque()  # of the newest read
@@ -230,7 +230,7 @@ class Player:
 
     # -- playing -----------------------------------------------------------------------------------
 
-    def play(self, stage: Stage) -> None:
+    def play(self, stage: PlaybackTarget) -> None:
         """Begin, on the next turn of the event loop.
 
         At the highest speed it waits up to a second for somebody who takes telemetry.
@@ -239,7 +239,7 @@ class Player:
         self._begins_by = self._loop.time() + _BEGIN_WITHIN_S
         self._open(stage)
 
-    def _open(self, stage: Stage) -> None:
+    def _open(self, stage: PlaybackTarget) -> None:
         """Stand where it begins, with who had control there."""
         since = self._since = self.begin.at + self._from - RUN_UP_S
         self._until, self._broken = self.begin.at + self._to, ""
@@ -356,7 +356,7 @@ class Player:
         self._waits += 1
         return min(_LONGEST_PAUSE_S, 0.0005 * max(0, self._waits - _EAGER))
 
-    def _take(self, moment: Chunk | Message, stage: Stage) -> None:
+    def _take(self, moment: Chunk | Message, stage: PlaybackTarget) -> None:
         self._advance()
         at = moment.at + self._shift
         if isinstance(moment, Chunk):

@@ -21,10 +21,10 @@ from m100link.log.damage import Damage, Losses
 from m100link.log.records import (
     MAGIC,
     PART_SIZE,
-    Channel,
     Metadata,
     RawMessage,
-    Schema,
+    RecordedChannel,
+    RecordedSchema,
     holds_parts,
     mcap_module,
     records,
@@ -160,7 +160,7 @@ class FlightLog:
                 if type(record) is RawMessage:
                     at, utc = record.publish_time / 1e9, record.log_time / 1e9
                     yield Message(names[record.channel_id], at, utc, record.data)
-                elif type(record) is Channel:
+                elif type(record) is RecordedChannel:
                     names[record.id] = record.topic
         if self._damage is None and since_utc <= 0.0:
             self._damage = losses.damage()
@@ -407,9 +407,9 @@ def _copy(source: FlightLog, stream: IO[bytes]) -> int:
                     data=record.data,
                 )
                 saved += 1
-            elif type(record) is Schema and record.id not in schemas:
+            elif type(record) is RecordedSchema and record.id not in schemas:
                 schemas[record.id] = writer.register_schema(*record[1:])
-            elif type(record) is Channel:
+            elif type(record) is RecordedChannel:
                 topics[record.id] = topic = record.topic
                 if topic in (RX, TX, *SCHEMAS) and topic not in channels:
                     channels[topic] = registered(writer, topic)

@@ -25,7 +25,7 @@ from typing import IO, TYPE_CHECKING, Any
 from m100link.errors import UsageError
 from m100link.errors.texts import read_path
 from m100link.link import Direction, Link
-from m100link.log.channels import CHUNKS, FIX, LINK, RX, SCHEMAS, TX, Told, Witness
+from m100link.log.channels import CHUNKS, FIX, LINK, RX, SCHEMAS, TX, FrameInterpreter, Told
 from m100link.log.records import PART_SIZE, mcap_module, registered
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.wire import Cipher, encode_frame
@@ -425,7 +425,7 @@ class _Scribe:
         self._stream = stream
         self._path = path
         self._redaction = Redaction()
-        self._witness = Witness(rate_hz)
+        self._witness = FrameInterpreter(rate_hz)
         # Not all of it is typed. Its checksum of the whole covers what stands outside of parts.
         self._writer: Any = writer(stream, chunk_size=PART_SIZE, enable_data_crcs=True)
         self._channels: dict[str, int] = {}

@@ -63,7 +63,7 @@ class Header(NamedTuple):
     library: str
 
 
-class Schema(NamedTuple):
+class RecordedSchema(NamedTuple):
     """What stands on some channels."""
 
     id: int
@@ -72,7 +72,7 @@ class Schema(NamedTuple):
     data: bytes
 
 
-class Channel(NamedTuple):
+class RecordedChannel(NamedTuple):
     """Messages of one topic."""
 
     id: int
@@ -98,11 +98,11 @@ class Metadata(NamedTuple):
     metadata: dict[str, str]
 
 
-class End(NamedTuple):
+class EndOfLog(NamedTuple):
     """The file was ended by whoever wrote it."""
 
 
-Record = Header | Schema | Channel | RawMessage | Metadata | End
+Record = Header | RecordedSchema | RecordedChannel | RawMessage | Metadata | EndOfLog
 
 
 def registered(writer: Any, topic: str) -> int:
@@ -270,12 +270,12 @@ class _Reader:
             return
         if isinstance(record, Header):
             losses.is_numbered = record.library.startswith("m100link")
-        elif isinstance(record, End):
+        elif isinstance(record, EndOfLog):
             losses.is_ended = True
         if isinstance(record, RawMessage):
             yield from self._message(record)
         elif record is not None:
-            yield self._channel(record) if isinstance(record, Channel) else record
+            yield self._channel(record) if isinstance(record, RecordedChannel) else record
 
     def _message(self, record: RawMessage) -> Iterator[Record]:
         is_known = record.channel_id in self._known
@@ -328,26 +328,26 @@ class _Reader:
             return
         self._is_searched = True
         named: dict[str, str] = {}
-        repeated: list[Schema | Channel] = []
+        repeated: list[RecordedSchema | RecordedChannel] = []
         apart = _Reader(self._stream, ())
         apart._has_parts = True
         for at, kind, body in apart._outer():
             for record in () if kind == _CHUNK else apart._outside(at, kind, body):
-                if isinstance(record, Schema | Channel) and apart._data_end:
+                if isinstance(record, RecordedSchema | RecordedChannel) and apart._data_end:
                     repeated.append(record)
                 elif isinstance(record, Metadata):
                     named = record.metadata
         for one in repeated if apart._is_summary_whole else ():
-            yield self._channel(one) if isinstance(one, Channel) else one
+            yield self._channel(one) if isinstance(one, RecordedChannel) else one
         numbers = Counter(named.values())
         for topic, number in named.items():
             if topic not in (RX, TX, *SCHEMAS) or numbers[number] > 1 or not number.isdecimal():
                 continue
             if int(number) not in self._known:
                 encoding = "json" if topic in SCHEMAS else ""
-                yield self._channel(Channel(int(number), 0, topic, encoding))
+                yield self._channel(RecordedChannel(int(number), 0, topic, encoding))
 
-    def _channel(self, channel: Channel) -> Channel:
+    def _channel(self, channel: RecordedChannel) -> RecordedChannel:
         self._known.add(channel.id)
         self._losses.topics[channel.id] = channel.topic
         if not self._topics or channel.topic in self._topics:
@@ -377,7 +377,7 @@ class _Reader:
                 except (struct.error, UnicodeDecodeError, LookupError):
                     continue  # of a part without a checksum
                 if record is not None:
-                    yield self._channel(record) if isinstance(record, Channel) else record
+                    yield self._channel(record) if isinstance(record, RecordedChannel) else record
 
 
 def _fits(head: bytes) -> bool:
@@ -443,11 +443,11 @@ def _parsed(kind: int, body: bytes) -> Record | None:
         name, at = _text(body, 2)
         encoding, at = _text(body, at)
         data, _ = _bytes(body, at)
-        return Schema(_short(body, 0), name, encoding, data)
+        return RecordedSchema(_short(body, 0), name, encoding, data)
     if kind == _CHANNEL:
         topic, at = _text(body, 4)
         encoding, _ = _text(body, at)
-        return Channel(_short(body, 0), _short(body, 2), topic, encoding)
+        return RecordedChannel(_short(body, 0), _short(body, 2), topic, encoding)
     if kind == _METADATA:
         name, at = _text(body, 0)
         pairs, _ = _bytes(body, at)
@@ -456,7 +456,7 @@ def _parsed(kind: int, body: bytes) -> Record | None:
             key, at = _text(pairs, at)
             values[key], at = _text(pairs, at)
         return Metadata(name, values)
-    return End() if kind == _FOOTER else None
+    return EndOfLog() if kind == _FOOTER else None
 
 
 def _short(body: bytes, at: int) -> int:

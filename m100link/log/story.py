@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from m100link.errors.usage import renamed
 from m100link.geodesy import LocalFrame
 from m100link.log.channels import COMMAND, EVENT, LINK
 from m100link.log.reading import FlightLog, Message
@@ -244,7 +245,7 @@ class Curves:
 
 
 @dataclass
-class Story:
+class FlightSummary:
     """What happened; times are s after the beginning of the log.
 
     Attributes:
@@ -289,14 +290,16 @@ class Story:
         return next((s.begin_s for s in self.phases if s.name in ("take-off", "flight")), None)
 
 
-def read_story(flight: FlightLog, *, firmware: str | FirmwareProfile | None = None) -> Story:
+def read_story(
+    flight: FlightLog, *, firmware: str | FirmwareProfile | None = None
+) -> FlightSummary:
     """Read a whole log, twice; 10 s for an hour of flight at full rates.
 
     Args:
         flight: The log.
         firmware: As for :meth:`FlightLog.samples`.
     """
-    story = Story(flight.path.name)
+    story = FlightSummary(flight.path.name)
     commands = _CommandReader(story)
     for message in flight.messages():
         try:
@@ -317,7 +320,7 @@ def read_story(flight: FlightLog, *, firmware: str | FirmwareProfile | None = No
 class _CommandReader:
     """Hears each message once."""
 
-    def __init__(self, story: Story) -> None:
+    def __init__(self, story: FlightSummary) -> None:
         self.began_at = 0.0  # clock of the first message, s
         self._story = story
         # Number in `commands` and time of what waits for its answer, by session and sequence.
@@ -420,7 +423,7 @@ class _CommandReader:
 class _SampleReader:
     """Hears each package once."""
 
-    def __init__(self, story: Story) -> None:
+    def __init__(self, story: FlightSummary) -> None:
         self._story = story
         self._alarms: list[Span] = []
         self._frame: LocalFrame | None = None
@@ -584,3 +587,7 @@ def _spans(names: list[tuple[float, str]], end_s: float) -> list[Span]:
             spans[-1] = spans[-1]._replace(end_s=at)
         spans.append(Span(name, at, end_s))
     return spans
+
+
+if not TYPE_CHECKING:
+    __getattr__ = renamed(__name__, Story="FlightSummary")

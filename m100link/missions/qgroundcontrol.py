@@ -98,7 +98,7 @@ _NAMES = {
 }
 
 
-class Item(NamedTuple):
+class QgcItem(NamedTuple):
     """One mission item, wherever it stood."""
 
     place: str  # how a person finds it: ``item 3``, or ``item 3.12`` inside of a survey
@@ -138,7 +138,7 @@ def _part(found: object, name: str, kind: type[Any], what: str) -> Any:
 
 def items_of(
     document: dict[str, Any], leave_out: Collection[int | str]
-) -> tuple[dict[str, Any], Iterator[Item]]:
+) -> tuple[dict[str, Any], Iterator[QgcItem]]:
     """The mission of a file, and its items with those of surveys in their place.
 
     Raises ``BadPlan``: the file is none of these, or has a fence; from the iterator, an item is
@@ -174,7 +174,7 @@ def refuse_fences(document: dict[str, Any], leave_out: Collection[int | str]) ->
 
 def _items(
     found: Sequence[object], leave_out: Collection[int | str], prefix: str = "item "
-) -> Iterator[Item]:
+) -> Iterator[QgcItem]:
     """The simple items, those of surveys in their place; item 1 is the first, as in the program."""
     for index, entry in enumerate(found, start=1):
         place = f"{prefix}{index}"
@@ -210,7 +210,7 @@ def _inner(place: str, name: object, entry: dict[str, Any]) -> list[object]:
     return items
 
 
-def _simple(place: str, command: int, entry: dict[str, Any]) -> Item:
+def _simple(place: str, command: int, entry: dict[str, Any]) -> QgcItem:
     given = _part(entry, "params", list, place)
     found = [math.nan if value is None else number(value) for value in given]
     if len(found) != _PARAMETERS or None in found or math.inf in map(abs, filter(None, found)):
@@ -218,7 +218,7 @@ def _simple(place: str, command: int, entry: dict[str, Any]) -> Item:
             f"{place}.params", f"{place}: params are not 7 numbers", given, "7, or null in places"
         )
     parameters = tuple(value for value in found if value is not None)
-    item = Item(place, command, parameters, _part(entry, "frame", int, place))
+    item = QgcItem(place, command, parameters, _part(entry, "frame", int, place))
     if entry.get("autoContinue", True) is not True:
         raise item.refuse("the mission would wait there", value=entry["autoContinue"])
     return item
@@ -271,7 +271,7 @@ class _Builder:
     spacing: float | None = None
     since_photo: float = 0.0  # metres flown since the last of them
 
-    def read(self, item: Item) -> None:
+    def read(self, item: QgcItem) -> None:
         """The next item."""
         if self.at_end is not None:
             raise item.refuse("it comes after the item that ends the mission")
@@ -319,7 +319,7 @@ class _Builder:
         return {"waypoints": headed, "heading": Heading.BY_WAYPOINT}
 
     def add(
-        self, item: Item, yaw: float | None, *, height: float | None = None, hold: float = 0.0
+        self, item: QgcItem, yaw: float | None, *, height: float | None = None, hold: float = 0.0
     ) -> None:
         """A waypoint where the item is."""
         latitude, longitude = item.parameters[4:6]
@@ -374,7 +374,7 @@ class _Builder:
         else:
             self.waiting.append(action)
 
-    def _height(self, item: Item) -> float:
+    def _height(self, item: QgcItem) -> float:
         """Above the take-off point."""
         height = item.parameters[6]
         if math.isnan(height):
@@ -413,14 +413,14 @@ def _between(here: Waypoint, there: Waypoint, part: float) -> Waypoint:
     )
 
 
-def _zero(item: Item, **named: float) -> None:
+def _zero(item: QgcItem, **named: float) -> None:
     """Refuse parameters that the M100 has nothing for; null and 0 ask for nothing."""
     for name, value in named.items():
         if value and not math.isnan(value):
             raise item.refuse(f"{name} {value:g} is not possible on the M100", value=value)
 
 
-def _take_off(builder: _Builder, item: Item) -> None:
+def _take_off(builder: _Builder, item: QgcItem) -> None:
     if builder.points:
         raise item.refuse("it comes behind a waypoint")
     place = item.parameters[4:6]
@@ -435,18 +435,18 @@ def _take_off(builder: _Builder, item: Item) -> None:
     builder.begins_with_take_off = True
 
 
-def _waypoint(builder: _Builder, item: Item) -> None:
+def _waypoint(builder: _Builder, item: QgcItem) -> None:
     hold, _, pass_radius, yaw, *_ = item.parameters
     _zero(item, pass_radius=pass_radius)
     heading = None if math.isnan(yaw) else normalize_degrees(yaw)
     builder.add(item, heading, hold=0.0 if math.isnan(hold) else hold)
 
 
-def _return(builder: _Builder, _: Item) -> None:
+def _return(builder: _Builder, _: QgcItem) -> None:
     builder.at_end = AtEnd.GO_HOME
 
 
-def _land(builder: _Builder, item: Item) -> None:
+def _land(builder: _Builder, item: QgcItem) -> None:
     latitude, longitude = item.parameters[4:6]
     has_place = not (math.isnan(latitude) or math.isnan(longitude)) and (latitude or longitude)
     if has_place and builder.points:
@@ -457,14 +457,14 @@ def _land(builder: _Builder, item: Item) -> None:
     builder.at_end = AtEnd.LAND
 
 
-def _delay(builder: _Builder, item: Item) -> None:
+def _delay(builder: _Builder, item: QgcItem) -> None:
     seconds = item.parameters[0]
     if math.isnan(seconds) or seconds < 0:
         raise item.refuse("it waits for a time of day", remedy="a delay in seconds")
     builder.do(Stay(seconds))
 
 
-def _yaw(builder: _Builder, item: Item) -> None:
+def _yaw(builder: _Builder, item: QgcItem) -> None:
     angle, _, direction, relative, *_ = item.parameters
     _zero(item, relative=relative)
     if math.isnan(angle):
@@ -482,7 +482,7 @@ def _yaw(builder: _Builder, item: Item) -> None:
     builder.do(TurnTo(normalize_degrees(angle)))
 
 
-def _speed(builder: _Builder, item: Item) -> None:
+def _speed(builder: _Builder, item: QgcItem) -> None:
     kind, speed, throttle, *_ = item.parameters
     if throttle > 0 or kind not in (0, 1) or not speed > 0:
         raise item.refuse(
@@ -499,7 +499,7 @@ def _speed(builder: _Builder, item: Item) -> None:
     builder.speed = speed
 
 
-def _digicam(builder: _Builder, item: Item) -> None:
+def _digicam(builder: _Builder, item: QgcItem) -> None:
     _, zoom, zoom_step, focus, shoot, *_ = item.parameters
     _zero(item, zoom=zoom, zoom_step=zoom_step, focus=focus)
     if shoot != 1:
@@ -507,7 +507,7 @@ def _digicam(builder: _Builder, item: Item) -> None:
     builder.do(TakePhoto())
 
 
-def _image(builder: _Builder, item: Item) -> None:
+def _image(builder: _Builder, item: QgcItem) -> None:
     count = item.parameters[2]
     if count != 1:
         raise item.refuse(
@@ -516,7 +516,7 @@ def _image(builder: _Builder, item: Item) -> None:
     builder.do(TakePhoto())
 
 
-def _by_distance(builder: _Builder, item: Item) -> None:
+def _by_distance(builder: _Builder, item: QgcItem) -> None:
     spacing, _, at_once, *_ = item.parameters
     if not spacing >= 0:
         raise item.refuse(f"photographs {spacing:g} m apart", value=spacing)
@@ -531,7 +531,7 @@ def _by_distance(builder: _Builder, item: Item) -> None:
         builder.do(TakePhoto())
 
 
-def _mount(builder: _Builder, item: Item) -> None:
+def _mount(builder: _Builder, item: QgcItem) -> None:
     pitch, roll, yaw, *_, mode = item.parameters
     _zero(item, roll=roll, yaw=yaw)
     if mode != 2 or math.isnan(pitch):
@@ -539,7 +539,7 @@ def _mount(builder: _Builder, item: Item) -> None:
     builder.do(GimbalPitch(pitch))
 
 
-def _gimbal(builder: _Builder, item: Item) -> None:
+def _gimbal(builder: _Builder, item: QgcItem) -> None:
     pitch, yaw, pitch_rate, yaw_rate, *_ = item.parameters
     _zero(item, yaw=yaw, pitch_rate=pitch_rate, yaw_rate=yaw_rate)
     if math.isnan(pitch):
@@ -548,7 +548,7 @@ def _gimbal(builder: _Builder, item: Item) -> None:
 
 
 # Command → what becomes of it.
-_READERS: dict[int, Callable[[_Builder, Item], None]] = {
+_READERS: dict[int, Callable[[_Builder, QgcItem], None]] = {
     16: _waypoint,
     20: _return,
     21: _land,

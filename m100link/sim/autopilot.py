@@ -22,7 +22,7 @@ from m100link.protocol.commands.activation import Activate, Version
 from m100link.protocol.commands.control import Move
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile
 from m100link.session import Endpoint, SessionMode
-from m100link.sim.commands import Commands, Counters, LastCommand
+from m100link.sim.commands import CommandTable, Counters, LastCommand
 from m100link.sim.line import TelemetryPusher
 from m100link.sim.vehicle.dynamics import STEP_S
 from m100link.sim.vehicle.settings import AssistantSettings, Undecodable
@@ -73,7 +73,7 @@ class Autopilot:
         self.received_movements: deque[Move] = deque(maxlen=10_000)
         self.received_commands: deque[LastCommand] = deque(maxlen=1000)
         self.endpoint = self._fresh_endpoint()
-        self._commands = Commands(self)
+        self._commands = CommandTable(self)
         # Whole frames, so that faults of the line strike frames.
         self._outbox: deque[bytes] = deque()
         # Messages of the app that wait for their turn at about 1 KB/s, and when the next may go.

@@ -30,9 +30,9 @@ from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import Device
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim.vehicle.missions.computer import Flown
-from m100link.sim.vehicle.missions.hotpoint import FollowFlight, HotpointFlight
-from m100link.sim.vehicle.missions.plan import Order
-from m100link.sim.vehicle.missions.waypoints import WaypointFlight
+from m100link.sim.vehicle.missions.hotpoint import FollowExecution, HotpointExecution
+from m100link.sim.vehicle.missions.plan import MissionOrder
+from m100link.sim.vehicle.missions.waypoints import WaypointExecution
 from m100link.sim.vehicle.vehicle import Vehicle
 from m100link.wire.frame import Frame
 
@@ -46,7 +46,7 @@ UNCONFIRMED = frozenset(
 _OK = MissionCode.SUCCESS
 
 
-class Reply(NamedTuple):
+class CommandReply(NamedTuple):
     """Answer to a command."""
 
     payload: bytes  # data of the ack
@@ -113,7 +113,7 @@ class CommandedAircraft(Protocol):
         ...
 
 
-class Commands:
+class CommandTable:
     """Executes commands for one autopilot: a table from the class of a command to what it does."""
 
     def __init__(self, autopilot: CommandedAircraft) -> None:
@@ -146,18 +146,18 @@ class Commands:
                 missions.add(point), point.index
             ),
             waypoint.WaypointStartStop: self._start_or_stop,
-            waypoint.WaypointPauseResume: self._pauses(WaypointFlight),
+            waypoint.WaypointPauseResume: self._pauses(WaypointExecution),
             waypoint.WaypointDownloadMission: self._download_mission,
             waypoint.WaypointDownloadPoint: self._download_point,
             waypoint.WaypointSetIdleSpeed: lambda command: self._idle_speed(
                 missions.set_idle_speed(command.idle_speed)
             ),
             waypoint.WaypointGetIdleSpeed: lambda _: self._idle_speed(
-                missions.refusal(WaypointFlight, Order.SPEED)
+                missions.refusal(WaypointExecution, MissionOrder.SPEED)
             ),
             hotpoint.HotpointStart: self._start_hotpoint,
-            hotpoint.HotpointStop: lambda _: missions.stop(HotpointFlight),
-            hotpoint.HotpointPauseResume: self._pauses(HotpointFlight),
+            hotpoint.HotpointStop: lambda _: missions.stop(HotpointExecution),
+            hotpoint.HotpointPauseResume: self._pauses(HotpointExecution),
             hotpoint.HotpointSetRate: self._changes(
                 lambda circle, command: circle.set_rate(command.clockwise, command.angular_rate)
             ),
@@ -168,8 +168,8 @@ class Commands:
             hotpoint.HotpointDownload: self._download_hotpoint,
             hotpoint.HotpointAutoRadius: lambda _: MissionCode.NOT_SUPPORTED,
             hotpoint.FollowStart: missions.start_follow,
-            hotpoint.FollowStop: lambda _: missions.stop(FollowFlight),
-            hotpoint.FollowPauseResume: self._pauses(FollowFlight),
+            hotpoint.FollowStop: lambda _: missions.stop(FollowExecution),
+            hotpoint.FollowPauseResume: self._pauses(FollowExecution),
             hotpoint.FollowTarget: self._update_target,
         }
         kinds: tuple[type[Command], ...] = (control.Move, *self._handlers)
@@ -184,13 +184,13 @@ class Commands:
     def _kind_of(self, data: bytes) -> type[Command] | None:
         return self._kinds.get((data[0], data[1])) if len(data) >= 2 else None
 
-    def execute(self, frame: Frame) -> Reply | None:
+    def execute(self, frame: Frame) -> CommandReply | None:
         """Carry a command out; None where nothing is answered."""
         kind = self._kind_of(frame.data)
         if kind is control.Move:
             self._execute_move(frame)
             return None
-        reply: Reply | None = None
+        reply: CommandReply | None = None
         if kind is None:
             reply = _unknown(frame.data)
             self._note(frame, None, reply)
@@ -198,7 +198,7 @@ class Commands:
         command, answer = self._execute(kind, frame)
         if answer is not None and issubclass(kind, Acknowledged) and self._answers(kind):
             begins_anew = issubclass(kind, activation.GetVersion)
-            reply = Reply(kind.encode_ack(answer), kind.ACK_IS_PLAIN, begins_anew)
+            reply = CommandReply(kind.encode_ack(answer), kind.ACK_IS_PLAIN, begins_anew)
         self._note(frame, command, reply)
         return reply
 
@@ -233,7 +233,7 @@ class Commands:
             return SystemCode.NOT_SUPPORTED
         return None
 
-    def _note(self, frame: Frame, command: Command | None, reply: Reply | None) -> None:
+    def _note(self, frame: Frame, command: Command | None, reply: CommandReply | None) -> None:
         address = address_of(frame.data)
         has_short_code = frame.data[:1] == _MISSIONS and not _is_system_code(reply)
         code_size = 1 if has_short_code else 2
@@ -325,10 +325,10 @@ class Commands:
     def _start_or_stop(self, command: waypoint.WaypointStartStop) -> MissionCode:
         if command.stop > 1:
             return MissionCode.WRONG_VALUE
-        return self._missions.stop(WaypointFlight) if command.stop else self._missions.start()
+        return self._missions.stop(WaypointExecution) if command.stop else self._missions.start()
 
     def _download_mission(self, command: waypoint.WaypointDownloadMission) -> Any:
-        code = self._missions.refusal(WaypointFlight, Order.DOWNLOAD)
+        code = self._missions.refusal(WaypointExecution, MissionOrder.DOWNLOAD)
         mission = self._missions.upload.mission
         return code if mission is None else waypoint.WaypointMissionAnswer(_OK, mission)
 
@@ -347,12 +347,12 @@ class Commands:
         return hotpoint.HotpointStartAnswer(code, self._missions.largest_radius(command))
 
     @property
-    def _hotpoint(self) -> HotpointFlight | None:
+    def _hotpoint(self) -> HotpointExecution | None:
         running = self._missions.running
-        return running if isinstance(running, HotpointFlight) else None
+        return running if isinstance(running, HotpointExecution) else None
 
     def _changes(
-        self, change: Callable[[HotpointFlight, Any], None]
+        self, change: Callable[[HotpointExecution, Any], None]
     ) -> Callable[[Any], MissionCode | None]:
         def answer(command: Any) -> MissionCode | None:
             """A real aircraft does not answer; see ``MissionSettings.hotpoint_acks``."""
@@ -373,21 +373,21 @@ class Commands:
 
     def _update_target(self, command: hotpoint.FollowTarget) -> None:
         running = self._missions.running
-        if isinstance(running, FollowFlight):
+        if isinstance(running, FollowExecution):
             running.update(command)
 
 
-def _is_system_code(reply: Reply | None) -> bool:
+def _is_system_code(reply: CommandReply | None) -> bool:
     """Whether an ack of set 0x03 is the two bytes 0xFF01 or 0xFF02: no waypoint is number 255."""
     return reply is not None and len(reply.payload) == 2 and reply.payload[1] == 0xFF
 
 
-def _unknown(data: bytes) -> Reply | None:
+def _unknown(data: bytes) -> CommandReply | None:
     """The answer to a command that this firmware does not have."""
     if data[:1] == _MISSIONS and len(data) >= 2:
         payload = refusal(data)
-        return None if payload is None else Reply(payload)
-    return Reply(encode_code(SystemCode.NOT_SUPPORTED))
+        return None if payload is None else CommandReply(payload)
+    return CommandReply(encode_code(SystemCode.NOT_SUPPORTED))
 
 
 def refusal(data: bytes) -> bytes | None:

@@ -143,7 +143,7 @@ class LineFaults:
     """What is wrong with a line. Probabilities are per frame.
 
     A field added here is an option of ``m100link sim`` and a word of its ``faults`` order, and its
-    range is checked; ``Direction`` gives it its effect.
+    range is checked; ``LineDirection`` gives it its effect.
 
     Attributes:
         loss: Probability that a frame does not arrive, 0 to 1.
@@ -215,7 +215,7 @@ def split_frames(data: bytes) -> list[bytes]:
     return pieces
 
 
-class Direction:
+class LineDirection:
     """One direction of a line.
 
     ``frames``: pieces sent into it. ``lost``: pieces that do not arrive. ``damaged``: pieces that
@@ -250,7 +250,7 @@ class Direction:
             and not self._waiting
         )
 
-    def put(self, piece: bytes, now: float, other: Direction | None = None) -> None:
+    def put(self, piece: bytes, now: float, other: LineDirection | None = None) -> None:
         """Send a frame, or any piece of bytes, into the line."""
         faults, random = self.faults, self._random
         self.frames += 1
@@ -277,7 +277,7 @@ class Direction:
             self._last_arrival = arrival = max(arrival, self._last_arrival)
             self._waiting.append((arrival, piece))
 
-    def _transmit(self, piece: bytes, now: float, other: Direction | None) -> float | None:
+    def _transmit(self, piece: bytes, now: float, other: LineDirection | None) -> float | None:
         """When the last byte has left, or None when it never does."""
         faults = self.faults
         start = max(now, self.busy_until)
@@ -359,8 +359,8 @@ class Line:
         to_aircraft: LineFaults | None = None,
         baud_rate: int | None = None,
     ) -> None:
-        self.to_host = Direction(random, baud_rate=baud_rate)
-        self.to_aircraft = Direction(random, baud_rate=baud_rate)
+        self.to_host = LineDirection(random, baud_rate=baud_rate)
+        self.to_aircraft = LineDirection(random, baud_rate=baud_rate)
         self.set_faults(faults, to_aircraft=to_aircraft)
         self.is_plugged = True  # unplugged, everything is lost both ways
         self.skipped = 0  # packets of telemetry that were not sent: it was busy
@@ -421,7 +421,7 @@ class Line:
             line.put(piece, now, self.to_host)
         return line.take(now)
 
-    def _lose(self, direction: Direction, pieces: list[bytes]) -> list[bytes]:
+    def _lose(self, direction: LineDirection, pieces: list[bytes]) -> list[bytes]:
         """Nobody is at the other end."""
         direction.frames += len(pieces)
         direction.lost += len(pieces)

@@ -302,7 +302,7 @@ _EVENT = "waypoint"
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class ScenarioStep:
     """One order and when it is due."""
 
     at: float  # seconds since power-on, or since the waypoint was reached
@@ -314,7 +314,7 @@ class Step:
 class Scenario:
     """The steps of a scenario, in time; :meth:`advance` does those that are due."""
 
-    def __init__(self, steps: list[Step]) -> None:
+    def __init__(self, steps: list[ScenarioStep]) -> None:
         self.steps = sorted(
             (step for step in steps if step.waypoint is None), key=lambda step: step.at
         )
@@ -341,12 +341,12 @@ class Scenario:
                 f"{path}: a scenario is a list of [[step]] tables",
                 remedy='[[step]]\n      at = 12.0\n      do = "rc-mode P"',
             )
-        read: list[Step] = []
+        read: list[ScenarioStep] = []
         for number, table in enumerate(steps, start=1):
             read += _read_step(table, f"{path}, step {number}")
         return cls(read)
 
-    def advance(self, aircraft: VirtualAircraft) -> list[Step]:
+    def advance(self, aircraft: VirtualAircraft) -> list[ScenarioStep]:
         """Do what is due by now; returns the steps that were done.
 
         Raises ``UsageError``: a step cannot be done, such as the app taking control out of F.
@@ -381,7 +381,7 @@ def _time(value: Any, name: str, place: str) -> float:
     return float(value)
 
 
-def _read_step(table: Any, place: str) -> list[Step]:
+def _read_step(table: Any, place: str) -> list[ScenarioStep]:
     keys = set(table) if isinstance(table, dict) else set()
     if keys not in ({"at", "do"}, {"when", "do"}, {"when", "after", "do"}):
         raise UsageError(
@@ -406,7 +406,7 @@ def _read_step(table: Any, place: str) -> list[Step]:
                 f"{place}: there is no action called {order!r}",
                 remedy=f"actions: {', '.join(ACTIONS)}",
             )
-    return [Step(at, order, waypoint) for order in orders]
+    return [ScenarioStep(at, order, waypoint) for order in orders]
 
 
 # -- orders from another shell: a Unix socket that takes lines of JSON -----------------------------

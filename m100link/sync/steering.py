@@ -9,7 +9,7 @@ from typing import Generic, Self, TypeVar
 
 from m100link.aircraft import payload
 from m100link.flight import pacing, setpoints
-from m100link.flight.missions import hotpoint, keeper, waypoint
+from m100link.flight.missions import hotpoint, mission_guard, waypoint
 from m100link.flight.missions.events import MissionEvent
 from m100link.flight.missions.hotpoint import Target
 from m100link.flight.pacing import Tick
@@ -120,7 +120,7 @@ async def asked(
 # -- missions: ``with control.waypoint_mission(plan) as mission:`` --------------------------------
 
 
-F = TypeVar("F", bound=keeper.MissionFlight)
+F = TypeVar("F", bound=mission_guard.MissionFlight)
 
 
 class MissionFlight(Generic[F]):

@@ -83,7 +83,7 @@ Policy = Newest | Lossless
 """What happens when a consumer is slower than the aircraft."""
 
 
-class Queue(Generic[T]):
+class SampleQueue(Generic[T]):
     """Values that wait for one consumer: what the reader of the line fills."""
 
     # Slots here and in the other parts that every package passes: a process with hundreds of
@@ -199,7 +199,7 @@ class Subscription(Generic[T]):
 
     __slots__ = ("__weakref__", "_queue")
 
-    def __init__(self, queue: Queue[T]) -> None:
+    def __init__(self, queue: SampleQueue[T]) -> None:
         self._queue = queue
 
     @property
@@ -272,7 +272,7 @@ class Hub(Generic[T]):
     def __init__(self) -> None:
         self._loop = _get_running_loop()
         # A tuple: what happens while a value is handed out makes a new one.
-        self._queues: tuple[Queue[T], ...] = ()
+        self._queues: tuple[SampleQueue[T], ...] = ()
         self._error: M100Error | None = None  # of the line, for those who come later
 
     def subscribe(
@@ -283,7 +283,9 @@ class Hub(Generic[T]):
         wanted: int = ANY,
     ) -> Subscription[T]:
         """A new subscription for values of the kinds whose bits are in ``wanted``."""
-        queue: Queue[T] = Queue(policy, min_interval=min_interval, wanted=wanted, loop=self._loop)
+        queue: SampleQueue[T] = SampleQueue(
+            policy, min_interval=min_interval, wanted=wanted, loop=self._loop
+        )
         if self._error is not None:
             queue.fail(self._error)
         self._queues = (*(other for other in self._queues if other.wanted), queue)

@@ -13,7 +13,7 @@ from m100link.protocol.codes import RatesCode
 from m100link.protocol.commands.activation import SetTelemetryRates
 from m100link.protocol.items import ITEMS
 from m100link.sim import LineFaults, VirtualClockEventLoop
-from m100link.sim.commands import Commands
+from m100link.sim.commands import CommandTable
 from m100link.telemetry.columns import ITEM_NAMES
 from tests.rig import Rig, rig
 
@@ -117,8 +117,8 @@ async def test_k1_older_firmware_is_not_asked(firmware: str) -> None:
 
 
 async def test_a_refusal_keeps_its_code(flown: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Commands, "_rates", lambda *_: RatesCode.INVALID_PARAMETERS)
-    flown.virtual.autopilot._commands = Commands(flown.virtual.autopilot)
+    monkeypatch.setattr(CommandTable, "_rates", lambda *_: RatesCode.INVALID_PARAMETERS)
+    flown.virtual.autopilot._commands = CommandTable(flown.virtual.autopilot)
     with pytest.raises(CommandRefused, match="nothing has changed") as raised:
         await flown.aircraft.set_telemetry_rates(attitude=10)
     assert raised.value.code == 1

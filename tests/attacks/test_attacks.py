@@ -16,7 +16,7 @@ pytest.importorskip("starlette")
 from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import WebSocketException
 
-from m100link.apps.station.run import Running
+from m100link.apps.station.run import RunningStation
 from tests.apps.station.web.test_server import (
     address,
     opened,
@@ -44,7 +44,7 @@ def anyio_backend() -> str:
 
 
 @contextlib.asynccontextmanager
-async def flying(**options: Any) -> AsyncIterator[tuple[Running, ClientConnection]]:
+async def flying(**options: Any) -> AsyncIterator[tuple[RunningStation, ClientConnection]]:
     """A station whose aircraft is in the air, and the client that flies it."""
     async with station(**options) as one, connect(address(one)) as pilot:
         await opened(one, pilot)
@@ -56,7 +56,9 @@ async def flying(**options: Any) -> AsyncIterator[tuple[Running, ClientConnectio
         yield one, pilot
 
 
-async def fly(one: Running, pilot: ClientConnection, attacker: asyncio.subprocess.Process) -> float:
+async def fly(
+    one: RunningStation, pilot: ClientConnection, attacker: asyncio.subprocess.Process
+) -> float:
     """Hold a key until the attack has ended; returns the longest time without a movement frame.
 
     The attackers take the processor, and so may others: time for which we were ready to run does
@@ -86,7 +88,7 @@ async def fly(one: Running, pilot: ClientConnection, attacker: asyncio.subproces
 async def test_the_pilot_flies_on_through_every_attack() -> None:
     async with flying() as (one, pilot):
         notes = one.agent.journal.events
-        holder = one.agent.desk.holder(one.agent.now)
+        holder = one.agent.leases.holder(one.agent.now)
         for name in ATTACKS:
             before = notes[-1].number
             attacker = await asyncio.create_subprocess_exec(
@@ -102,7 +104,7 @@ async def test_the_pilot_flies_on_through_every_attack() -> None:
             assert attacker.returncode == 0, name
             print(f"{name}: longest gap between movement frames {1000 * gap:.0f} ms")  # noqa: T201
             assert one.bridge.agent.state.has_authority, name
-            assert one.agent.desk.holder(one.agent.now) == holder, name
+            assert one.agent.leases.holder(one.agent.now) == holder, name
             # What happened before can still be read.
             assert notes[-1].number - before < 60, name
             # A setpoint lasts 0.7 s at most.
@@ -125,7 +127,7 @@ async def test_in_two_processes_the_pilot_keeps_control_through_every_attack() -
     assert not any("LOST" in line for line in lines)
 
 
-async def gets_in(one: Running) -> bool:
+async def gets_in(one: RunningStation) -> bool:
     try:
         async with connect(address(one)) as client:
             await send(client, "subscribe", topic="/flight_status")

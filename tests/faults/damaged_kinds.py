@@ -15,7 +15,7 @@ from unittest.mock import patch
 
 from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.fleet.identity import Rights
-from m100link.apps.fleet.order_log import FileLedger
+from m100link.apps.fleet.order_log import FileOrderLog
 from m100link.errors import M100Error
 from m100link.link.keyfile import read_key
 from m100link.log import Message, read, recorder, recover
@@ -105,7 +105,7 @@ _UP = ("boot", 400.0)
 def ledgers(folder: Path, suffix: str = ".jsonl") -> tuple[list[bytes], Judge]:
     """What agents leave that were killed: after a few orders, after many, and without any."""
     wholes: list[bytes] = []
-    truths: dict[bytes, FileLedger] = {}
+    truths: dict[bytes, FileOrderLog] = {}
     beside: dict[bytes, Path] = {}
     for number, orders in enumerate((20, 300, 0)):
         path = folder / str(number) / "a1.jsonl"
@@ -114,7 +114,7 @@ def ledgers(folder: Path, suffix: str = ".jsonl") -> tuple[list[bytes], Judge]:
         wholes.append(whole)
         beside[whole] = folder / f"whole-{number}"
         shutil.copytree(path.parent, beside[whole])
-        truths[whole] = FileLedger(path, lambda: 1_000.0, lambda: _UP)
+        truths[whole] = FileOrderLog(path, lambda: 1_000.0, lambda: _UP)
         truths[whole].close()
 
     def judge(whole: bytes, copy: bytes) -> str:
@@ -123,7 +123,7 @@ def ledgers(folder: Path, suffix: str = ".jsonl") -> tuple[list[bytes], Judge]:
         shutil.copytree(beside[whole], place)
         (place / "a1").with_suffix(suffix).write_bytes(copy)
         try:
-            found = FileLedger(place / "a1.jsonl", lambda: 1_000_000.0, lambda: _UP)
+            found = FileOrderLog(place / "a1.jsonl", lambda: 1_000_000.0, lambda: _UP)
         except M100Error:
             return ""
         found.close()
@@ -134,7 +134,7 @@ def ledgers(folder: Path, suffix: str = ".jsonl") -> tuple[list[bytes], Judge]:
 
 async def _kept(path: Path, orders: int) -> None:
     up = [100.0]
-    ledger = FileLedger(path, lambda: 1_000.0, lambda: ("boot", up[0]))
+    ledger = FileOrderLog(path, lambda: 1_000.0, lambda: ("boot", up[0]))
     for number in range(orders):
         up[0] += 0.5
         await ledger.begin(f"{number:032x}")
@@ -144,7 +144,7 @@ async def _kept(path: Path, orders: int) -> None:
     ledger.close()
 
 
-def _untold_of_ledger(found: FileLedger, true: FileLedger) -> str:
+def _untold_of_ledger(found: FileOrderLog, true: FileOrderLog) -> str:
     if not found.begun.items() <= true.begun.items():
         return "an order that nobody gave, or at another time"
     if found.leases_before < true.leases_before:

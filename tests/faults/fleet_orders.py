@@ -24,13 +24,13 @@ from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.server.agent import Agent
-from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.asking import Asker
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.order_log import MemoryLedger
+from m100link.apps.fleet.order_log import MemoryOrderLog
 from m100link.apps.fleet.payloads import Outcome, outcome_of
 from m100link.errors import M100Error
 from m100link.sim import VirtualClockEventLoop
@@ -154,7 +154,7 @@ class Run:
         self.network = MemoryNetwork(seed)
         self.aircraft = VirtualAircraft(seed=seed)
         self.aircraft.vehicle.app.received = deque()
-        self.ledger = MemoryLedger()
+        self.ledger = MemoryOrderLog()
         self._ordering = Ordering(count)
 
     async def run(self) -> Counted:
@@ -165,7 +165,7 @@ class Run:
             agent = await stack.enter_async_context(
                 Agent(by_driver(driver), credentials=self.aircraft.credentials)
             )
-            service = Service(agent)
+            service = AgentServer(agent)
             ours, its = memory_channels()
             service.attach(its)
             client = await stack.enter_async_context(AgentClient(ours, "fleet"))
@@ -203,7 +203,7 @@ class Run:
                 work.cancel()
                 await asyncio.gather(work, return_exceptions=True)
                 self.network.cut(bus)
-            self.ledger = MemoryLedger(self.ledger)
+            self.ledger = MemoryOrderLog(self.ledger)
 
 
 def run(seed: int, count: int, restarts: int) -> Counted:

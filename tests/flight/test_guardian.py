@@ -30,7 +30,7 @@ import m100link
 from m100link.errors import GuardianFailed, GuardianTookOver, PortBusy, UsageError
 from m100link.flight import guardian as guardian_module
 from m100link.flight import guardian_process as page
-from m100link.flight.guardian import Guardian, GuardianPlan, Step, patience_of
+from m100link.flight.guardian import Guardian, GuardianPlan, GuardianStep, patience_of
 from m100link.link import Link
 from tests.flight import foreign_aircraft as foreign
 from tests.flight.foreign_aircraft import ForeignAircraft, ForeignMatrice, foreign_aircraft
@@ -465,7 +465,9 @@ class Program:
 
     def plan(self, wanted: str) -> GuardianPlan:
         frame = wanted.encode()
-        return GuardianPlan((Step(frame),), (Step(frame, 30, 2), Step(b"never", 1, 0)))
+        return GuardianPlan(
+            (GuardianStep(frame),), (GuardianStep(frame, 30, 2), GuardianStep(b"never", 1, 0))
+        )
 
     def _spawn(self, descriptor: int) -> None:
         assert descriptor == 7

@@ -12,7 +12,7 @@ from m100link import Control
 from m100link.flight.guardian import (
     NOTHING,
     GuardianPlan,
-    Step,
+    GuardianStep,
     control_plan,
     virtual_rc_plan,
 )
@@ -34,7 +34,7 @@ def plan_of(flown: Rig, control: Control) -> GuardianPlan:
     return control_plan(flown.aircraft._commander, path_of(control).wanted, 65_530)
 
 
-def frames(flown: Rig, steps: tuple[Step, ...]) -> list[tuple[int, Frame]]:
+def frames(flown: Rig, steps: tuple[GuardianStep, ...]) -> list[tuple[int, Frame]]:
     """When each arrives, ms, and what it says."""
     decoder = FrameDecoder()
     decoder.cipher = Cipher(flown.virtual.credentials.key)

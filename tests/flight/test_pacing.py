@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from m100link.errors import UsageError
-from m100link.flight.pacing import MAX_RATE_HZ, Alarm, Lead, Tick, Ticker
+from m100link.flight.pacing import MAX_RATE_HZ, DeadlineTimer, Lead, Tick, Ticker
 from m100link.sim import VirtualClockEventLoop
 from tests.waiting import PATIENCE
 
@@ -182,7 +182,7 @@ def test_an_alarm_without_an_event_loop_is_refused_and_nothing_else(
     unraisable: list[object] = []
     monkeypatch.setattr("sys.unraisablehook", unraisable.append)
     with pytest.raises(RuntimeError, match="no running event loop"):
-        Alarm()
+        DeadlineTimer()
     gc.collect()
     assert unraisable == []
 
@@ -214,7 +214,7 @@ class TestOnTheRealClock:
                 served += 1
 
         other = asyncio.create_task(be_served())
-        with Alarm() as alarm:
+        with DeadlineTimer() as alarm:
             for lead in (0.0, 1e-6, 50e-6, Lead.MOST, 0.01):
                 alarm._lead.seconds = lead
                 for _ in range(3):
@@ -226,14 +226,14 @@ class TestOnTheRealClock:
         other.cancel()
 
     async def test_an_alarm_in_the_past_rings_at_once(self) -> None:
-        with Alarm() as alarm:
+        with DeadlineTimer() as alarm:
             loop = asyncio.get_running_loop()
             await alarm.sleep_until(loop.time() - 1)
             await alarm.sleep_until(loop.time())
 
     async def test_an_alarm_survives_cancellation_and_rings_at_its_next_time(self) -> None:
         loop = asyncio.get_running_loop()
-        with Alarm() as alarm:
+        with DeadlineTimer() as alarm:
             sleeping = asyncio.create_task(alarm.sleep_until(loop.time() + 0.02))
             await asyncio.sleep(0)
             sleeping.cancel()
@@ -266,7 +266,7 @@ class TestOnTheRealClock:
             return {link.name for link in Path("/proc/self/fd").iterdir() if link.is_symlink()}
 
         before = descriptors()
-        with Alarm() as alarm:
+        with DeadlineTimer() as alarm:
             timers = {int(name) for name in descriptors() - before}
             assert len(timers) == sys.platform.startswith("linux")
             for timer in timers:
@@ -277,7 +277,7 @@ class TestOnTheRealClock:
 
     async def test_giving_it_back_again_gives_back_nothing_else(self) -> None:
         """A number that stood for the timer may stand for another file by then."""
-        alarm = Alarm()
+        alarm = DeadlineTimer()
         alarm.close()
         before = os.fstat(0)
         alarm.close()
@@ -286,7 +286,7 @@ class TestOnTheRealClock:
     async def test_a_timer_that_was_given_back_is_not_watched_any_more(self) -> None:
         """The next file gets its number, and its reader must be heard."""
         loop = asyncio.get_running_loop()
-        with Alarm() as alarm:
+        with DeadlineTimer() as alarm:
             await alarm.sleep_until(loop.time() + 0.001)
         heard = asyncio.Event()
         ends = os.pipe()
@@ -322,15 +322,15 @@ async def test_who_is_woken_beside_another_timer_does_not_sleep_again(
 ) -> None:
     """An event loop takes a nanosecond for none; loops of one grid fall into it all the time."""
     loop, woken = virtual_loop(), list[float]()
-    wake = Alarm._wake
+    wake = DeadlineTimer._wake
 
-    def counted(self: Alarm) -> None:
+    def counted(self: DeadlineTimer) -> None:
         woken.append(loop.time())
         wake(self)
 
-    monkeypatch.setattr(Alarm, "_wake", counted)
+    monkeypatch.setattr(DeadlineTimer, "_wake", counted)
     first = loop.time() + 0.3
     loop.call_at(first, woken.clear)
-    with Alarm() as alarm:
+    with DeadlineTimer() as alarm:
         await alarm.sleep_until(math.nextafter(first, math.inf))
     assert woken == [first]

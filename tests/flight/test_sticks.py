@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from m100link import UsageError
-from m100link.flight.tasks import CENTRED, GESTURE, SETTINGS_INTERVAL_S, SettingsPace, Sticks
+from m100link.flight.tasks import CENTRED, GESTURE, SETTINGS_INTERVAL_S, Deflections, SettingsPace
 from m100link.protocol.commands.virtual_rc import VirtualRcSettings
 from tests.rig import rig
 
@@ -16,14 +16,14 @@ REST = (1324, 1024, 1552) + (1024,) * 9  # gear down, no go-home button, mode P
     ("sticks", "channels"),
     [
         (CENTRED, (1024, 1024, 1024, 1024)),
-        (Sticks(roll=1.0), (1684, 1024, 1024, 1024)),
-        (Sticks(pitch=-1.0), (1024, 364, 1024, 1024)),
-        (Sticks(throttle=0.5), (1024, 1024, 1354, 1024)),
-        (Sticks(yaw=-0.5), (1024, 1024, 1024, 694)),
+        (Deflections(roll=1.0), (1684, 1024, 1024, 1024)),
+        (Deflections(pitch=-1.0), (1024, 364, 1024, 1024)),
+        (Deflections(throttle=0.5), (1024, 1024, 1354, 1024)),
+        (Deflections(yaw=-0.5), (1024, 1024, 1024, 694)),
         (GESTURE, (364, 364, 364, 1684)),
     ],
 )
-def test_sticks_as_channels(sticks: Sticks, channels: tuple[int, ...]) -> None:
+def test_sticks_as_channels(sticks: Deflections, channels: tuple[int, ...]) -> None:
     assert sticks.encoded().channels == channels + REST
 
 
@@ -32,14 +32,14 @@ def test_sticks_as_channels(sticks: Sticks, channels: tuple[int, ...]) -> None:
     [
         (CENTRED, False),
         (GESTURE, True),
-        (Sticks(1.0, -1.0, -1.0, -1.0), True),
-        (Sticks(-0.92, -0.92, -0.92, 0.92), True),
-        (Sticks(-0.92, -0.92, -0.92, 0.8), False),
-        (Sticks(-1.0, 1.0, -1.0, 1.0), False),
-        (Sticks(-1.0, -1.0, 1.0, 1.0), False),
+        (Deflections(1.0, -1.0, -1.0, -1.0), True),
+        (Deflections(-0.92, -0.92, -0.92, 0.92), True),
+        (Deflections(-0.92, -0.92, -0.92, 0.8), False),
+        (Deflections(-1.0, 1.0, -1.0, 1.0), False),
+        (Deflections(-1.0, -1.0, 1.0, 1.0), False),
     ],
 )
-def test_the_corner_is_wider_than_the_aircrafts(sticks: Sticks, is_corner: bool) -> None:
+def test_the_corner_is_wider_than_the_aircrafts(sticks: Deflections, is_corner: bool) -> None:
     assert sticks.are_in_corner is is_corner
 
 

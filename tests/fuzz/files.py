@@ -26,8 +26,8 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from mcap.writer import CompressionType, Writer
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.messages import Fault, Steer
-from m100link.apps.bus.network import Answer
+from m100link.apps.agent.messages import RemoteError, Steer
+from m100link.apps.bus.network import QueryAnswer
 from m100link.apps.cli.decode import _from_hex
 from m100link.apps.cli.fleet import borrowed
 from m100link.apps.cli.telemetry import _plot_file
@@ -44,13 +44,13 @@ from m100link.apps.fleet.logs.words import (
     unpack_entries,
     unpack_reply,
 )
-from m100link.apps.fleet.order_log import FileLedger, Mark, seal
+from m100link.apps.fleet.order_log import FileOrderLog, Mark, seal
 from m100link.apps.fleet.payloads import (
     Card,
     MissionCard,
-    Order,
+    OrderMessage,
+    OrderReply,
     Progress,
-    Reply,
     ShowCard,
     ShowStage,
     pack,
@@ -61,23 +61,23 @@ from m100link.apps.fleet.payloads import (
 from m100link.apps.fleet.pki import init
 from m100link.apps.fleet.revocations import AUTHORITY, LIST, Revocations
 from m100link.apps.fleet.show.conductor import _part
-from m100link.apps.fleet.show.plan.conflicts import Ahead
+from m100link.apps.fleet.show.plan.conflicts import ConflictMonitor
 from m100link.apps.fleet.show.plan.document import Show
 from m100link.apps.fleet.show.plan.track import TimedTrack
 from m100link.apps.mavlink.translator.codec import (
     LAYOUTS,
-    Message,
-    Reading,
+    MavlinkMessage,
+    MessageReader,
+    PacketSigner,
     SignatureMemory,
-    Signer,
     Snapshot,
     write_frame,
 )
 from m100link.apps.ros2.graph import read_attachment, write_attachment
 from m100link.apps.ros2.graph import read_token as read_ros2_token
 from m100link.apps.station.config import resolve
-from m100link.apps.station.console.view.texts import Settings
-from m100link.apps.station.foxglove import Channel, Viewer
+from m100link.apps.station.console.view.texts import DisplaySettings
+from m100link.apps.station.foxglove import FoxgloveChannel, Viewer
 from m100link.apps.station.web.access_control import Access, AccessControl
 from m100link.errors import M100Error, UsageError
 from m100link.link.keyfile import read_key, read_token
@@ -85,7 +85,17 @@ from m100link.log import read, recover
 from m100link.log.cdr import DEFINITIONS
 from m100link.log.cdr import decode as decode_cdr
 from m100link.log.cdr import encode as encode_cdr
-from m100link.log.channels import CHUNKS, COMMAND, EVENT, FIX, LINK, RX, TELEMETRY, TX, Witness
+from m100link.log.channels import (
+    CHUNKS,
+    COMMAND,
+    EVENT,
+    FIX,
+    LINK,
+    RX,
+    TELEMETRY,
+    TX,
+    FrameInterpreter,
+)
 from m100link.log.folder import _is_ours
 from m100link.log.pcapng import read_frames, write_pcapng
 from m100link.log.picture import page
@@ -179,8 +189,8 @@ def frames_seeds() -> list[bytes]:
     """Every message, signed and not."""
     seeds = []
     for number, name in enumerate(LAYOUTS):
-        signer = Signer(_KEY) if number % 2 else None
-        message = Message(name, {})
+        signer = PacketSigner(_KEY) if number % 2 else None
+        message = MavlinkMessage(name, {})
         seeds.append(write_frame(message, system=9, sequence=number, signer=signer, now=10**9))
     seeds.append(b"\xfe\x09\x00\x09\xbe\x00" + bytes(11))  # a frame of version 1, damaged
     return seeds
@@ -188,21 +198,21 @@ def frames_seeds() -> list[bytes]:
 
 def mavlink(data: bytes) -> None:
     """A datagram, by one that knows a key and one that does not."""
-    for signer in (Signer(_KEY), None):
-        for message in Reading(data, signer=signer, now=10**9):
+    for signer in (PacketSigner(_KEY), None):
+        for message in MessageReader(data, signer=signer, now=10**9):
             frame = write_frame(message, system=message.system, sequence=0)
-            [again] = Reading(frame)
+            [again] = MessageReader(frame)
             _same(again.fields, message.fields)
 
 
 def read_signatures(data: bytes) -> None:
     """The memory of signatures."""
-    signer = Signer(_KEY)
+    signer = PacketSigner(_KEY)
     memory = SignatureMemory(folder(), signer)
     memory.path.write_bytes(data)
     if not memory.recall(10**9):
         memory.write(Snapshot(signer.sent, dict(signer.newest)))
-        again = Signer(_KEY)
+        again = PacketSigner(_KEY)
         assert not SignatureMemory(folder(), again).recall(10**9)
         assert again.sent >= signer.sent
 
@@ -347,7 +357,7 @@ def ledger(data: bytes) -> None:
         path.with_suffix(".lock").write_bytes(b"" if not any(mark) else mark)
         known = None
         for _ in range(2):
-            opened = FileLedger(path, lambda: _UTC, lambda: ("boot", 10.0))
+            opened = FileOrderLog(path, lambda: _UTC, lambda: ("boot", 10.0))
             opened.close()
             found = opened.begun, opened.aloft
             assert known is None or found == known, "another start knows something else"
@@ -423,17 +433,17 @@ def read_lease_file(data: bytes) -> None:
 # -- values of a fleet ----------------------------------------------------------------------------
 
 _KEYS = Keys("field", "a1")
-_VALUES = (Order, Reply, Card, MissionCard)
+_VALUES = (OrderMessage, OrderReply, Card, MissionCard)
 _TRACK = track("a1", (0, 0, 0, 4), (8, 12, 0, 5))
 
 
 def value_seeds() -> list[bytes]:
     """A value by the number of its kind."""
     stands = ShowCard(ShowStage.FLYING, "0", 0.1, "")
-    fault = Fault.of(UsageError("seen", remedy="do"))
-    reply = Reply("0" * 32, "a1", "boot", Progress.DONE, fault=fault, show=stands)
+    fault = RemoteError.of(UsageError("seen", remedy="do"))
+    reply = OrderReply("0" * 32, "a1", "boot", Progress.DONE, fault=fault, show=stands)
     values: list[Any] = [
-        Order("0" * 32, "field", "a1", "anna", 1, _UTC, orders.Land()),
+        OrderMessage("0" * 32, "field", "a1", "anna", 1, _UTC, orders.Land()),
         reply,
         Card("a1", "boot", _UTC, height_m=3.0),
         MissionCard("a1", "boot"),
@@ -442,7 +452,7 @@ def value_seeds() -> list[bytes]:
     entry = LogEntry("m100link-20260101-000000.mcap", 100, _UTC, is_written=False)
     seeds.append(b"\4" + pack_entries([entry]))
     seeds.append(b"\5" + pack_reply(LogReply("0" * 32, "a1", offset=0, size=5), b"bytes"))
-    seeds.append(b"\6" + Ahead("s", "a2", 1.0, ((0.0, 1.0, 2.0),) * 2, 9.0).to_bytes())
+    seeds.append(b"\6" + ConflictMonitor("s", "a2", 1.0, ((0.0, 1.0, 2.0),) * 2, 9.0).to_bytes())
     seeds.append(b"\7" + _TRACK.to_bytes())
     north = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
     seeds.append(b"\x08" + pack_steer(Steer(1, 2.0, 0.3, north), "token", begins=True))
@@ -456,10 +466,10 @@ def fleet_values(data: bytes) -> None:
         found = unpack(_VALUES[number], rest)
         _same(unpack(_VALUES[number], pack(found)), found)
         repr(found).encode()  # it is printed, and logged
-        if isinstance(found, Order):
+        if isinstance(found, OrderMessage):
             found.proves("token")
             assert found.order.right
-        if isinstance(found, Reply):
+        if isinstance(found, OrderReply):
             _part(found)
     elif number == 4:
         entries = unpack_entries(rest)
@@ -468,8 +478,8 @@ def fleet_values(data: bytes) -> None:
         reply, held = unpack_reply(rest)
         _same(unpack_reply(pack_reply(reply, held)), (reply, held))
     elif number == 6:
-        ahead = Ahead.from_bytes(rest)
-        Ahead.from_bytes(ahead.to_bytes())
+        ahead = ConflictMonitor.from_bytes(rest)
+        ConflictMonitor.from_bytes(ahead.to_bytes())
         ahead.stands()
         assert math.isfinite(ahead.way)
     elif number == 7:
@@ -481,7 +491,10 @@ def fleet_values(data: bytes) -> None:
 def answers(data: bytes) -> None:
     """Two answers to one question, of the aircraft and of a stranger."""
     first, _, second = data.partition(b"\n")
-    given = [Answer(_KEYS.command, first, "1"), Answer(_KEYS.command, second or first, "2")]
+    given = [
+        QueryAnswer(_KEYS.command, first, "1"),
+        QueryAnswer(_KEYS.command, second or first, "2"),
+    ]
     clocks_told(given, "a1")
     for sessions in (["1"], ["1", "2"]):
         with suppress(M100Error):
@@ -499,7 +512,9 @@ def sim_orders(data: bytes) -> None:
 
 def foxglove(data: bytes) -> None:
     """What a viewer says, in texts and in bytes."""
-    viewer = Viewer([Channel(1, "/m100/fix", "fix", "{}"), Channel(2, "/tf", "tf", "{}")], "one")
+    viewer = Viewer(
+        [FoxgloveChannel(1, "/m100/fix", "fix", "{}"), FoxgloveChannel(2, "/tf", "tf", "{}")], "one"
+    )
     for number, one in enumerate(data.split(b"\n\n")[:8]):
         viewer.receive(one.decode("utf-8", "replace") if number % 3 < 2 else one, number * 0.1)
         for channel in (1, 2):
@@ -555,7 +570,7 @@ def events(data: bytes) -> None:
     from m100link.apps.station.console.components.map import ClickPart
     from m100link.apps.station.console.components.plan import PlanPart
 
-    Settings.from_text(data.decode("utf-8", "replace"))
+    DisplaySettings.from_text(data.decode("utf-8", "replace"))
     event = Mock(args=json.loads(data))
     with patch.object(component, "ui"):
         component.answer(event)
@@ -598,7 +613,7 @@ def hex_lines(data: bytes) -> None:
 def witnessed(data: bytes) -> None:
     """What goes over a line, as logs keep it and tell it."""
     profile = PROFILES[sorted(PROFILES)[len(data) % len(PROFILES)]]
-    witness, redaction = Witness(5.0), Redaction()
+    witness, redaction = FrameInterpreter(5.0), Redaction()
     for told in (witness.sent(data, None, profile), witness.received(data, 1.0, None, profile)):
         json.dumps(list(told), default=repr)
     assert len(redaction.sent(data, 1.0)) == len(data)

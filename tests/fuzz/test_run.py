@@ -14,7 +14,7 @@ from types import FrameType
 
 import pytest
 
-from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.background import TaskSet
 from m100link.protocol.firmware import PROFILES
 from tests.fuzz import run
 from tests.fuzz.guided import quoted
@@ -104,7 +104,7 @@ def test_an_error_in_a_world_is_found_wherever_it_was() -> None:
     async def running() -> AsyncIterator[Take]:
         async def take(data: bytes) -> None:
             if data == b"task":
-                BackgroundTasks().spawn(_fail(), "a task")
+                TaskSet().spawn(_fail(), "a task")
             elif data == b"loop":
                 asyncio.get_running_loop().call_soon(int, "x")
             elif data == b"here":

@@ -31,9 +31,9 @@ from m100link.apps.agent.messages import (
     Ask,
     Event,
     Hello,
+    JournalNote,
     LeaseChanged,
     MessageError,
-    Note,
     State,
     Steer,
     Telemetry,
@@ -43,7 +43,7 @@ from m100link.apps.agent.orders import (
     LeaseOrder,
     Right,
 )
-from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import UnixChannel
 from m100link.apps.bus.network import Question, Received
 from m100link.apps.fleet.asking import Asker
@@ -59,10 +59,10 @@ from m100link.apps.fleet.payloads import (
     LoadTrack,
     LogQuestion,
     MissionCard,
-    Order,
+    OrderMessage,
+    OrderReply,
     Outcome,
     Progress,
-    Reply,
     SendTrack,
     StartShow,
     TakePlace,
@@ -72,11 +72,11 @@ from m100link.apps.fleet.payloads import (
     unpack,
 )
 from m100link.apps.fleet.publisher import FleetTelemetry
-from m100link.apps.fleet.show.plan.conflicts import Ahead
+from m100link.apps.fleet.show.plan.conflicts import ConflictMonitor
 from m100link.apps.fleet.show.service import ShowService
-from m100link.apps.mavlink.translator.codec import LAYOUTS, Message, write_frame
+from m100link.apps.mavlink.translator.codec import LAYOUTS, MavlinkMessage, write_frame
 from m100link.apps.mavlink.translator.modes import Mode
-from m100link.apps.mavlink.translator.numbers import Command
+from m100link.apps.mavlink.translator.numbers import MavCommand
 from m100link.apps.ros2.graph import data_key, write_attachment
 from m100link.apps.ros2.topics import INPUTS, SERVICES
 from m100link.errors import M100Error
@@ -249,7 +249,7 @@ def datagrams() -> list[bytes]:
     """Every message that there is, as a ground station sends it."""
     aim = {"target_system": 1, "target_component": 1}
     seeds = [
-        write_frame(Message(name, {}), system=250, sequence=number)
+        write_frame(MavlinkMessage(name, {}), system=250, sequence=number)
         for number, name in enumerate(LAYOUTS)
     ]
     place = {"x": 521_000_000, "y": 43_100_000, "z": 10.0, "frame": 6, "autocontinue": 1} | aim
@@ -257,15 +257,17 @@ def datagrams() -> list[bytes]:
     route += [("MISSION_ITEM_INT", {"seq": at, "command": 16} | place) for at in range(2)]
     seeds.append(
         b"".join(
-            write_frame(Message(name, fields), system=250, sequence=at)
+            write_frame(MavlinkMessage(name, fields), system=250, sequence=at)
             for at, (name, fields) in enumerate(route)
         )
     )
     for name in ("MPC_XY_CRUISE", "COM_OF_LOSS_T"):
-        given = Message("PARAM_SET", {"param_id": name, "param_value": 5.0, "param_type": 9} | aim)
+        given = MavlinkMessage(
+            "PARAM_SET", {"param_id": name, "param_value": 5.0, "param_type": 9} | aim
+        )
         seeds.append(write_frame(given, system=250, sequence=0))
-    for command in Command:
-        asked = Message("COMMAND_LONG", {"command": int(command), "param1": 1.0} | aim)
+    for command in MavCommand:
+        asked = MavlinkMessage("COMMAND_LONG", {"command": int(command), "param1": 1.0} | aim)
         seeds.append(write_frame(asked, system=250, sequence=0))
     return seeds
 
@@ -288,7 +290,7 @@ async def on_bridge() -> AsyncIterator[Take]:
                 ground.heard.clear()
             rig.sent.clear()
             assert not rig.work.done(), "the bridge has ended"
-            if rig.vehicle.deck.mode in _ANYBODY:
+            if rig.vehicle.manager.mode in _ANYBODY:
                 raise Spoiled
             still.check()
 
@@ -310,7 +312,7 @@ def agent_seeds() -> list[bytes]:
     """Messages of a front, alone and in a row."""
     messages: list[Any] = [
         Steer(1, 12.0, 0.3, _NORTH),
-        Note("warning", "a note"),
+        JournalNote("warning", "a note"),
         *(Ask(5, order, 1) for order in ORDERS),
     ]
     bodies = [encode_message(one) for one in messages]
@@ -372,7 +374,7 @@ async def on_socket() -> AsyncIterator[Take]:
         await rig.front.ask(orders.TakeOff(), lease)
         await rig.until(lambda: rig.agent.holding.task is None)
         still = _Still(rig.aircraft)
-        service = Service(rig.agent)
+        service = AgentServer(rig.agent)
 
         async def take(data: bytes) -> None:
             channel = UnixChannel(service.attach)
@@ -575,7 +577,7 @@ _TOLD = (_KEYS.setpoint, _KEYS.state, _KEYS.place)
 
 def _order(asked: Asked) -> bytes:
     head = ("0" * 32, SITE, "a1", "anna", 1, 1.8e9)
-    return pack(Order(*head, asked, 20.0, proof=b"0" * 16))
+    return pack(OrderMessage(*head, asked, 20.0, proof=b"0" * 16))
 
 
 def fleet_seeds() -> list[bytes]:
@@ -594,7 +596,7 @@ def fleet_seeds() -> list[bytes]:
     seeds += [b"\3" + _order(one) for one in questions]
     seeds.append(b"\5" + pack_steer(Steer(1, 20.0, 0.3, _NORTH), "0" * 64, begins=True))
     seeds.append(b"\6" + pack(Card("a1", "boot", 1.8e9)))
-    ahead = Ahead("s", "a2", 1.0, ((0.0, 1.0, 2.0), (1.0, 1.0, 2.0)), 9.0)
+    ahead = ConflictMonitor("s", "a2", 1.0, ((0.0, 1.0, 2.0), (1.0, 1.0, 2.0)), 9.0)
     seeds.append(b"\7" + bytes([VERSION]) + ahead.to_bytes())
     return seeds
 
@@ -633,7 +635,7 @@ async def on_board() -> AsyncIterator[Take]:
             key = (*_ASKED, *_TOLD)[(data[0] if data else 0) % (len(_ASKED) + len(_TOLD))]
             await send(key, data[1:])
             for payload in answers:
-                unpack_reply(payload) if key == _KEYS.log else unpack(Reply, payload)
+                unpack_reply(payload) if key == _KEYS.log else unpack(OrderReply, payload)
             answers.clear()
             assert not one.work.done(), "the agent of the fleet has ended"
             if one.client.holder.number != lease.number or _is_for_anybody(data[1:]):
@@ -641,7 +643,7 @@ async def on_board() -> AsyncIterator[Take]:
             still.check()
             # The same of who has the lease: it may move, and has to be answered.
             try:
-                order: Order = unpack(Order, data[1:])
+                order: OrderMessage = unpack(OrderMessage, data[1:])
             except MessageError:
                 return
             now = asyncio.get_running_loop().time()
@@ -657,7 +659,7 @@ async def on_board() -> AsyncIterator[Take]:
 def _is_for_anybody(payload: bytes) -> bool:
     """Whether it is an order that needs no lease: to stop and to land."""
     try:
-        order: Order = unpack(Order, payload)
+        order: OrderMessage = unpack(OrderMessage, payload)
         return order.order.right is Right.STOP
     except MessageError:
         return False
@@ -672,7 +674,7 @@ def pilot_seeds(packages: list[bytes]) -> list[bytes]:
     Args:
         packages: Values of telemetry.
     """
-    reply = Reply("", "a1", "boot", Progress.DONE, Outcome.OK, clock=3.0, number=1)
+    reply = OrderReply("", "a1", "boot", Progress.DONE, Outcome.OK, clock=3.0, number=1)
     told: list[Any] = [
         Hello(MESSAGES_VERSION, "boot", 3.0),
         State(at=3.0),

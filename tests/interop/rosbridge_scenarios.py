@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import cbor2
 
 from m100link.apps.station.ros.client import Client
-from m100link.apps.station.ros.graph import Call, Graph, Listener
+from m100link.apps.station.ros.graph import Graph, GraphListener, ServiceCall
 from m100link.apps.station.ros.messages import Message
 
 WORLD: dict[str, Any] = {
@@ -374,14 +374,14 @@ def ours(steps: list[Step]) -> Seen:
     heard: list[Any] = []
 
     def hear(name: str) -> Any:
-        def take(_: Listener, message: Message, __: float) -> None:
+        def take(_: GraphListener, message: Message, __: float) -> None:
             text = graph.topics[name].type.to_json(message)
             heard.append([name, json.loads(text)])
 
         return take
 
     def answering(outcome: dict[str, Any] | None) -> Any:
-        def answer(call: Call) -> None:
+        def answer(call: ServiceCall) -> None:
             if outcome is None:
                 call.fail("it does not work")
             else:

@@ -18,7 +18,7 @@ import pytest
 
 from m100link import LinkClosed
 from m100link.flight.cancellation import SIGNALS
-from m100link.flight.pacing import Alarm
+from m100link.flight.pacing import DeadlineTimer
 from m100link.link import open_link
 from tests.waiting import PATIENCE
 
@@ -59,7 +59,7 @@ def test_what_the_child_does_with_line_loop_and_timers_harms_nobody() -> None:
         port = server.sockets[0].getsockname()[1]
         link = await open_link(f"tcp://127.0.0.1:{port}")
         sock = link._transport.get_extra_info("socket")  # type: ignore[union-attr] # it is open
-        with Alarm() as alarm:
+        with DeadlineTimer() as alarm:
 
             def misuse() -> bool:
                 os.write(sock.fileno(), b"of the child")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 
 from m100link.log.picture import Comparison, compare
-from m100link.log.story import Moment, Span, Story
+from m100link.log.story import FlightSummary, Moment, Span
 
 
-def flown(*, waits_s: float, to_m: float, **values: float) -> Story:
+def flown(*, waits_s: float, to_m: float, **values: float) -> FlightSummary:
     """Waits on the ground, takes off, flies so far north in 10 s, lands."""
-    story = Story("flight.mcap", 0.0, waits_s + 20.0)
+    story = FlightSummary("flight.mcap", 0.0, waits_s + 20.0)
     story.phases = [
         Span("ground", 0.0, waits_s),
         Span("flight", waits_s, waits_s + 15.0),
@@ -41,7 +41,7 @@ def test_tracks_are_laid_over_each_other_at_take_off() -> None:
 
 
 def test_values_that_one_flight_does_not_have_have_no_difference() -> None:
-    found = compare(flown(waits_s=1, to_m=1, height_m=5.0), Story("ground.mcap", 0.0, 3.0))
+    found = compare(flown(waits_s=1, to_m=1, height_m=5.0), FlightSummary("ground.mcap", 0.0, 3.0))
     assert by(found, "height_m") is None
     assert found.apart == []
     assert (found.mean_apart_m, found.most_apart) == (None, None)
@@ -59,9 +59,9 @@ def test_commands_and_alarms_differ_by_lines() -> None:
     assert compare(first, first).commands == []
 
 
-def at_places(*places: tuple[float, float, float], ends: bool = True) -> Story:
+def at_places(*places: tuple[float, float, float], ends: bool = True) -> FlightSummary:
     """Takes off at 2 s, is at these places (time, north, east), and lands at 12 s or never."""
-    story = Story("flight.mcap", 0.0, 20.0)
+    story = FlightSummary("flight.mcap", 0.0, 20.0)
     story.phases = [Span("ground", 0.0, 2.0), Span("take-off", 2.0, 5.0)]
     story.phases += [Span("flight", 5.0, 12.0)] + ([Span("ground", 12.0, 20.0)] if ends else [])
     for place in places:
@@ -97,5 +97,5 @@ def test_values_are_the_second_less_the_first_in_their_units() -> None:
     assert (by(found, "discarded_bytes"), by(found, "repeats")) == (-4, 11)
     assert by(found, "round_trip_ms") == pytest.approx(45.0)
     assert (by(found, "take-off_s"), by(found, "ground_s")) == (-0.5, 0.0)
-    never = compare(Story("empty.mcap", 0.0, 0.0), second)
+    never = compare(FlightSummary("empty.mcap", 0.0, 0.0), second)
     assert (by(never, "packages_per_s"), by(never, "round_trip_ms")) == (None, None)

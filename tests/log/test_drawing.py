@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from m100link.log.picture import Line, Panel, clock, facts, ticks
-from m100link.log.story import Curve, Story
+from m100link.log.picture import Panel, PlotLine, clock, facts, ticks
+from m100link.log.story import Curve, FlightSummary
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ def test_ticks_are_round_and_few(low: float, high: float, found: list[float]) ->
 
 def test_a_scale_holds_every_value_and_has_a_height_without_any() -> None:
     curve = Curve()
-    panel = Panel("Speed", (Line("climb", "red", curve),), (0.0, 1.0))
+    panel = Panel("Speed", (PlotLine("climb", "red", curve),), (0.0, 1.0))
     assert panel.span() == pytest.approx((0.0, 1.04))
     curve.add(1.0, -3.0)
     curve.add(2.0, 7.0)
@@ -41,4 +41,8 @@ def test_a_scale_holds_every_value_and_has_a_height_without_any() -> None:
 
 
 def test_what_was_never_heard_is_not_told() -> None:
-    assert [name for name, _ in facts(Story("empty.mcap"))] == ["Recorded", "Repeats", "Firmware"]
+    assert [name for name, _ in facts(FlightSummary("empty.mcap"))] == [
+        "Recorded",
+        "Repeats",
+        "Firmware",
+    ]

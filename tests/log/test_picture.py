@@ -15,7 +15,7 @@ import pytest
 from m100link.errors import UsageError
 from m100link.log import read
 from m100link.log.picture import page, picture
-from m100link.log.story import Curve, Moment, Span, Story, read_story
+from m100link.log.story import Curve, FlightSummary, Moment, Span, read_story
 from tests.log.flight import fly
 
 
@@ -31,13 +31,13 @@ async def test_a_flight_is_a_picture(tmp_path: Path) -> None:
     await fly(tmp_path / "flight.mcap")
     story = read_story(read(tmp_path / "flight.mcap"))
     assert size_of(picture(story, width_px=700)) == (700, 450)
-    assert size_of(picture(Story("$empty$.mcap"), width_px=700)) == (700, 450)
+    assert size_of(picture(FlightSummary("$empty$.mcap"), width_px=700)) == (700, 450)
 
 
 def test_without_matplotlib_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(UsageError, match="matplotlib") as caught:
-        picture(Story("flight.mcap"))
+        picture(FlightSummary("flight.mcap"))
     assert "'.[analysis]'" in str(caught.value)
 
 
@@ -66,7 +66,7 @@ class Balanced(HTMLParser):
         self.text.append(data)
 
 
-def checked(story: Story) -> str:
+def checked(story: FlightSummary) -> str:
     text = page(story)
     parser = Balanced()
     parser.feed(text)
@@ -97,13 +97,13 @@ async def test_a_flight_is_a_page_with_its_track_and_what_happened(tmp_path: Pat
 
 @pytest.mark.parametrize("duration", [0.0, 1.0, 7200.0, 1e6])
 def test_a_story_of_nothing_but_time_is_a_page(duration: float) -> None:
-    text = checked(Story("empty.mcap", 0.0 if duration else None, duration))
+    text = checked(FlightSummary("empty.mcap", 0.0 if duration else None, duration))
     assert "No position that can be trusted" in text
 
 
 def test_what_a_log_says_is_text_and_no_markup() -> None:
     evil = '</script><img src=x onerror="alert(1)">'
-    story = Story(evil, 0.0, 10.0)
+    story = FlightSummary(evil, 0.0, 10.0)
     story.alarms = [Span(evil, 1.0, 2.0, evil)]
     story.phases = [Span(evil, 0.0, 10.0)]
     story.commands = [Moment(1.0, evil, {evil: evil}, evil, 0.1)]
@@ -111,7 +111,7 @@ def test_what_a_log_says_is_text_and_no_markup() -> None:
 
 
 def test_a_hole_in_a_curve_is_a_hole_in_the_line() -> None:
-    story = Story("holes.mcap", 0.0, 30.0)
+    story = FlightSummary("holes.mcap", 0.0, 30.0)
     for at in (1.0, 2.0, 20.0, 21.0):
         story.curves.height_m.add(at, 3.0)
     text = checked(story)
@@ -121,7 +121,7 @@ def test_a_hole_in_a_curve_is_a_hole_in_the_line() -> None:
 
 
 def test_what_was_heard_once_can_be_seen() -> None:
-    story = Story("once.mcap", 0.0, 1.0)
+    story = FlightSummary("once.mcap", 0.0, 1.0)
     story.curves.battery_percent = Curve()
     story.curves.battery_percent.add(0.5, 80.0)
     assert re.search(r'd="M500.0 [\d.]+h2"', checked(story))

@@ -9,7 +9,7 @@ import pytest
 
 from m100link.errors import UsageError
 from m100link.log import read
-from m100link.log.player import Player, Stage, begin_of
+from m100link.log.player import PlaybackTarget, Player, begin_of
 from m100link.wire import Frame, FrameDecoder
 from tests.log.flight import fly
 
@@ -29,8 +29,8 @@ class Heard:
     def deliver(self, frame: Frame, now: float) -> None:
         self.frames.append((now, self._clock()))
 
-    def stage(self) -> Stage:
-        return Stage(
+    def stage(self) -> PlaybackTarget:
+        return PlaybackTarget(
             decode=lambda data, _: self._decoder.feed(data),
             deliver=self.deliver,
             tell=lambda _: None,

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from m100link.log import read
-from m100link.log.channels import Thinning, row_of
+from m100link.log.channels import RateLimiter, row_of
 from m100link.protocol.firmware import FIRMWARE_1_0, FIRMWARE_3_1
 from m100link.protocol.records import Battery
 from tests.log.flight import fly
@@ -19,7 +19,7 @@ async def test_what_comes_once_a_second_is_in_a_row_of_ten_a_second(tmp_path: Pa
     await fly(tmp_path / "flight.mcap")
     flight = read(tmp_path / "flight.mcap")
     samples = list(flight.samples())
-    thinning = Thinning(0.1)
+    thinning = RateLimiter(0.1)
     rows = [
         told.row
         for one in samples
@@ -38,7 +38,7 @@ async def test_what_comes_once_a_second_is_in_a_row_of_ten_a_second(tmp_path: Pa
 async def test_a_row_ends_with_the_items_of_its_own_package(tmp_path: Path) -> None:
     await fly(tmp_path / "flight.mcap")
     samples = list(read(tmp_path / "flight.mcap").samples())
-    thinning = Thinning(0.1)
+    thinning = RateLimiter(0.1)
     for one in samples:
         told = thinning.hear(one.value, one.profile, one.received_at)
         if told is not None:
@@ -49,13 +49,13 @@ async def test_a_row_ends_with_the_items_of_its_own_package(tmp_path: Path) -> N
 
 async def test_every_package_is_let_through_when_asked(tmp_path: Path) -> None:
     await fly(tmp_path / "flight.mcap")
-    thinning = Thinning(0.0)
+    thinning = RateLimiter(0.0)
     samples = list(read(tmp_path / "flight.mcap").samples())
     assert all(thinning.hear(one.value, one.profile, one.received_at) for one in samples)
 
 
 def test_what_does_not_fit_is_passed_over() -> None:
-    thinning = Thinning(0.1)
+    thinning = RateLimiter(0.1)
     for value in (b"", b"\x01", b"\x01\x00", b"\xff\xff" + bytes(20)):
         assert thinning.hear(value, FIRMWARE_3_1, 0.0) is None
     assert thinning.hear(b"\x01\x00" + bytes(4), FIRMWARE_1_0, 0.0) is not None
@@ -63,13 +63,13 @@ def test_what_does_not_fit_is_passed_over() -> None:
 
 def test_a_row_comes_as_often_as_its_interval_and_not_more_often() -> None:
     """Packages at 50 Hz whose clock is a hair early: each fifth of them is a row at 10 Hz."""
-    thinning, value = Thinning(0.1), b"\x01\x00" + bytes(4)
+    thinning, value = RateLimiter(0.1), b"\x01\x00" + bytes(4)
     rows = [
         number
         for number in range(26)
         if thinning.hear(value, FIRMWARE_1_0, 100.0 + number * 0.019_999) is not None
     ]
     assert rows == [0, 5, 10, 15, 20, 25]
-    told = Thinning(1.0).hear(value, FIRMWARE_1_0, 123.25)
+    told = RateLimiter(1.0).hear(value, FIRMWARE_1_0, 123.25)
     assert told is not None
     assert told[1]["received_at"] == 123.25

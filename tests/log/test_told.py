@@ -9,10 +9,10 @@ from typing import Any
 from mcap.writer import Writer
 
 from m100link.log import read
-from m100link.log.story import Story, read_story
+from m100link.log.story import FlightSummary, read_story
 
 
-def told(tmp_path: Path, *messages: tuple[float, str, dict[str, Any]]) -> Story:
+def told(tmp_path: Path, *messages: tuple[float, str, dict[str, Any]]) -> FlightSummary:
     path = tmp_path / "flight.mcap"
     with path.open("wb") as stream:
         writer: Any = Writer(stream)

@@ -8,15 +8,15 @@ from typing import Any
 import pytest
 
 from m100link.sim import NO_FAULTS, Line, LineFaults
-from m100link.sim.line import Direction, split_frames
+from m100link.sim.line import LineDirection, split_frames
 from m100link.wire import FrameDecoder, encode_frame
 
 SEED = 20151121
 
 
-def direction(**faults: Any) -> Direction:
+def direction(**faults: Any) -> LineDirection:
     print(f"seed {SEED}")  # noqa: T201
-    return Direction(Random(SEED), LineFaults(**faults))
+    return LineDirection(Random(SEED), LineFaults(**faults))
 
 
 def frames(count: int, size: int = 60) -> list[bytes]:
@@ -26,7 +26,9 @@ def frames(count: int, size: int = 60) -> list[bytes]:
     ]
 
 
-def carry(line: Direction, pieces: list[bytes], spacing: float = 0.01) -> list[tuple[float, bytes]]:
+def carry(
+    line: LineDirection, pieces: list[bytes], spacing: float = 0.01
+) -> list[tuple[float, bytes]]:
     """Send pieces at even times; returns what arrives and when (looked at every millisecond)."""
     arrived, now = [], 0.0
     for tick in range(round(len(pieces) * spacing * 1000) + 2000):
@@ -175,7 +177,7 @@ def test_faults_strike_frames_not_reads() -> None:
 def test_equal_seeds_spoil_equally() -> None:
     results = []
     for seed in (1, 1, 2):
-        line = Direction(Random(seed), LineFaults(loss=0.1, damage=0.1, jitter=0.02, noise=5.0))
+        line = LineDirection(Random(seed), LineFaults(loss=0.1, damage=0.1, jitter=0.02, noise=5.0))
         results.append(carry(line, frames(200)))
     assert results[0] == results[1] != results[2]
 

@@ -26,7 +26,7 @@ from m100link.apps.bus.session import ZenohBus
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.client import Fleet, open_fleet
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.order_log import MemoryLedger
+from m100link.apps.fleet.order_log import MemoryOrderLog
 from m100link.apps.fleet.publisher import WALL_HZ, FleetTelemetry, Thinner
 from m100link.apps.station.config import Settings
 from m100link.apps.station.run import owning
@@ -216,7 +216,7 @@ async def agents(place: str, names: list[str], *, flying: bool) -> None:
         bus = _CountedBus(await stack.enter_async_context(open_fleet("client", connect=(place,))))
         async with asyncio.TaskGroup() as group:
             running = [
-                group.create_task(FleetAgent(client, bus, Keys(SITE, name), MemoryLedger()).run())
+                group.create_task(FleetAgent(client, bus, Keys(SITE, name), MemoryOrderLog()).run())
                 for name, client in made.clients.items()
             ]
             seconds = await _asked("together")

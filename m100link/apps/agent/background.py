@@ -12,7 +12,7 @@ from m100link.errors import M100Error
 _logger = logging.getLogger(__name__)
 
 
-class BackgroundTasks:
+class TaskSet:
     """The tasks of one owner. An error that is not one of this package is logged, never lost.
 
     Errors of this package are left to whoever started the task: it has told them, or awaits it.

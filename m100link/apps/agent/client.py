@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any, Self, TypeVar
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.background import TaskSet
 from m100link.apps.agent.lease import Lease, TakeOver, not_in_force
 from m100link.apps.agent.messages import (
     VERSION,
@@ -23,17 +23,17 @@ from m100link.apps.agent.messages import (
     Ask,
     AuthorityTaken,
     Event,
-    Fault,
-    FromMobile,
     Hello,
+    JournalNote,
     LeaseChanged,
     LinkCounted,
     Message,
     MessageError,
-    MissionTold,
-    Note,
-    Outcome,
-    PlanTold,
+    MissionReport,
+    MobileMessage,
+    OrderOutcome,
+    PlanChanged,
+    RemoteError,
     Stage,
     State,
     Steer,
@@ -55,7 +55,7 @@ from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 from m100link.telemetry.subscription import Hub, Policy, Subscription
 
-_NO_SIGN = frozenset({Outcome, SteerRefused, LeaseChanged, Event})
+_NO_SIGN = frozenset({OrderOutcome, SteerRefused, LeaseChanged, Event})
 """Messages that do not show that the agent runs: a way over a network says them itself when nothing
 comes any more, and events are told however old they are."""
 
@@ -88,7 +88,7 @@ class AgentClient:
         self.telemetry: AircraftState | None = None
         self._view: VehicleView | None = None  # of this moment; None once something has arrived
         self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)  #: what happened lately
-        self.background = BackgroundTasks()  #: tasks that end with this client
+        self.background = TaskSet()  #: tasks that end with this client
         self.unread = 0  #: telemetry packages and plans that this version cannot read
         #: What somebody uploaded and may start, or flies; None for none.
         self.plan: WaypointPlan | None = None
@@ -102,28 +102,28 @@ class AgentClient:
         self.on_authority_taken: list[Callable[[AuthorityLost], None]] = []
         #: Called with the fence and the reason when a setpoint was not flown.
         self.on_steer_refused: list[Callable[[int, M100Error], None]] = []
-        self.on_mission_told: list[Callable[[MissionTold], None]] = []
+        self.on_mission_told: list[Callable[[MissionReport], None]] = []
         #: Called when the lease changed hands.
         self.on_lease: list[Callable[[LeaseChanged], None]] = []
         self._samples: Hub[Sample] = Hub()
         self._from_mobile: Hub[bytes] = Hub()
-        self._answers = Answers(self._channel.send)
+        self._answers = PendingRequests(self._channel.send)
         # Time of the last event of the agent before, whose events another way tells again.
         self._known_until = -math.inf
         self._handlers: dict[type[Any], Callable[[Any], None]] = {
             Hello: self._on_hello,
             State: self._on_state,
             Telemetry: self._on_telemetry,
-            FromMobile: self._on_from_mobile,
+            MobileMessage: self._on_from_mobile,
             Event: self._on_event,
             LinkCounted: partial(setattr, self, "link"),
             LeaseChanged: self._on_lease_changed,
-            Outcome: self._answers.outcome,
+            OrderOutcome: self._answers.outcome,
             Activating: self._on_activating,
             AuthorityTaken: self._on_authority_taken,
             SteerRefused: self._on_steer_refused,
-            MissionTold: partial(_call_each, self.on_mission_told),
-            PlanTold: self._on_plan_told,
+            MissionReport: partial(_call_each, self.on_mission_told),
+            PlanChanged: self._on_plan_told,
         }
 
     @property
@@ -207,7 +207,7 @@ class AgentClient:
         self.state = replace(
             self.state,
             connection="lost",
-            connection_fault=Fault.of(agent_gone(reason)),
+            connection_fault=RemoteError.of(agent_gone(reason)),
             has_authority=False,
             holding="none",
             task="",
@@ -243,7 +243,7 @@ class AgentClient:
         _call_each(self.on_sample, sample)
         self._samples.publish(sample, self.now)
 
-    def _on_from_mobile(self, message: FromMobile) -> None:
+    def _on_from_mobile(self, message: MobileMessage) -> None:
         self._from_mobile.publish(message.data, self.now)
 
     def _on_event(self, event: Event) -> None:
@@ -270,7 +270,7 @@ class AgentClient:
     def _on_steer_refused(self, message: SteerRefused) -> None:
         _call_each(self.on_steer_refused, message.fence, message.fault.error())
 
-    def _on_plan_told(self, message: PlanTold) -> None:
+    def _on_plan_told(self, message: PlanChanged) -> None:
         self.plan, self.plan_by = None, message.name
         if message.plan is not None:
             try:
@@ -285,7 +285,7 @@ class AgentClient:
         order: orders.Order,
         lease: Lease | None = None,
         accepted: Callable[[], None] | None = None,
-    ) -> Outcome:
+    ) -> OrderOutcome:
         """Ask for something to be done, and wait for what becomes of it.
 
         ``accepted`` is called when the aircraft has begun, where it takes a while.
@@ -307,7 +307,7 @@ class AgentClient:
         """Subscribe to the data of the app on the pilot's phone."""
         return self._from_mobile.subscribe(policy)
 
-    # -- the lease: what its desk is asked, and raises; and LinkError, where the agent has gone ----
+    # -- the lease: calls of LeaseManager and what they raise, and LinkError without an answer -----
 
     def holds(self, lease: Lease | None) -> bool:
         """Whether that lease is in force, as far as is known here."""
@@ -324,19 +324,19 @@ class AgentClient:
         return lease
 
     async def acquire(self, name: str) -> Lease:
-        """As :meth:`~m100link.apps.agent.lease.LeaseDesk.acquire`. Raises LinkError, too."""
+        """As :meth:`~m100link.apps.agent.lease.LeaseManager.acquire`. Raises LinkError, too."""
         return given((await self.ask(orders.AcquireLease(name))).lease)
 
     async def release_lease(self, token: str) -> None:
-        """As the desk's ``release``: motion stops, and authority goes back."""
+        """As ``LeaseManager.release``: motion stops, and authority goes back."""
         await self.ask(orders.ReleaseLease(token))
 
     async def ask_take_over(self, name: str) -> TakeOver:
-        """As the desk's: who would lose control."""
+        """As in LeaseManager: who would lose control."""
         return given((await self.ask(orders.AskTakeOver(name))).offer)
 
     async def confirm(self, token: str) -> Lease:
-        """As the desk's: take the lease from the client that the first step named."""
+        """As in LeaseManager: take the lease from the client that the first step named."""
         return given((await self.ask(orders.ConfirmTakeOver(token))).lease)
 
     def keep(self, lease: Lease) -> None:
@@ -363,13 +363,13 @@ class AgentClient:
 
     def note(self, text: str, level: str = "info") -> None:
         """Add an event to the agent's journal; many at once are dropped."""
-        self._channel.send(Note(level, text))
+        self._channel.send(JournalNote(level, text))
 
 
 # -- questions of a front that wait for the agent's answer -----------------------------------------
 
 
-class Answers:
+class PendingRequests:
     """What was asked and has no answer yet, by number."""
 
     def __init__(self, send: Callable[[Message], None]) -> None:
@@ -377,13 +377,15 @@ class Answers:
         self._create_future = asyncio.get_running_loop().create_future
         self._count = 0
         # By number, and what is called when it has begun.
-        self._waiting: dict[int, tuple[asyncio.Future[Outcome], Callable[[], None] | None]] = {}
+        self._waiting: dict[
+            int, tuple[asyncio.Future[OrderOutcome], Callable[[], None] | None]
+        ] = {}
         # Why the agent will answer no more, once it has gone; None before.
         self.gone: str | None = None
 
     async def question(
         self, order: orders.Order, fence: int, accepted: Callable[[], None] | None
-    ) -> Outcome:
+    ) -> OrderOutcome:
         """Ask for something, and wait for the answer.
 
         Raises:
@@ -395,7 +397,7 @@ class Answers:
             raise agent_gone(self.gone)
         self._count += 1
         number = self._count
-        answer: asyncio.Future[Outcome] = self._create_future()
+        answer: asyncio.Future[OrderOutcome] = self._create_future()
         self._waiting[number] = answer, accepted
         try:
             self._send(Ask(number, order, fence))
@@ -417,7 +419,7 @@ class Answers:
 
     # -- what comes in ---------------------------------------------------------------------------
 
-    def outcome(self, outcome: Outcome) -> None:
+    def outcome(self, outcome: OrderOutcome) -> None:
         """The end of a question. It stays the end, and a question begins once."""
         answer, accepted = self._waiting.get(outcome.id, (None, None))
         if answer is None or answer.done():

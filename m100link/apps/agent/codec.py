@@ -58,7 +58,7 @@ _MAX_INTEGER = 1 << 53
 _Codec = tuple[Callable[[Any], Any], Callable[[Any], Any]]
 
 
-class BadValue(ValueError):
+class InvalidValue(ValueError):
     """A value that does not fit its field; the text does not repeat it."""
 
 
@@ -68,31 +68,31 @@ def _same(value: Any) -> Any:
 
 def _read_int(value: Any) -> int:
     if type(value) is not int or not -_MAX_INTEGER <= value < _MAX_INTEGER:
-        raise BadValue("not an integer below 2⁵³")
+        raise InvalidValue("not an integer below 2⁵³")
     return value
 
 
 def _read_float(value: Any) -> float:
     if type(value) not in (int, float) or not -1e300 <= value <= 1e300:
-        raise BadValue("not a finite number")
+        raise InvalidValue("not a finite number")
     return float(value)
 
 
 def _finite(value: float) -> float:
     if not math.isfinite(value):
-        raise BadValue("not a finite number")
+        raise InvalidValue("not a finite number")
     return value
 
 
 def _read_bool(value: Any) -> bool:
     if type(value) is not bool:
-        raise BadValue("neither true nor false")
+        raise InvalidValue("neither true nor false")
     return value
 
 
 def _read_text(value: Any) -> str:
     if type(value) is not str or len(value) > MAX_TEXT:
-        raise BadValue(f"not a text of at most {MAX_TEXT} characters")
+        raise InvalidValue(f"not a text of at most {MAX_TEXT} characters")
     return value
 
 
@@ -102,7 +102,7 @@ def _write_text(value: str) -> str:
 
 def _write_bytes(value: bytes) -> str:
     if len(value) > MAX_BYTES:
-        raise BadValue(f"more than {MAX_BYTES} bytes")
+        raise InvalidValue(f"more than {MAX_BYTES} bytes")
     return base64.b64encode(value).decode("ascii")
 
 
@@ -115,7 +115,7 @@ def _read_bytes(value: Any) -> bytes:
         # Bits behind the last byte are ignored by some readers, and refused by others.
         if data is not None and len(data) <= MAX_BYTES and _write_bytes(data) == value:
             return data
-    raise BadValue(f"not base64 of at most {MAX_BYTES} bytes")
+    raise InvalidValue(f"not base64 of at most {MAX_BYTES} bytes")
 
 
 def _read_scalar(value: Any) -> str | int | float | bool | None:
@@ -139,19 +139,19 @@ def _write_details(value: Mapping[str, Any]) -> dict[str, Any]:
 
 def _read_details(value: Any) -> Mapping[str, Any]:
     if type(value) is not dict or len(value) > MAX_ENTRIES:
-        raise BadValue(f"not a mapping of at most {MAX_ENTRIES} entries")
+        raise InvalidValue(f"not a mapping of at most {MAX_ENTRIES} entries")
     return {_read_text(name): _read_scalar(one) for name, one in value.items()}
 
 
 def _write_pieces(value: tuple[bytes, ...]) -> list[str]:
     if len(value) > MAX_PIECES:
-        raise BadValue(f"more than {MAX_PIECES} pieces")
+        raise InvalidValue(f"more than {MAX_PIECES} pieces")
     return [_write_bytes(one) for one in value]
 
 
 def _read_pieces(value: Any) -> tuple[bytes, ...]:
     if type(value) is not list or len(value) > MAX_PIECES:
-        raise BadValue(f"not a list of at most {MAX_PIECES} pieces")
+        raise InvalidValue(f"not a list of at most {MAX_PIECES} pieces")
     return tuple(_read_bytes(one) for one in value)
 
 
@@ -179,7 +179,7 @@ def _choice(kind: type[Enum]) -> _Codec:
                 return kind(value)
             except ValueError:
                 pass
-        raise BadValue(f"not a {kind.__name__}")
+        raise InvalidValue(f"not a {kind.__name__}")
 
     return lambda value: value.value, read
 
@@ -219,7 +219,7 @@ class Fields:
         """The fields as JSON takes them.
 
         Raises:
-            BadValue: A number is not finite, or bytes are too long. Texts are cut.
+            InvalidValue: A number is not finite, or bytes are too long. Texts are cut.
         """
         return {name: write(getattr(value, name)) for name, (write, _) in self._codecs.items()}
 
@@ -227,16 +227,16 @@ class Fields:
         """The object of these fields; all of them, and no others.
 
         Raises:
-            BadValue: See there; the field is named.
+            InvalidValue: See there; the field is named.
         """
         if type(value) is not dict or value.keys() != self._codecs.keys():
-            raise BadValue(f"{self._kind.__name__} has the fields {', '.join(self._codecs)}")
+            raise InvalidValue(f"{self._kind.__name__} has the fields {', '.join(self._codecs)}")
         found = {}
         for name, (_, read) in self._codecs.items():
             try:
                 found[name] = read(value[name])
-            except BadValue as error:
-                raise BadValue(f"{name}: {error}") from None
+            except InvalidValue as error:
+                raise InvalidValue(f"{name}: {error}") from None
         return self._kind(**found)
 
 
@@ -252,15 +252,15 @@ class Kinds:
         return {"kind": name, **self._fields[name].write(value)}
 
     def read(self, value: Any) -> Any:
-        """The object. Raises BadValue: it is of none of these classes; as :meth:`Fields.read`."""
+        """The object. Raises InvalidValue if it is of none of these classes."""
         name = value.pop("kind", None) if type(value) is dict else None
         fields = self._fields.get(name) if type(name) is str else None
         if fields is None:
-            raise BadValue("it names no kind that this version knows")
+            raise InvalidValue("it names no kind that this version knows")
         try:
             return fields.read(value)
-        except BadValue as error:
-            raise BadValue(f"{name}: {error}") from None
+        except InvalidValue as error:
+            raise InvalidValue(f"{name}: {error}") from None
 
 
 # -- the bytes of messages between an agent and its fronts, for carriers that take bytes -----------
@@ -291,7 +291,7 @@ _FLAGS = {mode: flag for flag, mode in _MODES.items()}
 def _pack_steer(message: Steer) -> bytes:
     setpoint = message.setpoint
     if not (math.isfinite(message.sent_at) and math.isfinite(message.lifetime)):
-        raise BadValue("not a finite number")
+        raise InvalidValue("not a finite number")
     return _STEER.pack(
         _IS_STEER,
         message.fence,
@@ -308,18 +308,18 @@ def _pack_steer(message: Steer) -> bytes:
 def _unpack_steer(data: bytes) -> Steer:
     _, fence, sent_at, lifetime, flag, x, y, z, yaw = _STEER.unpack(data)
     if not (math.isfinite(sent_at) and math.isfinite(lifetime)):
-        raise BadValue("not a finite number")
+        raise InvalidValue("not a finite number")
     if flag not in _MODES:
-        raise BadValue(f"control flag 0x{flag:02X} names no control mode")
+        raise InvalidValue(f"control flag 0x{flag:02X} names no control mode")
     mode, frame, stable = _MODES[flag]
     return Steer(fence, sent_at, lifetime, Setpoint(mode, x, y, z, yaw, frame, stable))
 
 
 def _pack_telemetry(message: Telemetry) -> bytes:
     if len(message.value) > MAX_BYTES:
-        raise BadValue(f"more than {MAX_BYTES} bytes")
+        raise InvalidValue(f"more than {MAX_BYTES} bytes")
     if not math.isfinite(message.received_at):
-        raise BadValue("not a finite number")
+        raise InvalidValue("not a finite number")
     profile = message.profile.encode()
     head = _TELEMETRY.pack(_IS_TELEMETRY, message.received_at, len(profile))
     return head + profile + message.value
@@ -329,9 +329,9 @@ def _unpack_telemetry(data: bytes) -> Telemetry:
     _, received_at, length = _TELEMETRY.unpack_from(data)
     begin = _TELEMETRY.size + length
     if not math.isfinite(received_at):
-        raise BadValue("not a finite number")
+        raise InvalidValue("not a finite number")
     if not begin <= len(data) <= begin + MAX_BYTES:
-        raise BadValue("not the bytes of a telemetry package")
+        raise InvalidValue("not the bytes of a telemetry package")
     profile = data[_TELEMETRY.size : begin].decode()
     return Telemetry(data[begin:], profile, received_at)
 
@@ -357,7 +357,7 @@ def encode(message: Message) -> bytes:
         if pack is not None:
             return pack(message)
         text = json.dumps(_KINDS.write(message), separators=(",", ":"))
-    except (BadValue, struct.error) as error:
+    except (InvalidValue, struct.error) as error:
         raise MessageError(f"{kind.__name__} cannot be sent: {error}") from None
     data = text.encode("ascii")
     if len(data) > MAX_SIZE:
@@ -384,7 +384,7 @@ def decode(data: bytes) -> Message:
     try:
         message: Message = _KINDS.read(value)
         require_possible(message)
-    except BadValue as error:
+    except InvalidValue as error:
         raise MessageError(f"not a message: {error}") from None
     return message
 
@@ -463,11 +463,11 @@ def require_possible(message: Message) -> None:
     """Whether a message that was read can be true.
 
     Raises:
-        BadValue: It cannot; the field is named.
+        InvalidValue: It cannot; the field is named.
     """
     if not abs(getattr(message, "at", 0.0)) <= _LONGEST_S:
-        raise BadValue("at is no time")
+        raise InvalidValue("at is no time")
     why_not = _WHY_NOT.get(type(message))
     why = "" if why_not is None else why_not(message)
     if why:
-        raise BadValue(why)
+        raise InvalidValue(why)

@@ -21,7 +21,7 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.background import ignore
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused, TakeOver
-from m100link.apps.agent.messages import Event, LeaseChanged, Outcome, Topic
+from m100link.apps.agent.messages import Event, EventTopic, LeaseChanged, OrderOutcome
 from m100link.apps.agent.orders import SETPOINT_LIFETIME
 from m100link.apps.agent.view import Hearing
 from m100link.errors import (
@@ -476,7 +476,9 @@ class ControlSession:
         finally:
             keeping.cancel()
 
-    async def ask(self, order: orders.Order, accepted: Callable[[], None] | None = None) -> Outcome:
+    async def ask(
+        self, order: orders.Order, accepted: Callable[[], None] | None = None
+    ) -> OrderOutcome:
         """Ask for something under the lease; returns its outcome, for a task seconds later.
 
         The front renews the lease meanwhile: a take-off lasts longer than a lease.
@@ -551,7 +553,7 @@ class ControlSession:
                 self.let_go()
 
     def _event(self, event: Event) -> None:
-        if event.topic is Topic.STOPPED:
+        if event.topic is EventTopic.STOPPED:
             self.feed(_I.STOP)
 
     def _steer_refused(self, fence: int, error: M100Error) -> None:

@@ -14,8 +14,10 @@ import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from typing import TYPE_CHECKING
 
 from m100link.errors import M100Error
+from m100link.errors.usage import renamed
 
 LEASE_LIFETIME = 3.0
 """Seconds that a lease lasts without renewal; its holder renews it several times in that time."""
@@ -103,7 +105,7 @@ class TakeOver:
 
     name: str  #: who wants to steer
     from_name: str  #: who would lose the lease
-    token: str  #: what :meth:`LeaseDesk.confirm` takes
+    token: str  #: what :meth:`LeaseManager.confirm` takes
     number: int  #: number of the lease it is about; if that one ends first, this is void
     expires_at: float  #: time after which it is void
 
@@ -111,14 +113,14 @@ class TakeOver:
         return f"<TakeOver by {self.name!r} from {self.from_name!r}>"
 
 
-class LeaseDesk:
+class LeaseManager:
     """Hands out the lease of one aircraft.
 
     Args:
         lifetime: Seconds that a lease lasts without renewal.
         longest_step: Time between two calls that counts at most; whoever has a clock calls
             :meth:`advance` more often than that, so that longer means that it did not run.
-        leases_before: Number of the last lease of another desk whose leases must never fit here.
+        leases_before: Number of the last lease of an earlier agent. Its leases never fit here.
         make_token: Source of tokens; by default 128 bits from the system.
         on_change: Called after each change with the reason, the old and the new lease.
     """
@@ -141,7 +143,7 @@ class LeaseDesk:
         self._lease: Lease | None = None
         self._expires_at = 0.0
         self._count = leases_before
-        # When the desk was last called.
+        # When it was last called.
         self._advanced_at: float | None = None
         # What one client asks does not push out what another asked.
         self._take_overs: list[TakeOver] = []
@@ -272,3 +274,7 @@ def _clean(name: str) -> str:
     """A name fit for a banner and a log line."""
     printable = "".join(letter for letter in name if letter.isprintable()).strip()
     return printable[:MAX_NAME] or "unnamed"
+
+
+if not TYPE_CHECKING:
+    __getattr__ = renamed(__name__, LeaseDesk="LeaseManager")

@@ -5,9 +5,10 @@ knows comes in these messages, what it wants goes out in them (``m100link.apps.a
 
 ==================  ========================================================================
 Both ways           Hello, Goodbye
-From the agent      Telemetry, FromMobile, Event, State, LinkCounted, LeaseChanged,
-                    Activating, AuthorityTaken, MissionTold, PlanTold, SteerRefused, Outcome
-From a front        Ask (around an order of ``m100link.apps.agent.orders``), Steer, Note
+From the agent      Telemetry, MobileMessage, Event, State, LinkCounted, LeaseChanged,
+                    Activating, AuthorityTaken, MissionReport, PlanChanged, SteerRefused,
+                    OrderOutcome
+From a front        Ask (around an order of ``m100link.apps.agent.orders``), Steer, JournalNote
 ==================  ========================================================================
 
 What a carrier makes of them is in ``m100link.apps.agent.codec``; the agent keeps its events in a
@@ -21,12 +22,13 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from m100link import errors
 from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseHeld, LeaseRefused, TakeOver
 from m100link.apps.agent.orders import GuidedFlight, Order, UploadPlan
 from m100link.errors import LinkError, LinkLost, M100Error
+from m100link.errors.usage import renamed
 from m100link.protocol.setpoint import Setpoint
 
 JOURNAL_LOG = __name__
@@ -34,7 +36,7 @@ JOURNAL_LOG = __name__
 
 _logger = logging.getLogger(JOURNAL_LOG)
 
-VERSION = 11
+VERSION = 12
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
 
 LEVELS = ("info", "warning", "error")
@@ -72,13 +74,13 @@ class Telemetry:
 
 
 @dataclass(frozen=True, slots=True)
-class FromMobile:
+class MobileMessage:
     """Data of the app on the pilot's phone."""
 
     data: bytes  #: up to 100 bytes
 
 
-class Topic(Enum):
+class EventTopic(Enum):
     """What an event is about, where programs have to know it."""
 
     NONE = ""
@@ -97,11 +99,11 @@ class Event:
     at: float  #: time on the agent's clock, s
     level: str  #: ``"info"``, ``"warning"`` or ``"error"``
     text: str  #: what happened
-    topic: Topic = Topic.NONE  #: what it is about, for programs
+    topic: EventTopic = EventTopic.NONE  #: what it is about, for programs
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class GuardLimits:
     """What the guards of the agent allow; None where one is off."""
 
     max_height_m: float | None = None  #: height above the take-off point, m
@@ -119,11 +121,11 @@ class State:
 
     at: float  #: when it was so, s
     connection: str = "connecting"  #: ``"connecting"``, ``"connected"`` or ``"lost"``
-    connection_fault: Fault | None = None  #: why it is not connected
+    connection_fault: RemoteError | None = None  #: why it is not connected
     firmware: str = ""  #: firmware profile in use; empty when not connected
     is_activated: bool = False  #: whether the aircraft is active and its key in use
     activation_code: int | None = None  #: last answer to an activation
-    activation_fault: Fault | None = None  #: why the last activation failed
+    activation_fault: RemoteError | None = None  #: why the last activation failed
     #: State of control authority, a :class:`~m100link.apps.agent.server.authority.HoldingState`.
     holding: str = "none"
     has_authority: bool = False  #: whether setpoints and tasks are obeyed
@@ -142,7 +144,7 @@ class State:
     late_acks: int = 0  #: acks that came late or belong to nobody
     dropped_writes: int = 0  #: frames that were not written
     mismatches: int = 0  #: telemetry packages that do not fit the firmware
-    limits: Limits = Limits()  #: what the guards allow
+    limits: GuardLimits = GuardLimits()  #: what the guards allow
     replay: Replay | None = None  #: where the replay is; None for an aircraft, real or virtual
 
     def flight_time(self, now: float) -> float:
@@ -188,11 +190,11 @@ class Activating:
 class AuthorityTaken:
     """Somebody else took control authority."""
 
-    fault: Fault  #: an :class:`~m100link.errors.AuthorityLost`, with its reason
+    fault: RemoteError  #: an :class:`~m100link.errors.AuthorityLost`, with its reason
 
 
 @dataclass(frozen=True, slots=True)
-class MissionTold:
+class MissionReport:
     """Something happened to the mission that this agent flies, as DJI's push 0x02/0x04 says it."""
 
     event: int  #: 0 uploaded, 1 finished, 2 waypoint reached
@@ -200,7 +202,7 @@ class MissionTold:
 
 
 @dataclass(frozen=True, slots=True)
-class PlanTold:
+class PlanChanged:
     """The plan that waits to be started, or flies: told when it is whole, and when it is void."""
 
     name: str = ""  #: who uploaded it, for people; empty for none
@@ -212,16 +214,16 @@ class SteerRefused:
     """A setpoint was not flown; what flew before is stopped, or expires."""
 
     fence: int  #: of the setpoint
-    fault: Fault  #: why
+    fault: RemoteError  #: why
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class OrderOutcome:
     """What became of an :class:`Ask`."""
 
     id: int  #: of the question
     stage: Stage  #: how far it came
-    fault: Fault | None = None  #: why it failed
+    fault: RemoteError | None = None  #: why it failed
     text: str = ""  #: what was asked for, where that is a text
     number: int = 0  #: what was asked for, where that is a number
     lease: Lease | None = None  #: the lease that was asked for, for its holder and nobody else
@@ -243,7 +245,7 @@ class Steer:
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """An order, which has an :class:`Outcome`."""
+    """An order, which has an :class:`OrderOutcome`."""
 
     id: int  #: comes back in each outcome; 0 asks for none
     order: Order  #: what is to be done
@@ -251,7 +253,7 @@ class Ask:
 
 
 @dataclass(frozen=True, slots=True)
-class Note:
+class JournalNote:
     """Something that happened in the front, for the journal."""
 
     level: str  #: ``"info"``, ``"warning"`` or ``"error"``
@@ -262,20 +264,20 @@ Message = (
     Hello
     | Goodbye
     | Telemetry
-    | FromMobile
+    | MobileMessage
     | Event
     | State
     | LinkCounted
     | LeaseChanged
     | Activating
     | AuthorityTaken
-    | MissionTold
-    | PlanTold
+    | MissionReport
+    | PlanChanged
     | SteerRefused
-    | Outcome
+    | OrderOutcome
     | Steer
     | Ask
-    | Note
+    | JournalNote
 )
 """Any of them."""
 
@@ -327,7 +329,7 @@ class Journal:
         self.on_event: list[Callable[[Event], None]] = []  # called with each event
         self.untold = 0  # how often the log, or a callback, failed over an event
 
-    def note(self, text: str, level: str = "info", topic: Topic = Topic.NONE) -> None:
+    def note(self, text: str, level: str = "info", topic: EventTopic = EventTopic.NONE) -> None:
         """Add an event. Raises nothing: what comes after it may end a flight."""
         event = self._add(text, level, topic)
         for tell in (_log, *self.on_event):
@@ -336,9 +338,11 @@ class Journal:
             except Exception as error:  # noqa: BLE001 (whatever it is; the next event says so)
                 self.untold += 1
                 if self.untold == 1:
-                    self._add(f"an event was not told everywhere: {error!r}", "error", Topic.NONE)
+                    self._add(
+                        f"an event was not told everywhere: {error!r}", "error", EventTopic.NONE
+                    )
 
-    def _add(self, text: str, level: str, topic: Topic) -> Event:
+    def _add(self, text: str, level: str, topic: EventTopic) -> Event:
         self._count += 1
         event = Event(self._count, self._clock(), level, text, topic)
         self.events.append(event)
@@ -371,7 +375,7 @@ _TOLD = ("seen", "cause", "remedy")
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class RemoteError:
     """An error of this package on its way."""
 
     kind: str  #: name of its class
@@ -382,7 +386,7 @@ class Fault:
     details: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, error: M100Error) -> Fault:
+    def of(cls, error: M100Error) -> RemoteError:
         """The error as a value."""
         known = next(kind for kind in type(error).__mro__ if _ERRORS.get(kind.__name__) is kind)
         details = {
@@ -403,9 +407,9 @@ class Fault:
         return error
 
 
-def fault_of(error: M100Error | None) -> Fault | None:
+def fault_of(error: M100Error | None) -> RemoteError | None:
     """The error as a value, None for none."""
-    return None if error is None else Fault.of(error)
+    return None if error is None else RemoteError.of(error)
 
 
 def _plain(value: object) -> object:
@@ -428,4 +432,18 @@ def agent_lost(reason: str) -> LinkLost:
         f"{gone.seen}; it had been asked, and may have done it",
         cause="it was ended or killed, or the way to it was cut",
         remedy="look at the aircraft, and start the agent again",
+    )
+
+
+if not TYPE_CHECKING:
+    __getattr__ = renamed(
+        __name__,
+        Fault="RemoteError",
+        FromMobile="MobileMessage",
+        Limits="GuardLimits",
+        MissionTold="MissionReport",
+        Note="JournalNote",
+        Outcome="OrderOutcome",
+        PlanTold="PlanChanged",
+        Topic="EventTopic",
     )

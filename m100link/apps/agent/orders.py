@@ -90,21 +90,21 @@ ORDERS: dict[str, type[Order]] = {}
 # -- what ends a flight: it needs no lease over a fleet, and waits for nobody ----------------------
 
 
-class Ending(Order, is_kind=False, right=Right.STOP, moves=False, is_kept=False):
+class EndingOrder(Order, is_kind=False, right=Right.STOP, moves=False, is_kept=False):
     """Any order that ends a flight."""
 
 
-class Stop(Ending, needs=Needs.NOTHING, age=Age.ANY):
+class Stop(EndingOrder, needs=Needs.NOTHING, age=Age.ANY):
     """No motion, no program, and no task."""
 
 
-class Halt(Ending, needs=Needs.NOTHING, age=Age.ANY, is_at_once=True):
+class Halt(EndingOrder, needs=Needs.NOTHING, age=Age.ANY, is_at_once=True):
     """No motion and no guided flight; a task goes on."""
 
     why: str = ""  #: for people
 
 
-class Land(Ending):
+class Land(EndingOrder):
     """Land in place. Minutes later it would surprise somebody, so it must not be old."""
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import asdict
 
-from m100link.apps.agent.messages import Limits
+from m100link.apps.agent.messages import GuardLimits
 from m100link.apps.agent.orders import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedOrder
 from m100link.errors import GuardRefused, LinkError
 from m100link.flight.foresight import (
@@ -26,7 +26,7 @@ Preview = Foresight
 """Distance, time, battery, and the refusals that are foreseen."""
 
 
-def preview(order: GuidedOrder, state: AircraftState | None, limits: Limits) -> Preview:
+def preview(order: GuidedOrder, state: AircraftState | None, limits: GuardLimits) -> Preview:
     """What the agent would say, as far as is known here; it decides again when it is asked.
 
     Args:
@@ -52,7 +52,7 @@ def preview(order: GuidedOrder, state: AircraftState | None, limits: Limits) -> 
 
 
 def preview_plan(
-    plan: WaypointPlan, state: AircraftState | None, limits: Limits
+    plan: WaypointPlan, state: AircraftState | None, limits: GuardLimits
 ) -> tuple[GuardRefused, ...]:
     """What the guards of the agent would say to a mission, as far as is known here.
 
@@ -77,7 +77,7 @@ def preview_plan(
     return tuple(refusals)
 
 
-def _guards_of(state: AircraftState, limits: Limits) -> GuardKeeper:
+def _guards_of(state: AircraftState, limits: GuardLimits) -> GuardKeeper:
     bounds = (limits.max_height_m, limits.max_radius_m, limits.max_speed_m_s)
     envelope = Envelope(*(math.inf if one is None else one for one in bounds))
     guards = Guards(envelope=envelope, battery_floor_percent=limits.battery_floor_percent)

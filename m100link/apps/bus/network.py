@@ -44,7 +44,7 @@ class Question:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class QueryAnswer:
     key: str
     payload: bytes
     session: str = ""  # id of the session that answered, as it says itself; empty when it does not
@@ -127,7 +127,7 @@ class Bus(Session, Protocol):
         """Hear questions; one that is lost or dropped looks to its asker like nobody."""
         ...
 
-    async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:
+    async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[QueryAnswer]:
         """Ask everybody who serves it.
 
         Those who did not answer within ``timeout`` seconds are not waited for. An empty list says
@@ -198,7 +198,7 @@ def _do(work: Callable[..., object], *what: Any) -> None:
         _logger.exception("a message was not taken, or not sent")
 
 
-class Queue:
+class ThreadQueue:
     """From threads of zenoh into the event loop."""
 
     def __init__(
@@ -288,7 +288,7 @@ class Bundle:
             self._send()
 
 
-class Patient(Outlet):
+class BatchingPublisher(Outlet):
     """An outlet whose messages wait for others."""
 
     def __init__(self, outlet: Outlet, bundle: Bundle, within: float) -> None:
@@ -310,7 +310,7 @@ class Patient(Outlet):
         self._outlet.close()
 
 
-class Looks(Held):
+class PollingReader(Held):
     """Takes what a ring has, every ``within`` seconds, until it is closed."""
 
     def __init__(

@@ -19,17 +19,17 @@ from typing import TYPE_CHECKING, Any
 from m100link.apps.bus.network import (
     AT_ONCE,
     DEPTH,
-    Answer,
+    BatchingPublisher,
     Bundle,
     Held,
     Inbox,
-    Looks,
     Outlet,
-    Patient,
+    PollingReader,
+    QueryAnswer,
     Question,
-    Queue,
     Received,
     Ring,
+    ThreadQueue,
     TokenChange,
 )
 from m100link.errors import UsageError
@@ -162,7 +162,7 @@ class ZenohBus:
                 key, congestion_control=drop, allowed_destination=self._zenoh.Locality.REMOTE
             )
             outlet = _Outlet(publisher, is_kept=False)
-            return Patient(outlet, self._bundle, within) if within else outlet
+            return BatchingPublisher(outlet, self._bundle, within) if within else outlet
         import zenoh.ext  # which the package does not load by itself
 
         try:
@@ -211,7 +211,7 @@ class ZenohBus:
     ) -> Held:
         if within:
             return self._look(pattern, take, depth, within)
-        queue = Queue(self._loop, take, depth)
+        queue = ThreadQueue(self._loop, take, depth)
 
         def heard(sample: zenoh.Sample) -> None:
             queue.put(str(sample.key_expr), self._bytes(sample.payload))
@@ -228,10 +228,10 @@ class ZenohBus:
             return str(sample.key_expr), self._bytes(sample.payload)
 
         ring = Ring(declared, made, min(depth, AT_ONCE), self._zenoh.ZError)
-        return Looks(_Declared(declared), ring, lambda one: take(*one), within)
+        return PollingReader(_Declared(declared), ring, lambda one: take(*one), within)
 
     def serve(self, key: str, take: Callable[[Question], None], *, depth: int = DEPTH) -> Held:
-        queue = Queue(self._loop, take, depth)
+        queue = ThreadQueue(self._loop, take, depth)
 
         def heard(query: zenoh.Query) -> None:
             queue.put(self._question(query))
@@ -239,7 +239,7 @@ class ZenohBus:
         return _Declared(self._session.declare_queryable(key, heard))
 
     def watch(self, pattern: str, take: Callable[[str, bool], None]) -> Held:
-        queue = Queue(self._loop, take, DEPTH)
+        queue = ThreadQueue(self._loop, take, DEPTH)
         put = self._zenoh.SampleKind.PUT
 
         def heard(sample: zenoh.Sample) -> None:
@@ -284,7 +284,7 @@ class ZenohBus:
 
     # -- waited for ------------------------------------------------------------------------------
 
-    async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:
+    async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[QueryAnswer]:
 
         def get(handler: Any) -> None:
             self._session.get(
@@ -297,7 +297,7 @@ class ZenohBus:
             )
 
         return [
-            Answer(str(one.key_expr), self._bytes(one.payload), session)
+            QueryAnswer(str(one.key_expr), self._bytes(one.payload), session)
             for session, one in await self._replies(get, timeout)
         ]
 

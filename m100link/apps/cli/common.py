@@ -66,7 +66,7 @@ class AppOptions(
 
 
 @dataclass(frozen=True)
-class Place:
+class ConnectionOptions:
     """Where the aircraft is, how to talk to it, and whose app it is: from all sources."""
 
     url: str  # where the aircraft is
@@ -132,7 +132,7 @@ class LinkOptions:
     timeout: Annotated[float | None, Above0] = None
     log: LogOptions = AS_IT_IS
 
-    def place(self, argument: str | None, app: AppOptions | None = None) -> Place:
+    def place(self, argument: str | None, app: AppOptions | None = None) -> ConnectionOptions:
         """Where the aircraft is, and what holds for it.
 
         The argument, else ``--url``, else the environment, else the configuration file says which;
@@ -155,14 +155,14 @@ class LinkOptions:
                 "M100LINK_URL, or name an aircraft in the file that `m100link config` names",
             )
         log_of(_shown(given["url"] or settings.url))
-        return Place(settings.url, settings)
+        return ConnectionOptions(settings.url, settings)
 
     def place_among(
         self,
         words: Iterable[str],  # arguments of which the first may be a URL or a name
         is_other: Callable[[str], bool],  # whether a word has the shape of what follows
         app: AppOptions | None = None,
-    ) -> tuple[Place, tuple[str, ...]]:
+    ) -> tuple[ConnectionOptions, tuple[str, ...]]:
         """Where the aircraft is, and the words that follow."""
         first, *rest = words = tuple(words) or ("",)
         if not first or is_other(first):
@@ -186,13 +186,13 @@ class AircraftOptions:
         """What is logged meanwhile."""
         return self.link.log
 
-    def place(self, argument: str | None) -> Place:
+    def place(self, argument: str | None) -> ConnectionOptions:
         """As :meth:`LinkOptions.place`."""
         return self.link.place(argument, self.app)
 
     def place_among(
         self, words: Iterable[str], is_other: Callable[[str], bool]
-    ) -> tuple[Place, tuple[str, ...]]:
+    ) -> tuple[ConnectionOptions, tuple[str, ...]]:
         """As :meth:`LinkOptions.place_among`."""
         return self.link.place_among(words, is_other, self.app)
 

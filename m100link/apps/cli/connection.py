@@ -23,8 +23,8 @@ from m100link.apps.cli.common import (
     AS_SET,
     BY_LINK,
     AircraftOptions,
+    ConnectionOptions,
     LinkOptions,
-    Place,
     Url,
     err,
     out,
@@ -278,7 +278,13 @@ _MARKS = {
 
 _EXIT_CODES = {
     **dict.fromkeys(
-        (Stage.PORT, Stage.PERMISSION, Stage.OWNER, Stage.INTERFERENCE, Stage.OPENING),
+        (
+            Stage.PORT,
+            Stage.PERMISSION,
+            Stage.OWNER,
+            Stage.INTERFERENCE,
+            Stage.OPENING,
+        ),
         ExitCode.PORT,
     ),
     **dict.fromkeys((Stage.BYTES, Stage.FRAMES, Stage.TELEMETRY), ExitCode.NO_LINK),
@@ -288,7 +294,12 @@ _EXIT_CODES = {
 }
 """The exit status of the stage that failed."""
 
-_BEHIND_THE_LINE = (Stage.ACTIVATION, Stage.KEY, Stage.MODE_SWITCH, Stage.AUTHORITY)
+_BEHIND_THE_LINE = (
+    Stage.ACTIVATION,
+    Stage.KEY,
+    Stage.MODE_SWITCH,
+    Stage.AUTHORITY,
+)
 
 
 def doctor(
@@ -348,7 +359,7 @@ def _only_port(link: LinkOptions) -> str | None:
     return found[0] if found else None
 
 
-def _diagnosed(place: Place, *, authority: bool, as_json: bool) -> Report:
+def _diagnosed(place: ConnectionOptions, *, authority: bool, as_json: bool) -> Report:
     app = place.settings
     has_app = app.app_id is not None or (
         place.is_virtual and app.key is None and app.key_file is None

@@ -31,12 +31,12 @@ from m100link.apps.cli.plan import File, FileOptions, read_plan
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json, wants_json
 from m100link.apps.fleet.client import FleetAircraft
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
-from m100link.apps.fleet.payloads import MissionCard, MissionStage, Reply, ShowStage
+from m100link.apps.fleet.payloads import MissionCard, MissionStage, OrderReply, ShowStage
 from m100link.apps.fleet.show.conductor import Conductor
-from m100link.apps.fleet.show.performer import Leave
 from m100link.apps.fleet.show.plan.document import Report, Show, distances, places, svg
 from m100link.apps.fleet.show.plan.document import check as report_on
 from m100link.apps.fleet.show.plan.track import BadShow
+from m100link.apps.fleet.show.track_executor import Leave
 from m100link.errors import UsageError
 from m100link.flight.guards import Envelope
 from m100link.flight.missions.events import Finished, MissionEvent, MissionProgress, Reached
@@ -190,7 +190,7 @@ def _ordering(
             asker = aircraft.asker
             await asker.ask(AskVersion())  # its clock says how old an order is
 
-            async def ask(order: Order) -> Reply:
+            async def ask(order: Order) -> OrderReply:
                 return await asker.ask(order, fence=fence, token=token)
 
             with told_when_interrupted(name, left):

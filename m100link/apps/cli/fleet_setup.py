@@ -47,7 +47,7 @@ from m100link.apps.fleet.client import open_fleet
 from m100link.apps.fleet.identity import BadRights, Rights, nobody
 from m100link.apps.fleet.keys import DEFAULT_SITE
 from m100link.apps.fleet.logs.service import RATE
-from m100link.apps.fleet.lost_link import LostAction, LostPlan
+from m100link.apps.fleet.lost_link import LostAction, LostLinkPlan
 from m100link.apps.fleet.pki import Issued, Kind, explain, listed, router_config
 from m100link.apps.fleet.pki import init as make_authority
 from m100link.apps.fleet.pki import issue as make_certificate
@@ -62,7 +62,7 @@ from m100link.apps.station.fleet import (
     serving_fleet,
     serving_fleet_console,
 )
-from m100link.apps.station.log_output import Teller, tell_elsewhere
+from m100link.apps.station.log_output import FlightProgress, tell_elsewhere
 from m100link.apps.station.supervisor import leave_what_stays
 from m100link.errors import UsageError
 
@@ -199,7 +199,9 @@ def agent(
         return ExitCode.OK
     is_virtual = all(settings.sim for settings in aircraft.values())
     kept = ledger or (None if is_virtual else default_ledgers())
-    fleet = FleetSettings(connect, site, LostPlan(lost, lost_after), kept, log_rate=log_rate * 1e6)
+    fleet = FleetSettings(
+        connect, site, LostLinkPlan(lost, lost_after), kept, log_rate=log_rate * 1e6
+    )
     if pki is not None:
         fleet = replace(fleet, options=tls_options(pki, name))
     if rights is not None:
@@ -217,7 +219,7 @@ def _checking(rights: Rights, names: Iterable[str], pki: Path | None) -> dict[st
 async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, run: RunOptions) -> int:
     ended = Told()
     tell_elsewhere(JOURNAL_LOG)
-    with Teller("talk", MOST_UNTOLD) as teller:
+    with FlightProgress("talk", MOST_UNTOLD) as teller:
         async with serving_fleet(aircraft, fleet, partial(tell_event, teller, run.log)) as agents:
             words = f"fleet:     {fleet.site}: {', '.join(agents)}"
             facts = {"fleet": fleet.site, "agents": list(agents)}

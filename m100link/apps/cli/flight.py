@@ -25,8 +25,8 @@ from m100link.apps.cli.common import (
     AS_SET,
     BY_LINK,
     AircraftOptions,
+    ConnectionOptions,
     LinkOptions,
-    Place,
     Url,
     err,
     out,
@@ -162,7 +162,7 @@ Look = Callable[[Aircraft], Awaitable[str | None]]
 
 @asynccontextmanager
 async def activated(
-    place: Place,
+    place: ConnectionOptions,
     *,
     credentials: Credentials | None = None,  # by default those of the place
     ask: str | None = None,  # what a person is asked for before; nobody is for a virtual aircraft
@@ -187,7 +187,7 @@ async def activated(
 
 @asynccontextmanager
 async def in_control(
-    place: Place,
+    place: ConnectionOptions,
     what: str | None = None,  # what a person is asked for, and told that it is done
     *,
     is_sure: bool = False,

@@ -31,7 +31,7 @@ from m100link.log.parquet import write_parquet
 from m100link.log.pcapng import dissector, read_frames, write_pcapng
 from m100link.log.picture import Comparison, clock, compare, facts
 from m100link.log.ros2 import write_bag
-from m100link.log.story import Story, read_story
+from m100link.log.story import FlightSummary, read_story
 from m100link.wire import Cipher
 
 Log = Annotated[Path, Parameter(help="The log.")]
@@ -300,7 +300,7 @@ def plot(file: Log, /, *, output: Output = None, firmware: AsFlown = None) -> in
     return status(flight)
 
 
-def _drawn(story: Story, target: Path) -> bytes:
+def _drawn(story: FlightSummary, target: Path) -> bytes:
     if target.suffix.lower() == ".png":
         from m100link.log.picture import picture  # loads matplotlib
 

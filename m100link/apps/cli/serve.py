@@ -22,13 +22,13 @@ from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.cli.options import offered
 from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, print_json
 from m100link.apps.station.config import ONLY_NAME, Settings, namespace_of, resolve
-from m100link.apps.station.log_output import Teller, log_of, tell_elsewhere
+from m100link.apps.station.log_output import FlightProgress, log_of, tell_elsewhere
 from m100link.errors import UsageError
 
 if TYPE_CHECKING:
     from m100link.apps.agent.messages import Event
     from m100link.apps.station.listeners import Sockets
-    from m100link.apps.station.supervisor import Child
+    from m100link.apps.station.supervisor import ChildProcess
 
 
 _logger = logging.getLogger(__name__)
@@ -87,7 +87,7 @@ async def run_station(
     ended = Told()
     tell_elsewhere(JOURNAL_LOG)
     log_of(next(iter(aircraft)) if len(aircraft) == 1 else "")
-    with Teller("talk", MOST_UNTOLD) as teller:
+    with FlightProgress("talk", MOST_UNTOLD) as teller:
         tell = partial(tell_event, teller, options.log, is_named=len(aircraft) > 1)
         async with _running(aircraft, options, served, tell) as (station, front):
             announce = partial(_announce, aircraft, station, as_json=options.json_output)
@@ -142,9 +142,9 @@ async def _running(
     options: RunOptions,
     served: dict[str, Any],
     tell: Callable[[str, Event], None],
-) -> AsyncIterator[tuple[_Station, Child | None]]:
+) -> AsyncIterator[tuple[_Station, ChildProcess | None]]:
     """The station, and the process of its fronts."""
-    from m100link.apps.station.run import RunningApart, running, running_apart, running_several
+    from m100link.apps.station.run import RunningTwoProcess, running, running_apart, running_several
 
     if len(aircraft) > 1:
         if options.single_process:
@@ -158,11 +158,11 @@ async def _running(
         for event in one.agent.journal.events:
             tell(name, event)
         one.agent.journal.on_event.append(partial(tell, name))
-        yield one, one.front if isinstance(one, RunningApart) else None
+        yield one, one.front if isinstance(one, RunningTwoProcess) else None
 
 
 def tell_event(
-    teller: Teller, log: LogOptions, name: str, event: Event, *, is_named: bool = True
+    teller: FlightProgress, log: LogOptions, name: str, event: Event, *, is_named: bool = True
 ) -> None:
     """Tell what happened to an aircraft: in the log, if that is JSON, else in words."""
     if log.log_json:

@@ -19,8 +19,8 @@ from rich.text import Text
 from m100link.aircraft import Aircraft
 from m100link.apps.cli.common import (
     BY_LINK,
+    ConnectionOptions,
     LinkOptions,
-    Place,
     Url,
     err,
     out,
@@ -306,7 +306,7 @@ def _plot_file(path: Path, fields: tuple[str, ...]) -> int:
     return ExitCode.OK if any(points.values()) else ExitCode.FAILED
 
 
-async def _plot_live(place: Place, fields: tuple[str, ...], duration: float) -> int:
+async def _plot_live(place: ConnectionOptions, fields: tuple[str, ...], duration: float) -> int:
     records = items_named(dict.fromkeys(field.partition(".")[0] for field in fields))
     points: dict[str, list[tuple[float, float]]] = {field: [] for field in fields}
 

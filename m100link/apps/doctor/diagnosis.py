@@ -127,7 +127,7 @@ async def look_at_aircraft(
     except UsageError:
         raise
     except NoAircraft as error:
-        yield _no_answer(error) if error.frames_received else _fell_silent(Stage.VERSION, error)
+        yield (_no_answer(error) if error.frames_received else _fell_silent(Stage.VERSION, error))
         return
     except M100Error as error:
         yield failed(Stage.VERSION, error)

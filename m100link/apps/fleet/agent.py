@@ -27,18 +27,18 @@ from m100link.apps.agent.messages import Event, MessageError, Telemetry
 from m100link.apps.agent.orders import Age, Right
 from m100link.apps.agent.view import Hearing
 from m100link.apps.bus.network import Bus, Held, Question
-from m100link.apps.fleet.expiry import Dropped, OrderAges, SetpointStream, broken, require_young
+from m100link.apps.fleet.expiry import Dropped, OrderExpiry, SetpointStream, broken, require_young
 from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.lost_link import Aloft, Lost, LostPlan
-from m100link.apps.fleet.missions.board import Missions
-from m100link.apps.fleet.order_log import Ledger, OrderBook
-from m100link.apps.fleet.orders import Done, Orders
+from m100link.apps.fleet.lost_link import LastFlight, LostLinkAction, LostLinkPlan
+from m100link.apps.fleet.missions.manager import MissionManager
+from m100link.apps.fleet.order_log import Ledger, OrderCache
+from m100link.apps.fleet.orders import Done, OrderService
 from m100link.apps.fleet.payloads import (
     Card,
-    Order,
+    OrderMessage,
+    OrderReply,
     Progress,
-    Reply,
     pack,
     unpack,
     unpack_steer,
@@ -65,11 +65,11 @@ _LONG_S = 0.02
 
 T = TypeVar("T")
 
-Verify = Callable[[Order], None]
+Verify = Callable[[OrderMessage], None]
 """Looks at an order before anything is done; raises :class:`~m100link.errors.NotAllowed`."""
 
 
-def admit(order: Order, keys: Keys, kind: type[T], verify: Verify | None) -> T:
+def admit(order: OrderMessage, keys: Keys, kind: type[T], verify: Verify | None) -> T:
     """What is asked; refused of another kind, for another aircraft, or of who may not."""
     if not isinstance(order.order, kind):
         raise MessageError(f"nobody asks for {type(order.order).__name__} under this key")
@@ -89,7 +89,7 @@ class FleetAgent:
         keys: Keys,
         ledger: Ledger,  # what outlives it
         *,
-        lost: LostPlan | None = None,  # what happens when whoever flies is lost
+        lost: LostLinkPlan | None = None,  # what happens when whoever flies is lost
         # Looks at each order; without it the router alone decides who may ask.
         verify: Verify | None = None,
         revoked: Since = nobody,  # who is shut out
@@ -99,20 +99,20 @@ class FleetAgent:
         self._bus = bus
         self._keys = keys
         self._ledger = ledger
-        self._lost_plan = lost or LostPlan()
+        self._lost_plan = lost or LostLinkPlan()
         self._verify = verify
         self._utc = utc
         self.boot = uuid.uuid4().hex[:8]  # which run of this agent it is
-        self.namesakes = Namesakes(keys.name, self.boot)  # whether another agent has its name
+        self.namesakes = DuplicateNames(keys.name, self.boot)  # whether another agent has its name
         self._has_namesake = False
         self.dropped: Counter[Dropped] = Counter()  # setpoints that were not flown, by reason
         unsure_before = client.now if ledger.damaged else -math.inf
-        self._book = OrderBook(ledger.begun, unsure_before=unsure_before)
-        self._ages = OrderAges()
-        self._orders = Orders(client, ledger, revoked)
-        self._aloft = Aloft(client, ledger)
+        self._book = OrderCache(ledger.begun, unsure_before=unsure_before)
+        self._ages = OrderExpiry()
+        self._orders = OrderService(client, ledger, revoked)
+        self._aloft = LastFlight(client, ledger)
         descend = partial(self._orders.descend, take_over=False)
-        self._lost = Lost(client, self._lost_plan, descend, self._aloft)
+        self._lost = LostLinkAction(client, self._lost_plan, descend, self._aloft)
         self._running: dict[str, asyncio.Task[None]] = {}  # orders under way, by id
         # Long orders, which wait until short ones have been read.
         self._long: deque[Question] = deque()
@@ -161,7 +161,7 @@ class FleetAgent:
                 self.client.on_sample.remove(self._on_sample)
 
     @property
-    def missions(self) -> Missions:
+    def missions(self) -> MissionManager:
         return self._orders.missions
 
     def shut_out(self) -> None:
@@ -304,7 +304,7 @@ class FleetAgent:
         is_lease = question.key.endswith("/lease")
         key = self._keys.lease if is_lease else self._keys.command
         try:
-            order: Order = unpack(Order, question.payload)
+            order: OrderMessage = unpack(OrderMessage, question.payload)
             is_repeated = self._book.heard(order.id, order.digest())
             if not is_repeated:
                 self._begin(order)
@@ -315,7 +315,7 @@ class FleetAgent:
         await self._wait(order.id)
         question.answer(key, pack(self._told(order.id, is_repeated=is_repeated)))
 
-    def _begin(self, order: Order) -> None:
+    def _begin(self, order: OrderMessage) -> None:
         """Hear an order for the first time."""
         if not _ID.fullmatch(order.id):
             raise MessageError("the id of an order is 32 hexadecimal digits")
@@ -334,7 +334,7 @@ class FleetAgent:
         work = self._carry_out(order, asked)
         self._running[order.id] = self.client.background.spawn(work, "order of the fleet")
 
-    def _require_now(self, order: Order, asked: orders.Order) -> None:
+    def _require_now(self, order: OrderMessage, asked: orders.Order) -> None:
         """Refuse an order that may not begin now."""
         now = self.client.now
         if asked.moves:
@@ -350,12 +350,12 @@ class FleetAgent:
         if asked.right is Right.STOP:
             self._ages.revoke(now)
 
-    def _may_have_begun(self, order: Order, asked: orders.Order) -> bool:
+    def _may_have_begun(self, order: OrderMessage, asked: orders.Order) -> bool:
         """Whether an agent before began it, or may have where its ledger is damaged."""
         is_of_before = order.fence and asked.is_kept and self._book.is_unsure(order.clock)
         return bool(is_of_before) or self._book.was_begun_before(order.id)
 
-    async def _carry_out(self, order: Order, asked: orders.Order) -> None:
+    async def _carry_out(self, order: OrderMessage, asked: orders.Order) -> None:
         failed = OutcomeUnknown("the agent failed while it did this", remedy="see its log")
         reply = self._reply(order.id, failed)
         try:
@@ -372,16 +372,18 @@ class FleetAgent:
             self._book.end(replace(reply, order=order.digest()), self.client.now)
             del self._running[order.id]
 
-    def _reply(self, identity: str, error: M100Error | None, done: Done | None = None) -> Reply:
+    def _reply(
+        self, identity: str, error: M100Error | None, done: Done | None = None
+    ) -> OrderReply:
         done = done or Done()
         told = {one.name: getattr(done, one.name) for one in fields(done)}
-        return Reply.done(identity, self._keys.name, self.boot, error, **told)
+        return OrderReply.done(identity, self._keys.name, self.boot, error, **told)
 
     async def _wait(self, identity: str) -> None:
         if identity in self._running:  # where it runs on, that is what is told
             await asyncio.wait({self._running[identity]}, timeout=HOLD_S)
 
-    def _told(self, identity: str, *, is_repeated: bool) -> Reply:
+    def _told(self, identity: str, *, is_repeated: bool) -> OrderReply:
         """What is known of an order now."""
         reply = self._book.reply(identity)
         if reply is None:
@@ -391,7 +393,7 @@ class FleetAgent:
                 return replace(self._reply(identity, _begun_before()), clock=self.client.now)
             else:
                 progress = Progress.NEVER
-            reply = Reply(identity, self._keys.name, self.boot, progress)
+            reply = OrderReply(identity, self._keys.name, self.boot, progress)
         return replace(reply, clock=self.client.now, is_repeated=is_repeated)
 
     def _on_status(self, question: Question) -> None:
@@ -463,7 +465,7 @@ one word alone may be the last of an agent that was killed."""
 _MOST = 16
 
 
-class Namesakes:
+class DuplicateNames:
     """What one agent hears under its own name."""
 
     def __init__(self, name: str, boot: str) -> None:

@@ -17,17 +17,17 @@ from typing import Self
 from m100link.apps.agent import orders
 from m100link.apps.agent.latency import ClockEstimate
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.messages import Fault, MessageError
-from m100link.apps.bus.network import Answer, Bus
+from m100link.apps.agent.messages import MessageError, RemoteError
+from m100link.apps.bus.network import Bus, QueryAnswer
 from m100link.apps.fleet.keys import Keys, session_in
 from m100link.apps.fleet.payloads import (
     Asked,
     Half,
     LeaseRequest,
-    Order,
+    OrderMessage,
+    OrderReply,
     Outcome,
     Progress,
-    Reply,
     pack,
     unpack,
 )
@@ -41,7 +41,7 @@ Over a way of 3 s an answer needs 6.5 s, and what is lost is asked for again.
 
 _AGAIN_S = 0.1
 
-Sign = Callable[[Order, str], Order]
+Sign = Callable[[OrderMessage, str], OrderMessage]
 """Signs an order, with the proof of the lease of which it gets the secret; empty for none."""
 
 
@@ -53,7 +53,7 @@ def nobody_there(name: str) -> Unreachable:
     )
 
 
-unsigned: Sign = Order.under
+unsigned: Sign = OrderMessage.under
 """Without an identity the router alone decides who may ask."""
 
 
@@ -105,7 +105,7 @@ class Asker:
         clock: float = 0.0,
         identity: str = "",  # of the order; a new one by default
         patience: float | None = None,
-    ) -> Reply:
+    ) -> OrderReply:
         """Ask for something, and wait for what becomes of it.
 
         ``patience``: seconds without any answer after which the outcome is unknown.
@@ -139,7 +139,7 @@ class Asker:
         reply = _raised(await self._answered(self.keys.lease, request.order, self.patience))
         return request.lease(reply), reply.clock
 
-    async def renew(self, lease: Lease, *, within: float) -> Reply | None:
+    async def renew(self, lease: Lease, *, within: float) -> OrderReply | None:
         """Renew a lease: what may be asked again, and nobody else can say.
 
         Returns the answer; None when none came in time that can be read, which says nothing.
@@ -151,11 +151,11 @@ class Asker:
         order = self.around(orders.RenewLease(), lease.number, lease.token)
         answers = await self.bus.ask(self.keys.lease, pack(order), timeout=within)
         reply = self._read(answers, order, asked_at)
-        if not isinstance(reply, Reply) or reply.progress is not Progress.DONE:
+        if not isinstance(reply, OrderReply) or reply.progress is not Progress.DONE:
             return None  # anybody may answer nonsense: it ends nothing that silence would not
         return _raised(reply)
 
-    async def look(self, order: Order | None = None, *, within: float) -> Reply | None:
+    async def look(self, order: OrderMessage | None = None, *, within: float) -> OrderReply | None:
         """Ask once what became of an order; of none, what time it is there.
 
         Returns the answer, whatever it says; None when none came in time that can be read.
@@ -169,9 +169,9 @@ class Asker:
         asked_at = self._clock()
         answers = await self.bus.ask(self.keys.status(asked.id), timeout=within)
         reply = self._read(answers, asked, asked_at)
-        return reply if isinstance(reply, Reply) else None
+        return reply if isinstance(reply, OrderReply) else None
 
-    async def once(self, key: str, asked: Asked, *, within: float) -> Reply | None:
+    async def once(self, key: str, asked: Asked, *, within: float) -> OrderReply | None:
         """Ask once, by a new order, what is asked under a key of its own.
 
         Returns the answer, whatever it says; None when none came in time.
@@ -190,7 +190,7 @@ class Asker:
             raise reply
         return reply
 
-    def is_of_aircraft(self, answer: Answer) -> bool:
+    def is_of_aircraft(self, answer: QueryAnswer) -> bool:
         """Whether it comes from a session that shows the aircraft's token."""
         return answer.session in self._sessions
 
@@ -202,13 +202,13 @@ class Asker:
         clock: float = 0.0,
         identity: str = "",
         key: bytes = b"",
-    ) -> Order:
+    ) -> OrderMessage:
         """A new order, signed; see :meth:`ask`."""
         head = (identity or uuid.uuid4().hex, self.keys.site, self.keys.name, self._name)
         clock = clock or self.its_clock.at_least(self._clock())
-        return self._sign(Order(*head, fence, self._utc(), asked, clock, key=key), token)
+        return self._sign(OrderMessage(*head, fence, self._utc(), asked, clock, key=key), token)
 
-    async def _answered(self, key: str, order: Order, patience: float) -> Reply:
+    async def _answered(self, key: str, order: OrderMessage, patience: float) -> OrderReply:
         payload, status = pack(order), self.keys.status(order.id)
         silent_since = began = self._clock()
         sent = 0  # the question that the order was; 0: it is to be sent
@@ -246,8 +246,8 @@ class Asker:
         )
 
     async def _next(
-        self, questions: Questions, order: Order, began: float, within: float
-    ) -> tuple[int, Reply | MessageError | None]:
+        self, questions: Questions, order: OrderMessage, began: float, within: float
+    ) -> tuple[int, OrderReply | MessageError | None]:
         """The next answer and the number of its question; none when it is to be asked again."""
         until = self._clock() + within
         while (left := until - self._clock()) > 0:
@@ -276,8 +276,8 @@ class Asker:
         )
 
     def _read(
-        self, answers: Iterable[Answer], order: Order, asked_at: float
-    ) -> Reply | MessageError | None:
+        self, answers: Iterable[QueryAnswer], order: OrderMessage, asked_at: float
+    ) -> OrderReply | MessageError | None:
         """One answer, or why there are only such as cannot be read; None for none.
 
         ``asked_at``: when the question left at the earliest, s. Raises: as :func:`believed`.
@@ -288,17 +288,17 @@ class Asker:
         except OutcomeUnknown:
             self.doubtful_clocks = clocks_told(came, self.keys.name)
             raise
-        if isinstance(found, Reply):
+        if isinstance(found, OrderReply):
             self.its_clock.heard(asked_at, found.clock, self._clock())
         return found
 
 
-def reason_of(name: str, fault: Fault | None) -> M100Error:
+def reason_of(name: str, fault: RemoteError | None) -> M100Error:
     """Why an agent of that name refused, as it says itself."""
     return MessageError(f"{name} gave no reason") if fault is None else fault.error()
 
 
-def _raised(reply: Reply) -> Reply:
+def _raised(reply: OrderReply) -> OrderReply:
     """The reply, if it is good; else raised as what it means."""
     if reply.outcome is Outcome.OK:
         return reply
@@ -336,7 +336,7 @@ class Questions:
     def __init__(self, bus: Bus, *, step: float = STEP_S) -> None:
         self._bus, self._step = bus, step
         self._clock = asyncio.get_running_loop().time
-        self._open: dict[asyncio.Task[list[Answer]], int] = {}
+        self._open: dict[asyncio.Task[list[QueryAnswer]], int] = {}
         self._asked_at = 0.0
         self._unanswered = 0
         self.newest = 0
@@ -379,7 +379,7 @@ class Questions:
         self._open[task] = self.newest
         return self.newest
 
-    async def answered(self, within: float) -> tuple[int, list[Answer]] | None:
+    async def answered(self, within: float) -> tuple[int, list[QueryAnswer]] | None:
         """Wait until a question ends.
 
         Returns its number, and what was answered: nothing where nobody is there. None when none
@@ -408,12 +408,12 @@ class Questions:
 # it.
 
 
-def clocks_told(answers: Iterable[Answer], name: str) -> list[float]:
+def clocks_told(answers: Iterable[QueryAnswer], name: str) -> list[float]:
     """Return the clock, s, of each session that claims to be the aircraft of that name."""
     found = set()
     for one in answers:
         try:
-            reply: Reply = unpack(Reply, one.payload)
+            reply: OrderReply = unpack(OrderReply, one.payload)
         except MessageError:
             continue
         if reply.name == name:
@@ -422,12 +422,12 @@ def clocks_told(answers: Iterable[Answer], name: str) -> list[float]:
 
 
 def believed(
-    answers: Iterable[Answer],
+    answers: Iterable[QueryAnswer],
     keys: Keys,
     identity: str,
     sessions: Collection[str],  # ids of the sessions that show the aircraft's token
     digest: bytes = b"",  # digest of the order, where a reply may name another one of the same id
-) -> Reply | MessageError | None:
+) -> OrderReply | MessageError | None:
     """Return the answer of an aircraft to an order.
 
     Returns its reply, or the reason why no reply can be read; None when it did not answer. Answers
@@ -437,13 +437,13 @@ def believed(
         OutcomeUnknown: Two agents have that name, two answers say different things, or what they
             say is of another order.
     """
-    replies: list[Reply] = []
+    replies: list[OrderReply] = []
     unread: MessageError | None = None
     for one in answers:
         if one.session not in sessions:
             continue
         try:
-            reply: Reply = unpack(Reply, one.payload)
+            reply: OrderReply = unpack(OrderReply, one.payload)
         except MessageError as error:
             unread = error
             continue

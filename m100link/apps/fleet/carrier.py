@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.background import TaskSet
 from m100link.apps.agent.lease import (
     LEASE_LIFETIME,
     TAKE_OVER_LIFETIME,
@@ -27,15 +27,15 @@ from m100link.apps.agent.messages import (
     VERSION,
     Ask,
     Event,
-    Fault,
     Goodbye,
     Hello,
+    JournalNote,
     LeaseChanged,
     LinkCounted,
     Message,
     MessageError,
-    Note,
-    Outcome,
+    OrderOutcome,
+    RemoteError,
     Stage,
     State,
     Steer,
@@ -47,7 +47,7 @@ from m100link.apps.agent.orders import Right
 from m100link.apps.agent.view import MAX_SILENCE
 from m100link.apps.bus.network import Held
 from m100link.apps.fleet.asking import Asker
-from m100link.apps.fleet.payloads import Reply, pack_steer, unpack_message
+from m100link.apps.fleet.payloads import OrderReply, pack_steer, unpack_message
 from m100link.errors import GuardRefused, M100Error, StaleLease, UsageError
 from m100link.protocol.setpoint import Setpoint
 
@@ -104,7 +104,7 @@ class FleetChannel:
         self._its_clock = self._asker.its_clock
         self._outlet = self._bus.publish(self._keys.setpoint)
         self._sent_at = -math.inf  # the newest setpoint
-        self._background = BackgroundTasks()
+        self._background = TaskSet()
         self._on_message: Callable[[Message], None] | None = None
         self._on_closed: Callable[[str], None] | None = None
         self._held: list[Held] = []
@@ -123,7 +123,7 @@ class FleetChannel:
         self.lost: M100Error | None = None  # what the agent refused to renew it with
         # Why the newest setpoint that the agent told of was not flown. A page shows what is true of
         # the newest beat: it is told again with each, until the agent says that they fly.
-        self._unflown: Fault | None = None
+        self._unflown: RemoteError | None = None
         self._asks = 0
         # Messages that this version cannot read, that were too long on their way to say anything,
         # and that this side failed over.
@@ -150,7 +150,7 @@ class FleetChannel:
         """Send a message; never waits. On a closed channel nothing happens."""
         if self._is_closed or isinstance(message, Hello | Goodbye):
             return
-        if isinstance(message, Note):  # the journal on board takes none from the network
+        if isinstance(message, JournalNote):  # the journal on board takes none from the network
             _logger.info("%s: %s", self._keys.name, message.text)
             return
         if isinstance(message, Ask):
@@ -307,15 +307,17 @@ class FleetChannel:
 
     # -- what goes out ---------------------------------------------------------------------------
 
-    def _answer(self, identity: int, reply: Reply | None, error: M100Error | None = None) -> None:
+    def _answer(
+        self, identity: int, reply: OrderReply | None, error: M100Error | None = None
+    ) -> None:
         if error is not None and not identity and not isinstance(error, StaleLease):
             _logger.warning("%s: %s", self._keys.name, error.seen)
         if not identity:
             return
         if error is not None:
-            self._deliver(Outcome(identity, Stage.FAILED, Fault.of(error)))
+            self._deliver(OrderOutcome(identity, Stage.FAILED, RemoteError.of(error)))
         elif reply is not None:
-            self._deliver(Outcome(identity, Stage.DONE, None, reply.text, reply.number))
+            self._deliver(OrderOutcome(identity, Stage.DONE, None, reply.text, reply.number))
 
     def _send_ask(self, ask: Ask) -> None:
         order = ask.order
@@ -364,7 +366,7 @@ class FleetChannel:
             if self._unflown is not None:
                 self._deliver(SteerRefused(steer.fence, self._unflown))
         except M100Error as error:
-            self._deliver(SteerRefused(steer.fence, Fault.of(error)))
+            self._deliver(SteerRefused(steer.fence, RemoteError.of(error)))
 
     def fly(
         self,
@@ -451,7 +453,7 @@ class FleetChannel:
             self._leases = dict(kept[-_MOST_LEASES:])
             self._granted_at = self._told_at = its
             self._lease_changed(LeaseChanged(lease.number, lease.name))
-            self._deliver(Outcome(identity, Stage.DONE, lease=lease))
+            self._deliver(OrderOutcome(identity, Stage.DONE, lease=lease))
             return
         held = self._lease_of(token)
         fence, secret = (0, "") if held is None else (held.number, held.token)
@@ -460,11 +462,11 @@ class FleetChannel:
         if isinstance(order, orders.AskTakeOver):
             until = self._clock() + TAKE_OVER_LIFETIME
             offer = TakeOver(name, reply.text, reply.offer, reply.number, until)
-            self._deliver(Outcome(identity, Stage.DONE, offer=offer))
+            self._deliver(OrderOutcome(identity, Stage.DONE, offer=offer))
         elif isinstance(order, orders.ReleaseLease):
             if fence == self._holder.number:
                 self._hold(LeaseChanged(0, ""))
             self._answer(identity, reply)
         else:
             lease = Lease(reply.text, token, reply.number)
-            self._deliver(Outcome(identity, Stage.DONE, lease=lease))
+            self._deliver(OrderOutcome(identity, Stage.DONE, lease=lease))

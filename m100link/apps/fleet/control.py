@@ -21,7 +21,7 @@ from m100link.apps.agent.orders import SETPOINT_LIFETIME, Order
 from m100link.apps.fleet.asking import STEP_S, Asker
 from m100link.apps.fleet.carrier import FleetChannel
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
-from m100link.apps.fleet.payloads import Reply
+from m100link.apps.fleet.payloads import OrderReply
 from m100link.errors import FleetError, M100Error, OutcomeUnknown, StaleLease, UsageError
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.setpoint import Setpoint
@@ -162,7 +162,7 @@ class FleetControl:
 
     # -- orders ----------------------------------------------------------------------------------
 
-    async def ask(self, order: Order) -> Reply:
+    async def ask(self, order: Order) -> OrderReply:
         """Ask for something under this lease; see :meth:`m100link.apps.fleet.asking.Asker.ask`."""
         lease = self._held()
         return await self._asker.ask(order, fence=lease.number, token=lease.token)

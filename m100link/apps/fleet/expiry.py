@@ -24,7 +24,7 @@ MOST_AHEAD_S = 1.0
 agent's computer was started anew, and says nothing of its age."""
 
 
-class OrderAges:
+class OrderExpiry:
     """The orders that one agent hears."""
 
     def __init__(self) -> None:

@@ -27,7 +27,7 @@ from cryptography.hazmat.primitives.hashes import SHA256
 
 from m100link.apps.agent.orders import Right
 from m100link.apps.fleet.keys import NAME
-from m100link.apps.fleet.payloads import Order
+from m100link.apps.fleet.payloads import OrderMessage
 from m100link.errors import NotAllowed, UsageError
 from m100link.errors.texts import read_json, read_toml
 from m100link.link.keyfile import read_watched
@@ -368,7 +368,7 @@ class Signer:
         """For the file of rights, 32 bytes."""
         return self._key.public_key().public_bytes_raw()
 
-    def sign(self, order: Order) -> bytes:
+    def sign(self, order: OrderMessage) -> bytes:
         """The signature, 64 bytes.
 
         Raises:
@@ -406,7 +406,7 @@ class Gate:
         self._seen: dict[tuple[str, str], float] = {}
         self._purged_at = _PURGED_AT
 
-    def check(self, order: Order, now: float) -> None:
+    def check(self, order: OrderMessage, now: float) -> None:
         """Whether an order may be obeyed; the id of one that may is used up.
 
         ``now``: POSIX time, s.
@@ -454,7 +454,7 @@ class Gate:
         self._purge(now)
         self._seen[who, order.id] = until
 
-    def _require_signature(self, order: Order) -> None:
+    def _require_signature(self, order: OrderMessage) -> None:
         key = self._keys.get(order.signer)
         if key is None:
             who = order.signer or "nobody"
@@ -476,7 +476,7 @@ class Gate:
                 remedy="compare the public_key on board with that of the signer",
             ) from error
 
-    def _require_fresh(self, order: Order, now: float) -> float:
+    def _require_fresh(self, order: OrderMessage, now: float) -> float:
         """Until when it could come again, POSIX time."""
         is_stop = order.order.right is Right.STOP
         window = STOP_WINDOW_S if is_stop else WINDOW_S

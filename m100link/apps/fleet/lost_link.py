@@ -19,9 +19,9 @@ from typing import Literal, get_args
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import LeaseChange, LeaseHeld
-from m100link.apps.agent.messages import Event, LeaseChanged, Topic
+from m100link.apps.agent.messages import Event, EventTopic, LeaseChanged
 from m100link.apps.agent.orders import GoHome, Land, Order
-from m100link.apps.fleet.order_log import Ledger, LeftAloft
+from m100link.apps.fleet.order_log import LastFlightRecord, Ledger
 from m100link.errors import AuthorityLost, LossReason, M100Error, UsageError
 from m100link.protocol.records import FlightPhase, RemoteControl
 
@@ -42,7 +42,7 @@ _MOST_S = 3600.0
 
 
 @dataclass(frozen=True, slots=True)
-class LostPlan:
+class LostLinkPlan:
     """What is done when whoever flies is lost."""
 
     # ``hover``, and control authority goes back to the pilot with the remote control; ``land`` in
@@ -63,16 +63,16 @@ class LostPlan:
             )
 
 
-class Lost:
+class LostLinkAction:
     """Watches the lease of one aircraft."""
 
     def __init__(
         self,
         client: AgentClient,  # what knows the agent
-        plan: LostPlan,  # what to do
+        plan: LostLinkPlan,  # what to do
         # Brings it down, for a reason, and takes the lease from nobody.
         descend: Callable[[Order, str], Awaitable[None]],
-        aloft: Aloft,  # keeps who flies for the agent after this one
+        aloft: LastFlight,  # keeps who flies for the agent after this one
     ) -> None:
         self._client = client
         self._aloft = aloft
@@ -127,7 +127,7 @@ class Lost:
                 self._aloft.flown_under(0)  # the pilot flies; back in F it is obtained anew
 
     def _event(self, event: Event) -> None:
-        if event.topic is Topic.STOPPED:
+        if event.topic is EventTopic.STOPPED:
             self._somebody = "STOP was pressed"
         # The state is told before what is told because of it.
         client = self._client
@@ -138,7 +138,7 @@ class Lost:
 
     # -- whom the agent before lost --------------------------------------------------------------
 
-    def inherit(self, left: LeftAloft | None) -> None:
+    def inherit(self, left: LastFlightRecord | None) -> None:
         """Take care of what the agent before left in the air.
 
         ``left``: what its ledger says; None: nobody of the fleet flew.
@@ -146,7 +146,7 @@ class Lost:
         if left is not None:
             self._waiting = self._client.background.spawn(self._inherit(left), "pilot lost before")
 
-    async def _inherit(self, left: LeftAloft) -> None:
+    async def _inherit(self, left: LastFlightRecord) -> None:
         client, task = self._client, _TASKS.get(self._plan.action)
         whose = f"the agent before ended while lease {left.fence} flew the aircraft"
         ago = INHERITED_S if left.ago_s is None else left.ago_s
@@ -232,7 +232,7 @@ KEPT_AGAIN_S = 30.0
 """Seconds after which it is written again while somebody flies, so that its age means something."""
 
 
-class Aloft:
+class LastFlight:
     def __init__(self, client: AgentClient, ledger: Ledger) -> None:
         self._client = client
         self._ledger = ledger

@@ -24,7 +24,7 @@ from typing import Any
 from zlib import crc32
 
 from m100link.apps.agent.messages import MessageError
-from m100link.apps.fleet.payloads import Reply
+from m100link.apps.fleet.payloads import OrderReply
 from m100link.errors import UsageError
 from m100link.errors.texts import read_json
 from m100link.link.keyfile import is_at, replace_file
@@ -43,7 +43,7 @@ _CLOSE_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class LeftAloft:
+class LastFlightRecord:
     """The agent before ended while somebody of the fleet flew."""
 
     fence: int  # number of the lease that it was flown under
@@ -59,10 +59,10 @@ def since_boot() -> tuple[str, float]:
     return boot, time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
-class MemoryLedger:
+class MemoryOrderLog:
     """Kept as long as the process lives: for virtual aircraft and tests."""
 
-    def __init__(self, before: MemoryLedger | None = None) -> None:
+    def __init__(self, before: MemoryOrderLog | None = None) -> None:
         # Called in the event loop with what people should know of the disk.
         self.tell: Callable[[str], None] = _logger.warning
         # Orders that were begun lately, and when, s since the computer was started.
@@ -73,9 +73,11 @@ class MemoryLedger:
         # that was begun, the number of a lease, or who flew.
         self.damaged = 0
         self.flown_under: int = 0 if before is None else before.flown_under
-        self.aloft: LeftAloft | None = None  # how the agent before ended, if somebody flew then
+        self.aloft: LastFlightRecord | None = (
+            None  # how the agent before ended, if somebody flew then
+        )
         if self.flown_under:
-            self.aloft = LeftAloft(self.flown_under, 0.0)
+            self.aloft = LastFlightRecord(self.flown_under, 0.0)
 
     async def begin(self, identity: str) -> None:
         """Keep that an order begins; done when it is kept."""
@@ -89,7 +91,7 @@ class MemoryLedger:
         self.flown_under = fence
 
 
-class FileLedger:
+class FileOrderLog:
     """Kept in a file, of which one process at a time is the owner.
 
     Beside it, in the file of the lock, stands the mark of the newest word. A file that is removed,
@@ -115,7 +117,7 @@ class FileLedger:
         self._is_sure_who_flew = True
         self.tell: Callable[[str], None] = _logger.warning
         self.damaged = 0
-        self.aloft: LeftAloft | None = None
+        self.aloft: LastFlightRecord | None = None
         self._file = self._lock = -1
         self._lock_path = path.with_suffix(".lock")
         self._in_thread = threading.Lock()  # one that was cancelled goes on
@@ -172,7 +174,7 @@ class FileLedger:
         # It rises by a thousand with each start, and so stays behind the calendar.
         return begun, max(fence, int(self._utc())) if self.damaged else fence
 
-    def _left_aloft(self) -> LeftAloft | None:
+    def _left_aloft(self) -> LastFlightRecord | None:
         kept = self._flown
         fence, at = kept.get("flies"), kept.get("at")
         if not isinstance(fence, int) or fence <= 0:
@@ -184,8 +186,8 @@ class FileLedger:
         elif isinstance(at, int | float):
             ago = self._utc() - at  # the computer began anew: its calendar is all there is
         else:
-            return LeftAloft(fence, None)  # nobody is landed for this one
-        return LeftAloft(fence, ago if ago >= 0 else None)
+            return LastFlightRecord(fence, None)  # nobody is landed for this one
+        return LastFlightRecord(fence, ago if ago >= 0 else None)
 
     # -- in the event loop -------------------------------------------------------------------------
 
@@ -295,7 +297,7 @@ class FileLedger:
         self._in_thread.release()
 
 
-Ledger = FileLedger | MemoryLedger
+Ledger = FileOrderLog | MemoryOrderLog
 """What is kept, and done when it is kept: no later agent carries out twice what this one began."""
 
 
@@ -341,7 +343,7 @@ KEPT_S = 600.0
 _MOST = 20_000
 
 
-class OrderBook:
+class OrderCache:
     """The orders of one agent.
 
     ``before``: ids that an agent of this name begun; what became of them nobody knows.
@@ -354,7 +356,7 @@ class OrderBook:
         # The digest of what is under way, by id.
         self._running: dict[str, bytes] = {}
         # What became of the others and when, in the order in which they ended.
-        self._ended: dict[str, tuple[float, Reply]] = {}
+        self._ended: dict[str, tuple[float, OrderReply]] = {}
 
     def is_known(self, identity: str) -> bool:
         return identity in self._running or identity in self._ended
@@ -394,11 +396,11 @@ class OrderBook:
                 break
             del self._ended[old]
 
-    def end(self, reply: Reply, now: float) -> None:
+    def end(self, reply: OrderReply, now: float) -> None:
         self._running.pop(reply.id, None)
         self._ended[reply.id] = now, reply
 
-    def reply(self, identity: str) -> Reply | None:
+    def reply(self, identity: str) -> OrderReply | None:
         """What became of it; None while it runs, or when it is not known."""
         ended = self._ended.get(identity)
         return None if ended is None else ended[1]

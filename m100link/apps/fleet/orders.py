@@ -13,11 +13,11 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.lease import Flown, Lease
-from m100link.apps.agent.messages import Fault, MessageError, fault_of
+from m100link.apps.agent.messages import MessageError, RemoteError, fault_of
 from m100link.apps.fleet.identity import Since, nobody
-from m100link.apps.fleet.missions.board import Missions
+from m100link.apps.fleet.missions.manager import MissionManager
 from m100link.apps.fleet.order_log import Ledger
-from m100link.apps.fleet.payloads import Order, agree
+from m100link.apps.fleet.payloads import OrderMessage, agree
 from m100link.errors import M100Error, MissionRunning, NotAllowed, StaleLease, TaskRefused
 
 _LOOK_S = 0.1
@@ -31,7 +31,7 @@ class Done:
     number: int = 0  # where it is a number
     offer: str = ""  # what confirms a take-over
     key: bytes = b""  # public half of the secret of a lease
-    fault: Fault | None = None  # why the last setpoint was not flown
+    fault: RemoteError | None = None  # why the last setpoint was not flown
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,14 +43,14 @@ class Granted:
     signer: str  # who signed for it, who may be revoked meanwhile; empty when nobody did
 
 
-class Orders:
+class OrderService:
     def __init__(self, client: AgentClient, ledger: Ledger, revoked: Since = nobody) -> None:
         self._revoked = revoked
         # Who signed for the landing under way: they may be revoked meanwhile.
         self._descent_signers: set[str] = set()
         self._client = client
         self._ledger = ledger
-        self.missions = Missions(client)  # what flies by plans
+        self.missions = MissionManager(client)  # what flies by plans
         # Those in force that were granted to the fleet, by number.
         self.leases: dict[int, Granted] = {}
         # Why the last setpoint was not flown; told when the lease is renewed.
@@ -86,7 +86,7 @@ class Orders:
                 found = granted.signer
         return found
 
-    async def carry_out(self, order: Order, asked: orders.Order) -> Done:
+    async def carry_out(self, order: OrderMessage, asked: orders.Order) -> Done:
         """Do what is asked for.
 
         Raises:
@@ -138,13 +138,13 @@ class Orders:
 
     # -- the lease -------------------------------------------------------------------------------
 
-    def _lease_if_any(self, order: Order) -> Lease | None:
+    def _lease_if_any(self, order: OrderMessage) -> Lease | None:
         granted = self.leases.get(order.fence)
         if granted is None or order.fence != self._client.holder.number:
             return None
         return granted.lease if order.proves(granted.secret) else None
 
-    def lease_for(self, order: Order, asked: orders.Order) -> Lease | None:
+    def lease_for(self, order: OrderMessage, asked: orders.Order) -> Lease | None:
         """As :meth:`require_lease`; None where none is needed, as to activate while it is free."""
         if not asked.is_kept and asked.needs is orders.Needs.NOTHING:
             return None
@@ -153,7 +153,7 @@ class Orders:
             return None
         return self.require_lease(order)
 
-    def require_lease(self, order: Order) -> Lease:
+    def require_lease(self, order: OrderMessage) -> Lease:
         """The lease in force, if the order proves that its asker has it; else StaleLease."""
         lease = self._lease_if_any(order)
         if lease is None:
@@ -162,7 +162,7 @@ class Orders:
             raise StaleLease(f"lease {order.fence} is not in force; {who} has control")
         return lease
 
-    async def _granted(self, order: Order, asked: orders.LeaseOrder) -> Done:
+    async def _granted(self, order: OrderMessage, asked: orders.LeaseOrder) -> Done:
         key, secret = agree(order)  # before anything is taken from anybody
         if isinstance(asked, orders.ConfirmTakeOver):
             lease = await self._client.confirm(asked.token)

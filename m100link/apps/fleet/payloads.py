@@ -2,8 +2,8 @@
 
 The first byte of every payload is :data:`VERSION`; who reads another one says so and reads no more.
 Behind it telemetry, events and setpoints are the messages of :mod:`m100link.apps.agent.messages`,
-by :mod:`m100link.apps.agent.codec`. What a fleet adds are values as JSON: :class:`Order`,
-:class:`Reply` and :class:`Card`. The bytes of an order as they are sent are what is proved and
+by :mod:`m100link.apps.agent.codec`. What a fleet adds are values as JSON: :class:`OrderMessage`,
+:class:`OrderReply` and :class:`Card`. The bytes of an order as they are sent are what is proved and
 signed: nobody writes them again, and JSON that two readers could understand differently is refused.
 """
 
@@ -21,9 +21,9 @@ from typing import Any, ClassVar
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.codec import BadValue, Fields, decode, encode, parsed
+from m100link.apps.agent.codec import Fields, InvalidValue, decode, encode, parsed
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused
-from m100link.apps.agent.messages import Fault, Message, MessageError, Steer, fault_of
+from m100link.apps.agent.messages import Message, MessageError, RemoteError, Steer, fault_of
 from m100link.apps.agent.orders import Right
 from m100link.errors import (
     AckTimeout,
@@ -256,7 +256,7 @@ class Progress(Enum):
 
 
 @dataclass(frozen=True)
-class Order:
+class OrderMessage:
     """Something is asked of one aircraft."""
 
     id: str  # chosen by who asks, 32 hex digits. An order is carried out once for each id
@@ -289,7 +289,7 @@ class Order:
         """What a reply names the order by, 16 bytes: an id is heard by all, and said again."""
         return hashlib.sha256(self.document).digest()[:16]
 
-    def under(self, token: str) -> Order:
+    def under(self, token: str) -> OrderMessage:
         """The order with the proof that its sender has the lease; unchanged without a token."""
         return self.sealed(proof=_proof(token, self.document)) if token else self
 
@@ -297,7 +297,7 @@ class Order:
         """Whether the proof is one of this lease."""
         return hmac.compare_digest(self.proof, _proof(token, self.document))
 
-    def sealed(self, document: bytes = b"", **seals: bytes) -> Order:
+    def sealed(self, document: bytes = b"", **seals: bytes) -> OrderMessage:
         """The order with proof or signature, in the same bytes or in those that came."""
         made = replace(self, **seals)  # type: ignore[arg-type]  # both are bytes
         vars(made)["document"] = document or self.document
@@ -327,7 +327,7 @@ class ShowCard:
 
 
 @dataclass(frozen=True, slots=True)
-class Reply:
+class OrderReply:
     """What an agent says of an order."""
 
     id: str  # of the order
@@ -335,21 +335,21 @@ class Reply:
     boot: str  # which run of its agent this is
     progress: Progress  # how far it is
     outcome: Outcome = Outcome.UNKNOWN  # what became of it; means something when it is done
-    fault: Fault | None = None  # why it is not ``ok``
+    fault: RemoteError | None = None  # why it is not ``ok``
     text: str = ""  # what was asked for, where that is a text
     number: int = 0  # what was asked for, where that is a number
     offer: str = ""  # what confirms a take-over that was asked for; no secret
     key: bytes = b""  # public half of the secret of a lease that was granted; empty otherwise
     clock: float = 0.0  # the agent's own clock, s; setpoints are stamped by it
     is_repeated: bool = False  # the order had been heard before
-    # :meth:`Order.digest` of the order that was heard under the id; empty where none was.
+    # :meth:`OrderMessage.digest` of the order that was heard under the id; empty where none was.
     order: bytes = b""
     show: ShowCard | None = None  # where a show was asked
 
     @classmethod
     def done(
         cls, identity: str, name: str, boot: str, error: M100Error | None, **more: Any
-    ) -> Reply:
+    ) -> OrderReply:
         """What became of an order that is over; ``more``: the other fields that say something."""
         told: dict[str, Any] = more | {"outcome": outcome_of(error)}
         if error is not None:
@@ -365,7 +365,7 @@ class Card:
     boot: str  #: which run of its agent this is
     at: float  #: when, POSIX time, s
     connection: str = "connecting"  #: ``"connecting"``, ``"connected"`` or ``"lost"``
-    fault: Fault | None = None  #: why it is not connected
+    fault: RemoteError | None = None  #: why it is not connected
     firmware: str = ""  #: firmware profile; empty when not connected
     holder: str = ""  #: who has the lease; empty for nobody
     fence: int = 0  #: number of the lease; 0 for none
@@ -394,7 +394,7 @@ class MissionCard:
     reached: bytes = b""  #: waypoints that were reached, in their order, a byte each; the last 1024
     is_paused: bool = False  #: it hovers in it
     is_finished: bool = False  #: every waypoint was flown
-    fault: Fault | None = None  #: what ended it before
+    fault: RemoteError | None = None  #: what ended it before
     #: the kind of mission that the aircraft says it flies, whoever started it; empty when nobody
     #: knows
     kind: str = ""
@@ -405,12 +405,12 @@ class MissionCard:
     height_m: float | None = None  #: above the take-off point; None when nobody knows
 
 
-Value = Order | Reply | Card | MissionCard
+Value = OrderMessage | OrderReply | Card | MissionCard
 
 
 @cache
 def _fields(kind: Any) -> Fields:
-    return Fields(kind, ("signature", "proof") if kind is Order else ())
+    return Fields(kind, ("signature", "proof") if kind is OrderMessage else ())
 
 
 def _proof(token: str, data: bytes) -> bytes:
@@ -422,7 +422,7 @@ def to_json(value: Any) -> bytes:
     kind: Any = type(value)
     try:
         text = json.dumps(_fields(kind).write(value), separators=(",", ":"))
-    except BadValue as error:
+    except InvalidValue as error:
         raise MessageError(f"{kind.__name__} cannot be sent: {error}") from None
     return text.encode()
 
@@ -431,13 +431,13 @@ def value_of(kind: Any, found: object) -> Any:
     """The value that JSON means; MessageError where it is none of that kind."""
     try:
         return _fields(kind).read(found)
-    except BadValue as error:
+    except InvalidValue as error:
         raise MessageError(f"not a {kind.__name__}: {error}") from None
 
 
 def pack(value: Value | Message) -> bytes:
     """The bytes of a value of a fleet, or of a message of the agent; MessageError for none."""
-    if isinstance(value, Order):
+    if isinstance(value, OrderMessage):
         return b"".join((bytes([VERSION]), value.signature, value.proof, value.document))
     return bytes([VERSION]) + (to_json(value) if isinstance(value, Value) else encode(value))
 
@@ -463,9 +463,9 @@ def body(payload: bytes, most: int = _MOST) -> bytes:
 
 def unpack(kind: type[Any], payload: bytes) -> Any:
     """The value of these bytes; MessageError for another kind or version."""
-    found, begin = body(payload), _SIGNATURE + _PROOF if kind is Order else 0
+    found, begin = body(payload), _SIGNATURE + _PROOF if kind is OrderMessage else 0
     value = value_of(kind, parsed(found[begin:], f"a {kind.__name__}"))
-    if kind is not Order:
+    if kind is not OrderMessage:
         return value
     signature, proof = found[:_SIGNATURE], found[_SIGNATURE:begin]
     return value.sealed(found[begin:], signature=signature, proof=proof)
@@ -513,7 +513,7 @@ class Half:
         self._key = X25519PrivateKey.generate()
         self.public = self._key.public_key().public_bytes_raw()
 
-    def secret(self, order: Order, theirs: bytes, agents: bytes) -> str:
+    def secret(self, order: OrderMessage, theirs: bytes, agents: bytes) -> str:
         """Return the secret of the lease that an order asks for, 64 hexadecimal digits.
 
         ``theirs``: the public half of the other side, 32 bytes. ``agents``: the public half of the
@@ -533,7 +533,7 @@ class Half:
         return hmac.new(shared, _ABOUT + agents + order.document, hashlib.sha256).hexdigest()
 
 
-def agree(order: Order) -> tuple[bytes, str]:
+def agree(order: OrderMessage) -> tuple[bytes, str]:
     """Return the agent's side: its public half, for the reply, and the secret."""
     half = Half()
     return half.public, half.secret(order, order.key, half.public)
@@ -542,10 +542,10 @@ def agree(order: Order) -> tuple[bytes, str]:
 class LeaseRequest:
     """The asker's side."""
 
-    def __init__(self, order: Order, half: Half) -> None:
+    def __init__(self, order: OrderMessage, half: Half) -> None:
         self.order, self._half = order, half
 
-    def lease(self, reply: Reply) -> Lease:
+    def lease(self, reply: OrderReply) -> Lease:
         """Return the lease that a reply grants."""
         secret = self._half.secret(self.order, reply.key, reply.key)
         return Lease(reply.text, secret, reply.number)

@@ -1,8 +1,8 @@
 """What an agent tells those who look from elsewhere, and how they hear it.
 
 A console on the ground hears what a front of the agent hears. Telemetry and events have keys of
-their own; :class:`AgentTold` sends the rest, as the agent's own messages: where it stands, who has
-the lease, what was counted on the line. It is sent while somebody listens.
+their own. :class:`StatePublisher` sends the rest as messages of the agent: its state, the holder of
+the lease, and the counters of the line. It sends while somebody listens.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from m100link.apps.agent.messages import (
     VERSION,
     Activating,
     AuthorityTaken,
-    Fault,
     Hello,
     LeaseChanged,
     Message,
     MessageError,
-    PlanTold,
+    PlanChanged,
+    RemoteError,
     Telemetry,
 )
 from m100link.apps.agent.orders import UploadPlan
@@ -51,7 +51,7 @@ _PLAN = 20
 """Of so many one has the plan, which is long."""
 
 
-class AgentTold:
+class StatePublisher:
     """One aircraft's end."""
 
     def __init__(self, client: AgentClient, bus: Bus, keys: Keys, boot: str) -> None:
@@ -97,14 +97,14 @@ class AgentTold:
                 self._put(client.link)
         if client.plan is not self._plan or turn % _PLAN == 0:
             plan = self._plan = client.plan
-            self._put(PlanTold(client.plan_by, None if plan is None else UploadPlan.of(plan)))
+            self._put(PlanChanged(client.plan_by, None if plan is None else UploadPlan.of(plan)))
 
     def _lease_changed(self, change: LeaseChanged) -> None:
         self._put(self._hello())  # whose time says how new the word on the lease is
         self._put(change)
 
     def _authority_taken(self, error: AuthorityLost) -> None:
-        self._put(AuthorityTaken(Fault.of(error)))
+        self._put(AuthorityTaken(RemoteError.of(error)))
 
     def _activating(self, code: ActivationCode) -> None:
         self._put(Activating(int(code)))

@@ -17,13 +17,13 @@ from typing import Any
 
 from cryptography import x509
 
-from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.background import TaskSet
 from m100link.apps.agent.messages import MessageError
 from m100link.apps.bus.network import Bus, Question
 from m100link.apps.fleet.asking import believed, nobody_there
 from m100link.apps.fleet.identity import LARGEST, BadRevoked, Revoked, Rights
 from m100link.apps.fleet.keys import Keys, session_in
-from m100link.apps.fleet.payloads import VERSION, Reply, body, pack
+from m100link.apps.fleet.payloads import VERSION, OrderReply, body, pack
 from m100link.errors import M100Error, OutcomeUnknown, UsageError
 from m100link.link.keyfile import replace_file
 
@@ -193,7 +193,7 @@ class RevocationService:
         self._bus, self._keys, self._boot = bus, keys, boot
         self._revocations = revocations
         self._shut_out, self._note = shut_out, note
-        self._background = BackgroundTasks()
+        self._background = TaskSet()
         self._waiting = 0
 
     async def run(self) -> None:
@@ -237,7 +237,7 @@ class RevocationService:
         finally:
             self._waiting -= 1
         number = self._revocations.number
-        reply = Reply.done("", self._keys.name, self._boot, fault, number=number)
+        reply = OrderReply.done("", self._keys.name, self._boot, fault, number=number)
         question.answer(self._keys.revoked, pack(reply))
 
 

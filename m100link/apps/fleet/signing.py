@@ -10,14 +10,14 @@ from pathlib import Path
 from m100link.apps.fleet.agent import Verify
 from m100link.apps.fleet.asking import Sign
 from m100link.apps.fleet.identity import Gate, Rights, Signer, Since, nobody
-from m100link.apps.fleet.payloads import Order
+from m100link.apps.fleet.payloads import OrderMessage
 from m100link.link.keyfile import read_key
 
 
 def signing(signer: Signer) -> Sign:
     """What signs orders in somebody's name."""
 
-    def sign(order: Order, token: str) -> Order:
+    def sign(order: OrderMessage, token: str) -> OrderMessage:
         named = replace(order, signer=signer.name).under(token)
         return named.sealed(signature=signer.sign(named))
 
@@ -33,7 +33,7 @@ def verifying(
     """What agents look at orders with."""
     gates = {name: Gate(rights, name, began_at=utc(), revoked=revoked) for name in names}
 
-    def verify(order: Order) -> None:
+    def verify(order: OrderMessage) -> None:
         gates[order.aircraft].check(order, utc())
 
     return verify

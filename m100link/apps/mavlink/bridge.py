@@ -18,11 +18,16 @@ from urllib.parse import urlsplit
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
-from m100link.apps.mavlink.crew import Crew
-from m100link.apps.mavlink.translator.codec import Message, Reading, Signer, write_frame
+from m100link.apps.mavlink.order_executor import OrderExecutor
+from m100link.apps.mavlink.translator.codec import (
+    MavlinkMessage,
+    MessageReader,
+    PacketSigner,
+    write_frame,
+)
 from m100link.apps.mavlink.translator.numbers import AUTOPILOT_PX4
 from m100link.apps.mavlink.translator.peers import Address, Peer, Peers
-from m100link.apps.mavlink.translator.vehicle import Vehicle
+from m100link.apps.mavlink.translator.vehicle import MavlinkVehicle
 from m100link.errors import PortBusy, PortFailed, UsageError
 
 STEP_S = 0.02  # seconds between two steps: of setpoints, and of telemetry that is due
@@ -54,13 +59,13 @@ class _Craft:
 
     def __init__(self, agent: AgentClient, system: int, autopilot: int) -> None:
         session = ControlSession(agent, "MAVLink")
-        self.vehicle = Vehicle(agent, session, system, autopilot)
+        self.vehicle = MavlinkVehicle(agent, session, system, autopilot)
         flights = self.vehicle.flights
-        self.crew = Crew(agent, self.vehicle.world, self.vehicle.deck, flights)
+        self.executor = OrderExecutor(agent, self.vehicle.world, self.vehicle.manager, flights)
         # By address: whoever counts what is missing finds nothing missing that went elsewhere.
         self.sequences: dict[Address, int] = {}
         agent.on_event.append(self.vehicle.event)
-        session.on_refused = self.vehicle.deck.steer_refused
+        session.on_refused = self.vehicle.manager.steer_refused
         agent.on_mission_told.append(flights.told)
 
 
@@ -78,7 +83,7 @@ class Bridge:
         *,
         to: tuple[Address, ...] = (),  # addresses that are spoken to first
         drain: Callable[[], None] = lambda: None,  # forgets all that waits to be read
-        signer: Signer | None = None,  # signs what goes out, and refuses what is not signed
+        signer: PacketSigner | None = None,  # signs what goes out, and refuses what is not signed
         autopilot: int = AUTOPILOT_PX4,  # MAV_AUTOPILOT of the heartbeat
     ) -> None:
         for system in agents:
@@ -118,7 +123,7 @@ class Bridge:
             return
         most = self._shares[sender]
         signed_at = signature_time() if self._signer is not None else 0
-        reading = Reading(data, signer=self._signer, now=signed_at, most=most)
+        reading = MessageReader(data, signer=self._signer, now=signed_at, most=most)
         for message in reading:
             self._shares[sender] -= _MESSAGE_COST
             self._take(message, Peer(address, message.system, message.component), now)
@@ -126,7 +131,7 @@ class Bridge:
         self._flush(now)
         self._hurry()
 
-    def _take(self, message: Message, peer: Peer, now: float) -> None:
+    def _take(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         if message.system in self._ours:
             return
         if message.name == "HEARTBEAT":
@@ -160,7 +165,7 @@ class Bridge:
             if craft.sequences.keys() != audience.keys():
                 craft.sequences = {one: craft.sequences.get(one, 0) for one in audience}
             craft.vehicle.advance(now, audience, self.peers.is_lost)
-            craft.crew.advance()
+            craft.executor.advance()
         self._flush(now)
 
     def _flush(self, now: float) -> None:
@@ -189,7 +194,7 @@ class Bridge:
             if data:
                 self._send(bytes(data), address)
 
-    def _frame(self, craft: _Craft, message: Message, address: Address) -> bytes | None:
+    def _frame(self, craft: _Craft, message: MavlinkMessage, address: Address) -> bytes | None:
         sequence = craft.sequences[address] = craft.sequences.get(address, 0) + 1
         try:
             return write_frame(
@@ -212,7 +217,7 @@ class Bridge:
                 await self._until_next()
         finally:
             for craft in self._crafts:
-                await craft.crew.end()
+                await craft.executor.end()
 
     async def _until_next(self) -> None:
         loop = asyncio.get_running_loop()

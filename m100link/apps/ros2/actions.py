@@ -19,11 +19,11 @@ from typing import Any
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event
-from m100link.apps.agent.messages import Topic as EventTopic
+from m100link.apps.agent.messages import EventTopic as EventTopic
 from m100link.apps.agent.orders import ChangeHeight, FlyTo, GuidedOrder
-from m100link.apps.ros2.control import Helm
-from m100link.apps.ros2.endpoints import Ends, Heartbeat, Topic
-from m100link.apps.ros2.graph import Names, Presence, Qos, Seen
+from m100link.apps.ros2.control import RosControl
+from m100link.apps.ros2.endpoints import Endpoints, Heartbeat, PublishedTopic
+from m100link.apps.ros2.graph import GraphDiscovery, Names, Qos, Seen
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.records import Position
 
@@ -59,7 +59,7 @@ class _Goal:
     id: bytes
     action: _Action
     stamp: Mapping[str, int]  # when it was accepted
-    flight: Flight
+    flight: FlightGoal
     clients: Mapping[str, Seen]  # those who may have asked, by their tokens
     status: GoalStatus = GoalStatus.ACCEPTED  # where it stands
     message: str = ""  # why it ended as it did
@@ -74,23 +74,25 @@ class _Goal:
 class _Action:
     name: str  # private to the node
     topic: str
-    make: Callable[[AgentClient, Helm, Mapping[str, Any]], Flight]  # makes what flies of a goal
-    feedback: Topic  # where it is told how far it is
-    status: Topic  # where the states of goals are told
+    make: Callable[
+        [AgentClient, RosControl, Mapping[str, Any]], FlightGoal
+    ]  # makes what flies of a goal
+    feedback: PublishedTopic  # where it is told how far it is
+    status: PublishedTopic  # where the states of goals are told
 
 
 class Actions:
     def __init__(
         self,
         agent: AgentClient,
-        helm: Helm,  # where a goal says that it flies
-        ends: Ends,  # where services and topics are offered
+        control: RosControl,  # where a goal says that it flies
+        ends: Endpoints,  # where services and topics are offered
         names: Names,  # names of the node
-        presence: Presence,  # who is there
+        presence: GraphDiscovery,  # who is there
         heartbeat: Heartbeat,  # who of them still runs
         stamp: Callable[[], Mapping[str, int]],  # time now, as builtin_interfaces/Time
     ) -> None:
-        self._agent, self._helm, self._presence, self._stamp = agent, helm, presence, stamp
+        self._agent, self._control, self._presence, self._stamp = agent, control, presence, stamp
         self._heartbeat = heartbeat
         self._goals: OrderedDict[bytes, _Goal] = OrderedDict()
         self._current: _Goal | None = None
@@ -119,9 +121,9 @@ class Actions:
             try:
                 if identity in self._goals:
                     raise ValueError("there is a goal of that id")
-                self._helm.session.held()
-                self._helm.require_free(action.name)
-                flight = action.make(self._agent, self._helm, request["goal"])
+                self._control.session.held()
+                self._control.require_free(action.name)
+                flight = action.make(self._agent, self._control, request["goal"])
             except (M100Error, ValueError) as error:
                 why = error.seen if isinstance(error, M100Error) else str(error)
                 self._agent.note(f"{action.name}: {why}", "warning")
@@ -169,7 +171,7 @@ class Actions:
         self._goals[goal.id] = self._current = goal
         while len(self._goals) > _KEPT:
             self._goals.popitem(last=False)
-        self._helm.goal = goal.action.name
+        self._control.goal = goal.action.name
         self._heartbeat.follow(frozenset(one.node[0] for one in goal.clients.values()))
         if goal.clients:
             who = ", ".join(sorted({one.node_name for one in goal.clients.values()}))
@@ -192,7 +194,7 @@ class Actions:
             if goal.status is GoalStatus.CANCELING:
                 outcome, message = GoalStatus.CANCELED, goal.message
             goal.status, goal.message = outcome, message
-            self._helm.goal, self._current = "", None
+            self._control.goal, self._current = "", None
             goal.over.set()
             self._tell_status(goal.action)
 
@@ -250,11 +252,11 @@ _SPEED, _FASTEST = 5.0, 10.0
 _LONGEST_WAIT_S = 600.0
 
 
-class Flight(ABC):
+class FlightGoal(ABC):
     """A goal that flies: orders to the agent under the lease of their beginning."""
 
-    def __init__(self, agent: AgentClient, helm: Helm) -> None:
-        self._agent, self._lease = agent, helm.session.held()
+    def __init__(self, agent: AgentClient, control: RosControl) -> None:
+        self._agent, self._lease = agent, control.session.held()
         self._ended = asyncio.Event()
 
     @abstractmethod
@@ -298,9 +300,9 @@ class Flight(ABC):
         return {"distance": distance, "seconds": seconds}
 
 
-class _TakeOff(Flight):
-    def __init__(self, agent: AgentClient, helm: Helm, goal: Mapping[str, Any]) -> None:
-        super().__init__(agent, helm)
+class _TakeOff(FlightGoal):
+    def __init__(self, agent: AgentClient, control: RosControl, goal: Mapping[str, Any]) -> None:
+        super().__init__(agent, control)
         self._height = _finite("a height", goal["height"])
         if self._height < 0.0:
             raise UsageError("a height below the take-off point")
@@ -318,9 +320,9 @@ class _TakeOff(Flight):
         return {"height": self._now()}
 
 
-class _FlyTo(Flight):
-    def __init__(self, agent: AgentClient, helm: Helm, goal: Mapping[str, Any]) -> None:
-        super().__init__(agent, helm)
+class _FlyTo(FlightGoal):
+    def __init__(self, agent: AgentClient, control: RosControl, goal: Mapping[str, Any]) -> None:
+        super().__init__(agent, control)
         self._order = _order(goal, goal["speed"])
 
     async def run(self) -> None:
@@ -330,9 +332,9 @@ class _FlyTo(Flight):
         return self.progress()
 
 
-class _FlyMission(Flight):
-    def __init__(self, agent: AgentClient, helm: Helm, goal: Mapping[str, Any]) -> None:
-        super().__init__(agent, helm)
+class _FlyMission(FlightGoal):
+    def __init__(self, agent: AgentClient, control: RosControl, goal: Mapping[str, Any]) -> None:
+        super().__init__(agent, control)
         points = goal["waypoints"]
         if not 0 < len(points) <= _MOST_WAYPOINTS:
             raise UsageError(f"a mission has 1 to {_MOST_WAYPOINTS} waypoints, not {len(points)}")
@@ -373,7 +375,9 @@ def _order(place: Mapping[str, Any], speed: float) -> FlyTo:
     return FlyTo(latitude, longitude, height, speed or _SPEED)
 
 
-FLIGHTS: Mapping[str, tuple[str, Callable[[AgentClient, Helm, Mapping[str, Any]], Flight], str]] = {
+FLIGHTS: Mapping[
+    str, tuple[str, Callable[[AgentClient, RosControl, Mapping[str, Any]], FlightGoal], str]
+] = {
     "~/take_off": ("m100_msgs/action/TakeOff", _TakeOff, "take off, and climb to a height"),
     "~/fly_to": ("m100_msgs/action/FlyTo", _FlyTo, "fly straight to a place, and hover there"),
     "~/fly_mission": (

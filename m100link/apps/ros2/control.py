@@ -36,7 +36,7 @@ class _Sender:
     way: ClockEstimate = field(default_factory=ClockEstimate)
 
 
-class Stick:
+class SetpointMux:
     def __init__(self) -> None:
         self.holder: bytes | None = None  # id of who has it; None for nobody
         self.is_open = False  # whether anybody may have it: control is held
@@ -206,13 +206,13 @@ IDLE_S = 60.0  # seconds on the ground without an order after which control is g
 TERMS = Terms(gives_way=True, idle_s=IDLE_S, who="ROS", remedy="call ~/obtain_control first")
 
 
-class Helm:
+class RosControl:
     """Control of the aircraft by ROS programs, and what is asked under it."""
 
     def __init__(self, agent: AgentClient) -> None:
         self._agent = agent
         self.session = ControlSession(agent, "ROS 2", TERMS)
-        self.stick = Stick()  # whose setpoints fly
+        self.mux = SetpointMux()  # whose setpoints fly
         self.goal = ""  # what flies by itself for a program; empty for nothing
 
     # -- control ---------------------------------------------------------------------------------
@@ -220,11 +220,11 @@ class Helm:
     async def obtain(self) -> None:
         """Take the lease and obtain control authority. Raises as :meth:`ControlSession.obtain`."""
         await self.session.obtain()
-        self.stick.begin(self._agent.now)
+        self.mux.begin(self._agent.now)
 
     async def release(self) -> None:
         """Give control back: motion ends, the pilot flies."""
-        self.stick.end()
+        self.mux.end()
         self.session.let_go()
 
     # -- orders ----------------------------------------------------------------------------------
@@ -307,9 +307,9 @@ class Helm:
 
     def advance(self) -> None:
         """Keep the lease; give it back when nobody has use for it."""
-        self.stick.look(self._agent.now)
+        self.mux.look(self._agent.now)
         if self.session.state is not ControlState.HOLDING:
-            self.stick.end()  # STOP, by whomever, is for those who send setpoints, too
+            self.mux.end()  # STOP, by whomever, is for those who send setpoints, too
         # An unknown status counts as the air: control is not let go of there.
         is_on_ground = self._agent.view.is_on_ground and not self._agent.state.task
         self.session.heard(is_idle=bool(is_on_ground) and not self.goal)

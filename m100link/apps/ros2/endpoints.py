@@ -13,12 +13,12 @@ from collections.abc import Awaitable, Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.background import TaskSet
 from m100link.apps.bus.network import Held, Inbox, Outlet, PolledBus, Question, Received
 from m100link.apps.ros2.graph import (
     GID_SIZE,
     Attachment,
-    End,
+    EntityKind,
     Names,
     NodeName,
     Qos,
@@ -39,7 +39,7 @@ Call = Callable[[dict[str, Any]], Awaitable[Mapping[str, Any]]]
 """Answers a request; one of which it raises an M100Error has no answer."""
 
 
-class Topic:
+class PublishedTopic:
     """A topic that is published.
 
     ``utc``: POSIX time, s.
@@ -95,41 +95,41 @@ class _Service:
     calls: int = 0  # how many are
 
 
-class Ends:
+class Endpoints:
     """All ends of a node.
 
     ``utc``: POSIX time, s.
     """
 
     def __init__(
-        self, bus: PolledBus, name: NodeName, background: BackgroundTasks, utc: Callable[[], float]
+        self, bus: PolledBus, name: NodeName, background: TaskSet, utc: Callable[[], float]
     ) -> None:
         self._bus, self._name, self._background, self._utc = bus, name, background, utc
         self._count = name.number * 1000  # an end has a number of its own in the session
-        self.topics: dict[str, Topic] = {}  # what is published, by full name
+        self.topics: dict[str, PublishedTopic] = {}  # what is published, by full name
         self.inputs: dict[str, Input] = {}  # what is listened to, by full name
         self._services: list[_Service] = []
         self.refused = 0  # requests that could not be read, or were too many
         # Tokens end when nobody holds them.
         self._tokens: list[Held] = [bus.declare(name.token)]
 
-    def _show(self, end: End, topic: str, kind: str, qos: Qos) -> None:
+    def _show(self, end: EntityKind, topic: str, kind: str, qos: Qos) -> None:
         self._count += 1
         token = self._name.token_of(self._count, end, topic, kind, qos)
         self._tokens.append(self._bus.declare(token))
 
-    def publish(self, topic: str, kind: str, qos: Qos) -> Topic:
+    def publish(self, topic: str, kind: str, qos: Qos) -> PublishedTopic:
         kept = qos.depth if qos.is_latched else 0
         outlet = self._bus.publish(data_key(self._name.domain, topic, kind), kept=kept)
-        made = self.topics[topic] = Topic(outlet, kind, self._utc)
-        self._show(End.PUBLISHER, topic, kind, qos)
+        made = self.topics[topic] = PublishedTopic(outlet, kind, self._utc)
+        self._show(EntityKind.PUBLISHER, topic, kind, qos)
         return made
 
     def subscribe(self, topic: str, kind: str) -> Input:
         inbox = self._bus.inbox(data_key(self._name.domain, topic, kind), _DEPTH)
         made = Input(inbox, kind)
         self.inputs[f"{topic} {kind}"] = made
-        self._show(End.SUBSCRIBER, topic, kind, Qos())
+        self._show(EntityKind.SUBSCRIBER, topic, kind, Qos())
         return made
 
     def serve(self, topic: str, kind: str, call: Call, *, at_once: int = _AT_ONCE) -> None:
@@ -137,7 +137,7 @@ class Ends:
         key = data_key(self._name.domain, topic, kind)
         requests = self._bus.questions(key, _DEPTH)
         self._services.append(_Service(topic, kind, key, requests, call, at_once))
-        self._show(End.SERVER, topic, kind, Qos())
+        self._show(EntityKind.SERVER, topic, kind, Qos())
 
     @property
     def junk(self) -> int:
@@ -228,7 +228,7 @@ _NOTHING: Mapping[str, Any] = {
 _NAMES = {full_name(one): one for one in DEFINITIONS}
 
 
-def serve_descriptions(ends: Ends, names: Names) -> None:
+def serve_descriptions(ends: Endpoints, names: Names) -> None:
     ends.serve(names.full("~/get_type_description"), _KIND, _answer)
 
 

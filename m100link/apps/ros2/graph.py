@@ -24,7 +24,7 @@ _NODE_PARTS, _END_PARTS = 9, 13
 _TOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
-class End(Enum):
+class EntityKind(Enum):
     NODE = "NN"
     PUBLISHER = "MP"
     SUBSCRIBER = "MS"
@@ -74,16 +74,16 @@ class NodeName:
     def full(self) -> str:
         return f"{self.namespace.rstrip('/')}/{self.name}"
 
-    def _token(self, number: int, end: End) -> str:
+    def _token(self, number: int, end: EntityKind) -> str:
         where = f"{ADMIN}/{self.domain}/{self.session}/{self.number}/{number}/{end.value}"
         return f"{where}/%/{_mangled(self.namespace)}/{self.name}"
 
     @property
     def token(self) -> str:
         """What says that it is there."""
-        return self._token(self.number, End.NODE)
+        return self._token(self.number, EntityKind.NODE)
 
-    def token_of(self, number: int, end: End, topic: str, kind: str, qos: Qos) -> str:
+    def token_of(self, number: int, end: EntityKind, topic: str, kind: str, qos: Qos) -> str:
         """What says that one of its ends is there."""
         about = f"{_mangled(topic)}/{dds_name(kind)}/{type_hash(kind)}/{qos}"
         return f"{self._token(number, end)}/{about}"
@@ -95,7 +95,7 @@ class Seen:
 
     node: tuple[str, str]  # which node: its session and number
     node_name: str  # its name with its namespace
-    end: End
+    end: EntityKind
     topic: str  # of which topic or service; empty for the node itself
 
 
@@ -105,13 +105,13 @@ def read_token(key: str) -> Seen | None:
     if len(parts) not in (_NODE_PARTS, _END_PARTS) or parts[0] != ADMIN:
         return None
     try:
-        end = End(parts[5])
+        end = EntityKind(parts[5])
     except ValueError:
         return None
-    if (end is End.NODE) != (len(parts) == _NODE_PARTS):
+    if (end is EntityKind.NODE) != (len(parts) == _NODE_PARTS):
         return None
     namespace = parts[7].replace("%", "/").rstrip("/")
-    topic = "" if end is End.NODE else parts[9].replace("%", "/")
+    topic = "" if end is EntityKind.NODE else parts[9].replace("%", "/")
     return Seen((parts[2], parts[3]), f"{namespace}/{parts[8]}", end, topic)
 
 
@@ -209,7 +209,7 @@ class Names:
 _MOST = 4 * DEPTH  # tokens that are known: a graph of hundreds of nodes has fewer
 
 
-class Presence:
+class GraphDiscovery:
     def __init__(self, watch: Callable[[], Inbox[TokenChange]]) -> None:
         self._watch = watch
         self._inbox = watch()
@@ -235,13 +235,13 @@ class Presence:
         return {
             key: one
             for key, one in self._seen.items()
-            if one.end is End.CLIENT and one.topic == service
+            if one.end is EntityKind.CLIENT and one.topic == service
         }
 
     def has_namesake(self, name: str, session: str) -> bool:
         """Whether a node of another session is called so, too: calls reach both."""
         return any(
-            one.end is End.NODE and one.node_name == name and one.node[0] != session
+            one.end is EntityKind.NODE and one.node_name == name and one.node[0] != session
             for one in self._seen.values()
         )
 

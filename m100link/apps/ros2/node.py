@@ -15,20 +15,20 @@ from m100link.apps.agent.orders import CameraUse, SwitchMotors, UseCamera
 from m100link.apps.bus.network import PolledBus
 from m100link.apps.bus.session import LARGEST, Opening, ZenohBus, open_session
 from m100link.apps.ros2.actions import Actions
-from m100link.apps.ros2.control import LIFETIME, Frames, Helm, speed, toward
+from m100link.apps.ros2.control import LIFETIME, Frames, RosControl, speed, toward
 from m100link.apps.ros2.endpoints import (
     Call,
-    Ends,
+    Endpoints,
     Heartbeat,
     Input,
     answering,
     serve_descriptions,
     trigger,
 )
-from m100link.apps.ros2.graph import ADMIN, Names, NodeName, Presence
+from m100link.apps.ros2.graph import ADMIN, GraphDiscovery, Names, NodeName
 from m100link.apps.ros2.parameters import Parameters
-from m100link.apps.ros2.publishers import ALL_OUTPUTS, Teller
-from m100link.apps.ros2.services import Missions, Payload, angles_of
+from m100link.apps.ros2.publishers import ALL_OUTPUTS, MessageMaker
+from m100link.apps.ros2.services import GimbalServices, MissionServices, angles_of
 from m100link.apps.ros2.topics import DJI_OUTPUTS, INPUTS, SERVICES
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.records import Position
@@ -71,9 +71,9 @@ class Node:
     ) -> None:
         self._agent, self._names = agent, names
         self.name = NodeName(domain, bus.session, names.namespace, names.node, number)
-        self.ends = Ends(bus, self.name, agent.background, utc)  # its topics and services
-        self.helm = Helm(agent)  # what ROS programs want of the aircraft
-        self._presence = Presence(lambda: bus.changes(f"{ADMIN}/{domain}/**"))
+        self.ends = Endpoints(bus, self.name, agent.background, utc)  # its topics and services
+        self.control = RosControl(agent)  # what ROS programs want of the aircraft
+        self._presence = GraphDiscovery(lambda: bus.changes(f"{ADMIN}/{domain}/**"))
         self._looked_at = self._ran_at = self._deaf_until = agent.now
         self._told: dict[str, float] = {}
         self._waiting: asyncio.Future[None] | None = None
@@ -87,7 +87,9 @@ class Node:
             for name, out in ALL_OUTPUTS.items()
             if (has_clock or name != "/clock") and (has_dji_names or name not in DJI_OUTPUTS)
         }
-        self.teller = Teller(agent, names, topics, utc, lambda: self.counted)  # what is published
+        self.teller = MessageMaker(
+            agent, names, topics, utc, lambda: self.counted
+        )  # what is published
         takes: dict[str, Make] = {
             "~/cmd_vel": self._stamped,
             "~/cmd_vel_unstamped": lambda message: speed(message, is_body=True),
@@ -97,12 +99,12 @@ class Node:
             name: self.ends.subscribe(names.full(name), row.kind) for name, row in INPUTS.items()
         }
         self._inputs = [(name, inputs[name], make) for name, make in takes.items()]
-        self._payload = Payload(agent, self.helm, inputs["~/gimbal_speed"], self._tell)
-        for name, call in (self._calls() | Missions(self.helm).calls()).items():
+        self._payload = GimbalServices(agent, self.control, inputs["~/gimbal_speed"], self._tell)
+        for name, call in (self._calls() | MissionServices(self.control).calls()).items():
             self.ends.serve(names.full(name), SERVICES[name].kind, call)
         self.actions = Actions(
             agent,
-            self.helm,
+            self.control,
             self.ends,
             names,
             self._presence,
@@ -115,7 +117,7 @@ class Node:
     @property
     def counted(self) -> dict[str, int]:
         """What was not done, by the reason."""
-        refused = {f"setpoints {why}": count for why, count in self.helm.stick.refused.items()}
+        refused = {f"setpoints {why}": count for why, count in self.control.mux.refused.items()}
         return {"payloads that could not be read": self.ends.junk, **refused}
 
     # -- setpoints -------------------------------------------------------------------------------
@@ -141,20 +143,20 @@ class Node:
         now = self._agent.now
         for attachment, message in source.take():
             sent_at = attachment.at_ns / 1e9
-            why = self.helm.stick.hear(attachment.gid, sent_at, now, attachment.sequence)
+            why = self.control.mux.hear(attachment.gid, sent_at, now, attachment.sequence)
             if why:
-                refused = self.helm.refusal() if why == "closed" else _REFUSED[why]
+                refused = self.control.refusal() if why == "closed" else _REFUSED[why]
                 self._tell(f"{name}: {refused}", "warning")
             elif now >= self._deaf_until:
                 newest = message
         if newest is None:
             return
-        why = self.helm.refusal()
+        why = self.control.refusal()
         if why:
             self._tell(f"{name}: {why}", "info")
             return
         try:
-            self.helm.session.steer(make(newest), LIFETIME)
+            self.control.session.steer(make(newest), LIFETIME)
         except M100Error as error:
             self._tell(f"{name}: {error.seen}", "warning")
 
@@ -170,21 +172,21 @@ class Node:
     # -- services --------------------------------------------------------------------------------
 
     def _calls(self) -> dict[str, Call]:
-        helm = self.helm
+        control = self.control
         return {
             "~/obtain_control": trigger(self._obtain, "ROS has control"),
-            "~/release_control": trigger(helm.release, "control is given back"),
-            "~/takeoff": trigger(lambda: helm.fly(orders.TakeOff()), "it takes off"),
+            "~/release_control": trigger(control.release, "control is given back"),
+            "~/takeoff": trigger(lambda: control.fly(orders.TakeOff()), "it takes off"),
             "~/land": trigger(lambda: self._end(orders.Land()), "it lands"),
             "~/go_home": trigger(lambda: self._end(orders.GoHome()), "it flies home"),
-            "~/arm": trigger(lambda: helm.do(SwitchMotors(on=True)), "the motors run"),
-            "~/disarm": trigger(lambda: helm.do(SwitchMotors(on=False)), "the motors stand"),
-            "~/stop": trigger(helm.session.stop, "stopped"),
-            "~/take_photo": trigger(lambda: helm.do(UseCamera(CameraUse.PHOTO)), "sent"),
-            "~/start_video": trigger(lambda: helm.do(UseCamera(CameraUse.START_VIDEO)), "sent"),
-            "~/stop_video": trigger(lambda: helm.do(UseCamera(CameraUse.STOP_VIDEO)), "sent"),
+            "~/arm": trigger(lambda: control.do(SwitchMotors(on=True)), "the motors run"),
+            "~/disarm": trigger(lambda: control.do(SwitchMotors(on=False)), "the motors stand"),
+            "~/stop": trigger(control.session.stop, "stopped"),
+            "~/take_photo": trigger(lambda: control.do(UseCamera(CameraUse.PHOTO)), "sent"),
+            "~/start_video": trigger(lambda: control.do(UseCamera(CameraUse.START_VIDEO)), "sent"),
+            "~/stop_video": trigger(lambda: control.do(UseCamera(CameraUse.STOP_VIDEO)), "sent"),
             "~/point_gimbal": answering(
-                lambda request: helm.do(orders.PointGimbal(angles_of(request))), "sent"
+                lambda request: control.do(orders.PointGimbal(angles_of(request))), "sent"
             ),
         }
 
@@ -195,13 +197,13 @@ class Node:
                 cause="another m100link runs in this domain: what is called reaches both",
                 remedy="end one of them, or give it --namespace or --node",
             )
-        await self.helm.obtain()
+        await self.control.obtain()
 
     async def _end(self, order: orders.Order) -> None:
         """A way to the ground ends what flies."""
-        self.helm.session.held()
+        self.control.session.held()
         self.actions.end(f"{order.label} was asked for")
-        await self.helm.fly(order)
+        await self.control.fly(order)
 
     # -- time passes -----------------------------------------------------------------------------
 
@@ -219,7 +221,7 @@ class Node:
         if self._is_even:
             self.ends.take_requests(is_deaf=now < self._deaf_until)
         self._payload.advance(is_deaf=now < self._deaf_until)
-        self.helm.advance()
+        self.control.advance()
         self.actions.advance()
         if now - self._looked_at >= _LOOK_S:
             self._looked_at = now
@@ -237,7 +239,7 @@ class Node:
                 await self._next_step()
         finally:
             self._agent.on_sample.remove(self._hear_sample)
-            await self.helm.release()
+            await self.control.release()
 
     async def _next_step(self) -> None:
         """Wait for the next package of telemetry, but not for long."""

@@ -9,9 +9,9 @@ from functools import partial
 from typing import Any
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.ros2.endpoints import Ends
+from m100link.apps.ros2.endpoints import Endpoints
 from m100link.apps.ros2.graph import Names
-from m100link.apps.ros2.publishers import Teller
+from m100link.apps.ros2.publishers import MessageMaker
 from m100link.apps.ros2.topics import OUTPUTS
 from m100link.errors import UsageError
 
@@ -43,7 +43,9 @@ class Parameter:
 class Parameters:
     """The parameters of a node, and their services."""
 
-    def __init__(self, agent: AgentClient, teller: Teller, ends: Ends, names: Names) -> None:
+    def __init__(
+        self, agent: AgentClient, teller: MessageMaker, ends: Endpoints, names: Names
+    ) -> None:
         self._rows: dict[str, Parameter] = {
             "use_sim_time": Parameter(
                 _BOOL, "stamps are POSIX time here; /clock is for others", lambda: False
@@ -72,7 +74,7 @@ class Parameters:
             kind = "".join(word.capitalize() for word in name.split("_"))
             ends.serve(names.full(f"~/{name}"), f"rcl_interfaces/srv/{kind}", _at_once(answer))
 
-    def _add_rate(self, topic: str, teller: Teller) -> None:
+    def _add_rate(self, topic: str, teller: MessageMaker) -> None:
         take = partial(teller.set_hz, topic)
         word = topic.rpartition("/")[2]
         text = f"messages per second of {topic} at most, 0 to {MOST_HZ:g}; 0: each that there is"

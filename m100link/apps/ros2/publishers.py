@@ -9,9 +9,9 @@ from enum import IntEnum
 from typing import Any, TypeVar
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.messages import Event, MissionTold
+from m100link.apps.agent.messages import Event, MissionReport
 from m100link.apps.agent.view import Hearing, VehicleView
-from m100link.apps.ros2.endpoints import Topic
+from m100link.apps.ros2.endpoints import PublishedTopic
 from m100link.apps.ros2.graph import Names
 from m100link.apps.ros2.topics import DJI_OUTPUTS, OUTPUTS, dji_makers
 from m100link.geodesy import LocalFrame
@@ -77,7 +77,7 @@ class _Source:
 
     __slots__ = ("due_at", "make", "name", "pause", "topic")
 
-    def __init__(self, name: str, topic: Topic, make: _Make, hz: float) -> None:
+    def __init__(self, name: str, topic: PublishedTopic, make: _Make, hz: float) -> None:
         self.name, self.topic, self.make = name, topic, make
         self.pause = 1.0 / hz  # seconds between two messages
         self.due_at = 0.0  # from when on the next one is sent, s
@@ -87,13 +87,13 @@ class _Source:
         self.due_at = max(self.due_at + self.pause, now + (1.0 - _EARLY) * self.pause)
 
 
-class Teller:
+class MessageMaker:
     def __init__(
         self,
         agent: AgentClient,
         names: Names,  # frames of the node, and its own name
         # Where the topics of the table go; those that are missing are not told.
-        topics: Mapping[str, Topic],
+        topics: Mapping[str, PublishedTopic],
         utc: Callable[[], float],  # POSIX time, s
         counted: Callable[[], Mapping[str, int]],  # what the node did not do, by the reason
     ) -> None:
@@ -270,7 +270,7 @@ class Teller:
         }
         self._topics["/rosout"].say(said)
 
-    def _mission(self, told: MissionTold) -> None:
+    def _mission(self, told: MissionReport) -> None:
         header = self._header(self._stamps.at(self._agent.now))
         data = list(told.data[:5].ljust(5, b"\0"))
         self._topics["~/mission_event"].say({"header": header, "event": told.event, "data": data})
@@ -297,7 +297,7 @@ _LOW_PERCENT = 30
 _BOUND_S = 0.05
 
 
-class Level(IntEnum):
+class DiagnosticLevel(IntEnum):
     OK = 0
     WARN = 1
     ERROR = 2
@@ -307,7 +307,7 @@ class Level(IntEnum):
 @dataclass(frozen=True, slots=True)
 class Status:
     name: str
-    level: Level
+    level: DiagnosticLevel
     message: str  # in a few words
     values: Mapping[str, object] = field(default_factory=dict)  # numbers, by name
 
@@ -328,7 +328,7 @@ def diagnostics(
 
     ``clock``: its clock; None before its first tick.
     """
-    node = Status("node", Level.OK, "what was not done since it began", counted)
+    node = Status("node", DiagnosticLevel.OK, "what was not done since it began", counted)
     return [_line(view), _clock(clock), _navigation(view), _control(view), _battery(view), node]
 
 
@@ -345,15 +345,15 @@ def _line(view: VehicleView) -> Status:
     if not view.is_connected:
         unheard = {Hearing.SILENT: "the agent is silent", Hearing.GONE: "the agent has gone"}
         message = unheard.get(view.hearing, state.connection)
-        return Status("line", Level.ERROR, message, values)
+        return Status("line", DiagnosticLevel.ERROR, message, values)
     if not view.is_heard:
-        return Status("line", Level.STALE, "no telemetry", values)
-    return Status("line", Level.OK, "connected", values)
+        return Status("line", DiagnosticLevel.STALE, "no telemetry", values)
+    return Status("line", DiagnosticLevel.OK, "connected", values)
 
 
 def _clock(clock: DeviceClock | None) -> Status:
     if clock is None:
-        return Status("clock", Level.STALE, "no tick of the aircraft yet")
+        return Status("clock", DiagnosticLevel.STALE, "no tick of the aircraft yet")
     bound = clock.uncertainty_s
     values = {
         "bound of stamps ms": round(1000 * bound, 2) if math.isfinite(bound) else "unknown",
@@ -361,14 +361,14 @@ def _clock(clock: DeviceClock | None) -> Status:
         "jumps": clock.resets,
     }
     if not bound <= _BOUND_S:
-        return Status("clock", Level.WARN, "stamps are uncertain", values)
-    return Status("clock", Level.OK, "stamps are by the clock of the aircraft", values)
+        return Status("clock", DiagnosticLevel.WARN, "stamps are uncertain", values)
+    return Status("clock", DiagnosticLevel.OK, "stamps are by the clock of the aircraft", values)
 
 
 def _navigation(view: VehicleView) -> Status:
     """Whether what comes can be true; on the ground there is nothing to judge."""
     if not view.is_heard:
-        return Status("navigation", Level.STALE, "unknown")
+        return Status("navigation", DiagnosticLevel.STALE, "unknown")
     found = view.integrity
     values = {
         "position test ratio": round(found.test_ratio, 2),
@@ -376,24 +376,24 @@ def _navigation(view: VehicleView) -> Status:
         "delay ms": round(1000 * found.delay_s, 1),
     }
     if found.is_plausible and found.is_timely:
-        return Status("navigation", Level.OK, found.state.name.lower(), values)
-    return Status("navigation", Level.ERROR, found.seen, values)
+        return Status("navigation", DiagnosticLevel.OK, found.state.name.lower(), values)
+    return Status("navigation", DiagnosticLevel.ERROR, found.seen, values)
 
 
 def _control(view: VehicleView) -> Status:
     values = {"lease": view.holder.name, "task": view.state.task}
     held = "programs have control" if view.has_authority else "the pilot flies"
-    return Status("control", Level.OK, held, values)
+    return Status("control", DiagnosticLevel.OK, held, values)
 
 
 def _battery(view: VehicleView) -> Status:
     battery = view.get(Battery)
     if battery is None:
-        return Status("battery", Level.STALE, "unknown")
+        return Status("battery", DiagnosticLevel.STALE, "unknown")
     values = {"percent": battery.percent}
     if battery.percent <= _LOW_PERCENT:
-        return Status("battery", Level.WARN, "low", values)
-    return Status("battery", Level.OK, "charged", values)
+        return Status("battery", DiagnosticLevel.WARN, "low", values)
+    return Status("battery", DiagnosticLevel.OK, "charged", values)
 
 
 # -- when packages were made, for the headers of messages: by the clock of the aircraft ------------

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.ros2.control import Helm
+from m100link.apps.ros2.control import RosControl
 from m100link.apps.ros2.endpoints import Call, Input, answering, trigger
 from m100link.errors import M100Error, UsageError
 from m100link.missions.plan import WaypointPlan
@@ -48,11 +48,11 @@ ACTIONS: Mapping[str, Callable[[float], WaypointAction]] = {
 """What can be done at a point, in the order of the numbers of m100_msgs/msg/MissionAction."""
 
 
-class Missions:
+class MissionServices:
     """What the services of missions do."""
 
-    def __init__(self, helm: Helm) -> None:
-        self._helm = helm
+    def __init__(self, control: RosControl) -> None:
+        self._control = control
         self._digest = ""  # of what was uploaded last: that flies, or nothing
 
     def calls(self) -> dict[str, Call]:
@@ -66,18 +66,18 @@ class Missions:
         }
 
     def _order(self, order: orders.Order, done: str) -> Call:
-        return trigger(lambda: self._helm.do(order), done)
+        return trigger(lambda: self._control.do(order), done)
 
     async def _upload(self, request: Mapping[str, Any]) -> None:
-        self._helm.session.held()
+        self._control.session.held()
         plan = orders.UploadPlan.of(plan_of(request))
-        await self._helm.do(plan)
+        await self._control.do(plan)
         self._digest = plan.digest
 
     async def _start(self, request: Mapping[str, Any]) -> None:
-        self._helm.session.held()
-        self._helm.require_free("a mission")
-        await self._helm.do(orders.StartMission(request["take_off"], digest=self._digest))
+        self._control.session.held()
+        self._control.require_free("a mission")
+        await self._control.do(orders.StartMission(request["take_off"], digest=self._digest))
 
 
 def plan_of(request: Mapping[str, Any]) -> WaypointPlan:
@@ -138,13 +138,17 @@ _SECONDS = 1.0
 _PAUSE_S = 0.05  # seconds between two rates that are sent: one turns it for half a second
 
 
-class Payload:
+class GimbalServices:
     """How fast ROS programs turn the gimbal."""
 
     def __init__(
-        self, agent: AgentClient, helm: Helm, rates: Input, tell: Callable[[str, str], None]
+        self,
+        agent: AgentClient,
+        control: RosControl,
+        rates: Input,
+        tell: Callable[[str, str], None],
     ) -> None:
-        self._agent, self._helm, self._rates, self._tell = agent, helm, rates, tell
+        self._agent, self._control, self._rates, self._tell = agent, control, rates, tell
         self._due_at = agent.now
         self._is_busy = False
 
@@ -159,7 +163,7 @@ class Payload:
 
     async def _turn(self, message: Mapping[str, Any]) -> None:
         try:
-            await self._helm.do(orders.TurnGimbal(rates_of(message["vector"])))
+            await self._control.do(orders.TurnGimbal(rates_of(message["vector"])))
         except M100Error as error:
             self._tell(f"~/gimbal_speed: {error.seen}", "warning")
         finally:

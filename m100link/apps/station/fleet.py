@@ -22,9 +22,9 @@ from m100link.apps.fleet.client import Fleet, open_fleet
 from m100link.apps.fleet.identity import nobody
 from m100link.apps.fleet.keys import DEFAULT_SITE, Keys, check_name, in_order
 from m100link.apps.fleet.logs.service import RATE, LogService
-from m100link.apps.fleet.lost_link import LostPlan
-from m100link.apps.fleet.order_log import FileLedger, Ledger, MemoryLedger
-from m100link.apps.fleet.publisher import AgentTold
+from m100link.apps.fleet.lost_link import LostLinkPlan
+from m100link.apps.fleet.order_log import FileOrderLog, Ledger, MemoryOrderLog
+from m100link.apps.fleet.publisher import StatePublisher
 from m100link.apps.fleet.revocations import Revocations, RevocationService
 from m100link.apps.fleet.show.service import Beside, ShowService
 from m100link.apps.station.config import Settings
@@ -65,7 +65,9 @@ class FleetSettings:
 
     connect: tuple[str, ...] = ()  # endpoints of routers
     site: str = DEFAULT_SITE
-    lost: LostPlan = field(default_factory=LostPlan)  # what happens when whoever flies is lost
+    lost: LostLinkPlan = field(
+        default_factory=LostLinkPlan
+    )  # what happens when whoever flies is lost
     # Folder of what outlives an agent; None: nothing does, as for virtual aircraft.
     ledgers: Path | None = None
     options: dict[str, str] = field(default_factory=dict)  # more options of zenoh, by name, as JSON
@@ -121,7 +123,7 @@ def _services(
     folder = None if settings.no_record else settings.record
     show = ShowService(one.client, bus, keys, verify=verify, namesakes=one.namesakes, beside=others)
     served: dict[str, Coroutine[Any, Any, None]] = {
-        "fronts": AgentTold(one.client, bus, keys, one.boot).run(),
+        "fronts": StatePublisher(one.client, bus, keys, one.boot).run(),
         "show": show.run(),
         "logs": LogService(bus, keys, folder, verify=verify, rate=fleet.log_rate).run(),
     }
@@ -135,8 +137,8 @@ def _services(
 
 def _ledger(stack: AsyncExitStack, fleet: FleetSettings, keys: Keys) -> Ledger:
     if fleet.ledgers is None:
-        return MemoryLedger()
-    ledger = FileLedger(fleet.ledgers / keys.site / f"{keys.name}.jsonl", time.time)
+        return MemoryOrderLog()
+    ledger = FileOrderLog(fleet.ledgers / keys.site / f"{keys.name}.jsonl", time.time)
     stack.callback(ledger.close)
     return ledger
 

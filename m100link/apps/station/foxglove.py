@@ -43,7 +43,7 @@ from m100link.log.channels import (
     STATE,
     TELEMETRY,
     TRANSFORM,
-    Thinning,
+    RateLimiter,
     fix_of,
 )
 from m100link.protocol.records import Attitude, Position
@@ -61,9 +61,7 @@ _MAX_NUMBER = 0xFFFFFFFF
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
-    """What can be subscribed to."""
-
+class FoxgloveChannel:
     number: int
     topic: str
     schema_name: str  # name of the schema
@@ -86,7 +84,7 @@ class Viewer:
 
     def __init__(
         self,
-        channels: Iterable[Channel],  # what there is
+        channels: Iterable[FoxgloveChannel],  # what there is
         session_id: str,  # tells this run of the station from the one before
         on_output: Callable[[], None] = lambda: None,  # called when there is something to send
     ) -> None:
@@ -213,15 +211,15 @@ class Feed:
     ) -> None:
         self._utc_offset_s = utc_offset_s
         self._is_wanted, self._publish = is_wanted, publish
-        self.channels: list[Channel] = []  # what there is
+        self.channels: list[FoxgloveChannel] = []  # what there is
         self._numbers: dict[tuple[str, str], int] = {}
-        self._thinning = {name: Thinning(_INTERVAL_S) for name in agents}
+        self._thinning = {name: RateLimiter(_INTERVAL_S) for name in agents}
         for place, name in enumerate(agents):
             prefix = f"/{namespace_of(name)}" if place else ""
             for topic in _TOPICS:
                 number = len(self.channels) + 1
                 self._numbers[name, topic] = number
-                self.channels.append(Channel(number, prefix + topic, *SCHEMAS[topic]))
+                self.channels.append(FoxgloveChannel(number, prefix + topic, *SCHEMAS[topic]))
         for name, agent in agents.items():
             agent.on_event.append(partial(self.hear_event, name))
 

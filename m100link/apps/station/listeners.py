@@ -30,7 +30,7 @@ from typing import Any
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.transports import Channel
 from m100link.apps.station.config import Settings
-from m100link.apps.station.console.orders import Orders
+from m100link.apps.station.console.orders import SimulatorOrders
 from m100link.apps.station.web.access_control import Access
 from m100link.apps.station.web.intake import Intake
 from m100link.errors import LinkError, M100Error, PortBusy, PortFailed, UsageError
@@ -140,7 +140,11 @@ class Sockets:
 
 
 def open_sockets(
-    stack: AsyncExitStack, settings: Settings, *, with_console: bool, with_rosbridge: bool = True
+    stack: AsyncExitStack,
+    settings: Settings,
+    *,
+    with_console: bool,
+    with_rosbridge: bool = True,
 ) -> Sockets:
     """The sockets of all fronts that the settings and the command ask for; closed with the stack.
 
@@ -209,7 +213,7 @@ class Fronts:
         settings: Settings,  # who may connect, and what is served
         sockets: Sockets,
         reach: Mapping[str, Reach],  # opens a channel to each agent, by the name of its aircraft
-        orders: Mapping[str, Orders],  # what the console's panel does to virtual aircraft
+        orders: Mapping[str, SimulatorOrders],  # what the console's panel does to virtual aircraft
         *,
         is_kept: bool,  # whether an agent that has gone is looked for again
     ) -> None:
@@ -281,7 +285,7 @@ async def serving_fronts(
     settings: Settings,  # who may connect, and what is served
     sockets: Sockets,
     reach: Mapping[str, Reach],
-    orders: Mapping[str, Orders],  # what the console's panel does to virtual aircraft
+    orders: Mapping[str, SimulatorOrders],  # what the console's panel does to virtual aircraft
     *,
     is_far: bool = False,  # whether agents are reached over a network
 ) -> AsyncIterator[Fronts]:

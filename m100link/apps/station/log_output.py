@@ -82,7 +82,7 @@ class JsonLines(logging.Formatter):
         return json.dumps(told)
 
 
-class Teller:
+class FlightProgress:
     """Tells in a thread of its own what happens while an aircraft flies.
 
     A terminal that was stopped by Ctrl-S and a pipe that nobody reads or that was closed are no
@@ -119,7 +119,7 @@ class Teller:
 class LinesInThread(logging.Handler):
     """Formats where it is called, which must not wait, and has the line written in a thread."""
 
-    def __init__(self, lines: logging.Formatter, teller: Teller) -> None:
+    def __init__(self, lines: logging.Formatter, teller: FlightProgress) -> None:
         super().__init__()
         self.setFormatter(lines)
         self._teller, self._unread = teller, 0
@@ -154,7 +154,7 @@ def writing_log(output: LogOutput | None) -> Iterator[None]:
     logger = logging.getLogger("m100link")
     before, level = list(logger.handlers), logger.level
     lines = JsonLines() if output.as_json else logging.Formatter(*_TEXT_LINES)
-    with Teller("log", _MOST_UNREAD) as teller:
+    with FlightProgress("log", _MOST_UNREAD) as teller:
         handler = LinesInThread(lines, teller)
         for other in before:
             logger.removeHandler(other)

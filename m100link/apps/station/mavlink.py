@@ -17,7 +17,7 @@ from m100link.apps.mavlink.bridge import (
     serving,
     signature_time,
 )
-from m100link.apps.mavlink.translator.codec import SignatureMemory, Signer, Snapshot
+from m100link.apps.mavlink.translator.codec import PacketSigner, SignatureMemory, Snapshot
 from m100link.apps.mavlink.translator.numbers import AUTOPILOT_GENERIC, AUTOPILOT_PX4
 from m100link.apps.mavlink.translator.peers import Address
 from m100link.apps.station.config import Settings
@@ -66,9 +66,9 @@ def prepare(stack: AsyncExitStack, settings: Settings) -> list[socket.socket]:
     return sockets
 
 
-def _signer(settings: Settings) -> Signer | None:
+def _signer(settings: Settings) -> PacketSigner | None:
     path = settings.signing_key_file
-    return None if path is None else Signer(read_key(path).reveal())
+    return None if path is None else PacketSigner(read_key(path).reveal())
 
 
 async def serve(fronts: Fronts) -> None:
@@ -130,7 +130,7 @@ async def serving_mavlink(
 
 
 @asynccontextmanager
-async def _remembering(signer: Signer, bridge: Bridge) -> AsyncIterator[None]:
+async def _remembering(signer: PacketSigner, bridge: Bridge) -> AsyncIterator[None]:
     """Keep on disk what was signed; where that cannot be it is told once, and flying goes on."""
     memory = SignatureMemory(state_folder() / "mavlink", signer)
     told = await asyncio.to_thread(memory.recall, signature_time())

@@ -21,7 +21,7 @@ from m100link.apps.agent.messages import Event
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.connection import Connect
 from m100link.apps.agent.server.replays import Replays
-from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import (
     Channel,
     connect_unix,
@@ -39,7 +39,7 @@ from m100link.apps.station.listeners import (
     open_sockets,
     serving_fronts,
 )
-from m100link.apps.station.supervisor import Child, supervised
+from m100link.apps.station.supervisor import ChildProcess, supervised
 from m100link.errors import UsageError
 from m100link.geodesy import LocalFrame
 from m100link.log.folder import Flights, default_folder
@@ -52,7 +52,7 @@ from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
 
 if TYPE_CHECKING:
-    from m100link.apps.station.web.server import Bridge
+    from m100link.apps.station.web.server import RosbridgeServer
 
 
 END_TIMEOUT = 15.0  # seconds that an agent has to give control authority back and end
@@ -70,9 +70,9 @@ BESIDE = 10.0  # metres to the east from one virtual aircraft of a station to th
 
 
 @dataclass(frozen=True, slots=True)
-class Owner:
+class AgentProcess:
     agent: Agent  # the aircraft and its lease
-    service: Service  # what serves fronts
+    service: AgentServer  # what serves fronts
     virtual: VirtualAircraft | None  # the virtual aircraft that it brought, or None
 
 
@@ -106,7 +106,7 @@ async def owning(
     *,
     place: int = 0,  # where a virtual aircraft stands in the row of several
     leases_before: int = 0,  # number of the last lease that another process may have granted
-) -> AsyncIterator[Owner]:
+) -> AsyncIterator[AgentProcess]:
     """Own the aircraft while the block runs.
 
     Raises ``UsageError, BadKey``: something in the settings cannot be.
@@ -156,16 +156,16 @@ async def owning(
                 replay=replay,
             )
         )
-        service = Service(agent)
+        service = AgentServer(agent)
         stack.callback(service.close)
-        yield Owner(agent, service, virtual)
+        yield AgentProcess(agent, service, virtual)
 
 
 # -- in one event loop -----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class Running:
+class RunningStation:
     """A station that runs in one event loop: to look into it, not to fly."""
 
     agent: Agent  # the aircraft and its lease
@@ -179,8 +179,8 @@ class Running:
         return self.agent.holding.has_authority
 
     @property
-    def bridge(self) -> Bridge:
-        return cast("Bridge", self.fronts.made["rosbridge"])
+    def bridge(self) -> RosbridgeServer:
+        return cast("RosbridgeServer", self.fronts.made["rosbridge"])
 
     def console_path(self) -> str:
         """Path that opens the console in a browser, with a code that works once where needed."""
@@ -194,7 +194,7 @@ async def running(
     with_console: bool = False,
     with_rosbridge: bool = True,
     virtual: VirtualAircraft | None = None,
-) -> AsyncIterator[Running]:
+) -> AsyncIterator[RunningStation]:
     """Run a station in this event loop while the block runs.
 
     Raises ``UsageError, PortBusy, PortFailed``: something in the settings cannot be, or a port is
@@ -220,7 +220,7 @@ async def running(
         fronts = await stack.enter_async_context(
             serving_fronts(settings, sockets, {ONLY_NAME: reach}, orders)
         )
-        yield Running(owner.agent, owner.virtual, fronts, sockets)
+        yield RunningStation(owner.agent, owner.virtual, fronts, sockets)
 
 
 # -- in two processes ------------------------------------------------------------------------------
@@ -230,10 +230,10 @@ async def running(
 
 
 @dataclass(frozen=True, slots=True)
-class RunningApart:
+class RunningTwoProcess:
     agent: Agent  # the aircraft and its lease, in this process
     virtual: VirtualAircraft | None  # the virtual aircraft that it brought, or None
-    front: Child  # the other process
+    front: ChildProcess  # the other process
     sockets: Sockets  # where the fronts listen
 
     @property
@@ -275,7 +275,7 @@ def _front_process(
     agents: Mapping[str, Path],  # where each agent serves, by the name of its aircraft
     orders: Mapping[str, Path],  # where each virtual aircraft takes orders
     note: Callable[[str, str], None],  # takes what happens to the process, and its level
-) -> Child:
+) -> ChildProcess:
     descriptors = sockets.descriptors()
     request = {
         "settings": front_settings(settings),
@@ -283,7 +283,7 @@ def _front_process(
         "agents": _as_json(agents),
         "orders": _as_json(orders),
     }
-    return Child(
+    return ChildProcess(
         "fronts",
         "the fronts",
         request,
@@ -299,7 +299,7 @@ async def running_apart(
     with_console: bool = False,
     with_rosbridge: bool = True,
     virtual: VirtualAircraft | None = None,
-) -> AsyncIterator[RunningApart]:
+) -> AsyncIterator[RunningTwoProcess]:
     """Run a station while the block runs, with its fronts in a process of their own.
 
     Raises ``UsageError, PortBusy, PortFailed``: something in the settings cannot be, or a port is
@@ -326,7 +326,7 @@ async def running_apart(
         await stack.enter_async_context(supervised(front))
         # Before the child is waited for: one that hangs must not fly on until its lease ends.
         stack.callback(owner.service.close)
-        yield RunningApart(owner.agent, owner.virtual, front, sockets)
+        yield RunningTwoProcess(owner.agent, owner.virtual, front, sockets)
 
 
 # -- several aircraft ------------------------------------------------------------------------------
@@ -336,10 +336,10 @@ async def running_apart(
 
 
 @dataclass(frozen=True, slots=True)
-class RunningSeveral:
-    owners: Mapping[str, Child]  # the process that owns an aircraft, by its name
+class RunningMultiVehicle:
+    owners: Mapping[str, ChildProcess]  # the process that owns an aircraft, by its name
     agents: Mapping[str, AgentClient]  # what is known here of each agent
-    front: Child  # the process of the fronts
+    front: ChildProcess  # the process of the fronts
     sockets: Sockets  # where the fronts listen
 
     @property
@@ -365,7 +365,7 @@ async def running_several(
     with_console: bool = False,
     with_rosbridge: bool = True,
     tell: Tell = lambda *_: None,  # called with the name of an aircraft and each of its events
-) -> AsyncIterator[RunningSeveral]:
+) -> AsyncIterator[RunningMultiVehicle]:
     """Run a station while the block runs.
 
     Raises ``UsageError, PortBusy, PortFailed``: something in the settings cannot be, or a port is
@@ -420,7 +420,7 @@ async def running_several(
 
         front = _front_process(settings, sockets, paths, virtual if with_console else {}, note_all)
         await stack.enter_async_context(supervised(front))
-        yield RunningSeveral(owners, agents, front, sockets)
+        yield RunningMultiVehicle(owners, agents, front, sockets)
 
 
 def _path(directory: Path, place: int, kind: str = "agent") -> Path:
@@ -428,8 +428,12 @@ def _path(directory: Path, place: int, kind: str = "agent") -> Path:
 
 
 def _owner(
-    name: str, place: int, settings: Settings, directory: Path, note: Callable[[str, str], None]
-) -> Child:
+    name: str,
+    place: int,
+    settings: Settings,
+    directory: Path,
+    note: Callable[[str, str], None],
+) -> ChildProcess:
     request = {
         "name": name,
         "settings": agent_settings(settings),
@@ -437,4 +441,4 @@ def _owner(
         "agent": str(_path(directory, place)),
         "orders": str(_path(directory, place, "orders")),
     }
-    return Child("agent", f"the agent of {name}", request, note)
+    return ChildProcess("agent", f"the agent of {name}", request, note)

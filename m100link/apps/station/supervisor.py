@@ -18,7 +18,7 @@ from contextlib import asynccontextmanager, suppress
 from dataclasses import asdict
 from typing import Any
 
-from m100link.apps.agent.messages import Fault
+from m100link.apps.agent.messages import RemoteError
 from m100link.apps.station.log_output import LogOutput, in_force, writing_log
 from m100link.errors import M100Error
 from m100link.errors.texts import read_json
@@ -31,7 +31,7 @@ RESTART_PAUSES = (0.5, 1.0, 2.0, 5.0, 10.0)
 END_TIMEOUT = 5.0  # seconds that a child has to end in order
 
 
-class Child:
+class ChildProcess:
     def __init__(
         self,
         role: str,  # which of those of :mod:`m100link.apps.station.process` it is
@@ -108,7 +108,7 @@ class Child:
                 remedy="see what it wrote above; try --single-process, which shows more",
             ) from None
         if "fault" in answer:
-            raise Fault(**answer["fault"]).error()
+            raise RemoteError(**answer["fault"]).error()
         self.answer = answer
 
     async def keep(self) -> None:
@@ -150,7 +150,7 @@ class Child:
 
 @asynccontextmanager
 async def supervised(
-    *children: Child,
+    *children: ChildProcess,
     timeout: float | None = None,  # seconds that they have to end in order
 ) -> AsyncIterator[None]:
     """Start them all at once, start again whichever ends, and end them all at once.
@@ -192,7 +192,7 @@ def run_child(work: Callable[[dict[str, Any], asyncio.Event], Awaitable[None]]) 
         with writing_log(None if log is None else LogOutput(**log)):
             asyncio.run(run())
     except M100Error as error:
-        answer(fault=asdict(Fault.of(error)))
+        answer(fault=asdict(RemoteError.of(error)))
         return 1
     return 0
 

@@ -43,7 +43,7 @@ class Over(NamedTuple):
 News = list[MissionEvent | Over]
 
 
-class Track(ABC):
+class MissionTracker(ABC):
     """What is known of one kind of mission: reads its pushes, and what the aircraft is asked."""
 
     poll: Request[Any] | None = None  # what is asked when nothing is pushed; None: nothing can be
@@ -84,7 +84,7 @@ class Block(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Deck:
+class MissionContext:
     """What a mission stands on."""
 
     commander: Commander
@@ -103,7 +103,9 @@ name: a plan of another place is a mistake that is made."""
 _WHAT = "the waypoint mission"
 
 
-async def require_airborne(deck: Deck, what: str, *, may_take_off: bool = False) -> bool:
+async def require_airborne(
+    context: MissionContext, what: str, *, may_take_off: bool = False
+) -> bool:
     """Wait for what the guards compare, and see that the aircraft flies, or may take off.
 
     A mission that is started on the ground may take off by itself (facts W9): nobody is to be
@@ -113,8 +115,8 @@ async def require_airborne(deck: Deck, what: str, *, may_take_off: bool = False)
     nobody said that it may take off. Raises ``TelemetryStalled``: nobody knows whether it flies.
     Raises ``GuardRefused``: battery below its floor or unknown, position unknown, GPS too weak.
     """
-    await deck.guards.admit_mission(what)
-    state = deck.commander.state
+    await context.guards.admit_mission(what)
+    state = context.commander.state
     on_ground = is_on_ground(state)
     if on_ground is None:
         raise TelemetryStalled(
@@ -231,7 +233,7 @@ def broken_off(status: wire.IdleStatus | wire.IocStatus, index: int | None = Non
     return Aborted(status.reason, MissionCode(status.reason).meaning, index)
 
 
-class WaypointTrack(Track):
+class WaypointTracker(MissionTracker):
     """Reads the pushes of one waypoint mission."""
 
     poll = WaypointDownloadMission()  # what is asked when nothing is pushed

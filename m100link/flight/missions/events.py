@@ -342,7 +342,7 @@ def mission_refused(
 # -- what every kind of mission can be told, and which answers say that none is running ------------
 
 
-class Orders(NamedTuple):
+class MissionRequests(NamedTuple):
     """The requests of one kind of mission."""
 
     stop: Request[MissionCode]
@@ -351,13 +351,13 @@ class Orders(NamedTuple):
 
 
 ORDERS = {
-    MissionKind.WAYPOINT: Orders(
+    MissionKind.WAYPOINT: MissionRequests(
         WaypointStartStop(stop=1), WaypointPauseResume(resume=0), WaypointPauseResume(resume=1)
     ),
-    MissionKind.HOTPOINT: Orders(
+    MissionKind.HOTPOINT: MissionRequests(
         HotpointStop(), HotpointPauseResume(resume=0), HotpointPauseResume(resume=1)
     ),
-    MissionKind.FOLLOW: Orders(
+    MissionKind.FOLLOW: MissionRequests(
         FollowStop(), FollowPauseResume(resume=0), FollowPauseResume(resume=1)
     ),
 }

@@ -16,9 +16,9 @@ from m100link.errors import M100Error, MissionRefused, NotObserved, UsageError
 from m100link.flight.guards import known
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.context import (
-    Deck,
+    MissionContext,
+    MissionTracker,
     News,
-    Track,
     check_way,
     ended_by,
     height_of,
@@ -26,8 +26,8 @@ from m100link.flight.missions.context import (
     require_airborne,
 )
 from m100link.flight.missions.events import Aborted, MissionProgress
-from m100link.flight.missions.keeper import MissionFlight, MissionKeeper
-from m100link.flight.missions.run import MissionRun
+from m100link.flight.missions.mission_guard import MissionFlight, MissionGuard
+from m100link.flight.missions.mission_session import MissionSession
 from m100link.geodesy import bearing_deg, distance_m, normalize_degrees
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Problem
@@ -98,7 +98,7 @@ def largest_rate(radius: float) -> float:
     return min(_MOST_DEG_S, math.degrees(_MOST_M_S / radius))
 
 
-class HotpointTrack(Track):
+class HotpointTracker(MissionTracker):
     """Reads the pushes of one hotpoint. It has no end of its own: whatever ends it broke it off."""
 
     poll = HotpointDownload()
@@ -147,15 +147,17 @@ class HotpointFlight(MissionFlight):
 
     def __init__(
         self,
-        deck: Deck,
-        keeper: MissionKeeper,
+        context: MissionContext,
+        keeper: MissionGuard,
         request: HotpointStart,
         *,
         allow_far: bool,
     ) -> None:
         self._centre = math.degrees(request.latitude), math.degrees(request.longitude)
-        self._track = HotpointTrack(self._centre)
-        super().__init__(deck, keeper, MissionRun(deck, MissionKind.HOTPOINT, self._track))
+        self._track = HotpointTracker(self._centre)
+        super().__init__(
+            context, keeper, MissionSession(context, MissionKind.HOTPOINT, self._track)
+        )
         self._request = request
         self._allow_far = allow_far
         self._radius, self._rate = request.radius, request.angular_rate
@@ -168,18 +170,18 @@ class HotpointFlight(MissionFlight):
     async def _begin(self) -> None:
         _require_legal(self._request)
         _require_rate(self._rate, self._radius)
-        await require_airborne(self._deck, "the hotpoint")
+        await require_airborne(self._context, "the hotpoint")
         self._check(self._radius, self._rate)
         check_way(
-            self._deck.commander.state, "the hotpoint", self._centre, allow_far=self._allow_far
+            self._context.commander.state, "the hotpoint", self._centre, allow_far=self._allow_far
         )
-        await self._deck.make_way("the hotpoint")
+        await self._context.make_way("the hotpoint")
         answer: HotpointStartAnswer = await self._run.start(self._request, lambda got: got.code)
         self._largest_radius = answer.largest_radius
 
     def _check(self, radius: float, rate: float) -> None:
         """Ask the guards for a circle."""
-        self._deck.guards.check_target(
+        self._context.guards.check_target(
             "the hotpoint",
             self._centre,
             height=self._request.altitude,
@@ -277,7 +279,7 @@ class HotpointFlight(MissionFlight):
         """
         before: float | None = None
         while True:
-            position = known(self._deck.commander.state, Position)
+            position = known(self._context.commander.state, Position)
             there = None
             if position is not None:
                 place = position.latitude_deg, position.longitude_deg
@@ -295,7 +297,7 @@ class HotpointFlight(MissionFlight):
             MissionAborted, NoAuthority: See :meth:`pause`.
         """
         self._run.require_in_the_air("its heading")
-        self._deck.commander.requests.push(HotpointResetYaw())
+        self._context.commander.requests.push(HotpointResetYaw())
 
     async def _send(
         self,
@@ -307,10 +309,10 @@ class HotpointFlight(MissionFlight):
     ) -> None:
         """Send it once, or again and again until a push or the download shows it (facts K15)."""
         self._run.require_in_the_air("its change")
-        requests, clock = self._deck.commander.requests, self._deck.commander.link.loop.time
+        requests, clock = self._context.commander.requests, self._context.commander.link.loop.time
         give_up_at = clock() + timeout
         requests.push(request)
-        with self._deck.block.waiting(self._run.name):
+        with self._context.block.waiting(self._run.name):
             while wait:
                 send_again_at = clock() + _REPEAT_S
                 while clock() < send_again_at:
@@ -388,7 +390,7 @@ TargetSource = Target | AsyncIterable[Target]
 """The first target, to be renewed by :meth:`FollowFlight.set_target`; or all of them."""
 
 
-class FollowTrack(Track):
+class FollowTracker(MissionTracker):
     """Reads the pushes of a follow mission, which tell only that it flies."""
 
     def __init__(self) -> None:
@@ -420,15 +422,15 @@ class FollowFlight(MissionFlight):
 
     def __init__(
         self,
-        deck: Deck,
-        keeper: MissionKeeper,
+        context: MissionContext,
+        keeper: MissionGuard,
         source: TargetSource,
         *,
         face_target: bool,
         allow_far: bool,
     ) -> None:
-        self._track = FollowTrack()
-        super().__init__(deck, keeper, MissionRun(deck, MissionKind.FOLLOW, self._track))
+        self._track = FollowTracker()
+        super().__init__(context, keeper, MissionSession(context, MissionKind.FOLLOW, self._track))
         self._source = source
         self._face_target = face_target
         self._allow_far = allow_far
@@ -444,7 +446,7 @@ class FollowFlight(MissionFlight):
 
     async def _begin(self) -> None:
         targets: AsyncIterator[Target] | None = None
-        await require_airborne(self._deck, "the follow mission")
+        await require_airborne(self._context, "the follow mission")
         self._require_height()
         if isinstance(self._source, Target):
             first = self._source
@@ -457,9 +459,9 @@ class FollowFlight(MissionFlight):
         self._check(first)
         place = first.latitude_deg, first.longitude_deg
         check_way(
-            self._deck.commander.state, "the follow mission", place, allow_far=self._allow_far
+            self._context.commander.state, "the follow mission", place, allow_far=self._allow_far
         )
-        await self._deck.make_way("the follow mission")
+        await self._context.make_way("the follow mission")
         self._track.target = first
         request = FollowStart(*_on_wire(first), yaw_mode=int(self._face_target))
         await self._run.start(request, int)
@@ -467,7 +469,7 @@ class FollowFlight(MissionFlight):
             self._feeding = asyncio.create_task(self._feed(targets), name="m100link targets")
 
     def _require_height(self) -> None:
-        position = known(self._deck.commander.state, Position)
+        position = known(self._context.commander.state, Position)
         if position is not None and position.height_m < _LOWEST_M:
             raise UsageError(
                 f"the follow mission was asked for at a height of {position.height_m:.1f} m; "
@@ -481,7 +483,7 @@ class FollowFlight(MissionFlight):
         for problem in _PLACE.problems(target):
             raise problem.error("the target")
         place = target.latitude_deg, target.longitude_deg
-        self._deck.guards.check_target("the target", place)
+        self._context.guards.check_target("the target", place)
         before = self._track.target
         if before is not None:
             jump = distance_m(before.latitude_deg, before.longitude_deg, *place)
@@ -506,11 +508,11 @@ class FollowFlight(MissionFlight):
         self._run.require_in_the_air("another target")
         self._check(target)
         self._track.target = target
-        return self._deck.commander.requests.push(FollowTarget(*_on_wire(target)))
+        return self._context.commander.requests.push(FollowTarget(*_on_wire(target)))
 
     async def _feed(self, targets: AsyncIterator[Target]) -> None:
         """Send every target until there is none, then stop."""
-        clock = self._deck.commander.link.loop.time
+        clock = self._context.commander.link.loop.time
         failure: M100Error | None = None
         try:
             async for target in targets:

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 
 from m100link.errors import UsageError
 from m100link.flight.mission_state import MissionKind
-from m100link.flight.missions.context import Deck
+from m100link.flight.missions.context import MissionContext
 from m100link.flight.missions.hotpoint import (
     CircleHeading,
     CircleStart,
@@ -15,7 +15,7 @@ from m100link.flight.missions.hotpoint import (
     HotpointFlight,
     TargetSource,
 )
-from m100link.flight.missions.keeper import MissionKeeper
+from m100link.flight.missions.mission_guard import MissionGuard
 from m100link.flight.missions.waypoint import UploadListener, WaypointFlight
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.hotpoint import HotpointStart
@@ -26,11 +26,11 @@ class Missions:
 
     def __init__(
         self,
-        deck: Deck,  # what they stand on
-        keeper: MissionKeeper,  # one at a time
+        context: MissionContext,  # what they stand on
+        keeper: MissionGuard,  # one at a time
         take_off: Callable[[], Awaitable[None]],  # the task of the control block
     ) -> None:
-        self._deck = deck
+        self._context = context
         self._keeper = keeper
         self._take_off = take_off
 
@@ -79,7 +79,7 @@ class Missions:
                 remedy='a WaypointPlan: WaypointPlan.read("plan.json") reads a file',
             )
         return WaypointFlight(
-            self._deck,
+            self._context,
             self._keeper,
             plan,
             take_off=self._take_off if take_off else None,
@@ -142,7 +142,7 @@ class Missions:
             start_point=int(start),
             yaw_mode=int(heading),
         )
-        return HotpointFlight(self._deck, self._keeper, request, allow_far=allow_far)
+        return HotpointFlight(self._context, self._keeper, request, allow_far=allow_far)
 
     def follow_target(
         self, source: TargetSource, *, face_target: bool = True, allow_far: bool = False
@@ -172,7 +172,7 @@ class Missions:
             TelemetryStalled, AckTimeout, MissionAborted: See :meth:`waypoint_mission`.
         """
         return FollowFlight(
-            self._deck, self._keeper, source, face_target=face_target, allow_far=allow_far
+            self._context, self._keeper, source, face_target=face_target, allow_far=allow_far
         )
 
     async def stop_mission(self) -> MissionKind:
@@ -188,20 +188,20 @@ class Missions:
             MissionRefused: With the aircraft's reason.
             NoAuthority, AckTimeout, LinkError: See each class.
         """
-        self._deck.block.require_flying("the stop of a mission")
-        with self._deck.block.waiting("stop_mission"):
+        self._context.block.require_flying("the stop of a mission")
+        with self._context.block.waiting("stop_mission"):
             return await self._keeper.stop_any()
 
     async def pause_mission(self) -> MissionKind:
         """Pause whatever mission flies, whoever started it. Raises as :meth:`stop_mission`."""
-        self._deck.block.require_flying("the pause of a mission")
-        with self._deck.block.waiting("pause_mission"):
+        self._context.block.require_flying("the pause of a mission")
+        with self._context.block.waiting("pause_mission"):
             return await self._keeper.order_any("pause")
 
     async def resume_mission(self) -> MissionKind:
         """Let it go on. Raises as :meth:`stop_mission`."""
-        self._deck.block.require_flying("the resumption of a mission")
-        with self._deck.block.waiting("resume_mission"):
+        self._context.block.require_flying("the resumption of a mission")
+        with self._context.block.waiting("resume_mission"):
             return await self._keeper.order_any("resumption")
 
     def detach_mission(self) -> MissionKind:
@@ -213,5 +213,5 @@ class Missions:
         Raises:
             UsageError: No mission flies, as far as the aircraft tells.
         """
-        self._deck.block.require_flying("detaching a mission")
+        self._context.block.require_flying("detaching a mission")
         return self._keeper.detach_any()

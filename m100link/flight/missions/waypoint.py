@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING
 from m100link.errors import BadAck, MissionRefused, UsageError
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.context import (
-    Deck,
-    WaypointTrack,
+    MissionContext,
+    WaypointTracker,
     check_battery,
     check_plan,
     require_airborne,
 )
 from m100link.flight.missions.events import Uploaded, Uploading, mission_refused
-from m100link.flight.missions.keeper import MissionFlight, MissionKeeper
-from m100link.flight.missions.run import MissionRun
+from m100link.flight.missions.mission_guard import MissionFlight, MissionGuard
+from m100link.flight.missions.mission_session import MissionSession
 from m100link.missions.plan import OnRCLoss, WaypointPlan
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.waypoint import (
@@ -65,22 +65,22 @@ class WaypointFlight(MissionFlight):
 
     def __init__(
         self,
-        deck: Deck,
-        keeper: MissionKeeper,
+        context: MissionContext,
+        keeper: MissionGuard,
         plan: WaypointPlan,
         *,
         take_off: Callable[[], Awaitable[None]] | None,
         allow_far: bool,
         progress: UploadListener | None,
     ) -> None:
-        self._track = WaypointTrack(plan)
-        run = MissionRun(
-            deck,
+        self._track = WaypointTracker(plan)
+        run = MissionSession(
+            context,
             MissionKind.WAYPOINT,
             self._track,
             flies_without_rc=plan.on_rc_loss is OnRCLoss.CONTINUE,
         )
-        super().__init__(deck, keeper, run)
+        super().__init__(context, keeper, run)
         self._take_off = take_off
         self._allow_far = allow_far
         self._progress = progress
@@ -91,22 +91,22 @@ class WaypointFlight(MissionFlight):
 
     async def _begin(self) -> None:
         is_on_ground = await require_airborne(
-            self._deck, "the waypoint mission", may_take_off=self._take_off is not None
+            self._context, "the waypoint mission", may_take_off=self._take_off is not None
         )
-        guards, state = self._deck.guards, self._deck.commander.state
+        guards, state = self._context.guards, self._context.commander.state
         check_plan(guards, state, self.plan, allow_far=self._allow_far)
         check_battery(guards, state, self.plan)
         await self._upload()
         if is_on_ground and self._take_off is not None:
             await self._take_off()
-        await self._deck.make_way(f"the {self._run.name}")
+        await self._context.make_way(f"the {self._run.name}")
         await self._run.start(WaypointStartStop(stop=0), int)
 
     async def _upload(self) -> None:
         """Send the plan: what is refused here, as ``MissionRefused``, never flew."""
         self._run.listen()
         mission, points = self.plan.to_wire()
-        requests = self._deck.commander.requests
+        requests = self._context.commander.requests
         code = await requests.execute(
             mission, timeout=_TIMEOUT_S, tries=_TRIES, refusal=MissionRefused
         )
@@ -114,9 +114,9 @@ class WaypointFlight(MissionFlight):
             raise mission_refused("the waypoint mission", code)
         for point in points:
             await self._upload_point(point, len(points))
-        deadline = self._deck.commander.link.loop.time() + _UPLOADED_S
+        deadline = self._context.commander.link.loop.time() + _UPLOADED_S
         while self._track.estimated_time is None:
-            rest = deadline - self._deck.commander.link.loop.time()
+            rest = deadline - self._context.commander.link.loop.time()
             if rest <= 0:
                 break
             await asyncio.sleep(min(rest, 0.02))
@@ -124,7 +124,7 @@ class WaypointFlight(MissionFlight):
         _logger.info("waypoint mission uploaded: %d waypoints", len(points))
 
     async def _upload_point(self, point: WaypointPoint, total: int) -> None:
-        requests = self._deck.commander.requests
+        requests = self._context.commander.requests
         answer = await requests.execute(
             point, timeout=_TIMEOUT_S, tries=_TRIES, refusal=MissionRefused
         )
@@ -176,9 +176,9 @@ class WaypointFlight(MissionFlight):
                 f"a speed of {speed:g} m/s is beyond the plan's max_speed",
                 remedy=f"stay within {self.plan.max_speed:g} m/s",
             )
-        self._deck.guards.check_target("the waypoint mission", speed=abs(speed))
-        with self._deck.block.waiting(self._run.name):
-            answer = await self._deck.commander.requests.execute(
+        self._context.guards.check_target("the waypoint mission", speed=abs(speed))
+        with self._context.block.waiting(self._run.name):
+            answer = await self._context.commander.requests.execute(
                 WaypointSetIdleSpeed(speed), timeout=0.5, tries=3, refusal=MissionRefused
             )
         if answer.code is not MissionCode.SUCCESS:

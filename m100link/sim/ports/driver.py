@@ -48,7 +48,7 @@ class Port(Protocol):
         ...
 
 
-class Scenario(Protocol):
+class TimedScenario(Protocol):
     """What happens to an aircraft in its time."""
 
     def advance(self, aircraft: VirtualAircraft) -> object:
@@ -111,7 +111,7 @@ class Driver:
         self.aircraft = aircraft
         self.loop = loop or asyncio.get_running_loop()
         self.ports: list[Port] = []
-        self.scenario: Scenario | None = None
+        self.scenario: TimedScenario | None = None
         # The one timer: the next step of the aircraft, or the next arrival on its line.
         self._timer: asyncio.TimerHandle | None = None
         # The plug as the ports know it; orders only change the line.
@@ -187,7 +187,7 @@ class Driver:
         self._flush(now)
         self._schedule(now)
 
-    def _play(self, scenario: Scenario) -> None:
+    def _play(self, scenario: TimedScenario) -> None:
         try:
             scenario.advance(self.aircraft)
         except UsageError as error:

@@ -170,7 +170,7 @@ _MOST_ASKED = 16
 """Apps that the server is asked about at once; ids that nobody knows may come without end."""
 
 
-class Activation:
+class ActivationState:
     """What this aircraft knows about apps: who is active, who was allowed before.
 
     The first request of an app that this aircraft does not know is answered 3 while the server is

@@ -79,7 +79,7 @@ STEP_S = 1.0 / STEPS_PER_SECOND
 
 
 class ModelHorizontal(IntEnum):
-    """What the two horizontal values of a :class:`Guidance` mean."""
+    """What the two horizontal values of a :class:`DynamicsInput` mean."""
 
     TILT = 0  # roll and pitch in radians
     VELOCITY = 1  # m/s
@@ -88,7 +88,7 @@ class ModelHorizontal(IntEnum):
 
 
 class ModelVertical(IntEnum):
-    """What the vertical value of a :class:`Guidance` means."""
+    """What the vertical value of a :class:`DynamicsInput` means."""
 
     VELOCITY = 0  # m/s, up
     HEIGHT = 1  # metres above the ground at the origin
@@ -96,14 +96,14 @@ class ModelVertical(IntEnum):
 
 
 class ModelYaw(IntEnum):
-    """What the yaw value of a :class:`Guidance` means."""
+    """What the yaw value of a :class:`DynamicsInput` means."""
 
     ANGLE = 0  # radians from north, clockwise
     RATE = 1  # radians per second, clockwise
 
 
 @dataclass(slots=True, eq=False)
-class Guidance:
+class DynamicsInput:
     """What the aircraft is to do now. Values are of the kinds that the three modes name."""
 
     horizontal: ModelHorizontal = ModelHorizontal.BRAKE  # kind of ``a`` and ``b``
@@ -208,7 +208,7 @@ class Dynamics:
         self.on_ground = height <= 0.0
         self.motors_on = not self.on_ground
 
-    def step(self, guidance: Guidance) -> None:
+    def step(self, guidance: DynamicsInput) -> None:
         """Move on by :data:`STEP_S` towards ``guidance``."""
         if not self.motors_on:
             if not self.on_ground:
@@ -232,7 +232,7 @@ class Dynamics:
 
     # --- the three axes ---------------------------------------------------------------------
 
-    def _turn(self, guidance: Guidance) -> None:
+    def _turn(self, guidance: DynamicsInput) -> None:
         airframe = self.airframe
         limit = airframe.yaw_rate_deg * (pi / 180.0)
         wanted = guidance.yaw
@@ -252,7 +252,7 @@ class Dynamics:
             self.yaw = _wrap(self.yaw + wanted * STEP_S + (before - wanted - lead) * lag)
             self._yaw_rate = rate
 
-    def _lift(self, guidance: Guidance) -> float:
+    def _lift(self, guidance: DynamicsInput) -> float:
         """Vertical part of the thrust per mass, m/s²: gravity when the height is to stay."""
         airframe = self.airframe
         level = cos(self.roll) * cos(self.pitch)
@@ -279,7 +279,7 @@ class Dynamics:
         return GRAVITY + acceleration
 
     def _commanded_tilt(
-        self, guidance: Guidance, cos_yaw: float, sin_yaw: float
+        self, guidance: DynamicsInput, cos_yaw: float, sin_yaw: float
     ) -> tuple[float, float]:
         roll, pitch = guidance.a, guidance.b
         if not guidance.body:
@@ -292,7 +292,7 @@ class Dynamics:
         return min(limit, max(-limit, roll)), min(limit, max(-limit, pitch))
 
     def _tilt_for(
-        self, guidance: Guidance, lift: float, cos_yaw: float, sin_yaw: float
+        self, guidance: DynamicsInput, lift: float, cos_yaw: float, sin_yaw: float
     ) -> tuple[float, float]:
         """Roll and pitch that make the acceleration which velocity and position control want."""
         airframe = self.airframe
@@ -315,7 +315,7 @@ class Dynamics:
         return atan(right * cos(pitch) / lift), pitch
 
     def _wanted_velocity(
-        self, guidance: Guidance, cos_yaw: float, sin_yaw: float
+        self, guidance: DynamicsInput, cos_yaw: float, sin_yaw: float
     ) -> tuple[float, float]:
         airframe = self.airframe
         horizontal = guidance.horizontal

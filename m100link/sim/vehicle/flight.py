@@ -20,7 +20,7 @@ from m100link.sim.vehicle.dynamics import (
     STEP_S,
     Airframe,
     Dynamics,
-    Guidance,
+    DynamicsInput,
     ModelHorizontal,
     ModelVertical,
     ModelYaw,
@@ -128,10 +128,10 @@ class FlightController:
         self.timeouts = self.interruptions = 0
         self.now = 0.0
         # What the last setpoint asks for, and until when it counts.
-        self._guidance = self._hover = self._mission_guidance = Guidance()
+        self._guidance = self._hover = self._mission_guidance = DynamicsInput()
         self._setpoint_until = -math.inf
         # Without GPS it cannot hold a place: level, it drifts with the wind.
-        self._level = Guidance(ModelHorizontal.TILT)
+        self._level = DynamicsInput(ModelHorizontal.TILT)
         # When the maneuver goes over to its next; infinite for those that end by what they reach.
         self._maneuver_until = math.inf
         # Since when it stands with running motors and no order to take off.
@@ -152,7 +152,7 @@ class FlightController:
         self._setpoint_until = self.now + self._settings.movement_timeout
         return True
 
-    def _guidance_for(self, setpoint: wire.Setpoint) -> Guidance:
+    def _guidance_for(self, setpoint: wire.Setpoint) -> DynamicsInput:
         horizontal, vertical, yaw_mode = setpoint.mode
         body = setpoint.frame is wire.ReferenceFrame.BODY
         a, b, up = setpoint.x, setpoint.y, setpoint.z
@@ -172,7 +172,7 @@ class FlightController:
         smooth = setpoint.stable and kind is ModelHorizontal.VELOCITY and math.hypot(a, b) < _STILL
         if smooth:
             kind = ModelHorizontal.BRAKE
-        return Guidance(
+        return DynamicsInput(
             kind,
             a,
             b,
@@ -291,7 +291,7 @@ class FlightController:
         self.land()
         return True
 
-    def fly_mission(self, guidance: Guidance) -> None:
+    def fly_mission(self, guidance: DynamicsInput) -> None:
         """Follow a mission, which says each step where to; setpoints wait meanwhile."""
         self._mission_guidance = guidance
         if self.maneuver is not Maneuver.MISSION:
@@ -376,7 +376,7 @@ class FlightController:
         left = self.battery_percent - rate * STEP_S
         self.battery_percent = left if left > 0.0 else 0.0
 
-    def _orders(self, device: Device, remote: PilotRemote) -> Guidance:
+    def _orders(self, device: Device, remote: PilotRemote) -> DynamicsInput:
         if device is Device.ONBOARD:
             if self.now <= self._setpoint_until:
                 return self._guidance
@@ -390,7 +390,7 @@ class FlightController:
                 return by_sticks(sticks, self._settings.airframe, self.gps_health >= GOOD_GPS)
         return self._hover if self.gps_health >= GOOD_GPS else self._level
 
-    def _own_guidance(self) -> Guidance:
+    def _own_guidance(self) -> DynamicsInput:
         maneuver = self.maneuver
         if maneuver is Maneuver.MISSION:
             return self._mission_guidance
@@ -408,19 +408,19 @@ class FlightController:
             self.tasks.end(succeeded=True)
         return self._vertically(ModelVertical.VELOCITY, 0.0)
 
-    def _vertically(self, vertical: ModelVertical, up: float) -> Guidance:
+    def _vertically(self, vertical: ModelVertical, up: float) -> DynamicsInput:
         blind = self.gps_health < GOOD_GPS
         horizontal = ModelHorizontal.TILT if blind else ModelHorizontal.BRAKE
-        return Guidance(horizontal, vertical=vertical, up=up)
+        return DynamicsInput(horizontal, vertical=vertical, up=up)
 
-    def _climb_to_take_off_height(self) -> Guidance:
+    def _climb_to_take_off_height(self) -> DynamicsInput:
         motion, height = self.dynamics, self._settings.take_off_height
         if abs(motion.height - height) < 0.05 and abs(motion.velocity_up) < 0.1:
             self._begin(Maneuver.NONE)
             self.tasks.end(succeeded=True)
         return self._vertically(ModelVertical.HEIGHT, height)
 
-    def _homewards(self) -> Guidance:
+    def _homewards(self) -> DynamicsInput:
         motion = self.dynamics
         if self.home is None or self.gps_health < GOOD_GPS:
             self.tasks.end(succeeded=False)
@@ -437,7 +437,7 @@ class FlightController:
                 self._begin(Maneuver.FLY_HOME)
         elif distance < 0.3 and motion.speed < 0.3:
             self.land()
-        return Guidance(
+        return DynamicsInput(
             ModelHorizontal.VELOCITY,
             speed * math.cos(bearing),
             speed * math.sin(bearing),
@@ -447,7 +447,7 @@ class FlightController:
             yaw=bearing if distance > 3.0 else 0.0,
         )
 
-    def _held_down(self, guidance: Guidance) -> Guidance:
+    def _held_down(self, guidance: DynamicsInput) -> DynamicsInput:
         if guidance.vertical == ModelVertical.VELOCITY and guidance.up <= 0.0:
             return guidance
         return replace(
@@ -493,13 +493,13 @@ class FlightController:
 _FASTEST = 10.0  # m/s at full deflection
 
 
-def by_sticks(sticks: Sticks, airframe: Airframe, has_gps: bool) -> Guidance:
+def by_sticks(sticks: Sticks, airframe: Airframe, has_gps: bool) -> DynamicsInput:
     """Velocity along the nose; in mode A, or without GPS, tilt."""
     up = sticks.throttle * airframe.vertical_speed
     yaw = sticks.yaw * radians(airframe.yaw_rate_deg)
     if sticks.mode is RcMode.A or not has_gps:
         tilt = radians(airframe.maximum_tilt_deg)
         roll, pitch = sticks.roll * tilt, -sticks.pitch * tilt
-        return Guidance(ModelHorizontal.TILT, roll, pitch, body=True, up=up, yaw=yaw)
+        return DynamicsInput(ModelHorizontal.TILT, roll, pitch, body=True, up=up, yaw=yaw)
     forward, right = sticks.pitch * _FASTEST, sticks.roll * _FASTEST
-    return Guidance(ModelHorizontal.VELOCITY, forward, right, body=True, up=up, yaw=yaw)
+    return DynamicsInput(ModelHorizontal.VELOCITY, forward, right, body=True, up=up, yaw=yaw)

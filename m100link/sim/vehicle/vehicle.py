@@ -24,12 +24,12 @@ from m100link.protocol.commands.activation import Activate
 from m100link.protocol.commands.virtual_rc import VirtualRcSettings
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import Device, RcMode
-from m100link.sim.vehicle.activation import Activation, ActivationServer, MobileApp
+from m100link.sim.vehicle.activation import ActivationServer, ActivationState, MobileApp
 from m100link.sim.vehicle.authority import ControlArbiter
 from m100link.sim.vehicle.dynamics import STEP_S
 from m100link.sim.vehicle.flight import FlightController
 from m100link.sim.vehicle.gimbal import Camera, GimbalMount
-from m100link.sim.vehicle.missions.actions import Payload
+from m100link.sim.vehicle.missions.actions import MissionPayload
 from m100link.sim.vehicle.missions.computer import MissionComputer
 from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.sensors import Sensors
@@ -74,7 +74,7 @@ class Vehicle:
         self.flight = FlightController(self.settings)
         self.gimbal = GimbalMount(self.flight.dynamics.yaw, follows=self.settings.gimbal_follows)
         self.camera = Camera(self.log)  # what hangs below
-        self.activation = Activation(
+        self.activation = ActivationState(
             profile,
             self.serial_number,
             server=self.server,
@@ -84,7 +84,7 @@ class Vehicle:
         self.authority = ControlArbiter(
             profile, self.settings, self.assistant, self.remote, self.app
         )
-        below = Payload(self.gimbal, self.camera, self.flight, self.log)
+        below = MissionPayload(self.gimbal, self.camera, self.flight, self.log)
         self.missions = MissionComputer(self.flight, self.settings, self.authority, below, self.log)
         self.sensors = Sensors(
             profile,

@@ -43,7 +43,7 @@ class Rig:
         async with self.agent:
             await self.until(lambda: self.agent.connection.state is ConnectionState.CONNECTED)
             await self.agent.ask(orders.Activate())
-            self.token = self.agent.desk.acquire("client", self.agent.now).token
+            self.token = self.agent.leases.acquire("client", self.agent.now).token
             self.renewing = self.agent.background.spawn(self._renew(), "renewal")
             yield self
             self.renewing.cancel()
@@ -52,7 +52,7 @@ class Rig:
     async def _renew(self) -> None:
         while True:
             await anyio.sleep(0.5)
-            self.agent.desk.renew(self.token, self.agent.now)
+            self.agent.leases.renew(self.token, self.agent.now)
 
     async def until(self, predicate: Callable[[], bool], within: float = 30.0) -> None:
         with anyio.fail_after(within):

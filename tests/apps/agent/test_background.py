@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.background import TaskSet
 from m100link.errors import LinkLost
 
 pytestmark = pytest.mark.anyio
@@ -19,7 +19,7 @@ async def fail(error: Exception) -> None:
 async def test_an_error_of_another_kind_is_logged_and_ours_is_not(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    background = BackgroundTasks()
+    background = TaskSet()
     tasks = [
         background.spawn(fail(LinkLost("told already")), "ours"),
         background.spawn(fail(RuntimeError("a mistake")), "theirs"),
@@ -31,7 +31,7 @@ async def test_an_error_of_another_kind_is_logged_and_ours_is_not(
 
 
 async def test_all_end_with_their_owner_also_those_that_take_a_while() -> None:
-    background = BackgroundTasks()
+    background = TaskSet()
     ended = []
 
     async def work(name: str) -> None:
@@ -50,7 +50,7 @@ async def test_all_end_with_their_owner_also_those_that_take_a_while() -> None:
 
 
 async def test_what_begins_is_waited_for_until_then() -> None:
-    background = BackgroundTasks()
+    background = TaskSet()
 
     async def fly(begun: asyncio.Event, error: Exception | None = None) -> str:
         await asyncio.sleep(0.01)
@@ -72,7 +72,7 @@ async def test_what_begins_is_waited_for_until_then() -> None:
 
 
 async def test_whoever_waits_no_more_for_a_beginning_ends_nothing_and_leaves_nothing() -> None:
-    background, landed = BackgroundTasks(), asyncio.Event()
+    background, landed = TaskSet(), asyncio.Event()
 
     async def land(begun: asyncio.Event) -> None:
         await asyncio.sleep(0.02)

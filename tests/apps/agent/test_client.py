@@ -13,25 +13,25 @@ import anyio
 import pytest
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.client import AgentClient, Answers, OwnLoop
+from m100link.apps.agent.client import AgentClient, OwnLoop, PendingRequests
 from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused
 from m100link.apps.agent.messages import (
     VERSION,
     Ask,
-    Fault,
     Hello,
+    JournalNote,
     Message,
-    Note,
-    Outcome,
-    PlanTold,
+    OrderOutcome,
+    PlanChanged,
+    RemoteError,
     Stage,
     State,
     Telemetry,
 )
 from m100link.apps.agent.orders import ChangeHeight
 from m100link.apps.agent.server.agent import Agent
-from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import MemoryChannel, memory_channels
 from m100link.apps.agent.view import Hearing
 from m100link.errors import (
@@ -57,8 +57,8 @@ NORTH = Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 
 @pytest.fixture
 async def clients(rig: Rig) -> AsyncIterator[list[AgentClient]]:
-    rig.agent.desk.release(rig.token, rig.agent.now)
-    service = Service(rig.agent)
+    rig.agent.leases.release(rig.token, rig.agent.now)
+    service = AgentServer(rig.agent)
     async with AsyncExitStack() as stack:
         made = []
         for name in ("first", "second"):
@@ -241,7 +241,7 @@ async def test_another_agent_takes_the_place_of_one_that_has_gone(
     assert not client.is_connected
     async with Agent(by_driver(rig.driver), leases_before=1_000_000) as other:
         ours, its = memory_channels(as_bytes=True)
-        Service(other).attach(its)
+        AgentServer(other).attach(its)
         client.reopen(ours)
         assert not client.holds(lease)
         other.journal.note("after")
@@ -265,7 +265,7 @@ async def test_an_agent_that_is_reached_again_tells_nothing_twice(
     client._channel.close("for the test")
     client._closed("for the test")
     ours, its = memory_channels(as_bytes=True)
-    Service(rig.agent).attach(its)
+    AgentServer(rig.agent).attach(its)
     client.reopen(ours)
     await anyio.sleep(0.1)
     assert [event.text for event in client.events].count("once") == 1
@@ -306,7 +306,7 @@ async def test_a_plan_that_cannot_be_read_is_counted(rig: Rig) -> None:
     ours, its = memory_channels()
     async with AgentClient(ours, "front") as client:
         its.open(lambda _: None, lambda _: None)
-        its.send(PlanTold("somebody", orders.UploadPlan(b"\x02", (b"\xff",))))
+        its.send(PlanChanged("somebody", orders.UploadPlan(b"\x02", (b"\xff",))))
         assert (client.plan, client.unread) == (None, 1)
 
 
@@ -383,7 +383,7 @@ def ignore(_: object) -> None:
     [
         lambda channel: channel.require(),
         lambda channel: channel.open(ignore, ignore),
-        lambda channel: channel.send(Note("info", "from elsewhere")),
+        lambda channel: channel.send(JournalNote("info", "from elsewhere")),
         lambda channel: channel.close("from elsewhere"),
     ],
 )
@@ -396,7 +396,7 @@ async def test_only_its_own_event_loop_uses_it(call: Callable[[OwnLoop], None]) 
     assert_told(elsewhere(lambda: plainly(lambda: call(channel))))
     assert (inbox, closed) == ([], [])
     call(channel)
-    channel.send(Note("info", "from here"))
+    channel.send(JournalNote("info", "from here"))
     channel.close("done")
     assert bool(inbox) is not (closed == ["from elsewhere"])
     assert closed
@@ -405,18 +405,18 @@ async def test_only_its_own_event_loop_uses_it(call: Callable[[OwnLoop], None]) 
 # -- questions: asked, begun, over or unknown ------------------------------------------------------
 
 
-REFUSED = Fault.of(TaskRefused("no"))
-TOLD: dict[str, Callable[[Answers, int], None]] = {
-    "begun": lambda answers, number: answers.outcome(Outcome(number, Stage.ACCEPTED)),
-    "done": lambda answers, number: answers.outcome(Outcome(number, Stage.DONE, text="it")),
-    "refused": lambda answers, number: answers.outcome(Outcome(number, Stage.FAILED, REFUSED)),
+REFUSED = RemoteError.of(TaskRefused("no"))
+TOLD: dict[str, Callable[[PendingRequests, int], None]] = {
+    "begun": lambda answers, number: answers.outcome(OrderOutcome(number, Stage.ACCEPTED)),
+    "done": lambda answers, number: answers.outcome(OrderOutcome(number, Stage.DONE, text="it")),
+    "refused": lambda answers, number: answers.outcome(OrderOutcome(number, Stage.FAILED, REFUSED)),
     "gone": lambda answers, _: answers.end("killed"),
-    "another": lambda answers, number: answers.outcome(Outcome(number + 1, Stage.DONE)),
+    "another": lambda answers, number: answers.outcome(OrderOutcome(number + 1, Stage.DONE)),
 }
 ENDS: dict[str, object] = {"done": "it", "refused": TaskRefused, "gone": LinkLost}
 
 
-async def became(asked: asyncio.Task[Outcome]) -> object:
+async def became(asked: asyncio.Task[OrderOutcome]) -> object:
     """What whoever asked was told: a text, the kind of an error, or None for nothing."""
     for _ in range(3):
         await asyncio.sleep(0)
@@ -446,7 +446,7 @@ AFTER: dict[tuple[str, str], tuple[int, object]] = {
 @pytest.mark.parametrize(("state", "told"), AFTER)
 async def test_what_becomes_of_a_question(state: str, told: str) -> None:
     begun: list[int] = []
-    answers = Answers(lambda _: None)
+    answers = PendingRequests(lambda _: None)
     asking = answers.question(orders.Land(), 0, lambda: begun.append(1))
     asked = asyncio.create_task(asking)
     await asyncio.sleep(0)
@@ -469,10 +469,10 @@ def test_every_state_and_input_of_a_question_has_its_row() -> None:
 async def test_many_answers_in_any_order_reach_whoever_asked(seed: int) -> None:
     """Twice, after the end, of numbers that nobody asked; some wait no more, and the agent dies."""
     chance, sent = random.Random(seed), list[Message]()
-    answers = Answers(sent.append)
+    answers = PendingRequests(sent.append)
     begun: list[int] = []
     expected: dict[int, object] = {}
-    asked: dict[int, asyncio.Task[Outcome]] = {}
+    asked: dict[int, asyncio.Task[OrderOutcome]] = {}
     for number in range(1, 301):
         began = partial(begun.append, number)
         asked[number] = asyncio.create_task(answers.question(orders.Land(), 0, began))

@@ -21,8 +21,8 @@ from m100link.apps.agent.codec import (
     MAX_BYTES,
     MAX_SIZE,
     MAX_TEXT,
-    BadValue,
     Fields,
+    InvalidValue,
     decode,
     encode,
     require_possible,
@@ -34,19 +34,19 @@ from m100link.apps.agent.messages import (
     Ask,
     AuthorityTaken,
     Event,
-    Fault,
-    FromMobile,
     Goodbye,
+    GuardLimits,
     Hello,
+    JournalNote,
     LeaseChanged,
-    Limits,
     LinkCounted,
     Message,
     MessageError,
-    MissionTold,
-    Note,
-    Outcome,
-    PlanTold,
+    MissionReport,
+    MobileMessage,
+    OrderOutcome,
+    PlanChanged,
+    RemoteError,
     Replay,
     Stage,
     State,
@@ -59,7 +59,9 @@ from m100link.protocol.codes import ActivationCode
 from m100link.protocol.setpoint import ReferenceFrame, Setpoint
 from tests.apps.agent.examples import EXAMPLES as ORDERS
 
-FAULT = Fault("LinkLost", "the port went away", "a cable", "plug it in", {"code": 3, "who": None})
+FAULT = RemoteError(
+    "LinkLost", "the port went away", "a cable", "plug it in", {"code": 3, "who": None}
+)
 NORTH = Setpoint.velocity(north=1.5, east=-0.1, up=0.25, yaw_rate_deg_s=-3.0, stable=True)
 TILT = Setpoint.tilt(roll_deg=1, pitch_deg=2, thrust_percent=40, yaw_deg=-180)
 
@@ -67,7 +69,7 @@ EXAMPLES: list[Message] = [
     Hello(VERSION, "console", 12.5),
     Goodbye("the agent ends"),
     Telemetry(bytes(range(200)), "3.1", 1e6),
-    FromMobile(b"\0\xff"),
+    MobileMessage(b"\0\xff"),
     Event(7, 3.25, "warning", 'umlaut ü and a quote "'),
     State(at=1.0),
     State(
@@ -83,7 +85,7 @@ EXAMPLES: list[Message] = [
         task="land",
         pattern="simple task 0",
         guided=GuidedFlight("flight to a place", 52.1, 4.31, 20.0, distance_m=12.5),
-        limits=Limits(50.0, None, 10.0, 20, latitude_deg=52.1, longitude_deg=4.31),
+        limits=GuardLimits(50.0, None, 10.0, 20, latitude_deg=52.1, longitude_deg=4.31),
         lease_remaining=2.5,
         round_trip=0.01,
         discards=1,
@@ -94,16 +96,16 @@ EXAMPLES: list[Message] = [
     LinkCounted(1.5, {"acks": 3}, {"crc32": 2}, 0.001, {"0.005": 7, "inf": 1}, 0.125),
     LeaseChanged(0, ""),
     LeaseChanged(3, "tab", LeaseChange.TAKEN_OVER),
-    Outcome(1, Stage.DONE, lease=Lease("tab", "secret", 3)),
-    Outcome(2, Stage.DONE, offer=TakeOver("other", "tab", "secret", 3, 12.0)),
+    OrderOutcome(1, Stage.DONE, lease=Lease("tab", "secret", 3)),
+    OrderOutcome(2, Stage.DONE, offer=TakeOver("other", "tab", "secret", 3, 12.0)),
     Activating(6),
     AuthorityTaken(FAULT),
-    MissionTold(2, b"\x07\x04\0\0\0"),
-    PlanTold(),
-    PlanTold("tab", orders.UploadPlan(b"\x02", (b"", b"\x01\xff"))),
+    MissionReport(2, b"\x07\x04\0\0\0"),
+    PlanChanged(),
+    PlanChanged("tab", orders.UploadPlan(b"\x02", (b"", b"\x01\xff"))),
     SteerRefused(3, FAULT),
-    Outcome(5, Stage.FAILED, FAULT),
-    Outcome(6, Stage.DONE, None, "SDK-v1.0", 0xFFFFFFFF),
+    OrderOutcome(5, Stage.FAILED, FAULT),
+    OrderOutcome(6, Stage.DONE, None, "SDK-v1.0", 0xFFFFFFFF),
     Steer(3, 12.125, 0.3, NORTH),
     Steer(3, 12.125, 0.3, Setpoint.tilt(roll_deg=1, pitch_deg=2, thrust_percent=40, yaw_deg=-180)),
     Steer(
@@ -113,7 +115,7 @@ EXAMPLES: list[Message] = [
         Setpoint.tilt(roll_deg=1, pitch_deg=2, height=9, yaw_deg=1, frame=ReferenceFrame.GROUND),
     ),
     *(Ask(9, order, 3) for order in ORDERS),
-    Note("info", "something"),
+    JournalNote("info", "something"),
 ]
 
 
@@ -253,7 +255,7 @@ def test_fields_of_any_other_value_are_refused_or_fit(message: Message, data: An
     [
         Hello(1, "x", math.nan),
         Hello(1, "x", math.inf),
-        FromMobile(bytes(MAX_BYTES + 1)),
+        MobileMessage(bytes(MAX_BYTES + 1)),
         Telemetry(bytes(MAX_BYTES + 1), "3.1", 1.0),
         Telemetry(b"", "3.1", math.inf),
         Telemetry(b"", "p" * 256, 1.0),
@@ -312,7 +314,7 @@ def test_a_field_has_a_greatest_size(name: str, most: Any, more: Any) -> None:
     value = fields.write(Limited())
     found = fields.read(value | {name: most})
     assert getattr(found, name)
-    with pytest.raises(BadValue, match=name):
+    with pytest.raises(InvalidValue, match=name):
         fields.read(value | {name: more})
 
 
@@ -358,7 +360,7 @@ def test_what_agents_tell_is_possible(message: Message) -> None:
     ],
 )
 def test_what_cannot_be_is_refused_by_its_name(message: Message, field: str) -> None:
-    with pytest.raises(BadValue, match=field):
+    with pytest.raises(InvalidValue, match=field):
         require_possible(message)
     with pytest.raises(MessageError, match=field):
         decode(encode(message))
@@ -366,19 +368,19 @@ def test_what_cannot_be_is_refused_by_its_name(message: Message, field: str) -> 
 
 # What each kind of message was in this version: its name, and a digest of its fields and of what
 # stands in them.
-KNOWN_VERSION = 11
+KNOWN_VERSION = 12
 KNOWN = """
 AcquireLease:2c1866 Activate:e3b0c4 Activating:ba3e9c Ask:c4ab11 AskTakeOver:798194
-AskVersion:e3b0c4 AuthorityTaken:1c66d4 ChangeHeading:ee0844 ChangeHeight:2fe874
-ConfirmTakeOver:565b7b Event:f2cde4 FlyAround:34354f FlyPattern:674527 FlyTo:13c862
-FromMobile:f922dc GoHome:e3b0c4 Goodbye:ea9649 Halt:9ebff6 Hello:b217f9 Land:e3b0c4
-LeaseChanged:f4fb81 LinkCounted:b15a94 MissionTold:dbaedb Note:851721 Obtain:e3b0c4
-OrderReplay:78621e Outcome:8aadeb PauseMission:e3b0c4 PlanTold:d2a898 PointGimbal:fa1de6
-Release:e3b0c4 ReleaseLease:c5b21e RenewLease:a4144d ResetHotpointHeading:e3b0c4
-ResumeMission:e3b0c4 SendToMobile:cfbaf4 SetHotpointRadius:7a7d47 SetHotpointRate:315188
-SetMissionSpeed:b82e67 StartHotpoint:428563 StartMission:94e50f State:58181f Steer:6c4be2
-SteerRefused:6254fa Stop:e3b0c4 StopMission:e3b0c4 SwitchMotors:c6ac16 TakeOff:e3b0c4
-Telemetry:f0a4a0 TurnGimbal:4b1ef4 UploadPlan:20efaf UseCamera:9b369c
+AskVersion:e3b0c4 AuthorityTaken:b544c6 ChangeHeading:ee0844 ChangeHeight:2fe874
+ConfirmTakeOver:565b7b Event:bfcc65 FlyAround:34354f FlyPattern:674527 FlyTo:13c862 GoHome:e3b0c4
+Goodbye:ea9649 Halt:9ebff6 Hello:b217f9 JournalNote:98aa92 Land:e3b0c4 LeaseChanged:f4fb81
+LinkCounted:b15a94 MissionReport:260962 MobileMessage:99a016 Obtain:e3b0c4 OrderOutcome:6d2a84
+OrderReplay:78621e PauseMission:e3b0c4 PlanChanged:5bdddd PointGimbal:fa1de6 Release:e3b0c4
+ReleaseLease:c5b21e RenewLease:a4144d ResetHotpointHeading:e3b0c4 ResumeMission:e3b0c4
+SendToMobile:cfbaf4 SetHotpointRadius:7a7d47 SetHotpointRate:315188 SetMissionSpeed:b82e67
+StartHotpoint:428563 StartMission:94e50f State:484030 Steer:6c4be2 SteerRefused:70fa65 Stop:e3b0c4
+StopMission:e3b0c4 SwitchMotors:c6ac16 TakeOff:e3b0c4 Telemetry:f0a4a0 TurnGimbal:4b1ef4
+UploadPlan:20efaf UseCamera:9b369c
 """
 
 

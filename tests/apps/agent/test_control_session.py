@@ -27,17 +27,17 @@ from m100link.apps.agent.messages import (
     Ask,
     AuthorityTaken,
     Event,
-    Fault,
+    EventTopic,
+    JournalNote,
     LeaseChanged,
-    Note,
-    Outcome,
+    OrderOutcome,
+    RemoteError,
     Stage,
     State,
     Steer,
     SteerRefused,
-    Topic,
 )
-from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import MemoryChannel, memory_channels
 from m100link.errors import (
     AuthorityLost,
@@ -104,7 +104,7 @@ class Pilots:
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
-        self.service = Service(rig.agent)
+        self.service = AgentServer(rig.agent)
         self.ways: list[MemoryChannel] = []
         self.clients: list[AgentClient] = []
 
@@ -112,7 +112,7 @@ class Pilots:
 @pytest.fixture
 async def pilots(rig: Rig) -> AsyncIterator[Pilots]:
     rig.renewing.cancel()
-    rig.agent.desk.release(rig.token, rig.agent.now)
+    rig.agent.leases.release(rig.token, rig.agent.now)
     found = Pilots(rig)
     async with AsyncExitStack() as stack:
         for name in ("first", "second"):
@@ -351,7 +351,7 @@ async def test_whenever_it_is_let_go_nothing_stays_held(pilots: Pilots) -> None:
             one.let_go()
         await anyio.sleep(0.5)
         assert at(one) is S.ABSENT, (seed, attempt)
-        assert agent.desk.holder(agent.now) is None, (seed, attempt)
+        assert agent.leases.holder(agent.now) is None, (seed, attempt)
         assert not agent.holding.has_authority, (seed, attempt)
         one.close()
 
@@ -367,7 +367,7 @@ async def test_what_waits_behind_a_request_that_is_let_go_is_not_wanted_either(
     assert all(isinstance(end, NoAuthority) for end in ends), ends
     assert at(one) is S.ABSENT
     await anyio.sleep(0.5)
-    assert agent.desk.holder(agent.now) is None
+    assert agent.leases.holder(agent.now) is None
     await one.obtain()  # which was asked for later
     assert one.has_control
 
@@ -563,7 +563,7 @@ async def test_control_ends_whatever_those_raise_who_are_told_of_it(
         with pytest.raises(ZeroDivisionError):
             await ways.get(how, getattr(one, how))()
     await anyio.sleep(1.0)
-    assert agent.desk.holder(agent.now) is None
+    assert agent.leases.holder(agent.now) is None
     assert not agent.holding.has_authority
     assert at(one) is S.ABSENT
     one.on_change = lambda _: None
@@ -672,15 +672,15 @@ class Front:
     def answer(self, error: M100Error | None = None) -> None:
         """To the newest question."""
         number = [one.id for one in self.agent.heard if isinstance(one, Ask) and one.id][-1]
-        fault = None if error is None else Fault.of(error)
-        self.agent.tell(Outcome(number, Stage.FAILED if fault else Stage.DONE, fault))
+        fault = None if error is None else RemoteError.of(error)
+        self.agent.tell(OrderOutcome(number, Stage.FAILED if fault else Stage.DONE, fault))
 
     def taken(self) -> None:
         """The pilot leaves F."""
         self.agent.tell(replace(self.agent.state, has_authority=False))
         error = AuthorityLost("the pilot left F")
         error.reason = LossReason.MODE_SWITCH
-        self.agent.tell(AuthorityTaken(Fault.of(error)))
+        self.agent.tell(AuthorityTaken(RemoteError.of(error)))
 
     def returned(self) -> None:
         self.agent.tell(replace(self.agent.state, has_authority=True))
@@ -950,7 +950,7 @@ async def test_idle_counts_from_the_newest_use(use: str) -> None:
         pilot.one.heard(is_idle=True)
         assert pilot.orders()[-1] == "ReleaseLease"
         assert at(pilot.one) is S.ABSENT
-        (note,) = pilot.agent.asked(Note)
+        (note,) = pilot.agent.asked(JournalNote)
         assert note.text == "this tab gives control back: no order in 5 s"
 
 
@@ -1126,10 +1126,10 @@ async def test_a_refused_setpoint_is_told_to_its_pilot(
         refused: list[str] = []
         pilot.one.on_refused(error)  # nobody wants to hear it
         pilot.one.on_refused = lambda found: refused.append(found.seen)
-        pilot.agent.tell(SteerRefused(fence, Fault.of(error)))
+        pilot.agent.tell(SteerRefused(fence, RemoteError.of(error)))
         assert refused == [], "without the lease"
         await pilot.one.obtain()
-        pilot.agent.tell(SteerRefused(fence, Fault.of(error)))
+        pilot.agent.tell(SteerRefused(fence, RemoteError.of(error)))
         assert refused == [error.seen] * is_told
         assert at(pilot.one) is state
 
@@ -1137,7 +1137,7 @@ async def test_a_refused_setpoint_is_told_to_its_pilot(
 async def test_an_event_about_something_else_stops_nobody() -> None:
     async with front() as pilot:
         await pilot.one.obtain()
-        for number, topic in enumerate((Topic.NONE, Topic.HALTED, Topic.STOPPED), 1):
+        for number, topic in enumerate((EventTopic.NONE, EventTopic.HALTED, EventTopic.STOPPED), 1):
             assert at(pilot.one) is S.HOLDING
             pilot.agent.tell(Event(number, 1.0, "info", "", topic))
         assert at(pilot.one) is S.STOPPED
@@ -1299,11 +1299,11 @@ async def test_in_whatever_order_nothing_stays_held_that_was_let_go(
             assert end is None or isinstance(end, M100Error | asyncio.CancelledError | Lease), end
         await anyio.sleep(0.5)
         where = (seed, attempt, at(chaos.one))
-        assert agent.desk.holder(agent.now) is None, where
+        assert agent.leases.holder(agent.now) is None, where
         assert not agent.holding.has_authority, where
         assert not chaos.one.has_lease, where
         await chaos.one.obtain()
         assert at(chaos.one) is S.HOLDING, where
         chaos.one.close()
         await anyio.sleep(0.1)
-        assert agent.desk.holder(agent.now) is None, where
+        assert agent.leases.holder(agent.now) is None, where

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from m100link.apps.agent.lease import Lease, LeaseChange, LeaseDesk, LeaseHeld, LeaseRefused
+from m100link.apps.agent.lease import Lease, LeaseChange, LeaseHeld, LeaseManager, LeaseRefused
 
 
 def test_the_first_who_asks_gets_it_and_the_second_learns_who_has_it() -> None:
-    desk = LeaseDesk()
+    desk = LeaseManager()
     desk.acquire("field laptop", 0.0)
     with pytest.raises(LeaseHeld) as caught:
         desk.acquire("tablet", 0.1)
@@ -21,7 +21,7 @@ def test_the_first_who_asks_gets_it_and_the_second_learns_who_has_it() -> None:
 
 
 def test_a_lease_that_nobody_renews_ends() -> None:
-    desk = LeaseDesk(lifetime=3.0)
+    desk = LeaseManager(lifetime=3.0)
     lease = desk.acquire("a", 0.0)
     desk.renew(lease.token, 2.9)
     assert desk.holder(5.8) == lease
@@ -32,7 +32,7 @@ def test_a_lease_that_nobody_renews_ends() -> None:
 
 
 def test_a_released_expired_or_taken_lease_cannot_be_replayed() -> None:
-    desk = LeaseDesk()
+    desk = LeaseManager()
     released = desk.acquire("a", 0.0)
     desk.release(released.token, 0.1)
     expired = desk.acquire("a", 0.2)
@@ -46,7 +46,7 @@ def test_a_released_expired_or_taken_lease_cannot_be_replayed() -> None:
 
 
 def test_a_take_over_names_the_loser_and_needs_its_confirmation() -> None:
-    desk = LeaseDesk(lifetime=60.0)
+    desk = LeaseManager(lifetime=60.0)
     first = desk.acquire("a", 0.0)
     wanted = desk.ask_take_over("b", 1.0)
     assert wanted.from_name == "a"
@@ -59,7 +59,7 @@ def test_a_take_over_names_the_loser_and_needs_its_confirmation() -> None:
 
 @pytest.mark.parametrize("meanwhile", ["too late", "released", "changed hands"])
 def test_a_confirmation_holds_for_what_was_asked_only(meanwhile: str) -> None:
-    desk = LeaseDesk(lifetime=60.0)
+    desk = LeaseManager(lifetime=60.0)
     first = desk.acquire("a", 0.0)
     wanted = desk.ask_take_over("b", 1.0)
     now = 2.0
@@ -75,11 +75,11 @@ def test_a_confirmation_holds_for_what_was_asked_only(meanwhile: str) -> None:
 
 def test_a_free_lease_is_not_taken_over() -> None:
     with pytest.raises(LeaseRefused, match="nobody has control"):
-        LeaseDesk().ask_take_over("b", 0.0)
+        LeaseManager().ask_take_over("b", 0.0)
 
 
 def test_tokens_stay_out_of_logs_and_names_are_fit_for_a_banner() -> None:
-    desk = LeaseDesk()
+    desk = LeaseManager()
     lease = desk.acquire("x\n\x1b[31m" + "y" * 200, 0.0)
     assert lease.token not in repr(lease)
     assert lease.name.isprintable()
@@ -95,7 +95,7 @@ def test_changes_are_reported() -> None:
     def note(why: LeaseChange, old: Lease | None, new: Lease | None) -> None:
         seen.append((why, old.name if old else None, new.name if new else None))
 
-    desk = LeaseDesk(on_change=note)
+    desk = LeaseManager(on_change=note)
     desk.acquire("a", 0.0)
     desk.confirm(desk.ask_take_over("b", 0.0).token, 0.0)
     desk.advance(10.0)
@@ -115,7 +115,7 @@ class LeaseMachine(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.now = 0.0
-        self.desk = LeaseDesk()
+        self.desk = LeaseManager()
         self.leases: list[Lease] = []
 
     @rule(seconds=st.floats(0.0, 4.0))
@@ -156,7 +156,7 @@ TestLeaseMachine = LeaseMachine.TestCase
 
 
 def test_what_spammers_ask_does_not_push_out_what_others_asked() -> None:
-    desk = LeaseDesk()
+    desk = LeaseManager()
     desk.acquire("holder", 0.0)
     wanted = desk.ask_take_over("operator", 1.0)
     for number in range(500):
@@ -167,7 +167,7 @@ def test_what_spammers_ask_does_not_push_out_what_others_asked() -> None:
 
 
 def test_time_in_which_the_program_did_not_run_ends_no_lease() -> None:
-    desk = LeaseDesk(lifetime=3.0, longest_step=0.5)
+    desk = LeaseManager(lifetime=3.0, longest_step=0.5)
     lease = desk.acquire("a", 0.0)
     assert desk.holder(5.0) == lease  # it did not run for 4.5 s
     assert desk.remaining(5.0) == pytest.approx(2.5)
@@ -176,5 +176,5 @@ def test_time_in_which_the_program_did_not_run_ends_no_lease() -> None:
 
 
 def test_a_desk_after_another_begins_where_that_one_cannot_have_come() -> None:
-    desk = LeaseDesk(leases_before=1_000_000)
+    desk = LeaseManager(leases_before=1_000_000)
     assert desk.acquire("anybody", 0.0).number == 1_000_001

@@ -7,7 +7,14 @@ import pytest
 from m100link import errors
 from m100link.apps.agent.codec import decode, encode
 from m100link.apps.agent.lease import LeaseHeld
-from m100link.apps.agent.messages import AuthorityTaken, Event, Fault, Journal, MessageError, Topic
+from m100link.apps.agent.messages import (
+    AuthorityTaken,
+    Event,
+    EventTopic,
+    Journal,
+    MessageError,
+    RemoteError,
+)
 from m100link.errors import AuthorityLost, AuthorityRefused, GuardRefused, LossReason, M100Error
 
 ERRORS: list[M100Error] = [
@@ -22,7 +29,7 @@ ERRORS: list[M100Error] = [
 
 
 def carried(error: M100Error) -> M100Error:
-    message = decode(encode(AuthorityTaken(Fault.of(error))))
+    message = decode(encode(AuthorityTaken(RemoteError.of(error))))
     assert isinstance(message, AuthorityTaken)
     return message.fault.error()
 
@@ -51,17 +58,17 @@ def test_a_class_that_is_not_known_becomes_the_base_that_is() -> None:
         pass
 
     assert type(carried(OfAPlugin("no", command="x"))) is AuthorityRefused
-    assert type(Fault("FromTheFuture", "seen").error()) is M100Error
+    assert type(RemoteError("FromTheFuture", "seen").error()) is M100Error
 
 
 def test_details_of_a_stranger_leave_an_error_what_it_is() -> None:
     """Whoever shows it reads its words, and the attributes of its class."""
     told = {"seen": 5, "remedy": None, "error_code": 7, "args": 1, "manual": "x", "guard": "gps"}
-    error = Fault("GuardRefused", "seen", "cause", "remedy", told).error()
+    error = RemoteError("GuardRefused", "seen", "cause", "remedy", told).error()
     assert isinstance(error, GuardRefused)
     assert str(error) == str(GuardRefused("seen", cause="cause", remedy="remedy"))
     assert (error.error_code, error.guard) == ("M100-GUARD-REFUSED", "gps")
-    plain = Fault("GuardRefused", "seen").error()
+    plain = RemoteError("GuardRefused", "seen").error()
     assert isinstance(plain, GuardRefused)
     assert (plain.guard, plain.measured, plain.limit) == ("", None, None)
 
@@ -73,7 +80,7 @@ def test_no_detail_that_a_stranger_names_raises_where_it_is_read() -> None:
         if isinstance(kind, type) and issubclass(kind, M100Error):
             for told in (*dir(kind), "", "no name", "\ud800"):
                 for value in (None, True, -1, 1.5, "x"):
-                    found = Fault(name, "seen", "cause", "remedy", {told: value}).error()
+                    found = RemoteError(name, "seen", "cause", "remedy", {told: value}).error()
                     assert (found.seen, found.cause, found.remedy) == ("seen", "cause", "remedy")
                     assert str(found) == str(kind("seen", cause="cause", remedy="remedy"))
 
@@ -97,6 +104,8 @@ def test_events_are_numbered_told_and_bounded() -> None:
 
 def test_what_a_program_has_to_know_has_a_topic() -> None:
     journal = Journal(lambda: 0.0)
-    journal.note("the aircraft broke the mission off: battery", "warning", Topic.MISSION_ABORTED)
+    journal.note(
+        "the aircraft broke the mission off: battery", "warning", EventTopic.MISSION_ABORTED
+    )
     journal.note("take off begins")
-    assert [one.topic for one in journal.events] == [Topic.MISSION_ABORTED, Topic.NONE]
+    assert [one.topic for one in journal.events] == [EventTopic.MISSION_ABORTED, EventTopic.NONE]

@@ -7,7 +7,7 @@ import math
 import anyio
 import pytest
 
-from m100link.apps.agent.messages import Limits
+from m100link.apps.agent.messages import GuardLimits
 from m100link.apps.agent.orders import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedOrder
 from m100link.apps.agent.preview import preview, preview_plan
 from m100link.errors import GuardRefused
@@ -46,13 +46,15 @@ async def test_each_order_has_its_distance_time_and_battery(rig: Rig) -> None:
 @pytest.mark.parametrize(
     ("limits", "guard"),
     [
-        (Limits(), ""),
-        (Limits(max_radius_m=20.0), "envelope"),
-        (Limits(max_height_m=12.0), "envelope"),
-        (Limits(max_speed_m_s=3.0), "envelope"),
+        (GuardLimits(), ""),
+        (GuardLimits(max_radius_m=20.0), "envelope"),
+        (GuardLimits(max_height_m=12.0), "envelope"),
+        (GuardLimits(max_speed_m_s=3.0), "envelope"),
     ],
 )
-async def test_the_limits_are_those_that_are_told(rig: Rig, limits: Limits, guard: str) -> None:
+async def test_the_limits_are_those_that_are_told(
+    rig: Rig, limits: GuardLimits, guard: str
+) -> None:
     state, frame = await hovering(rig)
     order = FlyTo(*frame.to_geodetic(30.0, 0.0), 15.0, speed=5.0)
     found = preview(order, state, limits)
@@ -64,7 +66,7 @@ async def test_the_limits_are_those_that_are_told(rig: Rig, limits: Limits, guar
 async def test_the_radius_counts_from_where_control_began(rig: Rig) -> None:
     state, frame = await hovering(rig)
     origin = frame.to_geodetic(-100.0, 0.0)
-    limits = Limits(max_radius_m=120.0, latitude_deg=origin[0], longitude_deg=origin[1])
+    limits = GuardLimits(max_radius_m=120.0, latitude_deg=origin[0], longitude_deg=origin[1])
     order = FlyTo(*frame.to_geodetic(50.0, 0.0), 15.0)
     (refusal,) = preview(order, state, limits).refusals
     assert "150 m from the start" in refusal.seen
@@ -77,9 +79,9 @@ async def test_the_radius_counts_from_where_control_began(rig: Rig) -> None:
     ids=lambda one: type(one).__name__,
 )
 async def test_without_an_aircraft_everything_is_refused(order: GuidedOrder) -> None:
-    (refusal,) = preview(order, None, Limits()).refusals
+    (refusal,) = preview(order, None, GuardLimits()).refusals
     assert "no aircraft" in refusal.seen
-    found = preview(order, AircraftState(anyio.current_time), Limits())
+    found = preview(order, AircraftState(anyio.current_time), GuardLimits())
     assert found.refusals
     assert found.distance_m == 0.0 or isinstance(order, FlyAround)
 
@@ -87,14 +89,14 @@ async def test_without_an_aircraft_everything_is_refused(order: GuidedOrder) -> 
 @pytest.mark.parametrize(
     ("limits", "guards"),
     [
-        (Limits(), []),
-        (Limits(max_height_m=12.0), ["envelope"]),
-        (Limits(max_radius_m=20.0, battery_floor_percent=100), ["envelope", "battery"]),
-        (Limits(battery_floor_percent=20), []),
+        (GuardLimits(), []),
+        (GuardLimits(max_height_m=12.0), ["envelope"]),
+        (GuardLimits(max_radius_m=20.0, battery_floor_percent=100), ["envelope", "battery"]),
+        (GuardLimits(battery_floor_percent=20), []),
     ],
 )
 async def test_a_plan_is_refused_by_the_guards_that_its_start_would_ask(
-    rig: Rig, limits: Limits, guards: list[str]
+    rig: Rig, limits: GuardLimits, guards: list[str]
 ) -> None:
     state, frame = await hovering(rig)
     points = [Waypoint(*frame.to_geodetic(north, 0.0), height=15) for north in (30, 60)]
@@ -106,5 +108,5 @@ async def test_a_plan_is_refused_by_the_guards_that_its_start_would_ask(
 async def test_a_plan_of_another_place_is_refused(rig: Rig) -> None:
     state, frame = await hovering(rig)
     points = [Waypoint(*frame.to_geodetic(north, 0.0), height=15) for north in (600, 630)]
-    (refusal,) = preview_plan(WaypointPlan(points), state, Limits())
+    (refusal,) = preview_plan(WaypointPlan(points), state, GuardLimits())
     assert refusal.guard == "allow_far"

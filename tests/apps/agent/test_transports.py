@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from m100link.apps.agent.codec import MAX_SIZE, encode
-from m100link.apps.agent.messages import Event, Message, Note, Telemetry
+from m100link.apps.agent.messages import Event, JournalNote, Message, Telemetry
 from m100link.apps.agent.transports import (
     AT_ONCE,
     CLOSE_ABOVE,
@@ -28,7 +28,7 @@ from m100link.apps.agent.transports import (
 from m100link.errors import PortFailed, PortNotFound
 from tests.waiting import PATIENCE
 
-A, B = Note("info", "a"), Note("info", "b")
+A, B = JournalNote("info", "a"), JournalNote("info", "b")
 
 
 def test_a_message_has_arrived_when_it_was_sent() -> None:
@@ -71,7 +71,7 @@ def test_what_goes_wrong_at_one_end_stays_there(caplog: pytest.LogCaptureFixture
 
     other.open(fail, lambda reason: None)
     one.send(A)
-    assert "a Note was not taken" in caplog.text
+    assert "a JournalNote was not taken" in caplog.text
     assert "a front's mistake" in caplog.text
 
 
@@ -117,7 +117,9 @@ async def test_messages_go_both_ways_in_order() -> None:
     async with served() as (path, agent):
         front = End()
         front.listen(await connect_unix(path))
-        notes: list[Message] = [Note("info", f"{number} {'x' * number}") for number in range(500)]
+        notes: list[Message] = [
+            JournalNote("info", f"{number} {'x' * number}") for number in range(500)
+        ]
         for note in notes:
             front.channel.send(note)
         await until(lambda: len(agent.inbox) == 500)
@@ -131,11 +133,11 @@ async def test_bytes_may_come_one_by_one() -> None:
     async with served() as (path, agent):
         with socket.socket(socket.AF_UNIX) as raw:
             raw.connect(str(path))
-            body = encode(Note("info", "slow"))
+            body = encode(JournalNote("info", "slow"))
             for byte in struct.pack("<I", len(body)) + body:
                 raw.send(bytes([byte]))
                 await asyncio.sleep(0)
-            await until(lambda: agent.inbox == [Note("info", "slow")])
+            await until(lambda: agent.inbox == [JournalNote("info", "slow")])
         await until(lambda: agent.reasons == [""])
 
 
@@ -172,7 +174,7 @@ async def test_the_reason_of_a_close_is_told() -> None:
         agent.channel.close("again")
         await until(lambda: front.reasons == ["the agent ends"])
         assert agent.reasons == []
-        front.channel.send(Note("info", "into nothing"))
+        front.channel.send(JournalNote("info", "into nothing"))
 
 
 async def test_an_end_that_does_not_read_loses_telemetry_and_then_the_connection() -> None:
@@ -213,9 +215,9 @@ async def test_a_mistake_with_one_message_does_not_end_the_reader(
 
         agent.channel.open(take, agent.reasons.append)
         for _ in range(2):
-            front.channel.send(Note("info", "x"))
+            front.channel.send(JournalNote("info", "x"))
         await until(lambda: len(taken) == 2)
-        assert "a Note was not taken" in caplog.text
+        assert "a JournalNote was not taken" in caplog.text
         front.channel.close()
 
 
@@ -232,7 +234,7 @@ async def test_a_flood_is_taken_by_turns_and_whole() -> None:
 
     async with served() as (path, end):
         _, writer = await asyncio.open_unix_connection(path)
-        body = [encode(Note("info", str(number))) for number in range(count)]
+        body = [encode(JournalNote("info", str(number))) for number in range(count)]
         writer.write(b"".join(struct.pack("<I", len(one)) + one for one in body))
         loop.call_soon(turns)
         await until(lambda: len(end.inbox) == count)
@@ -240,6 +242,6 @@ async def test_a_flood_is_taken_by_turns_and_whole() -> None:
     taken = [later - earlier for earlier, later in pairwise([*lengths, count])]
     # A reader that goes on and one that was woken may come in one turn.
     assert max(taken) <= 2 * AT_ONCE
-    assert [one.text for one in end.inbox if isinstance(one, Note)] == [
+    assert [one.text for one in end.inbox if isinstance(one, JournalNote)] == [
         str(number) for number in range(count)
     ]

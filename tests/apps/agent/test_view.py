@@ -23,9 +23,9 @@ from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import VERSION, Hello, LeaseChanged, State
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.agent.view import Hearing
-from m100link.apps.mavlink.translator.codec import Message, write_frame
+from m100link.apps.mavlink.translator.codec import MavlinkMessage, write_frame
 from m100link.apps.mavlink.translator.modes import MODES, Mode
-from m100link.apps.mavlink.translator.numbers import Command
+from m100link.apps.mavlink.translator.numbers import MavCommand
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
     Attitude,
@@ -361,13 +361,13 @@ async def test_a_setpoint_of_mavlink_is_a_few_calls() -> None:
         await rig.ground.fly()
         rig.ground.send("SET_POSITION_TARGET_LOCAL_NED", **fields)
         row = MODES[Mode.OFFBOARD]
-        rig.ground.command(Command.DO_SET_MODE, 1, row.main, row.sub)
+        rig.ground.command(MavCommand.DO_SET_MODE, 1, row.main, row.sub)
         for _ in range(20):
             rig.ground.send("SET_POSITION_TARGET_LOCAL_NED", **fields)
             await anyio.sleep(0.05)
         assert rig.speed > 0.3
         frame = write_frame(
-            Message("SET_POSITION_TARGET_LOCAL_NED", fields, component=190),
+            MavlinkMessage("SET_POSITION_TARGET_LOCAL_NED", fields, component=190),
             system=rig.ground.system,
             sequence=1,
         )

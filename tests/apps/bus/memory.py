@@ -16,10 +16,10 @@ from typing import Any, TypeVar
 
 from m100link.apps.bus.network import (
     DEPTH,
-    Answer,
     Held,
     Inbox,
     Outlet,
+    QueryAnswer,
     Question,
     Received,
     TokenChange,
@@ -106,7 +106,7 @@ class _Asking:
     """A question on its way to each who serves its key, and what they answer on its way back."""
 
     def __init__(
-        self, asker: MemoryBus, key: str, payload: bytes, hear: Callable[[Answer], None]
+        self, asker: MemoryBus, key: str, payload: bytes, hear: Callable[[QueryAnswer], None]
     ) -> None:
         network = self._network = asker.network
         self._asker, self._hear = asker, hear
@@ -125,7 +125,7 @@ class _Asking:
         self, one: _Declared, key: str, payload: bytes, _attachment: bytes | None = None
     ) -> None:
         def arrive() -> None:
-            self._hear(Answer(key, payload, one.session.session))
+            self._hear(QueryAnswer(key, payload, one.session.session))
             self._end(one)
 
         self._network.carry(one.session, self._asker, arrive)
@@ -310,11 +310,11 @@ class MemoryBus:
         _Asking(self, key, b"", lambda _: inbox.waiting.append(True))
         return inbox
 
-    async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:
+    async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[QueryAnswer]:
         """Ask everybody who serves it."""
-        answers: dict[tuple[str, str], Answer] = {}
+        answers: dict[tuple[str, str], QueryAnswer] = {}
 
-        def hear(answer: Answer) -> None:
+        def hear(answer: QueryAnswer) -> None:
             answers[answer.session, answer.key] = answer
 
         asking = _Asking(self, key, payload, hear)

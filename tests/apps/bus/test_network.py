@@ -14,13 +14,13 @@ from m100link.apps.bus import network
 from m100link.apps.bus.network import (
     AT_ONCE,
     TURN,
+    BatchingPublisher,
     Bundle,
     Inbox,
-    Looks,
     Outlet,
-    Patient,
-    Queue,
+    PollingReader,
     Ring,
+    ThreadQueue,
 )
 from m100link.sim.clock import virtual_clock_loop
 from tests.apps.bus.memory import fits
@@ -83,7 +83,7 @@ def bundle() -> Bundle:
 
 async def test_messages_go_together_and_none_later_than_it_may() -> None:
     one, sink = bundle(), Sink()
-    slow, fast = Patient(sink, one, 0.1), Patient(sink, one, 0.02)
+    slow, fast = BatchingPublisher(sink, one, 0.1), BatchingPublisher(sink, one, 0.02)
     begin = anyio.current_time()
     slow.put(b"0")
     await anyio.sleep(0.05)
@@ -100,7 +100,7 @@ async def test_messages_go_together_and_none_later_than_it_may() -> None:
 
 async def test_many_go_in_pieces_and_in_their_order() -> None:
     sink = Sink()
-    outlet = Patient(sink, bundle(), 0.02)
+    outlet = BatchingPublisher(sink, bundle(), 0.02)
     for number in range(1000):
         outlet.put(b"%d" % number)
     await anyio.sleep(0.1)
@@ -110,7 +110,7 @@ async def test_many_go_in_pieces_and_in_their_order() -> None:
 
 async def test_what_is_made_later_is_made_as_it_goes_and_harms_no_other() -> None:
     sink = Sink()
-    outlet = Patient(sink, bundle(), 0.02)
+    outlet = BatchingPublisher(sink, bundle(), 0.02)
     begin = anyio.current_time()
 
     def late() -> bytes:
@@ -130,7 +130,7 @@ async def test_what_is_made_later_is_made_as_it_goes_and_harms_no_other() -> Non
 
 async def test_what_waits_goes_before_its_outlet_ends() -> None:
     sink = Sink()
-    outlet = Patient(sink, bundle(), 10.0)
+    outlet = BatchingPublisher(sink, bundle(), 10.0)
     for number in range(200):
         outlet.put(b"%d" % number)
     assert outlet.is_wanted()
@@ -171,7 +171,7 @@ async def test_a_ring_is_looked_at_until_it_is_closed(
             raise ValueError("what one message leads to does not happen to the next one")
         found.append(one)
 
-    looks = Looks(channel, Ring(channel, int, AT_ONCE, EOFError), take, 0.02)
+    looks = PollingReader(channel, Ring(channel, int, AT_ONCE, EOFError), take, 0.02)
     channel.has = list(range(2 * AT_ONCE))
     await anyio.sleep(0.019)
     assert found == []  # they wait for others
@@ -187,7 +187,7 @@ async def test_a_ring_is_looked_at_until_it_is_closed(
 
 async def test_of_too_much_in_a_queue_the_oldest_is_lost() -> None:
     found: list[int] = []
-    queue = Queue(asyncio.get_running_loop(), found.append, 5)
+    queue = ThreadQueue(asyncio.get_running_loop(), found.append, 5)
     await anyio.to_thread.run_sync(partial(list, map(queue.put, range(3))))
     await anyio.sleep(0.1)
     assert found == [0, 1, 2]
@@ -219,10 +219,10 @@ async def test_what_is_dear_to_read_leaves_turns_to_others(
             return list(found)
 
     monkeypatch.setattr(network, "perf_counter", lambda: clock)
-    queue = Queue(loop, take, 1000)
+    queue = ThreadQueue(loop, take, 1000)
     for number in range(100):
         queue.put(number)
-    looks = Looks(Sink(), Full(), take, 0.0)
+    looks = PollingReader(Sink(), Full(), take, 0.0)
     while len(taken) < 200:
         began = clock
         await asyncio.sleep(0)

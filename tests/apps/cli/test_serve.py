@@ -28,11 +28,11 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
 from m100link.apps.cli.serve import StationOptions, _announce, aircraft_of
-from m100link.apps.mavlink.translator.codec import Message, Reading, write_frame
+from m100link.apps.mavlink.translator.codec import MavlinkMessage, MessageReader, write_frame
 from m100link.apps.station import log_output
 from m100link.apps.station.config import Settings
 from m100link.apps.station.listeners import FRONTS, Sockets, listen
-from m100link.apps.station.log_output import Teller
+from m100link.apps.station.log_output import FlightProgress
 from m100link.errors import M100Error
 from tests.apps.cli.conftest import CommandLine
 from tests.apps.station.test_run import Pilot
@@ -409,7 +409,7 @@ def test_what_is_not_read_holds_up_nobody(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(log_output, "_LAST_WORDS", PATIENCE)  # the machine may hold up the thread
     told: list[int] = []
     stopped = threading.Event()
-    with Teller("talk", 200) as teller:
+    with FlightProgress("talk", 200) as teller:
         teller.do(lambda: told.append(1))
         teller.do(partial(stopped.wait, PATIENCE))  # Ctrl-S
         for number in range(2000):
@@ -424,7 +424,7 @@ def test_a_closed_pipe_ends_the_talk_and_nothing_else() -> None:
         raise BrokenPipeError
 
     told: list[int] = []
-    with Teller("talk", 200) as teller:
+    with FlightProgress("talk", 200) as teller:
         teller.do(broken)
         teller.do(lambda: told.append(1))
     assert told == []
@@ -449,12 +449,12 @@ def test_a_ground_station_sees_the_aircraft_and_sigterm_ends_it() -> None:
         address = ("127.0.0.1", int(found[1]))
         station.bind(("127.0.0.1", 0))
         station.settimeout(PATIENCE)
-        beat = write_frame(Message("HEARTBEAT", {"type": 6}), system=255, sequence=0)
+        beat = write_frame(MavlinkMessage("HEARTBEAT", {"type": 6}), system=255, sequence=0)
         names: set[str] = set()
         ends = time.monotonic() + PATIENCE
         while not {"HEARTBEAT", "HOME_POSITION", "ATTITUDE"} <= names and time.monotonic() < ends:
             station.sendto(beat, address)
-            names |= {one.name for one in Reading(station.recv(2048))}
+            names |= {one.name for one in MessageReader(station.recv(2048))}
         assert {"HEARTBEAT", "HOME_POSITION", "ATTITUDE"} <= names
         bridge.send_signal(signal.SIGTERM)
         assert bridge.wait(PATIENCE) == 0

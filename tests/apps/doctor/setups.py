@@ -92,7 +92,12 @@ def _speak(*args: Any, **options: Any) -> Callable[[Bench], None]:
 
 _PORT = (
     SetUp(
-        *("there is no such port", Stage.PORT, "there is no device", "the adapter is not plugged"),
+        *(
+            "there is no such port",
+            Stage.PORT,
+            "there is no device",
+            "the adapter is not plugged",
+        ),
         *(3, "/dev/ttyUSB99"),
     ),
     SetUp(
@@ -105,7 +110,12 @@ _PORT = (
         lambda bench: bench.machine.write(".dockerenv", ""),
     ),
     SetUp(
-        *("a folder of that name", Stage.PORT, "is not a serial port", "a file or a folder"),
+        *(
+            "a folder of that name",
+            Stage.PORT,
+            "is not a serial port",
+            "a file or a folder",
+        ),
         *(3, "/tmp"),
     ),
     SetUp(
@@ -254,7 +264,11 @@ _LINE = (
     ),
     SetUp(
         "TX and RX of the adapter are joined",
-        *(Stage.FRAMES, "what was sent comes back", "TX and RX of this adapter are joined"),
+        *(
+            Stage.FRAMES,
+            "what was sent comes back",
+            "TX and RX of this adapter are joined",
+        ),
         *(4, "sim://", _speak(b"", lambda heard: heard)),
     ),
     SetUp(
@@ -335,7 +349,12 @@ _AIRCRAFT = (
     ),
     SetUp(
         "the phone has no network",
-        *(Stage.ACTIVATION, "the DJI app has no internet", "the server is reached through", 5),
+        *(
+            Stage.ACTIVATION,
+            "the DJI app has no internet",
+            "the server is reached through",
+            5,
+        ),
         *("sim://", _order("app internet=off"), APP),
     ),
     SetUp(

@@ -115,7 +115,12 @@ def noise(count: int) -> bytes:
     [
         # Three damaged frames are what opening a port in the middle of one makes.
         (FRAME * 100 + DAMAGED * 3, Stage.FRAMES, Verdict.GOOD, "100 frames"),
-        (FRAME * 100 + DAMAGED * 4, Stage.FRAMES, Verdict.DOUBTFUL, "100 frames with good"),
+        (
+            FRAME * 100 + DAMAGED * 4,
+            Stage.FRAMES,
+            Verdict.DOUBTFUL,
+            "100 frames with good",
+        ),
         # Of more frames, two of a hundred.
         (FRAME * 300 + DAMAGED * 6, Stage.FRAMES, Verdict.GOOD, "300 frames"),
         (FRAME * 300 + DAMAGED * 7, Stage.FRAMES, Verdict.DOUBTFUL, "and 7 damaged ones"),
@@ -124,8 +129,18 @@ def noise(count: int) -> bytes:
         (FRAME * 95 + noise(321), Stage.FRAMES, Verdict.DOUBTFUL, "321 of 6401 bytes"),
         # Few frames among more noise may be older than the line.
         (FRAME * 10 + noise(640), Stage.FRAMES, Verdict.DOUBTFUL, "640 of 1280 bytes"),
-        (FRAME * 10 + noise(641), Stage.FRAMES, Verdict.FAILED, "may have waited in the port"),
-        (FRAME * 128 + noise(9000), Stage.FRAMES, Verdict.FAILED, "the 128 that are valid"),
+        (
+            FRAME * 10 + noise(641),
+            Stage.FRAMES,
+            Verdict.FAILED,
+            "may have waited in the port",
+        ),
+        (
+            FRAME * 128 + noise(9000),
+            Stage.FRAMES,
+            Verdict.FAILED,
+            "the 128 that are valid",
+        ),
         (FRAME * 129 + noise(9000), Stage.FRAMES, Verdict.DOUBTFUL, "129 frames"),
         (FRAME + noise(100), Stage.FRAMES, Verdict.FAILED, "the 1 that are valid"),
         # A wire that is joined to nothing picks up little.

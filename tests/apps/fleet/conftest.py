@@ -13,13 +13,13 @@ from m100link.aircraft import Aircraft
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.server.agent import Agent
-from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.order_log import Ledger, MemoryLedger
-from m100link.apps.fleet.publisher import AgentTold
+from m100link.apps.fleet.order_log import Ledger, MemoryOrderLog
+from m100link.apps.fleet.publisher import StatePublisher
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft
@@ -62,7 +62,7 @@ class OnBoard:
                     leases_before=self.ledger.leases_before,
                 )
             )
-            self.service = Service(self.agent)
+            self.service = AgentServer(self.agent)
             ours, its = self.channels = memory_channels(as_bytes=True)
             self.service.attach(its)
             self.client = await stack.enter_async_context(AgentClient(ours, "fleet"))
@@ -89,8 +89,8 @@ class OnBoard:
 
     async def next(self, **options: Any) -> OnBoard:
         """The agent after the one that was killed, with the same aircraft and ledger."""
-        assert isinstance(self.ledger, MemoryLedger)
-        ledger = MemoryLedger(self.ledger)
+        assert isinstance(self.ledger, MemoryOrderLog)
+        ledger = MemoryOrderLog(self.ledger)
         return await self.rig.aircraft(self.name, virtual=self.aircraft, ledger=ledger, **options)
 
     @property
@@ -119,7 +119,7 @@ class Rig:
 
     async def aircraft(self, name: str, *, ledger: Ledger | None = None, **options: Any) -> OnBoard:
         virtual = options.pop("virtual", None) or VirtualAircraft(seed=5)
-        one = OnBoard(self, name, virtual, ledger or MemoryLedger())
+        one = OnBoard(self, name, virtual, ledger or MemoryOrderLog())
         return await self.stack.enter_async_context(one.running(**options))
 
     def cut(self, fleet: Fleet) -> None:
@@ -133,7 +133,7 @@ class Rig:
     async def served(self, name: str, **options: Any) -> OnBoard:
         """An aircraft whose agent tells fronts that are elsewhere, too."""
         one = await self.aircraft(name, **options)
-        told = AgentTold(one.client, one.bus, Keys(SITE, name), one.fleet_agent.boot)
+        told = StatePublisher(one.client, one.bus, Keys(SITE, name), one.fleet_agent.boot)
         one.agent.background.spawn(told.run(), "fronts")
         await anyio.sleep(0.01)  # it begins
         return one

@@ -19,17 +19,17 @@ from m100link.apps.fleet.expiry import Dropped
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.logs.service import LogService
 from m100link.apps.fleet.logs.words import unpack_reply
-from m100link.apps.fleet.order_log import MemoryLedger
+from m100link.apps.fleet.order_log import MemoryOrderLog
 from m100link.apps.fleet.payloads import (
     Card,
     Half,
     LeaseRequest,
     LeaveShow,
     LogQuestion,
-    Order,
+    OrderMessage,
+    OrderReply,
     Outcome,
     Progress,
-    Reply,
     TakePlace,
     What,
     pack,
@@ -51,21 +51,21 @@ KEYS = Keys(SITE, "a1")
 NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 
 
-def order(message: orders.Order, fence: int = 0, token: str = "", key: bytes = b"") -> Order:
+def order(message: orders.Order, fence: int = 0, token: str = "", key: bytes = b"") -> OrderMessage:
     """Made now: agents on virtual time go by the clock of the loop."""
     now = anyio.current_time()
     head = (uuid.uuid4().hex, SITE, "a1", "by hand", fence, 1.8e9)
-    return Order(*head, message, now, key=key).under(token)
+    return OrderMessage(*head, message, now, key=key).under(token)
 
 
-async def send(rig: Rig, what: Order, key: str = KEYS.command) -> Reply:
+async def send(rig: Rig, what: OrderMessage, key: str = KEYS.command) -> OrderReply:
     """One question, and until it is over what became of it."""
     bus = rig.network.session()
     [answer] = await bus.ask(key, pack(what), timeout=2.0)
-    reply: Reply = unpack(Reply, answer.payload)
+    reply: OrderReply = unpack(OrderReply, answer.payload)
     while reply.progress is Progress.RUNNING:
         [answer] = await bus.ask(KEYS.status(what.id), timeout=2.0)
-        reply = unpack(Reply, answer.payload)
+        reply = unpack(OrderReply, answer.payload)
     return reply
 
 
@@ -94,7 +94,7 @@ async def in_the_air(rig: Rig, one: OnBoard) -> Lease:
     return got
 
 
-async def keep(rig: Rig, got: Lease) -> Reply:
+async def keep(rig: Rig, got: Lease) -> OrderReply:
     renewal = order(orders.RenewLease(), got.number, got.token)
     return await send(rig, renewal, KEYS.lease)
 
@@ -179,14 +179,14 @@ async def test_an_order_that_comes_twice_is_carried_out_once(rig: Rig) -> None:
 
 
 async def test_after_a_restart_what_had_begun_is_unknown_and_not_done_again(rig: Rig) -> None:
-    ledger = MemoryLedger()
+    ledger = MemoryOrderLog()
     task = order(orders.TakeOff())
     await ledger.begin(task.id)
-    await rig.aircraft("a1", ledger=MemoryLedger(ledger))
+    await rig.aircraft("a1", ledger=MemoryOrderLog(ledger))
     reply = await send(rig, task)
     assert reply.outcome is Outcome.UNKNOWN
     [answer] = await rig.network.session().ask(KEYS.status(task.id), timeout=1.0)
-    assert unpack(Reply, answer.payload).outcome is Outcome.UNKNOWN
+    assert unpack(OrderReply, answer.payload).outcome is Outcome.UNKNOWN
 
 
 async def test_where_words_of_the_ledger_are_lost_orders_of_before_are_unknown_and_not_done(
@@ -195,14 +195,14 @@ async def test_where_words_of_the_ledger_are_lost_orders_of_before_are_unknown_a
     """Each of them may be one of those that were begun."""
     before = order(orders.TakeOff(), 7, "of the agent before")
     await anyio.sleep(1.0)
-    damaged = MemoryLedger()
+    damaged = MemoryOrderLog()
     damaged.damaged = 2
     one = await rig.aircraft("a1", virtual=with_camera(), ledger=damaged)
     assert [e.text[:34] for e in one.client.events if "ledger" in e.text] == [
         "2 words of the ledger are damaged "
     ]
     [answer] = await rig.network.session().ask(KEYS.status(before.id), timeout=1.0)
-    assert unpack(Reply, answer.payload).progress is Progress.NEVER, "it may be sent again"
+    assert unpack(OrderReply, answer.payload).progress is Progress.NEVER, "it may be sent again"
     assert (await send(rig, before)).outcome is Outcome.UNKNOWN
     await one.agent.ask(orders.Activate())
     got = await lease(rig)
@@ -234,7 +234,7 @@ async def test_what_the_owner_of_the_aircraft_takes_with_it_is_unknown(rig: Rig)
 async def test_what_was_never_heard_is_told_as_that(rig: Rig) -> None:
     await rig.aircraft("a1")
     [answer] = await rig.network.session().ask(KEYS.status("ab" * 16), timeout=1.0)
-    assert unpack(Reply, answer.payload).progress is Progress.NEVER
+    assert unpack(OrderReply, answer.payload).progress is Progress.NEVER
 
 
 async def test_movement_needs_the_lease_and_its_proof(rig: Rig) -> None:
@@ -331,7 +331,7 @@ async def test_a_landing_that_nobody_waits_for_is_not_begun_but_any_stop_is_done
 
 
 async def test_a_take_off_that_waits_for_the_disk_is_revoked_by_a_landing(rig: Rig) -> None:
-    class Slow(MemoryLedger):
+    class Slow(MemoryOrderLog):
         async def begin(self, identity: str) -> None:
             await anyio.sleep(1.0)
 
@@ -352,18 +352,18 @@ async def test_strangers_reach_neither_disk_nor_memory(rig: Rig) -> None:
     for identity in ("", "x" * 4000, "ab" * 15 + "/*", "AB" * 16):
         bad = replace(order(orders.Stop()), id=identity)
         [answer] = await rig.network.session().ask(KEYS.command, pack(bad), timeout=2.0)
-        assert unpack(Reply, answer.payload).outcome is Outcome.REFUSED
+        assert unpack(OrderReply, answer.payload).outcome is Outcome.REFUSED
     assert (await send(rig, order(orders.TakeOff()))).outcome is Outcome.STALE_LEASE
     assert one.ledger.begun == {}
 
 
 async def test_fences_rise_over_a_restart(rig: Rig) -> None:
-    ledger = MemoryLedger()
+    ledger = MemoryOrderLog()
     one = await rig.aircraft("a1", ledger=ledger)
     before = await lease(rig)
     one.work.cancel()
     await anyio.sleep(0.1)
-    await rig.aircraft("a1", ledger=MemoryLedger(ledger))
+    await rig.aircraft("a1", ledger=MemoryOrderLog(ledger))
     after = await lease(rig)
     assert after.number > before.number
 
@@ -423,7 +423,7 @@ async def test_a_setpoint_flies_once_and_not_after_a_newer_one(rig: Rig) -> None
 
 
 async def test_an_order_for_another_aircraft_and_one_that_is_not_admitted(rig: Rig) -> None:
-    def verify(one: Order) -> None:
+    def verify(one: OrderMessage) -> None:
         if one.by == "stranger":
             raise NotAllowed("stranger may not")
 
@@ -441,7 +441,7 @@ async def test_what_cannot_be_read_is_answered(rig: Rig) -> None:
     await rig.aircraft("a1")
     for payload in (b"", b"\x02{}", b"\x01" + pack(order(orders.Stop()))[1:]):
         [answer] = await rig.network.session().ask(KEYS.command, payload, timeout=1.0)
-        reply: Reply = unpack(Reply, answer.payload)
+        reply: OrderReply = unpack(OrderReply, answer.payload)
         assert reply.outcome is Outcome.REFUSED
         assert reply.fault is not None
 
@@ -449,7 +449,7 @@ async def test_what_cannot_be_read_is_answered(rig: Rig) -> None:
 async def test_two_agents_of_one_name_are_refused(rig: Rig) -> None:
     one = await rig.aircraft("a1")
     await anyio.sleep(0.1)
-    twin = FleetAgent(one.client, rig.network.session(), KEYS, MemoryLedger())
+    twin = FleetAgent(one.client, rig.network.session(), KEYS, MemoryOrderLog())
     with pytest.raises(UsageError, match="there already"):
         await twin.require_alone()
 
@@ -504,7 +504,9 @@ async def test_an_old_pilot_is_told_both_versions_and_nothing_is_done(rig: Rig) 
     await anyio.sleep(0.1)
     for key, payload in OLD_ORDERS.items():
         [answer] = await bus.ask(KEYS.of(key), payload, timeout=2.0)
-        reply = unpack_reply(answer.payload)[0] if key == "log" else unpack(Reply, answer.payload)
+        reply = (
+            unpack_reply(answer.payload)[0] if key == "log" else unpack(OrderReply, answer.payload)
+        )
         assert (reply.id, reply.outcome) == ("", Outcome.REFUSED)
         assert reply.fault is not None
         assert (reply.fault.kind, reply.fault.seen) == ("MessageError", BOTH)
@@ -519,7 +521,7 @@ async def test_what_is_asked_under_the_key_of_something_else_is_not_done(rig: Ri
     one = await rig.aircraft("a1")
     head = (SITE, "a1", "eve", 0, 1.8e9)
     for asked in (LogQuestion(What.LIST), TakePlace("r"), LeaveShow("r")):
-        made = Order(uuid.uuid4().hex, *head, asked, one.client.now)
+        made = OrderMessage(uuid.uuid4().hex, *head, asked, one.client.now)
         for key in (KEYS.command, KEYS.lease):
             reply = await send(rig, made, key)
             assert reply.outcome is Outcome.REFUSED

@@ -16,11 +16,19 @@ import pytest
 from m100link.apps.agent import orders
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import MessageError
-from m100link.apps.bus.network import Answer, Bus, Question
+from m100link.apps.bus.network import Bus, QueryAnswer, Question
 from m100link.apps.fleet.asking import PATIENCE_S, STEP_S, Asker, Questions, believed, clocks_told
 from m100link.apps.fleet.client import Fleet, open_fleet
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.payloads import Order, Outcome, Progress, Reply, outcome_of, pack, unpack
+from m100link.apps.fleet.payloads import (
+    OrderMessage,
+    OrderReply,
+    Outcome,
+    Progress,
+    outcome_of,
+    pack,
+    unpack,
+)
 from m100link.errors import M100Error, OutcomeUnknown, Unreachable
 from tests.apps.bus.memory import MemoryBus, MemoryNetwork, Weather
 from tests.apps.bus.pair import free_place, until
@@ -98,7 +106,7 @@ class OnlyStatus:
     def __init__(self, bus: MemoryBus) -> None:
         self._bus = bus
 
-    async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:
+    async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[QueryAnswer]:
         if "/status/" in key:
             return await self._bus.ask(key, payload, timeout=timeout)
         return []
@@ -167,7 +175,7 @@ class Forgetful:
     def __init__(self, seed: int, forgets_after: float) -> None:
         self.chance = random.Random(seed)
         self.begun: list[float] = []  # when the order was carried out
-        self.heard: dict[str, tuple[Order, float]] = {}  # by id: until when it runs
+        self.heard: dict[str, tuple[OrderMessage, float]] = {}  # by id: until when it runs
         self.forgets_at = anyio.current_time() + forgets_after
         self.has_told = False  # that it has begun, in an answer that came
         self.sent_after_told = 0  # how often the order was sent all the same
@@ -175,7 +183,7 @@ class Forgetful:
     async def tokens(self, pattern: str, *, timeout: float) -> list[str]:
         return [Keys(SITE, "a1").live_by("a")]
 
-    async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:
+    async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[QueryAnswer]:
         # What was sent when nothing was told yet may arrive whenever it likes.
         self.sent_after_told += bool(payload) and self.has_told
         try:
@@ -186,27 +194,27 @@ class Forgetful:
         except TimeoutError:
             return []
         self.has_told = self.has_told or reply.progress is not Progress.NEVER
-        return [Answer(key, pack(reply), "a")]
+        return [QueryAnswer(key, pack(reply), "a")]
 
     async def _travel(self) -> None:
         is_lost = self.chance.random() < 0.15
         await asyncio.sleep(60.0 if is_lost else self.chance.choice((0.01, 0.2, 3.0)))
 
-    def _answer(self, key: str, payload: bytes) -> Reply:
+    def _answer(self, key: str, payload: bytes) -> OrderReply:
         now = anyio.current_time()
         if now >= self.forgets_at:
             self.heard, self.forgets_at = {}, math.inf
         if payload:
-            order: Order = unpack(Order, payload)
+            order: OrderMessage = unpack(OrderMessage, payload)
             if order.id not in self.heard:
                 self.heard[order.id] = order, now + self.chance.uniform(0.0, 6.0)
                 self.begun.append(now)
         identity = key.rpartition("/")[2] if "/status/" in key else order.id
         if identity not in self.heard:
-            return Reply(identity, "a1", "boot", Progress.NEVER)
+            return OrderReply(identity, "a1", "boot", Progress.NEVER)
         order, until = self.heard[identity]
         progress = Progress.RUNNING if now < until else Progress.DONE
-        return Reply(identity, "a1", "boot", progress, Outcome.OK, order=order.digest())
+        return OrderReply(identity, "a1", "boot", progress, Outcome.OK, order=order.digest())
 
 
 @pytest.mark.parametrize("seed", range(60))
@@ -228,13 +236,13 @@ async def test_what_has_begun_is_not_sent_again_to_an_agent_that_forgot_it(seed:
 
 
 KEYS = Keys("field", "a1")
-OK = Reply("id", "a1", "boot", Progress.DONE, Outcome.OK, clock=5.0)
+OK = OrderReply("id", "a1", "boot", Progress.DONE, Outcome.OK, clock=5.0)
 REFUSED = replace(OK, outcome=Outcome.REFUSED)
 
 
-def answer(reply: Reply | bytes, session: str = "a") -> Answer:
+def answer(reply: OrderReply | bytes, session: str = "a") -> QueryAnswer:
     payload = reply if isinstance(reply, bytes) else pack(reply)
-    return Answer(KEYS.command, payload, session)
+    return QueryAnswer(KEYS.command, payload, session)
 
 
 @pytest.mark.parametrize(
@@ -269,7 +277,7 @@ def answer(reply: Reply | bytes, session: str = "a") -> Answer:
     ],
 )
 def test_believed_is_one_word_of_the_session_that_shows_the_token(
-    answers: list[Answer], sessions: str, expected: Reply | type[Exception] | None
+    answers: list[QueryAnswer], sessions: str, expected: OrderReply | type[Exception] | None
 ) -> None:
     if expected is OutcomeUnknown:
         with pytest.raises(OutcomeUnknown):
@@ -295,8 +303,8 @@ class Voice:
 
     def _answer(self, question: Question) -> None:
         self.heard += 1
-        order: Order = unpack(Order, question.payload)
-        told = Reply(order.id, "a1", "boot", Progress.DONE, self.outcome, clock=1.0)
+        order: OrderMessage = unpack(OrderMessage, question.payload)
+        told = OrderReply(order.id, "a1", "boot", Progress.DONE, self.outcome, clock=1.0)
         question.answer(KEYS.command, pack(told))
 
 

@@ -11,7 +11,7 @@ import pytest
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease, LeaseHeld
-from m100link.apps.agent.messages import LeaseChanged, State, Topic
+from m100link.apps.agent.messages import EventTopic, LeaseChanged, State
 from m100link.apps.agent.orders import FlyTo
 from m100link.apps.agent.view import Hearing
 from m100link.apps.fleet.client import Fleet
@@ -266,7 +266,7 @@ async def test_however_much_waits_for_answers_stop_goes_out(rig: Rig) -> None:
         await anyio.sleep(0.1)
         rig.network.join(one.bus)
         await far.stop()
-        assert any(event.topic is Topic.STOPPED for event in one.client.events)
+        assert any(event.topic is EventTopic.STOPPED for event in one.client.events)
 
 
 async def wasted(far: AgentClient, lease: Lease, here: Position) -> None:

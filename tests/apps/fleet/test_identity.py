@@ -24,7 +24,7 @@ from m100link.apps.fleet.identity import (
     Rights,
     Signer,
 )
-from m100link.apps.fleet.payloads import Order, pack
+from m100link.apps.fleet.payloads import OrderMessage, pack
 from m100link.errors import UsageError
 
 NOW = 1_800_000_000.0
@@ -47,12 +47,12 @@ NEEDS = {Right.WATCH: orders.AskVersion(), Right.STOP: orders.Stop(), Right.FLY:
 """An order for each right."""
 
 
-def order(number: str = "1", **changes: Any) -> Order:
-    made = Order(number, "field", "a1", "anna", 7, NOW, orders.TakeOff(), signer="anna")
+def order(number: str = "1", **changes: Any) -> OrderMessage:
+    made = OrderMessage(number, "field", "a1", "anna", 7, NOW, orders.TakeOff(), signer="anna")
     return replace(made, **changes)
 
 
-def signed(made: Order, signer: Signer = ANNA) -> Order:
+def signed(made: OrderMessage, signer: Signer = ANNA) -> OrderMessage:
     return made.sealed(signature=signer.sign(made))
 
 
@@ -61,7 +61,7 @@ def gate(aircraft: str = "a1") -> Gate:
 
 
 def reason(
-    made: Order,
+    made: OrderMessage,
     signature: bytes | None = None,
     *,
     right: Right | None = None,
@@ -106,7 +106,9 @@ def test_what_is_signed_is_as_the_manual_says() -> None:
     assert pack(signed(made)) == b"\3" + ANNA.sign(made) + proof + document
 
 
-@pytest.mark.parametrize("field", [one.name for one in fields(Order) if one.name != "signature"])
+@pytest.mark.parametrize(
+    "field", [one.name for one in fields(OrderMessage) if one.name != "signature"]
+)
 def test_whatever_is_changed_breaks_the_signature(field: str) -> None:
     changes: dict[str, Any] = {
         **{"id": "2", "site": "wood", "aircraft": "a2", "by": "bert", "fence": 8, "at": NOW + 1},
@@ -219,7 +221,7 @@ def test_what_was_refused_uses_up_no_id() -> None:
 def test_nothing_is_obeyed_twice_whatever_is_repeated_when(seed: int) -> None:
     """A recorder repeats anything at any time; its memory is not the agent's."""
     chance, one, now = random.Random(seed), gate(), NOW
-    recorded: list[Order] = []
+    recorded: list[OrderMessage] = []
     obeyed: set[str] = set()
     for number in range(1500):
         now += chance.expovariate(2)

@@ -10,8 +10,8 @@ import pytest
 
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.expiry import Dropped
-from m100link.apps.fleet.lost_link import INHERITED_S, KEPT_AGAIN_S, LostAction, LostPlan
-from m100link.apps.fleet.order_log import LeftAloft, MemoryLedger
+from m100link.apps.fleet.lost_link import INHERITED_S, KEPT_AGAIN_S, LostAction, LostLinkPlan
+from m100link.apps.fleet.order_log import LastFlightRecord, MemoryOrderLog
 from m100link.errors import FleetError, GuardRefused, M100Error, UsageError
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.fleet.conftest import OnBoard, Rig
@@ -47,7 +47,7 @@ async def test_hovers_within_two_seconds_and_the_lease_ends(rig: Rig) -> None:
 
 @pytest.mark.parametrize("action", ["land", "home"])
 async def test_lands_or_goes_home_when_that_is_configured(rig: Rig, action: LostAction) -> None:
-    plan = LostPlan(action, 3.0)
+    plan = LostLinkPlan(action, 3.0)
     one, pilot = await rig.aircraft("a1", lost=plan), await rig.pilot()
     await fly_and_be_cut(rig, one, pilot, seconds=30.0)
     cut_at = anyio.current_time()
@@ -59,7 +59,7 @@ async def test_lands_or_goes_home_when_that_is_configured(rig: Rig, action: Lost
 
 
 async def test_who_takes_control_meanwhile_keeps_it(rig: Rig) -> None:
-    one = await rig.aircraft("a1", lost=LostPlan("land", 5.0))
+    one = await rig.aircraft("a1", lost=LostLinkPlan("land", 5.0))
     pilot, other = await rig.pilot(), await rig.pilot("other")
 
     async with anyio.create_task_group() as group:
@@ -72,7 +72,7 @@ async def test_who_takes_control_meanwhile_keeps_it(rig: Rig) -> None:
 
 
 async def test_who_lets_go_is_not_lost(rig: Rig) -> None:
-    one, pilot = await rig.aircraft("a1", lost=LostPlan("land", 1.0)), await rig.pilot()
+    one, pilot = await rig.aircraft("a1", lost=LostLinkPlan("land", 1.0)), await rig.pilot()
     await pilot["a1"].take_off()
     await anyio.sleep(20.0)
     assert one.height > 1.0
@@ -97,7 +97,7 @@ async def lose_the_pilot(rig: Rig, one: OnBoard) -> None:
 
 async def test_a_lease_alone_flies_nothing_and_its_end_lands_nothing(rig: Rig) -> None:
     """Who takes the lease and is not heard again has not flown: the pilot with the remote does."""
-    one, pilot = await rig.aircraft("a1", lost=LostPlan("land", 1.0)), await rig.pilot()
+    one, pilot = await rig.aircraft("a1", lost=LostLinkPlan("land", 1.0)), await rig.pilot()
     await pilot["a1"].take_off()
     asker = pilot["a1"].asker
     await asker.take_lease(asker.lease_request())
@@ -106,7 +106,7 @@ async def test_a_lease_alone_flies_nothing_and_its_end_lands_nothing(rig: Rig) -
 
 
 async def test_a_pilot_of_any_name_is_somebody(rig: Rig) -> None:
-    one = await rig.aircraft("a1", lost=LostPlan("land", 3.0))
+    one = await rig.aircraft("a1", lost=LostLinkPlan("land", 3.0))
     other = await rig.pilot("pilot lost (land)")
     await lose_the_pilot(rig, one)
     async with other["a1"].control():
@@ -116,7 +116,7 @@ async def test_a_pilot_of_any_name_is_somebody(rig: Rig) -> None:
 
 @pytest.mark.parametrize("sign", ["stick", "mode", "stop", "lands already"])
 async def test_who_shows_that_he_is_there_is_left_alone(rig: Rig, sign: str) -> None:
-    one = await rig.aircraft("a1", lost=LostPlan("land", 3.0))
+    one = await rig.aircraft("a1", lost=LostLinkPlan("land", 3.0))
     other = await rig.pilot("other")
     await lose_the_pilot(rig, one)
     await anyio.sleep(1.0)
@@ -144,9 +144,9 @@ async def test_who_shows_that_he_is_there_is_left_alone(rig: Rig, sign: str) -> 
 
 def test_what_cannot_be_configured() -> None:
     with pytest.raises(UsageError, match="'dive'"):
-        LostPlan("dive")  # type: ignore[arg-type] # that is the test
+        LostLinkPlan("dive")  # type: ignore[arg-type] # that is the test
     with pytest.raises(UsageError, match="-1 s"):
-        LostPlan("land", -1.0)
+        LostLinkPlan("land", -1.0)
 
 
 async def test_a_stream_that_was_cut_for_less_than_the_lease_does_not_go_on(rig: Rig) -> None:
@@ -167,10 +167,10 @@ async def test_a_stream_that_was_cut_for_less_than_the_lease_does_not_go_on(rig:
 # -- an agent that is killed in flight takes its pilot with it: the next one does what that mea ----
 
 
-LAND = LostPlan("land", 3.0)
+LAND = LostLinkPlan("land", 3.0)
 
 
-async def killed_in_flight(rig: Rig, lost: LostPlan = LAND) -> OnBoard:
+async def killed_in_flight(rig: Rig, lost: LostLinkPlan = LAND) -> OnBoard:
     """A pilot flies north as the agent is killed."""
     one, pilot = await rig.aircraft("a1", lost=lost), await rig.pilot()
 
@@ -195,7 +195,7 @@ def said(one: OnBoard) -> str:
 
 @pytest.mark.parametrize("action", ["land", "home"])
 async def test_the_next_agent_does_what_was_configured(rig: Rig, action: LostAction) -> None:
-    plan = LostPlan(action, 3.0)
+    plan = LostLinkPlan(action, 3.0)
     one = await (await killed_in_flight(rig, plan)).next(lost=plan)
     began = anyio.current_time()
     await anyio.sleep(2.5)
@@ -207,12 +207,12 @@ async def test_the_next_agent_does_what_was_configured(rig: Rig, action: LostAct
     await rig.until(lambda: one.client.holder.number == 0)
     await anyio.sleep(0.1)
     assert one.ledger.aloft is not None
-    assert isinstance(one.ledger, MemoryLedger)
-    assert MemoryLedger(one.ledger).aloft is None
+    assert isinstance(one.ledger, MemoryOrderLog)
+    assert MemoryOrderLog(one.ledger).aloft is None
 
 
 async def test_one_that_hovers_by_its_plan_is_left_to_the_pilot_and_that_is_said(rig: Rig) -> None:
-    one = await (await killed_in_flight(rig, LostPlan())).next()
+    one = await (await killed_in_flight(rig, LostLinkPlan())).next()
     await anyio.sleep(60.0)
     assert one.height > 1.0
     assert "it is left to the pilot with the remote control" in said(one)
@@ -312,8 +312,8 @@ async def test_one_of_which_nobody_knows_who_flew_it_since_is_left_alone(
     rig: Rig, ago: float | None
 ) -> None:
     before = await killed_in_flight(rig)
-    assert isinstance(before.ledger, MemoryLedger)
-    ledger = MemoryLedger(before.ledger)
+    assert isinstance(before.ledger, MemoryOrderLog)
+    ledger = MemoryOrderLog(before.ledger)
     assert ledger.aloft is not None
     ledger.aloft = replace(ledger.aloft, ago_s=ago)
     one = await rig.aircraft("a1", virtual=before.aircraft, ledger=ledger, lost=LAND)
@@ -324,9 +324,9 @@ async def test_one_of_which_nobody_knows_who_flew_it_since_is_left_alone(
 
 async def test_a_line_that_comes_too_late_is_one_of_which_nobody_knows(rig: Rig) -> None:
     before = await killed_in_flight(rig)
-    assert isinstance(before.ledger, MemoryLedger)
-    ledger = MemoryLedger(before.ledger)
-    ledger.aloft = LeftAloft(1, INHERITED_S - 10.0)
+    assert isinstance(before.ledger, MemoryOrderLog)
+    ledger = MemoryOrderLog(before.ledger)
+    ledger.aloft = LastFlightRecord(1, INHERITED_S - 10.0)
     before.aircraft.unplug()
     one = OnBoard(rig, "a1", before.aircraft, ledger)
 
@@ -343,7 +343,7 @@ async def test_a_line_that_comes_too_late_is_one_of_which_nobody_knows(rig: Rig)
 
 
 async def test_it_is_written_again_while_it_flies_and_a_disk_that_fails_is_told(rig: Rig) -> None:
-    class Disk(MemoryLedger):
+    class Disk(MemoryOrderLog):
         is_full = False
         kept: list[int]
 

@@ -7,15 +7,15 @@ import asyncio
 import anyio
 import pytest
 
-from m100link.apps.fleet.agent import GONE_S, Namesakes
+from m100link.apps.fleet.agent import GONE_S, DuplicateNames
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.expiry import Dropped
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.payloads import (
     Asked,
-    Order,
+    OrderMessage,
+    OrderReply,
     Outcome,
-    Reply,
     StartShow,
     TakePlace,
     pack,
@@ -32,7 +32,7 @@ NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 
 
 def test_one_is_there_while_it_is_heard_again() -> None:
-    ones = Namesakes("a1", "mine")
+    ones = DuplicateNames("a1", "mine")
     for at in range(10):
         ones.hear("mine", float(at))
     ones.require_none(10.0)
@@ -48,7 +48,7 @@ def test_one_is_there_while_it_is_heard_again() -> None:
 
 
 def test_several_are_told_apart_and_do_not_fill_the_memory() -> None:
-    ones = Namesakes("a1", "mine")
+    ones = DuplicateNames("a1", "mine")
     for at in range(3):
         for boot in range(1000):
             ones.hear(f"{boot}", float(at))
@@ -94,7 +94,7 @@ async def test_what_a_pilot_flies_hovers_and_nobody_else_flies(rig: Rig) -> None
     for result in (await other.each(lambda aircraft: aircraft.take_off(), ["a1"])).values():
         assert result.outcome is not Outcome.OK
     assert twin.height < 0.1
-    assert twin.agent.desk.holder(twin.agent.now) is None
+    assert twin.agent.leases.holder(twin.agent.now) is None
     await other.land(["a1"])
     await rig.until(lambda: one.height < 0.1)
     rig.network.cut(twin.bus)
@@ -153,9 +153,9 @@ async def test_a_show_begins_with_neither(rig: Rig) -> None:
     asked: list[Asked] = [TakePlace("r"), StartShow("r", "", 1.0, 0.0)]
     for number, do in enumerate(asked):
         head = (f"{number:032x}", SITE, "a1", "anna", 0, 0.0)
-        order = Order(*head, do, one.client.now)
+        order = OrderMessage(*head, do, one.client.now)
         [answer] = await rig.network.session().ask(Keys(SITE, "a1").show, pack(order), timeout=1.0)
-        reply: Reply = unpack(Reply, answer.payload)
+        reply: OrderReply = unpack(OrderReply, answer.payload)
         assert reply.fault is not None
         assert "two agents" in reply.fault.seen
     running.cancel()

@@ -14,16 +14,16 @@ from m100link.apps.agent.messages import MessageError
 from m100link.apps.fleet.order_log import (
     FENCES_AT_ONCE,
     KEPT_S,
-    FileLedger,
-    LeftAloft,
+    FileOrderLog,
+    LastFlightRecord,
     Mark,
-    MemoryLedger,
-    OrderBook,
+    MemoryOrderLog,
+    OrderCache,
     seal,
     since_boot,
     words,
 )
-from m100link.apps.fleet.payloads import Outcome, Progress, Reply
+from m100link.apps.fleet.payloads import OrderReply, Outcome, Progress
 from m100link.errors import UsageError
 from tests.disk import Disk
 
@@ -35,8 +35,8 @@ def anyio_backend() -> str:
     return "asyncio"
 
 
-def opened(path: Path, utc: float, boot: str, up: float) -> FileLedger:
-    return FileLedger(path, lambda: utc, lambda: (boot, up))
+def opened(path: Path, utc: float, boot: str, up: float) -> FileOrderLog:
+    return FileOrderLog(path, lambda: utc, lambda: (boot, up))
 
 
 async def test_what_was_begun_is_known_by_the_next_run(tmp_path: Path) -> None:
@@ -76,7 +76,7 @@ async def test_what_is_from_before_the_computer_was_started_is_kept_as_long_agai
 async def test_the_file_does_not_grow_without_end(tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setattr("m100link.apps.fleet.order_log.MOST_KEPT", 100)
     path, up = tmp_path / "a1.jsonl", [0.0]
-    ledger = FileLedger(path, lambda: 0.0, lambda: ("boot", up[0]))
+    ledger = FileOrderLog(path, lambda: 0.0, lambda: ("boot", up[0]))
     sizes = set()
     await ledger.flies(17)
     for number in range(1000):
@@ -89,33 +89,33 @@ async def test_the_file_does_not_grow_without_end(tmp_path: Path, monkeypatch: A
     after = opened(path, 0.0, "boot", up[0])
     assert list(after.begun)[-1] == f"{999:032x}"
     assert len(after.begun) == 100
-    assert after.aloft == LeftAloft(17, up[0])
+    assert after.aloft == LastFlightRecord(17, up[0])
     assert after.leases_before >= 2 * FENCES_AT_ONCE
     after.close()
 
 
 def test_two_agents_have_two_ledgers(tmp_path: Path) -> None:
     path = tmp_path / "a1.jsonl"
-    first = FileLedger(path, lambda: 0.0)
+    first = FileOrderLog(path, lambda: 0.0)
     with pytest.raises(UsageError, match="another agent has it"):
-        FileLedger(path, lambda: 0.0)
-    FileLedger(tmp_path / "a2.jsonl", lambda: 0.0).close()
+        FileOrderLog(path, lambda: 0.0)
+    FileOrderLog(tmp_path / "a2.jsonl", lambda: 0.0).close()
     first.close()
-    FileLedger(path, lambda: 0.0).close()
+    FileOrderLog(path, lambda: 0.0).close()
 
 
 async def test_a_line_that_was_cut_off_is_no_order_and_harms_none(tmp_path: Path) -> None:
     path = tmp_path / "a1.jsonl"
-    ledger = FileLedger(path, lambda: 0.0)
+    ledger = FileOrderLog(path, lambda: 0.0)
     await ledger.begin("one")
     ledger.close()
     for damage in (b'{"id": "tw', b"\xff\xfe\n", b"[]\n", b'{"id": 7}\n', b'{"fence": "9"}\n'):
         path.write_bytes(path.read_bytes() + damage)
-        again = FileLedger(path, lambda: 1.0)
+        again = FileOrderLog(path, lambda: 1.0)
         assert "one" in again.begun
         assert again.damaged == damage.endswith(b"\n"), "what has no end was never kept"
         again.close()
-    again = FileLedger(path, lambda: 1.0)
+    again = FileOrderLog(path, lambda: 1.0)
     assert again.damaged == 0, "it was told once"
     again.close()
 
@@ -124,7 +124,7 @@ async def test_a_fence_is_never_granted_again(tmp_path: Path) -> None:
     path = tmp_path / "a1.jsonl"
     greatest = 0
     for _ in range(3):
-        ledger = FileLedger(path, lambda: 0.0)
+        ledger = FileOrderLog(path, lambda: 0.0)
         assert ledger.leases_before >= greatest
         for number in range(1, 2 * FENCES_AT_ONCE + 10):
             greatest = ledger.leases_before + number
@@ -135,15 +135,15 @@ async def test_a_fence_is_never_granted_again(tmp_path: Path) -> None:
 async def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(UsageError, match="file") as caught:
-        FileLedger(tmp_path / "file" / "a1.jsonl", lambda: 0.0)
+        FileOrderLog(tmp_path / "file" / "a1.jsonl", lambda: 0.0)
     assert "--ledger" in caught.value.remedy
 
 
 async def test_one_in_memory_does_the_same_for_a_virtual_aircraft() -> None:
-    first = MemoryLedger()
+    first = MemoryOrderLog()
     await first.begin("one")
     await first.granted(17)
-    second = MemoryLedger(first)
+    second = MemoryOrderLog(first)
     assert second.begun == {"one": 0.0}
     assert second.leases_before >= 17
 
@@ -164,7 +164,7 @@ async def test_who_flew_is_known_and_since_when_whatever_the_calendar_does(tmp_p
         (1030.0, "", 60.0, 30.0),  # it does not say which run this is
     ):
         again = opened(path, utc, boot, up)
-        assert again.aloft == LeftAloft(17, ago), (utc, boot, up)
+        assert again.aloft == LastFlightRecord(17, ago), (utc, boot, up)
         again.close()
     last = opened(path, 1000.0, "one", 70.0)
     await last.flies(0)
@@ -185,13 +185,13 @@ def sealed(*lines: str) -> str:
 def test_a_line_of_nonsense_lands_nobody(tmp_path: Path, line: str) -> None:
     path = tmp_path / "a1.jsonl"
     path.write_text(sealed(line))
-    ledger = FileLedger(path, lambda: 0.0)
+    ledger = FileOrderLog(path, lambda: 0.0)
     assert ledger.aloft is None
     ledger.close()
     path.with_suffix(".lock").unlink()
     path.write_text(sealed('{"flies": 17, "at": "x", "up": "y", "boot": 3}'))
-    ledger = FileLedger(path, lambda: 0.0)
-    assert ledger.aloft == LeftAloft(17, None)
+    ledger = FileOrderLog(path, lambda: 0.0)
+    assert ledger.aloft == LastFlightRecord(17, None)
     ledger.close()
 
 
@@ -242,11 +242,11 @@ async def test_who_flew_is_not_believed_where_a_later_word_is_lost(
     path.write_text(sealed(*(flies if word == "flies" else word for word in words)))
     path.with_suffix(".lock").write_bytes(bytes(Mark(len(words), 1)))
     ledger = opened(path, 1001.0, "boot", 51.0)
-    assert ledger.aloft == LeftAloft(17, ago_s)
+    assert ledger.aloft == LastFlightRecord(17, ago_s)
     ledger.close()
 
 
-async def full(path: Path) -> FileLedger:
+async def full(path: Path) -> FileOrderLog:
     """One that knows an order, and who flies."""
     ledger = opened(path, 1000.0, "boot", 50.0)
     await ledger.begin("one")
@@ -280,7 +280,7 @@ async def test_a_ledger_that_goes_while_the_agent_runs_is_made_again_and_told(
     ledger.close()
     again = opened(path, 1000.0, "boot", 51.0)
     assert list(again.begun) == ["one", "two", "three"]
-    assert again.aloft == LeftAloft(17, 1.0)
+    assert again.aloft == LastFlightRecord(17, 1.0)
     assert again.damaged == 0
     again.close()
 
@@ -300,7 +300,7 @@ async def test_a_ledger_that_went_while_no_agent_ran_is_noticed(tmp_path: Path, 
     again = opened(path, utc, "boot", 51.0)
     assert again.damaged >= 1
     assert again.leases_before == utc, "above all that may have been granted"
-    assert again.aloft in (None, LeftAloft(17, None)), "nobody is landed for who flew"
+    assert again.aloft in (None, LastFlightRecord(17, None)), "nobody is landed for who flew"
     again.close()
     after = opened(path, utc, "boot", 52.0)
     assert after.damaged == 0, "it was told once"
@@ -420,7 +420,7 @@ def test_a_start_after_damage_is_no_surer_who_flew_than_the_start_before(tmp_pat
     path.with_suffix(".lock").write_text(f"{crc32(mark.encode()):08x} {mark}\n")
     for _ in range(3):
         ledger = opened(path, 1004.0, "boot", 10.0)
-        assert ledger.aloft == LeftAloft(7, None)
+        assert ledger.aloft == LastFlightRecord(7, None)
         ledger.close()
 
 
@@ -444,12 +444,12 @@ async def test_nobody_else_reads_a_ledger_or_holds_its_lock(tmp_path: Path) -> N
 # -- what was heard is known, for a while ----------------------------------------------------------
 
 
-def reply(identity: str) -> Reply:
-    return Reply(identity, "a1", "boot", Progress.DONE, Outcome.OK, order=identity.encode())
+def reply(identity: str) -> OrderReply:
+    return OrderReply(identity, "a1", "boot", Progress.DONE, Outcome.OK, order=identity.encode())
 
 
 def test_an_order_runs_then_has_an_outcome() -> None:
-    book = OrderBook()
+    book = OrderCache()
     assert not book.is_known("a")
     book.begin("a", b"a", 0.0)
     assert book.is_known("a")
@@ -459,7 +459,7 @@ def test_an_order_runs_then_has_an_outcome() -> None:
 
 
 def test_what_is_old_is_forgotten_but_not_what_runs() -> None:
-    book = OrderBook()
+    book = OrderCache()
     book.begin("a", b"a", 0.0)
     book.end(reply("a"), 0.0)
     book.begin("b", b"b", KEPT_S - 1)
@@ -472,7 +472,7 @@ def test_what_is_old_is_forgotten_but_not_what_runs() -> None:
 
 
 def test_an_id_is_that_of_one_order() -> None:
-    book = OrderBook()
+    book = OrderCache()
     assert not book.heard("a", b"a")
     book.begin("a", b"a", 0.0)
     for _ in range(2):
@@ -483,21 +483,21 @@ def test_an_id_is_that_of_one_order() -> None:
 
 
 def test_what_an_agent_before_began_is_known_as_that() -> None:
-    book = OrderBook(["a"])
+    book = OrderCache(["a"])
     assert book.was_begun_before("a")
     assert not book.is_known("a")
     assert not book.was_begun_before("b")
 
 
 def test_what_was_made_before_words_were_lost_may_have_been_begun() -> None:
-    book = OrderBook(["a"], unsure_before=10.0)
+    book = OrderCache(["a"], unsure_before=10.0)
     assert book.is_unsure(9.9)
     assert not book.is_unsure(10.0)
-    assert not OrderBook(["a"]).is_unsure(-1e9)
+    assert not OrderCache(["a"]).is_unsure(-1e9)
 
 
 def test_it_does_not_grow_without_end() -> None:
-    book = OrderBook()
+    book = OrderCache()
     for number in range(50_000):
         book.begin(str(number), b"", number * 1e-3)
         book.end(reply(str(number)), number * 1e-3)
@@ -506,7 +506,7 @@ def test_it_does_not_grow_without_end() -> None:
 
 def test_one_that_runs_for_long_keeps_no_other_one() -> None:
     """A mission of half an hour, begun first: what ended since is forgotten all the same."""
-    book = OrderBook()
+    book = OrderCache()
     book.begin("mission", b"", 0.0)
     for number in range(50_000):
         book.begin(str(number), b"", number * 1e-3)

@@ -13,7 +13,7 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.lease import Flown
 from m100link.apps.agent.messages import MessageError, State
 from m100link.apps.fleet.client import Fleet, FleetAircraft
-from m100link.apps.fleet.order_log import MemoryLedger
+from m100link.apps.fleet.order_log import MemoryOrderLog
 from m100link.apps.fleet.payloads import Outcome
 from m100link.errors import M100Error, StaleLease, UsageError
 from tests.apps.fleet.conftest import OnBoard, Rig
@@ -78,7 +78,7 @@ async def test_who_flies_home_is_landed_where_it_is(rig: Rig) -> None:
     assert any("land is done" in event.text for event in one.client.events)
 
 
-class FullDisk(MemoryLedger):
+class FullDisk(MemoryOrderLog):
     """It fails, or it hangs, from when it is told to."""
 
     is_full = hangs = False

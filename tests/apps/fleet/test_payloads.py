@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from m100link.apps.agent.lease import LeaseHeld, LeaseRefused
-from m100link.apps.agent.messages import Fault, MessageError, Steer, Telemetry
+from m100link.apps.agent.messages import MessageError, RemoteError, Steer, Telemetry
 from m100link.apps.agent.orders import (
     AcquireLease,
     Land,
@@ -28,10 +28,10 @@ from m100link.apps.fleet.payloads import (
     Asked,
     Card,
     LogQuestion,
-    Order,
+    OrderMessage,
+    OrderReply,
     Outcome,
     Progress,
-    Reply,
     Result,
     SendTrack,
     TakePlace,
@@ -60,7 +60,7 @@ from m100link.errors import (
 from m100link.protocol.setpoint import Setpoint
 from tests.fuzz.mutation import changed
 
-ORDER = Order("ab" * 16, "field", "a1", "pilot", 3, 1.8e9, TakeOff())
+ORDER = OrderMessage("ab" * 16, "field", "a1", "pilot", 3, 1.8e9, TakeOff())
 NORTH = Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 
 
@@ -69,14 +69,21 @@ NORTH = Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
     [
         ORDER,
         ORDER.under("secret"),
-        Reply("id", "a1", "boot", Progress.RUNNING),
-        Reply(
-            "id", "a1", "b", Progress.DONE, Outcome.REFUSED, Fault("GuardRefused", "low"), "t", 4
+        OrderReply("id", "a1", "boot", Progress.RUNNING),
+        OrderReply(
+            "id",
+            "a1",
+            "b",
+            Progress.DONE,
+            Outcome.REFUSED,
+            RemoteError("GuardRefused", "low"),
+            "t",
+            4,
         ),
         Card("a1", "boot", 1.8e9, battery_percent=50, latitude_deg=47.0),
     ],
 )
-def test_what_goes_in_comes_out(value: Order | Reply | Card) -> None:
+def test_what_goes_in_comes_out(value: OrderMessage | OrderReply | Card) -> None:
     payload = pack(value)
     assert payload[0] == VERSION
     assert unpack(type(value), payload) == value
@@ -93,7 +100,7 @@ def test_telemetry_is_the_wire_value_and_fourteen_bytes() -> None:
 def test_another_version_is_told() -> None:
     payload = bytes([VERSION + 1]) + pack(ORDER)[1:]
     with pytest.raises(MessageError, match=f"version {VERSION + 1}") as caught:
-        unpack(Order, payload)
+        unpack(OrderMessage, payload)
     assert "same release" in caught.value.remedy
 
 
@@ -122,7 +129,7 @@ def test_a_setpoint_is_proved_as_well() -> None:
 @given(st.binary(max_size=300))
 def test_whatever_comes_nothing_but_a_message_error_is_raised(data: bytes) -> None:
     for payload in (data, bytes([VERSION]) + data):
-        for kind in (Order, Reply, Card):
+        for kind in (OrderMessage, OrderReply, Card):
             with pytest.raises(MessageError):
                 unpack(kind, payload)
         with contextlib.suppress(MessageError):
@@ -146,7 +153,7 @@ GIVEN: list[Asked] = [
 ]
 
 
-def signed_order(number: int = 0) -> Order:
+def signed_order(number: int = 0) -> OrderMessage:
     """Signed, and under a lease."""
     order = replace(ORDER, order=GIVEN[number % len(GIVEN)], id=f"{number:032x}", clock=83.25)
     return signing(ANNA)(order, "secret")
@@ -208,7 +215,7 @@ def changed_document(old: str, new: str) -> bytes:
 )
 def test_what_two_readers_could_understand_differently_is_refused(old: str, new: str) -> None:
     with pytest.raises(MessageError):
-        unpack(Order, changed_document(old, new))
+        unpack(OrderMessage, changed_document(old, new))
 
 
 @pytest.mark.parametrize(
@@ -223,7 +230,7 @@ def test_another_writer_writes_as_it_likes_and_its_bytes_are_what_is_signed(
     old: str, new: str
 ) -> None:
     payload = changed_document(old, new)
-    order: Order = unpack(Order, payload)
+    order: OrderMessage = unpack(OrderMessage, payload)
     assert order == signed_order().sealed(signature=order.signature)
     assert pack(order) == payload
     gate().check(order, 1.8e9)
@@ -282,7 +289,7 @@ def test_no_changed_order_is_obeyed_or_proved_and_what_is_read_has_one_meaning(s
             one = chance.choice(seeds)
             payload = one[:81] + changed(chance, [one[81:]], WORDS)
         try:
-            order: Order = unpack(Order, payload)
+            order: OrderMessage = unpack(OrderMessage, payload)
         except MessageError:
             continue
         read += 1
@@ -339,7 +346,11 @@ BOTH = "version 2 of the fleet's messages came to a program that reads version 3
 
 @pytest.mark.parametrize(
     ("kind", "payload"),
-    [*((Order, one) for one in OLD_ORDERS.values()), (Reply, OLD_REPLY), (Card, OLD_CARD)],
+    [
+        *((OrderMessage, one) for one in OLD_ORDERS.values()),
+        (OrderReply, OLD_REPLY),
+        (Card, OLD_CARD),
+    ],
 )
 def test_what_an_old_release_wrote_is_told_with_both_versions(kind: Any, payload: bytes) -> None:
     with pytest.raises(MessageError, match=BOTH) as caught:

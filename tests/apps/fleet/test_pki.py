@@ -185,7 +185,12 @@ def test_names_that_are_none(folder: Path, name: str) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "hosts"),
-    [(Kind.ROUTER, []), (Kind.AGENT, ["base"]), (Kind.ROUTER, ["a b"]), (Kind.ROUTER, ["base:7"])],
+    [
+        (Kind.ROUTER, []),
+        (Kind.AGENT, ["base"]),
+        (Kind.ROUTER, ["a b"]),
+        (Kind.ROUTER, ["base:7"]),
+    ],
 )
 def test_hosts_are_those_of_a_router(folder: Path, kind: Kind, hosts: list[str]) -> None:
     with pytest.raises(BadAuthority, match="host"):

@@ -21,7 +21,7 @@ from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from m100link.apps.fleet.client import Fleet, FleetAircraft
 from m100link.apps.fleet.identity import LARGEST, BadRevoked, Revoked, Rights, nobody, sign_revoked
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.lost_link import LostPlan
+from m100link.apps.fleet.lost_link import LostLinkPlan
 from m100link.apps.fleet.payloads import Outcome
 from m100link.apps.fleet.pki import init, revoke
 from m100link.apps.fleet.revocations import LIST, Revocations, RevocationService, bring
@@ -146,7 +146,7 @@ async def test_what_is_flown_hovers_and_nothing_more_is_obeyed(
 
 async def test_what_was_lost_with_the_laptop_is_brought_down_as_configured(site: Site) -> None:
     """The lease ends as if its holder fell silent, so that what follows is what follows that."""
-    await site.begin(lost=LostPlan("land", 3.0))
+    await site.begin(lost=LostLinkPlan("land", 3.0))
     one = site.one
 
     async def fly() -> None:

@@ -14,16 +14,16 @@ from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.messages import MessageError, Steer
-from m100link.apps.bus.network import Answer, Question
+from m100link.apps.bus.network import QueryAnswer, Question
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.payloads import (
     Half,
     LeaseRequest,
-    Order,
+    OrderMessage,
+    OrderReply,
     Outcome,
     Progress,
-    Reply,
     agree,
     pack,
     pack_steer,
@@ -41,15 +41,17 @@ KEYS = Keys(SITE, "a1")
 NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 
 
-def an_order(key: bytes) -> Order:
-    return Order("ab" * 16, SITE, "a1", "anna", 0, 1.8e9, orders.AcquireLease(), 2.5, key=key)
+def an_order(key: bytes) -> OrderMessage:
+    return OrderMessage(
+        "ab" * 16, SITE, "a1", "anna", 0, 1.8e9, orders.AcquireLease(), 2.5, key=key
+    )
 
 
 def test_both_sides_find_the_secret_of_the_page_and_nobody_else() -> None:
     half = Half()
     order = an_order(half.public)
     agents, secret = agree(order)
-    reply = Reply(order.id, "a1", "boot", Progress.DONE, Outcome.OK, number=7, key=agents)
+    reply = OrderReply(order.id, "a1", "boot", Progress.DONE, Outcome.OK, number=7, key=agents)
     lease = LeaseRequest(order, half).lease(reply)
     assert (lease.number, lease.token) == (7, secret)
     assert secret not in repr(lease)
@@ -90,9 +92,9 @@ class Listener:
         self.heard.append((question.key, question.payload))
         question.drop()
 
-    def orders(self) -> list[tuple[str, Order]]:
+    def orders(self) -> list[tuple[str, OrderMessage]]:
         found = [(key, data) for key, data in self.heard if key != KEYS.setpoint]
-        return [(key, unpack(Order, data)) for key, data in found]
+        return [(key, unpack(OrderMessage, data)) for key, data in found]
 
     async def ask(self, key: str, payload: bytes = b"") -> list[bytes]:
         found = [one.payload for one in await self.bus.ask(key, payload, timeout=2.0)]
@@ -202,8 +204,10 @@ async def test_renewal_and_release_need_the_proof(rig: Rig) -> None:
 
 def forged(agent: FleetAgent, payload: bytes) -> bytes:
     """What a stranger answers who has learned the public number of the agent's run."""
-    found: Order = unpack(Order, payload)
-    done = Reply(found.id, "a1", agent.boot, Progress.DONE, Outcome.OK, number=1, key=Half().public)
+    found: OrderMessage = unpack(OrderMessage, payload)
+    done = OrderReply(
+        found.id, "a1", agent.boot, Progress.DONE, Outcome.OK, number=1, key=Half().public
+    )
     return pack(replace(done, clock=agent.client.now))
 
 
@@ -252,19 +256,19 @@ async def test_another_order_of_the_same_id_gives_no_outcome(rig: Rig, is_first:
     """Bert may stop. He hears the id of a landing whose way to the agent is longer than his."""
     one = await flying(rig)
     anna = await rig.pilot("anna", sign=signing(ANNA))
-    heard: list[Order] = []
+    heard: list[OrderMessage] = []
     asks = rig.network.session()
 
-    async def squat(found: Order) -> None:
-        mine = Order(found.id, SITE, "a1", "bert", 0, rig.utc(), orders.Stop())
+    async def squat(found: OrderMessage) -> None:
+        mine = OrderMessage(found.id, SITE, "a1", "bert", 0, rig.utc(), orders.Stop())
         signed = signing(BERT)(mine, "")
         await asks.ask(KEYS.command, pack(signed), timeout=2.0)
 
     sent = anna.bus.ask
 
-    async def ask(key: str, payload: bytes = b"", *, timeout: float) -> list[Answer]:
+    async def ask(key: str, payload: bytes = b"", *, timeout: float) -> list[QueryAnswer]:
         if key == KEYS.command and not heard:
-            heard.append(unpack(Order, payload))
+            heard.append(unpack(OrderMessage, payload))
             await squat(heard[0])
             if not is_first:  # the order itself is lost
                 return []

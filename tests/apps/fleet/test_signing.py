@@ -16,10 +16,10 @@ from m100link.apps.fleet.client import Fleet, FleetAircraft
 from m100link.apps.fleet.identity import STOP_WINDOW_S, Rights, Signer
 from m100link.apps.fleet.payloads import (
     LogQuestion,
-    Order,
+    OrderMessage,
+    OrderReply,
     Outcome,
     Progress,
-    Reply,
     What,
     pack,
     unpack,
@@ -79,13 +79,13 @@ async def test_the_reason_is_what_the_pilot_reads(rig: Rig) -> None:
         assert caught.value.remedy
 
 
-def order(message: orders.Order, at: float, name: str = "a1", number: int = 1) -> Order:
-    return Order(f"{number:032x}", SITE, name, "anna", 0, at, message)
+def order(message: orders.Order, at: float, name: str = "a1", number: int = 1) -> OrderMessage:
+    return OrderMessage(f"{number:032x}", SITE, name, "anna", 0, at, message)
 
 
-async def asked(fleet: Fleet, given: Order, name: str = "a1") -> Reply:
+async def asked(fleet: Fleet, given: OrderMessage, name: str = "a1") -> OrderReply:
     [answer] = await fleet.bus.ask(f"m100/{SITE}/{name}/cmd", pack(given), timeout=2.0)
-    reply: Reply = unpack(Reply, answer.payload)
+    reply: OrderReply = unpack(OrderReply, answer.payload)
     return reply
 
 
@@ -174,9 +174,9 @@ def test_keys_and_certificates_are_those_of_the_folder(tmp_path: Path) -> None:
 async def test_who_may_watch_may_fetch_logs_and_nobody_else(rig: Rig) -> None:
     verify = verifying(RIGHTS, ["a1", "a2"], rig.utc)
 
-    def question(signer: Signer | None, aircraft: str) -> Order:
+    def question(signer: Signer | None, aircraft: str) -> OrderMessage:
         head = (uuid.uuid4().hex, SITE, aircraft, "x", 0, rig.utc())
-        order = Order(*head, LogQuestion(What.LIST))
+        order = OrderMessage(*head, LogQuestion(What.LIST))
         return order if signer is None else signing(signer)(order, "")
 
     for signer, aircraft in ((ANNA, "a1"), (BERT, "a1"), (BERT, "a2")):

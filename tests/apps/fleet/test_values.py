@@ -24,21 +24,21 @@ from rich.console import Console
 pytest.importorskip("zenoh")
 
 import m100link
-from m100link.apps.agent.messages import Event, Fault, LeaseChanged, State, Steer, Telemetry
+from m100link.apps.agent.messages import Event, LeaseChanged, RemoteError, State, Steer, Telemetry
 from m100link.apps.agent.orders import TakeOff
 from m100link.apps.cli import fleet_verbs, fleet_watch
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.lost_link import LostPlan
-from m100link.apps.fleet.missions.board import Missions
+from m100link.apps.fleet.lost_link import LostLinkPlan
+from m100link.apps.fleet.missions.manager import MissionManager
 from m100link.apps.fleet.payloads import (
     Card,
     MissionCard,
     MissionStage,
-    Order,
+    OrderMessage,
+    OrderReply,
     Outcome,
     Progress,
-    Reply,
     ShowCard,
     ShowStage,
     pack,
@@ -90,7 +90,7 @@ def card(telemetry: AircraftState | None, **state: Any) -> Card:
     one = FleetAgent.__new__(FleetAgent)
     one.client = client(telemetry, **state)
     one.boot, one._keys, one._utc = "5c0f8b1e", Keys("field", "kite"), lambda: AT
-    one._lost_plan = LostPlan("land", 7.5)
+    one._lost_plan = LostLinkPlan("land", 7.5)
     missions = SimpleNamespace(words="")
     one._orders = cast(Any, SimpleNamespace(missions=missions))
     return one.card()
@@ -101,7 +101,7 @@ def mission(telemetry: AircraftState | None, **state: Any) -> MissionCard:
     points = [Waypoint(-33.12, 151.23, 9.0), Waypoint(-33.13, 151.22, 8.0)]
     # 55.66 m east of where it is: 0.0005966 degrees at that latitude.
     points.append(Waypoint(known.LATITUDE, known.LONGITUDE + 5.966e-4, 7.0))
-    one = Missions(
+    one = MissionManager(
         client(telemetry, **({"mission": "waypoint mission", "mission_index": 2} | state))
     )
     one.stage, one._plan, one._begun_at = MissionStage.FLYING, WaypointPlan(points), 27.25
@@ -247,7 +247,7 @@ def test_a_setpoint_is_proved_and_packed_as_the_page_says() -> None:
     assert unpack_steer(b"\x03" + proof + data, {17: "5f" * 32}.get) is None
 
 
-ORDER = Order(
+ORDER = OrderMessage(
     *("0b" * 16, "field", "kite", "anna", 17, 1_795_420_802.25, TakeOff(), 83.25, "anna"),
     key=bytes(range(32)),
 )
@@ -264,8 +264,8 @@ def test_an_order_is_what_the_page_says() -> None:
     proof = hmac.new(b"secret", DOCUMENT, hashlib.sha256).digest()[:16]
     payload = pack(ORDER.under("secret"))
     assert payload == b"\x03" + bytes(64) + proof + DOCUMENT
-    assert unpack(Order, payload) == ORDER.under("secret")
-    assert unpack(Order, payload).proves("secret")
+    assert unpack(OrderMessage, payload) == ORDER.under("secret")
+    assert unpack(OrderMessage, payload).proves("secret")
     assert not ORDER.under("secret").proves("another")
     for name, value in (("fence", 18), ("at", 1.0), ("clock", 1.0), ("aircraft", "crow")):
         changed: Any = {name: value}
@@ -273,8 +273,8 @@ def test_an_order_is_what_the_page_says() -> None:
 
 
 def test_a_reply_is_what_the_page_says() -> None:
-    fault = Fault("GuardRefused", "too low", "the floor", "climb")
-    reply = Reply(
+    fault = RemoteError("GuardRefused", "too low", "the floor", "climb")
+    reply = OrderReply(
         *("0b" * 16, "kite", "5c0f8b1e", Progress.DONE, Outcome.REFUSED, fault, "words", 4),
         *("offer", b"key", 83.25, True, ORDER.digest()),
         show=ShowCard(ShowStage.READY, "ab", 0.25, ""),

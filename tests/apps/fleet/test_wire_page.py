@@ -21,18 +21,18 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.messages import Fault
-from m100link.apps.agent.orders import ORDERS, AskVersion, Ending, LeaseOrder
+from m100link.apps.agent.messages import RemoteError
+from m100link.apps.agent.orders import ORDERS, AskVersion, EndingOrder, LeaseOrder
 from m100link.apps.bus.network import Bus
 from m100link.apps.fleet.identity import Rights
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.logs.words import LogEntry, LogReply
 from m100link.apps.fleet.payloads import (
     Asked,
-    Order,
+    OrderMessage,
+    OrderReply,
     Outcome,
     Progress,
-    Reply,
     ShowCard,
     ShowStage,
     What,
@@ -120,7 +120,7 @@ async def test_by_the_page_alone_somebody_flies_and_stops(rig: Rig) -> None:
         assert told["outcome"] == "ok", told
         # A take-off takes longer than a lease that nobody renews.
         if name == "Obtain":
-            one.agent.desk.lifetime = 30.0
+            one.agent.leases.lifetime = 30.0
     setpoints = session.publish(f"m100/{SITE}/a1/setpoint")
     ahead = await anna.clock() - anyio.current_time()
     for number in range(60):
@@ -148,7 +148,7 @@ def test_the_example_of_the_page_is_an_order_that_is_proved_and_signed() -> None
     document = parts["document"].encode()
     payload = b"\x03" + bytes.fromhex(parts["signature"] + parts["proof"]) + document
     assert f"The payload has {len(payload)} bytes" in text
-    order: Order = unpack(Order, payload)
+    order: OrderMessage = unpack(OrderMessage, payload)
     assert order.order == orders.TakeOff()
     assert order.proves("5e" * 32)
     KEY.public_key().verify(order.signature, b"m100link order 3\n" + order.proof + document)
@@ -196,7 +196,7 @@ TOLD = {
     "the key Keys.status": "`status/<id>`",
     **{
         f"{kind.__name__} {name}": name
-        for kind in (Order, Reply, Fault, LogReply, LogEntry, ShowCard, *BESIDE)
+        for kind in (OrderMessage, OrderReply, RemoteError, LogReply, LogEntry, ShowCard, *BESIDE)
         for name in names(kind)
         if name not in ("name", "id")  # words of the page whatever it tells
     },
@@ -210,7 +210,7 @@ TOLD = {
     **{
         f"the order {name}": name
         for name, one in ORDERS.items()
-        if issubclass(one, LeaseOrder | Ending | AskVersion)
+        if issubclass(one, LeaseOrder | EndingOrder | AskVersion)
     },
 }
 
@@ -236,7 +236,7 @@ def test_the_page_names_every_key_and_field() -> None:
     ("word", "what"),
     [
         ("revoked", "the key Keys.revoked"),
-        ("is_repeated", "Reply is_repeated"),
+        ("is_repeated", "OrderReply is_repeated"),
         ("AskTakeOver", "the order AskTakeOver"),
         ("again_s", "LogReply again_s"),
     ],

@@ -16,14 +16,19 @@ from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.control_session import ControlInput, ControlSession
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.server.agent import Agent
-from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import MemoryChannel, memory_channels
 from m100link.apps.mavlink.bridge import Bridge
-from m100link.apps.mavlink.translator.codec import Message, Reading, Signer, write_frame
+from m100link.apps.mavlink.translator.codec import (
+    MavlinkMessage,
+    MessageReader,
+    PacketSigner,
+    write_frame,
+)
 from m100link.apps.mavlink.translator.modes import MODES, Mode
-from m100link.apps.mavlink.translator.numbers import Command, Result
+from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
 from m100link.apps.mavlink.translator.peers import Address
-from m100link.apps.mavlink.translator.world import World
+from m100link.apps.mavlink.translator.vehicle_state import VehicleState
 from m100link.protocol.records import FlightPhase, FlightStatus, Position
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
@@ -45,17 +50,17 @@ class Ground:
 
     def __init__(self, rig: Rig, address: Address = GCS, system: int = 245) -> None:
         self.rig, self.address, self.system = rig, address, system
-        self.heard: list[Message] = []
+        self.heard: list[MavlinkMessage] = []
         self.is_silent = False
         rig.grounds.append(self)
 
     def hear(self, data: bytes) -> None:
-        self.heard += Reading(data, signer=self.rig.ground_signer, now=self.rig.stamp())
+        self.heard += MessageReader(data, signer=self.rig.ground_signer, now=self.rig.stamp())
 
     def send(self, message_name: str, **fields: Any) -> None:
         self.rig.sequence += 1
         frame = write_frame(
-            Message(message_name, fields, component=190),
+            MavlinkMessage(message_name, fields, component=190),
             system=self.system,
             sequence=self.rig.sequence,
             signer=self.rig.ground_signer,
@@ -74,10 +79,10 @@ class Ground:
             "COMMAND_LONG", command=command, target_system=target, target_component=1, **named
         )
 
-    def all(self, name: str) -> list[Message]:
+    def all(self, name: str) -> list[MavlinkMessage]:
         return [one for one in self.heard if one.name == name]
 
-    def last(self, name: str) -> Message:
+    def last(self, name: str) -> MavlinkMessage:
         return self.all(name)[-1]
 
     @property
@@ -91,37 +96,37 @@ class Ground:
     def armed(self) -> bool:
         return bool(self.last("HEARTBEAT")["base_mode"] & 128)
 
-    async def ask(self, command: int, *parameters: float, target: int = 1) -> Result:
+    async def ask(self, command: int, *parameters: float, target: int = 1) -> MavResult:
         """Give a command; what it was answered in the end."""
         known = len(self.heard)
         self.command(command, *parameters, target=target)
 
-        def answers() -> list[Result]:
+        def answers() -> list[MavResult]:
             return [
-                Result(one["result"])
+                MavResult(one["result"])
                 for one in self.heard[known:]
                 if one.name == "COMMAND_ACK" and one["command"] == command
             ]
 
-        await self.rig.until(lambda: any(one is not Result.IN_PROGRESS for one in answers()))
-        return next(one for one in answers() if one is not Result.IN_PROGRESS)
+        await self.rig.until(lambda: any(one is not MavResult.IN_PROGRESS for one in answers()))
+        return next(one for one in answers() if one is not MavResult.IN_PROGRESS)
 
     def set_mode_now(self, mode: Mode) -> None:
-        self.command(Command.DO_SET_MODE, 1, MODES[mode].main, MODES[mode].sub)
+        self.command(MavCommand.DO_SET_MODE, 1, MODES[mode].main, MODES[mode].sub)
 
-    async def set_mode(self, mode: Mode) -> Result:
+    async def set_mode(self, mode: Mode) -> MavResult:
         row = MODES[mode]
-        return await self.ask(Command.DO_SET_MODE, 1, row.main, row.sub)
+        return await self.ask(MavCommand.DO_SET_MODE, 1, row.main, row.sub)
 
     async def arm(self) -> None:
-        assert await self.ask(Command.COMPONENT_ARM_DISARM, 1) is Result.ACCEPTED
+        assert await self.ask(MavCommand.COMPONENT_ARM_DISARM, 1) is MavResult.ACCEPTED
 
     async def fly(self, height: float = 5.0) -> None:
         """Arm, take off, wait for the height."""
         await self.arm()
         altitude = self.rig.ground_altitude + height
         args = (0, 0, 0, math.nan, math.nan, math.nan, altitude)
-        assert await self.ask(Command.NAV_TAKEOFF, *args) is Result.ACCEPTED
+        assert await self.ask(MavCommand.NAV_TAKEOFF, *args) is MavResult.ACCEPTED
         await self.rig.until(lambda: abs(self.rig.height - height) < 0.4)
         await self.rig.until(lambda: self.mode is Mode.HOLD)
 
@@ -146,7 +151,7 @@ class Rig:
         self,
         *,
         firmware: str = "1.0",
-        signer: Signer | None = None,
+        signer: PacketSigner | None = None,
         settings: AircraftSettings | None = None,
         late: float = 0.0,
         **options: Any,
@@ -160,7 +165,7 @@ class Rig:
         self.sequence = 0
         self.signer = signer
         self.late = late  # s that each message to and from the agent is under way
-        self.ground_signer: Signer | None = None
+        self.ground_signer: PacketSigner | None = None
 
     def stamp(self) -> int:
         return 0
@@ -175,7 +180,7 @@ class Rig:
     async def running(self) -> AsyncIterator[Rig]:
         async with AsyncExitStack() as stack:
             await stack.enter_async_context(self.agent)
-            self.service = Service(self.agent)
+            self.service = AgentServer(self.agent)
             self.client = await stack.enter_async_context(AgentClient(self.way(), "mavlink"))
             self.bridge = Bridge({1: self.client}, self._send, signer=self.signer)
             self.vehicle = self.bridge.vehicles[0]
@@ -231,14 +236,14 @@ def ground(rig: Rig) -> Ground:
     return rig.ground
 
 
-def world_of(known: Known, *, home: tuple[float, float, float] | None = None) -> World:
+def world_of(known: Known, *, home: tuple[float, float, float] | None = None) -> VehicleState:
     """What the bridge makes of it.
 
     Args:
         known: What is told.
         home: How far north, east and up of home it is, m; None where nobody knows.
     """
-    world = World(cast(AgentClient, known), session_of(known))
+    world = VehicleState(cast(AgentClient, known), session_of(known))
     if home is not None:
         north, east, up = home
         here = position()

@@ -13,8 +13,8 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.transports import memory_channels
-from m100link.apps.mavlink.translator.modes import Mode, Phase
-from m100link.apps.mavlink.translator.numbers import Command, MissionResult, Result
+from m100link.apps.mavlink.translator.modes import Mode, VehiclePhase
+from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult, MissionResult
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.mavlink.conftest import Ground, Rig
 from tests.apps.mavlink.test_bridge import send_velocity
@@ -65,7 +65,7 @@ async def test_a_wait_of_a_mission_ends_with_control(
     items = [waypoint(10.0, 0.1, param1=20.0), waypoint(60.0, 0.1)]
     assert await Exchange(ground).upload(items) is MissionResult.ACCEPTED
     await ground.fly(5.0)
-    assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
     await rig.until(lambda: rig.aircraft.position[0] > 9.0 and rig.speed < 0.1)
     await anyio.sleep(3.0)
     lease = await take_over(page)
@@ -82,7 +82,7 @@ async def test_a_wait_of_a_mission_ends_when_the_pilot_was_there(rig: Rig, groun
     items = [waypoint(10.0, 0.1, param1=20.0), waypoint(60.0, 0.1)]
     assert await Exchange(ground).upload(items) is MissionResult.ACCEPTED
     await ground.fly(5.0)
-    assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
     await rig.until(lambda: rig.aircraft.position[0] > 9.0 and rig.speed < 0.1)
     rig.aircraft.vehicle.remote.set_mode("P")
     await rig.until(lambda: ground.mode is Mode.POSCTL)
@@ -95,7 +95,7 @@ async def waiting_in_a_mission(rig: Rig, ground: Ground) -> None:
     items = [waypoint(10.0, 0.1, param1=20.0), waypoint(60.0, 0.1)]
     assert await Exchange(ground).upload(items) is MissionResult.ACCEPTED
     await ground.fly(5.0)
-    assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
     await rig.until(lambda: rig.aircraft.position[0] > 9.0 and rig.speed < 0.1)
 
 
@@ -120,7 +120,7 @@ async def test_whoever_has_it_hover_during_the_take_off_is_not_climbed_past(
     await ground.arm()
     altitude = rig.ground_altitude + 20.0
     args = (0, 0, 0, math.nan, math.nan, math.nan, altitude)
-    assert await ground.ask(Command.NAV_TAKEOFF, *args) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.NAV_TAKEOFF, *args) is MavResult.ACCEPTED
     await rig.until(lambda: rig.height > 0.4)
     if is_stop:
         await page.stop()
@@ -136,7 +136,7 @@ async def test_setpoints_that_go_on_are_not_flown_over_the_page(
 ) -> None:
     await ground.fly(5.0)
     send_velocity(ground, vx=3.0)
-    assert await ground.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.OFFBOARD) is MavResult.ACCEPTED
     await streams(ground, 3.0, vx=3.0)
     assert rig.speed > 2.0
     if is_stop:
@@ -148,7 +148,7 @@ async def test_setpoints_that_go_on_are_not_flown_over_the_page(
         await stands(rig)
         assert ground.mode is Mode.HOLD
         # Whoever wants to fly on says so.
-        assert await ground.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
+        assert await ground.set_mode(Mode.OFFBOARD) is MavResult.ACCEPTED
         await rig.until(lambda: rig.speed > 2.0, within=4.0)
 
 
@@ -157,7 +157,7 @@ async def test_who_takes_over_is_not_flown_against(
 ) -> None:
     await ground.fly(5.0)
     send_velocity(ground, vx=3.0)
-    assert await ground.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.OFFBOARD) is MavResult.ACCEPTED
     async with anyio.create_task_group() as group:
         group.start_soon(lambda: streams(ground, 40.0, vx=3.0))
         await rig.until(lambda: rig.speed > 2.0)
@@ -167,40 +167,45 @@ async def test_who_takes_over_is_not_flown_against(
             await anyio.sleep(0.1)
             page.keep(lease)
         assert rig.speed < 0.1
-        assert rig.vehicle.world.phase is Phase.OTHER
-        assert await ground.set_mode(Mode.LAND) is Result.TEMPORARILY_REJECTED
-        assert await ground.set_mode(Mode.OFFBOARD) is Result.TEMPORARILY_REJECTED
-        assert await ground.ask(Command.COMPONENT_ARM_DISARM, 1) is Result.TEMPORARILY_REJECTED
+        assert rig.vehicle.world.phase is VehiclePhase.OTHER
+        assert await ground.set_mode(Mode.LAND) is MavResult.TEMPORARILY_REJECTED
+        assert await ground.set_mode(Mode.OFFBOARD) is MavResult.TEMPORARILY_REJECTED
+        assert (
+            await ground.ask(MavCommand.COMPONENT_ARM_DISARM, 1) is MavResult.TEMPORARILY_REJECTED
+        )
         assert "the page has control" in ground.texts
         assert ground.armed()
         await page.release_lease(lease.token)
         await stands(rig, for_s=10.0)
-    assert await ground.set_mode(Mode.LAND) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.LAND) is MavResult.ACCEPTED
     await rig.until(lambda: not rig.motors_on)
 
 
-@pytest.mark.parametrize("wish", ["goto", "mission", "orbit", "rtl", "land"])
+@pytest.mark.parametrize("wanted", ["goto", "mission", "orbit", "rtl", "land"])
 async def test_a_flight_that_was_taken_over_does_not_go_on(
-    rig: Rig, ground: Ground, page: AgentClient, wish: str
+    rig: Rig, ground: Ground, page: AgentClient, wanted: str
 ) -> None:
     items = [waypoint(30.0, 0.1), waypoint(60.0, 0.1), waypoint(90.0, 0.1)]
     assert await Exchange(ground).upload(items) is MissionResult.ACCEPTED
     await ground.fly(8.0)
-    if wish == "mission":
-        assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
-    elif wish in ("rtl", "land"):
-        mode = Mode.RTL if wish == "rtl" else Mode.LAND
-        assert await ground.set_mode(mode) is Result.ACCEPTED
-    elif wish == "goto":
+    if wanted == "mission":
+        assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
+    elif wanted in ("rtl", "land"):
+        mode = Mode.RTL if wanted == "rtl" else Mode.LAND
+        assert await ground.set_mode(mode) is MavResult.ACCEPTED
+    elif wanted == "goto":
         args = (-1.0, 1.0, 0.0, math.nan, math.nan, math.nan, rig.ground_altitude + 40.0)
-        assert await ground.ask(Command.DO_REPOSITION, *args) is Result.ACCEPTED
+        assert await ground.ask(MavCommand.DO_REPOSITION, *args) is MavResult.ACCEPTED
     else:
         args = (10.0, 3.0, 0.0, math.nan, math.nan, math.nan, math.nan)
-        assert await ground.ask(Command.DO_ORBIT, *args) is Result.ACCEPTED
+        assert await ground.ask(MavCommand.DO_ORBIT, *args) is MavResult.ACCEPTED
     await anyio.sleep(2.0)
     lease = await take_over(page)
     await page.ask(orders.Obtain(), lease)
-    if wish in ("rtl", "land"):  # what the autopilot flies is on its way down, and stays there
+    if wanted in (
+        "rtl",
+        "land",
+    ):  # what the autopilot flies is on its way down, and stays there
         await page.stop()
         await page.ask(orders.Obtain(), lease)
     for _ in range(60):
@@ -225,8 +230,8 @@ async def test_a_page_that_is_closed_leaves_a_hover_and_the_ground_station_lands
     assert rig.speed > 1.0
     page._channel.close("the tab was closed")
     await stands(rig, for_s=5.0)
-    assert rig.vehicle.world.phase is Phase.FREE
-    assert await ground.set_mode(Mode.LAND) is Result.ACCEPTED
+    assert rig.vehicle.world.phase is VehiclePhase.FREE
+    assert await ground.set_mode(Mode.LAND) is MavResult.ACCEPTED
     await rig.until(lambda: not rig.motors_on)
 
 

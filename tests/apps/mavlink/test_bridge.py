@@ -13,10 +13,16 @@ import anyio
 import pytest
 
 from m100link.apps.mavlink.bridge import IDLE_STEP_S, STEP_S
-from m100link.apps.mavlink.translator.codec import LAYOUTS, Layout, Message, Signer, write_frame
+from m100link.apps.mavlink.translator.codec import (
+    LAYOUTS,
+    MavlinkMessage,
+    MessageLayout,
+    PacketSigner,
+    write_frame,
+)
 from m100link.apps.mavlink.translator.commands import COMMANDS
 from m100link.apps.mavlink.translator.modes import Mode
-from m100link.apps.mavlink.translator.numbers import Command, Result
+from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
 from m100link.apps.mavlink.translator.parameters import PARAMETERS
 from m100link.apps.mavlink.translator.peers import MOST_PEERS
 from m100link.apps.mavlink.translator.route import ITEMS
@@ -35,7 +41,7 @@ async def test_armed_up_and_down_again(firmware: str) -> None:
         assert ground.last("EXTENDED_SYS_STATE")["landed_state"] == 2
         place = ground.last("GLOBAL_POSITION_INT")
         assert place["relative_alt"] == pytest.approx(5000, abs=700)
-        assert await ground.ask(Command.NAV_LAND) is Result.ACCEPTED
+        assert await ground.ask(MavCommand.NAV_LAND) is MavResult.ACCEPTED
         await rig.until(lambda: ground.mode is Mode.LAND)
         await rig.until(lambda: not ground.armed())
         assert not rig.motors_on
@@ -45,7 +51,7 @@ async def test_armed_up_and_down_again(firmware: str) -> None:
 async def test_nothing_is_told_before_somebody_is_heard(rig: Rig) -> None:
     silent = Ground(rig, ("127.0.0.1", 5555), 77)
     silent.is_silent = True
-    silent.command(Command.COMPONENT_ARM_DISARM, 1)
+    silent.command(MavCommand.COMPONENT_ARM_DISARM, 1)
     await anyio.sleep(3.0)
     assert silent.heard == []
     assert not rig.client.holder.number
@@ -72,29 +78,29 @@ async def test_junk_between_commands_swallows_none(rig: Rig, ground: Ground) -> 
     for _ in range(200):
         for _ in range(20):
             rig.bridge.received(random.randbytes(random.randrange(100)), ground.address)
-        assert await ground.ask(Command.GET_HOME_POSITION) is Result.ACCEPTED
+        assert await ground.ask(MavCommand.GET_HOME_POSITION) is MavResult.ACCEPTED
         await anyio.sleep(0.02)
 
 
 async def test_an_unknown_command_is_answered(rig: Rig, ground: Ground) -> None:
-    for command in (Command.DO_SET_HOME, 2000, 31999):
-        assert await ground.ask(command) is Result.UNSUPPORTED
+    for command in (MavCommand.DO_SET_HOME, 2000, 31999):
+        assert await ground.ask(command) is MavResult.UNSUPPORTED
 
 
 async def test_a_command_for_another_system_is_not_ours(rig: Rig, ground: Ground) -> None:
-    ground.command(Command.NAV_LAND, target=9)
+    ground.command(MavCommand.NAV_LAND, target=9)
     await anyio.sleep(1.0)
     assert ground.all("COMMAND_ACK") == []
 
 
 async def test_copies_of_arming_are_one_request(rig: Rig, ground: Ground) -> None:
     for _ in range(3):
-        ground.command(Command.COMPONENT_ARM_DISARM, 1)
+        ground.command(MavCommand.COMPONENT_ARM_DISARM, 1)
     await anyio.sleep(4.0)
     answers = [one["result"] for one in ground.all("COMMAND_ACK")]
-    assert answers[0] == Result.IN_PROGRESS, "activation takes two seconds"
-    assert answers[-1] == Result.ACCEPTED
-    assert answers.count(Result.ACCEPTED) == 1
+    assert answers[0] == MavResult.IN_PROGRESS, "activation takes two seconds"
+    assert answers[-1] == MavResult.ACCEPTED
+    assert answers.count(MavResult.ACCEPTED) == 1
     assert [one.text for one in rig.agent.journal.events if "obtained" in one.text] == [
         "control authority obtained"
     ]
@@ -114,7 +120,7 @@ async def test_a_take_off_waits_for_the_arming(rig: Rig, ground: Ground) -> None
     """QGroundControl's order: NAV_TAKEOFF disarmed, and arming behind the answer."""
     altitude = rig.ground_altitude + 10.0
     args = (-1, 0, 0, math.nan, math.nan, math.nan, altitude)
-    assert await ground.ask(Command.NAV_TAKEOFF, *args) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.NAV_TAKEOFF, *args) is MavResult.ACCEPTED
     await anyio.sleep(2.0)
     assert rig.height < 0.1
     assert ground.mode is Mode.TAKEOFF
@@ -123,7 +129,7 @@ async def test_a_take_off_waits_for_the_arming(rig: Rig, ground: Ground) -> None
 
 
 async def test_a_take_off_that_nobody_arms_is_forgotten(rig: Rig, ground: Ground) -> None:
-    assert await ground.ask(Command.NAV_TAKEOFF) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.NAV_TAKEOFF) is MavResult.ACCEPTED
     await anyio.sleep(10.5)
     await ground.arm()
     await anyio.sleep(5.0)
@@ -134,19 +140,19 @@ async def test_a_landing_during_the_take_off_waits_and_nothing_pushes_it_out(
     rig: Rig, ground: Ground
 ) -> None:
     await ground.arm()
-    assert await ground.ask(Command.NAV_TAKEOFF) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.NAV_TAKEOFF) is MavResult.ACCEPTED
     await rig.until(lambda: rig.height > 0.3)
-    assert await ground.ask(Command.NAV_LAND) is Result.ACCEPTED
-    assert await ground.set_mode(Mode.HOLD) is Result.TEMPORARILY_REJECTED
+    assert await ground.ask(MavCommand.NAV_LAND) is MavResult.ACCEPTED
+    assert await ground.set_mode(Mode.HOLD) is MavResult.TEMPORARILY_REJECTED
     await rig.until(lambda: not ground.armed())
     assert rig.height < 0.1
 
 
 async def test_hold_ends_the_way_home(rig: Rig, ground: Ground) -> None:
     await ground.fly(6.0)
-    assert await ground.set_mode(Mode.RTL) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.RTL) is MavResult.ACCEPTED
     await rig.until(lambda: ground.mode is Mode.RTL)
-    assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.HOLD) is MavResult.ACCEPTED
     await anyio.sleep(8.0)
     height = rig.height
     await anyio.sleep(5.0)
@@ -161,19 +167,19 @@ async def test_the_pilot_takes_it_and_armed_does_not_lie(rig: Rig, ground: Groun
     rig.aircraft.vehicle.remote.set_mode("P")
     await rig.until(lambda: ground.mode is Mode.POSCTL)
     assert ground.armed()
-    assert await ground.set_mode(Mode.LAND) is Result.TEMPORARILY_REJECTED
+    assert await ground.set_mode(Mode.LAND) is MavResult.TEMPORARILY_REJECTED
     await rig.until(lambda: "the mode switch is in P" in ground.texts)
-    assert await ground.ask(Command.COMPONENT_ARM_DISARM, 0, 21196) is Result.DENIED
+    assert await ground.ask(MavCommand.COMPONENT_ARM_DISARM, 0, 21196) is MavResult.DENIED
     rig.aircraft.vehicle.remote.set_mode("F")
     await rig.until(lambda: ground.mode is Mode.HOLD)
-    assert await ground.set_mode(Mode.LAND) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.LAND) is MavResult.ACCEPTED
     await rig.until(lambda: not ground.armed())
 
 
 async def test_a_ground_station_that_is_lost_holds(rig: Rig, ground: Ground) -> None:
     await ground.fly(3.0)
     args = (0, 0, 0, math.nan, math.nan, math.nan, rig.ground_altitude + 40.0)
-    assert await ground.ask(Command.DO_REPOSITION, *args) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.DO_REPOSITION, *args) is MavResult.ACCEPTED
     await rig.until(lambda: rig.height > 5.0)
     ground.is_silent = True
     other = Ground(rig, ("127.0.0.1", 7000), 246)
@@ -182,7 +188,7 @@ async def test_a_ground_station_that_is_lost_holds(rig: Rig, ground: Ground) -> 
     await anyio.sleep(3.0)
     assert rig.speed < 0.1
     assert rig.height < 20.0
-    assert await other.set_mode(Mode.LAND) is Result.ACCEPTED
+    assert await other.set_mode(Mode.LAND) is MavResult.ACCEPTED
     await rig.until(lambda: not other.armed())
 
 
@@ -190,7 +196,7 @@ async def test_the_way_to_the_ground_goes_on_when_the_ground_station_is_lost(
     rig: Rig, ground: Ground
 ) -> None:
     await ground.fly(6.0)
-    assert await ground.set_mode(Mode.LAND) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.LAND) is MavResult.ACCEPTED
     await anyio.sleep(1.5)
     ground.is_silent = True
     await rig.until(lambda: not rig.motors_on)
@@ -200,10 +206,12 @@ async def test_two_ground_stations_and_one_of_them_flies(rig: Rig, ground: Groun
     other = Ground(rig, ("127.0.0.1", 7000), 246)
     other.beat()
     await ground.fly(4.0)
-    assert await other.ask(Command.DO_REPOSITION, -1, 0, 0, 1.0) is Result.TEMPORARILY_REJECTED
+    assert (
+        await other.ask(MavCommand.DO_REPOSITION, -1, 0, 0, 1.0) is MavResult.TEMPORARILY_REJECTED
+    )
     await rig.until(lambda: "MAVLink 245 at 127.0.0.1:14540 flies" in other.texts)
     assert other.last("HEARTBEAT")["base_mode"] & 128
-    assert await other.set_mode(Mode.LAND) is Result.ACCEPTED
+    assert await other.set_mode(Mode.LAND) is MavResult.ACCEPTED
     await rig.until(lambda: not ground.armed())
 
 
@@ -222,7 +230,7 @@ async def test_setpoints_that_stop_are_not_flown_on(rig: Rig, ground: Ground) ->
         )
 
     north()
-    assert await ground.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.OFFBOARD) is MavResult.ACCEPTED
     for _ in range(60):
         north()
         await anyio.sleep(0.05)
@@ -251,7 +259,7 @@ async def test_what_was_sent_while_the_process_stood_still_is_not_carried_out(
     monkeypatch.setattr(bridge, "step", lambda: None)
     ground.is_silent = True  # what is sent waits in the socket
     await anyio.sleep(3.0)
-    ground.command(Command.COMPONENT_ARM_DISARM, 1)
+    ground.command(MavCommand.COMPONENT_ARM_DISARM, 1)
     assert drained, "what waits behind it is as old"
     ground.is_silent = False
     ground.beat()
@@ -275,9 +283,9 @@ async def test_a_flood_from_one_address_does_not_keep_others_out(
     looks_like_frames = b"\xfe\xf0\0\0\0\0" * 230  # each of them is checked, and none is right
     for _ in range(300):
         rig.bridge.received(looks_like_frames, flood.address)
-    ground.command(Command.NAV_LAND)
-    assert ground.last("COMMAND_ACK")["command"] == Command.NAV_LAND
-    assert ground.last("COMMAND_ACK")["result"] == Result.ACCEPTED
+    ground.command(MavCommand.NAV_LAND)
+    assert ground.last("COMMAND_ACK")["command"] == MavCommand.NAV_LAND
+    assert ground.last("COMMAND_ACK")["result"] == MavResult.ACCEPTED
     assert rig.bridge.dropped > 200
 
 
@@ -290,8 +298,8 @@ async def test_noise_between_the_commands_of_a_peer_costs_it_none(rig: Rig, grou
         for _ in range(100):
             rig.bridge.received(chance.randbytes(chance.randrange(1, 60)), ground.address)
         ground.heard.clear()
-        ground.command(Command.GET_HOME_POSITION)
-        assert ground.last("COMMAND_ACK")["command"] == Command.GET_HOME_POSITION
+        ground.command(MavCommand.GET_HOME_POSITION)
+        assert ground.last("COMMAND_ACK")["command"] == MavCommand.GET_HOME_POSITION
     assert rig.bridge.dropped == 0
 
 
@@ -327,9 +335,9 @@ async def test_nobody_is_flown_by_setpoints_of_another(rig: Rig, ground: Ground)
     third.beat()
     await rig.until(lambda: "is lost" in other.texts)
     send_velocity(third, vx=3.0)
-    assert await other.set_mode(Mode.OFFBOARD) is Result.DENIED
+    assert await other.set_mode(Mode.OFFBOARD) is MavResult.DENIED
     send_velocity(other)
-    assert await other.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
+    assert await other.set_mode(Mode.OFFBOARD) is MavResult.ACCEPTED
     for _ in range(20):
         send_velocity(third, vx=3.0)
         await anyio.sleep(0.1)
@@ -344,7 +352,7 @@ async def test_nothing_resumes_when_the_pilot_was_there_however_short(
         ground, remote = rig.ground, rig.aircraft.vehicle.remote
         await ground.fly(5.0)
         send_velocity(ground, vx=2.0)
-        assert await ground.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
+        assert await ground.set_mode(Mode.OFFBOARD) is MavResult.ACCEPTED
         for number in range(160):
             send_velocity(ground, vx=2.0)
             await anyio.sleep(0.05)
@@ -363,12 +371,12 @@ async def test_nothing_resumes_when_the_pilot_was_there_however_short(
 
 async def test_who_signs_is_not_kept_out_by_those_who_do_not() -> None:
     key = bytes(range(32))
-    async with Rig(signer=Signer(key)).running() as rig:
-        beat = write_frame(Message("HEARTBEAT", {}), system=9, sequence=0)
+    async with Rig(signer=PacketSigner(key)).running() as rig:
+        beat = write_frame(MavlinkMessage("HEARTBEAT", {}), system=9, sequence=0)
         for port in range(5 * MOST_PEERS):
             rig.bridge.received(beat, ("127.0.0.1", 20000 + port))
         assert len(rig.bridge.peers.audience(rig.client.now)) == MOST_PEERS
-        rig.ground_signer = Signer(key, sent=2**47)  # later than any real clock says
+        rig.ground_signer = PacketSigner(key, sent=2**47)  # later than any real clock says
         late = Ground(rig, ("127.0.0.1", 7000), 246)
         late.beat()
         await late.arm()
@@ -397,13 +405,13 @@ async def test_steps_are_few_while_nothing_waits_and_short_when_something_does(
     await anyio.sleep(2.0)
     assert len(steps) == pytest.approx(2.0 / IDLE_STEP_S, abs=2)
     for _ in range(100):  # who gives orders without end gets no more steps than setpoints
-        ground.command(Command.DO_SET_MODE, 1, 4, 3)
+        ground.command(MavCommand.DO_SET_MODE, 1, 4, 3)
         await anyio.sleep(0.001)
     between = [after - before for before, after in itertools.pairwise(steps)]
     assert min(between) > 0.9 * STEP_S
     steps.clear()
     send_velocity(ground)
-    assert await ground.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.OFFBOARD) is MavResult.ACCEPTED
     for _ in range(40):
         send_velocity(ground)
         await anyio.sleep(0.05)
@@ -416,7 +424,7 @@ async def test_steps_are_few_while_nothing_waits_and_short_when_something_does(
 ODD = (math.nan, math.inf, -math.inf, 0.0, -0.0, 1e38, -1e38, 1e-40, 1.0, -1.0, 180.0, 47.0)
 
 
-def any_fields(layout: Layout, random: Random) -> dict[str, Any]:
+def any_fields(layout: MessageLayout, random: Random) -> dict[str, Any]:
     """Mostly what could be meant, with numbers that nobody means among it."""
     fields = layout.read(random.randbytes(layout.size))
     for name, value in fields.items():
@@ -450,7 +458,7 @@ async def pour(ground: Ground, seed: int, count: int) -> None:
 async def test_nothing_raises_on_the_ground(rig: Rig, ground: Ground, seed: int) -> None:
     await pour(ground, seed, 400)
     assert not rig.work.done()
-    assert await ground.ask(Command.GET_HOME_POSITION) in (0, 1)
+    assert await ground.ask(MavCommand.GET_HOME_POSITION) in (0, 1)
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -473,10 +481,10 @@ async def test_what_is_poured_by_somebody_else_does_not_take_control(
     await ground.fly(5.0)
     other = Ground(rig, ("127.0.0.1", 7000), 250)
     other.beat()
-    operator = rig.vehicle.deck.operator
+    operator = rig.vehicle.manager.operator
     await pour(other, 9, 300)
-    assert rig.vehicle.deck.operator in (None, operator)
-    assert await other.ask(Command.DO_CHANGE_SPEED, 1, 3.0) in (
-        Result.TEMPORARILY_REJECTED,
-        Result.ACCEPTED,
+    assert rig.vehicle.manager.operator in (None, operator)
+    assert await other.ask(MavCommand.DO_CHANGE_SPEED, 1, 3.0) in (
+        MavResult.TEMPORARILY_REJECTED,
+        MavResult.ACCEPTED,
     )

@@ -5,16 +5,16 @@ from __future__ import annotations
 import anyio
 import pytest
 
-from m100link.apps.mavlink.translator.modes import Mode, Phase
-from m100link.apps.mavlink.translator.numbers import Command, Result
+from m100link.apps.mavlink.translator.modes import Mode, VehiclePhase
+from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
 from m100link.sim.vehicle.flight import FlightController
 from tests.apps.mavlink.conftest import Ground, Rig
 
 pytestmark = pytest.mark.anyio
 
-_ARM, _DISARM = (Command.COMPONENT_ARM_DISARM, 1), (Command.COMPONENT_ARM_DISARM, 0)
-_UP = (Command.NAV_TAKEOFF,)
-_LAND, _HOME = (Command.NAV_LAND,), (Command.NAV_RETURN_TO_LAUNCH,)
+_ARM, _DISARM = (MavCommand.COMPONENT_ARM_DISARM, 1), (MavCommand.COMPONENT_ARM_DISARM, 0)
+_UP = (MavCommand.NAV_TAKEOFF,)
+_LAND, _HOME = (MavCommand.NAV_LAND,), (MavCommand.NAV_RETURN_TO_LAUNCH,)
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.02, 0.3, 1.0, 1.9, 2.1])
@@ -60,9 +60,9 @@ async def test_a_take_off_is_called_off_before_the_motors_turn(
         await ground.arm()
         ground.command(*_UP)
         await anyio.sleep(gap)
-        is_early = rig.vehicle.world.phase is Phase.ARMED
+        is_early = rig.vehicle.world.phase is VehiclePhase.ARMED
         assert await ground.ask(int(end[0]), *end[1:]) is (
-            Result.ACCEPTED if is_early or end is not _DISARM else Result.DENIED
+            MavResult.ACCEPTED if is_early or end is not _DISARM else MavResult.DENIED
         )
         highest = 0.0
         for _ in range(250):
@@ -90,8 +90,8 @@ async def test_what_takes_off_although_it_was_called_off_is_landed(
     ground.command(*_UP)
     while not rig.motors_on:  # noqa: ASYNC110 - virtual time: it costs nothing
         await anyio.sleep(0.001)
-    assert rig.vehicle.world.phase is Phase.ARMED, "telemetry has not told it yet"
-    assert await ground.ask(int(end[0]), *end[1:]) is Result.ACCEPTED
+    assert rig.vehicle.world.phase is VehiclePhase.ARMED, "telemetry has not told it yet"
+    assert await ground.ask(int(end[0]), *end[1:]) is MavResult.ACCEPTED
     await rig.until(lambda: rig.height > 0.5)
     assert ground.armed()
     await rig.until(lambda: not rig.motors_on)
@@ -104,7 +104,7 @@ async def test_a_take_off_whose_ground_station_is_lost_on_the_ground_is_called_o
 ) -> None:
     await ground.arm()
     ground.command(*_UP)
-    rig.vehicle.deck.operator_lost()
+    rig.vehicle.manager.operator_lost()
     await anyio.sleep(5.0)
     assert not rig.motors_on
     assert not rig.client.holder.number
@@ -120,7 +120,7 @@ async def test_arming_is_refused_while_a_take_off_is_called_off(rig: Rig, ground
     held = [rig.agent.holding.has_authority]
     await ground.arm()
     held.append(rig.agent.holding.has_authority)
-    assert (refused, held) == (Result.TEMPORARILY_REJECTED, [False, True])
+    assert (refused, held) == (MavResult.TEMPORARILY_REJECTED, [False, True])
     assert "the take-off is being called off" in ground.texts.replace("\n", "")
     assert not rig.motors_on
 
@@ -130,7 +130,7 @@ async def test_arming_after_disarming_waits_until_control_is_given_back(
 ) -> None:
     await ground.arm()
     ground.command(*_DISARM)
-    assert await ground.ask(*_ARM) is Result.ACCEPTED
+    assert await ground.ask(*_ARM) is MavResult.ACCEPTED
     await anyio.sleep(1.0)
     assert rig.agent.holding.has_authority
     assert ground.armed()
@@ -142,7 +142,7 @@ async def in_the_air_and_free(rig: Rig, ground: Ground) -> None:
     rig.work.cancel()
     await rig.until(lambda: not rig.client.holder.number)
     rig.work = rig.agent.background.spawn(rig.bridge.run(), "bridge")
-    await rig.until(lambda: rig.vehicle.world.phase is Phase.FREE)
+    await rig.until(lambda: rig.vehicle.world.phase is VehiclePhase.FREE)
 
 
 @pytest.mark.parametrize("copies", [2, 3])
@@ -153,7 +153,7 @@ async def test_copies_of_a_landing_are_one_while_control_is_obtained(
     async with Rig(firmware=firmware).running() as rig:
         await in_the_air_and_free(rig, rig.ground)
         for _ in range(copies):
-            assert await rig.ground.ask(Command.NAV_LAND) is Result.ACCEPTED
+            assert await rig.ground.ask(MavCommand.NAV_LAND) is MavResult.ACCEPTED
         await rig.until(lambda: not rig.motors_on)
 
 
@@ -161,8 +161,8 @@ async def test_a_landing_goes_on_when_who_asked_is_lost_before_control_is_obtain
     rig: Rig, ground: Ground
 ) -> None:
     await in_the_air_and_free(rig, ground)
-    ground.command(Command.NAV_LAND)
-    rig.vehicle.deck.operator_lost()
+    ground.command(MavCommand.NAV_LAND)
+    rig.vehicle.manager.operator_lost()
     await rig.until(lambda: not rig.motors_on)
 
 
@@ -170,7 +170,7 @@ async def test_the_newest_end_of_a_flight_counts_while_control_is_obtained(
     rig: Rig, ground: Ground
 ) -> None:
     await in_the_air_and_free(rig, ground)
-    ground.command(Command.NAV_LAND)
-    ground.command(Command.NAV_RETURN_TO_LAUNCH)
+    ground.command(MavCommand.NAV_LAND)
+    ground.command(MavCommand.NAV_RETURN_TO_LAUNCH)
     await anyio.sleep(2.0)
     assert ground.mode is Mode.RTL

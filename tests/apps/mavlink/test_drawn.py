@@ -13,7 +13,7 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlState
 from m100link.apps.mavlink.translator.modes import Mode
-from m100link.apps.mavlink.translator.numbers import Command
+from m100link.apps.mavlink.translator.numbers import MavCommand
 from m100link.errors import M100Error
 from tests.apps.mavlink.conftest import Ground, Rig
 from tests.apps.mavlink.test_bridge import send_velocity
@@ -49,9 +49,9 @@ class Drawn:
         rig, ground = self.rig, self.ground
         self.log.append(f"{rig.client.now:.2f} {what}")
         if what in ("arm", "disarm"):
-            ground.command(Command.COMPONENT_ARM_DISARM, what == "arm")
+            ground.command(MavCommand.COMPONENT_ARM_DISARM, what == "arm")
         elif what == "take off":
-            ground.command(Command.NAV_TAKEOFF)
+            ground.command(MavCommand.NAV_TAKEOFF)
         elif what == "mode":
             mode = self.draw.choice(MODES)
             self.log[-1] += f" {mode.value}"
@@ -62,7 +62,7 @@ class Drawn:
                 await anyio.sleep(0.05)
         elif what == "goto":
             args = (-1.0, 1.0, 0.0, math.nan, math.nan, math.nan, rig.ground_altitude + 20.0)
-            ground.command(Command.DO_REPOSITION, *args)
+            ground.command(MavCommand.DO_REPOSITION, *args)
         else:
             await self.happens(what)
 
@@ -136,7 +136,7 @@ class Drawn:
         place = (*rig.aircraft.position, rig.height)
         await anyio.sleep(5.0)
         assert self.stands(place), "it moves"
-        holder = rig.agent.desk.holder(rig.agent.now)
+        holder = rig.agent.leases.holder(rig.agent.now)
         if how != "silence" or not rig.motors_on:
             assert holder is None, holder
             assert not rig.agent.holding.has_authority

@@ -12,7 +12,7 @@ import pytest
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.server.agent import Agent
-from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.bus.network import Held, Inbox, Outlet, Question, Received, TokenChange
 from m100link.apps.ros2.graph import Names, data_key, read_attachment, write_attachment
@@ -190,7 +190,7 @@ class Rig:
     async def running(self) -> AsyncIterator[Rig]:
         async with AsyncExitStack() as stack:
             await stack.enter_async_context(self.agent)
-            self.service = Service(self.agent)
+            self.service = AgentServer(self.agent)
             ours, its = self.channels = memory_channels()
             self.service.attach(its)
             self.client = await stack.enter_async_context(AgentClient(ours, "ROS 2"))

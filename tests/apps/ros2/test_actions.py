@@ -10,7 +10,7 @@ import pytest
 
 from m100link.apps.bus.network import TokenChange
 from m100link.apps.ros2.actions import FLIGHTS, GoalStatus
-from m100link.apps.ros2.graph import End, NodeName, Qos, data_key
+from m100link.apps.ros2.graph import EntityKind, NodeName, Qos, data_key
 from m100link.geodesy import LocalFrame
 from m100link.log.cdr import ACTIONS, decode
 from tests.apps.ros2.conftest import Program, Rig
@@ -27,7 +27,7 @@ class Client(Program):
         self.tokens = [
             node.token_of(
                 place,
-                End.CLIENT,
+                EntityKind.CLIENT,
                 self.inner(name, "send_goal"),
                 f"{FLIGHTS[name][0]}_SendGoal",
                 Qos(),
@@ -223,7 +223,7 @@ async def test_one_goal_flies_at_a_time(rig: Rig, client: Client) -> None:
     # A way to the ground is anybody's.
     assert (await other.call("~/land"))["success"]
     await rig.until(lambda: not rig.motors_on)
-    assert rig.node.helm.goal == ""
+    assert rig.node.control.goal == ""
 
 
 async def test_the_pilot_ends_a_goal(rig: Rig, client: Client) -> None:
@@ -233,7 +233,7 @@ async def test_the_pilot_ends_a_goal(rig: Rig, client: Client) -> None:
     await anyio.sleep(2.0)
     rig.aircraft.vehicle.remote.set_mode("P")
     assert (await client.result("~/fly_to", goal))[0] is GoalStatus.ABORTED
-    assert rig.node.helm.goal == ""
+    assert rig.node.control.goal == ""
 
 
 @pytest.mark.parametrize(

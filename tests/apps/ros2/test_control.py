@@ -13,7 +13,15 @@ import pytest
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.ros2.actions import GoalStatus
-from m100link.apps.ros2.control import IDLE_S, SILENCE_S, Frames, Helm, Stick, speed, toward
+from m100link.apps.ros2.control import (
+    IDLE_S,
+    SILENCE_S,
+    Frames,
+    RosControl,
+    SetpointMux,
+    speed,
+    toward,
+)
 from m100link.errors import BadSetpoint, UsageError
 from m100link.protocol.records import FlightPhase, FlightStatus
 from m100link.protocol.setpoint import Setpoint
@@ -27,20 +35,20 @@ ONE, OTHER = b"1" * 16, b"2" * 16
 
 
 @pytest.fixture
-def stick() -> Stick:
-    made = Stick()
+def stick() -> SetpointMux:
+    made = SetpointMux()
     made.begin(0.0)
     return made
 
 
-def test_who_begins_first_has_it(stick: Stick) -> None:
+def test_who_begins_first_has_it(stick: SetpointMux) -> None:
     assert stick.hear(ONE, 0.0, 0.0) == ""
     assert stick.hear(OTHER, 0.1, 0.1) == "other"
     assert stick.hear(ONE, 0.2, 0.2) == ""
     assert stick.refused == {"late": 0, "other": 1, "closed": 0}
 
 
-def test_who_was_refused_has_to_be_silent_first(stick: Stick) -> None:
+def test_who_was_refused_has_to_be_silent_first(stick: SetpointMux) -> None:
     stick.hear(ONE, 0.0, 0.0)
     for step in range(1, 20):
         assert stick.hear(OTHER, step / 10, step / 10) == "other"
@@ -48,12 +56,12 @@ def test_who_was_refused_has_to_be_silent_first(stick: Stick) -> None:
     assert stick.hear(OTHER, 2.5, 2.5) == ""
 
 
-def test_who_was_silent_begins_anew(stick: Stick) -> None:
+def test_who_was_silent_begins_anew(stick: SetpointMux) -> None:
     stick.hear(ONE, 0.0, 0.0)
     assert stick.hear(ONE, 5.0, 5.0) == ""
 
 
-def steer(stick: Stick, begin: float, end: float, number: int = 0) -> int:
+def steer(stick: SetpointMux, begin: float, end: float, number: int = 0) -> int:
     """Send at 20 Hz, 50 ms late; returns the newest number."""
     for step in range(round((end - begin) * 20)):
         number += 1
@@ -62,14 +70,14 @@ def steer(stick: Stick, begin: float, end: float, number: int = 0) -> int:
     return number
 
 
-def test_who_paused_and_begins_anew_flies_whatever_it_counts(stick: Stick) -> None:
+def test_who_paused_and_begins_anew_flies_whatever_it_counts(stick: SetpointMux) -> None:
     number = steer(stick, 0.0, 2.0)
     assert stick.hear(ONE, 4.0, 4.05, number + 1) == ""
     assert stick.hear(ONE, 6.0, 6.05, number + 1) == ""  # it does not count
     assert stick.hear(ONE, 8.0, 8.05, 1) == ""  # it counts anew
 
 
-def test_who_was_cut_off_while_it_sent_does_not_fly_on(stick: Stick) -> None:
+def test_who_was_cut_off_while_it_sent_does_not_fly_on(stick: SetpointMux) -> None:
     number = steer(stick, 0.0, 2.0)
     # What it sent between is lost.
     number = steer(stick, 3.0, 6.0, number + 20)
@@ -78,7 +86,7 @@ def test_who_was_cut_off_while_it_sent_does_not_fly_on(stick: Stick) -> None:
     assert stick.hear(ONE, 7.0, 7.05, number + 1) == ""  # it paused by itself
 
 
-def test_what_waited_on_a_way_that_was_cut_begins_nothing(stick: Stick) -> None:
+def test_what_waited_on_a_way_that_was_cut_begins_nothing(stick: SetpointMux) -> None:
     number = steer(stick, 0.0, 2.0)
     for place in range(20):
         number += 1
@@ -88,14 +96,14 @@ def test_what_waited_on_a_way_that_was_cut_begins_nothing(stick: Stick) -> None:
 
 
 def test_before_control_nobody_has_it() -> None:
-    stick = Stick()
+    stick = SetpointMux()
     assert stick.hear(ONE, 0.0, 0.0) == "closed"
     stick.begin(0.1)
     assert stick.holder == ONE  # whoever sends alone while control is obtained
 
 
 def test_of_two_that_send_nobody_gets_it() -> None:
-    stick = Stick()
+    stick = SetpointMux()
     stick.hear(ONE, 0.0, 0.0)
     stick.hear(OTHER, 0.0, 0.0)
     stick.begin(0.1)
@@ -103,19 +111,19 @@ def test_of_two_that_send_nobody_gets_it() -> None:
     assert stick.hear(ONE, 1.0, 0.3 + SILENCE_S) == ""
 
 
-def test_after_the_end_nothing_goes_on(stick: Stick) -> None:
+def test_after_the_end_nothing_goes_on(stick: SetpointMux) -> None:
     stick.hear(ONE, 0.0, 0.0)
     stick.end()
     assert stick.hear(ONE, 0.1, 0.1) == "closed"
 
 
-def test_what_waited_is_late_by_whatever_clock(stick: Stick) -> None:
+def test_what_waited_is_late_by_whatever_clock(stick: SetpointMux) -> None:
     assert stick.hear(ONE, 1000.0, 0.0) == ""
     assert stick.hear(ONE, 1000.1, 0.45) == "late"
     assert stick.hear(ONE, 1000.5, 0.5) == ""
 
 
-def test_a_thousand_senders_are_not_kept(stick: Stick) -> None:
+def test_a_thousand_senders_are_not_kept(stick: SetpointMux) -> None:
     stick.hear(ONE, 0.0, 0.0)
     for number in range(1000):
         stick.hear(number.to_bytes(16, "little"), 0.0, 0.01)
@@ -124,7 +132,7 @@ def test_a_thousand_senders_are_not_kept(stick: Stick) -> None:
 
 
 def test_very_many_who_send_push_nobody_off_the_stick() -> None:
-    stick = Stick()
+    stick = SetpointMux()
     stick.begin(0.0)
     for step in range(100):
         now = 0.05 * step
@@ -142,7 +150,7 @@ def test_very_many_who_send_push_nobody_off_the_stick() -> None:
 
 
 def test_of_very_many_who_send_when_control_is_obtained_nobody_has_the_stick() -> None:
-    stick = Stick()
+    stick = SetpointMux()
     for number in range(40):
         stick.hear(b"%d" % number, 0.0, 0.01 * number)
     stick.begin(0.5)
@@ -392,11 +400,11 @@ async def test_control_is_given_back_for_lack_of_orders_where_it_is_seen_to_stan
     ours, its = memory_channels()
     agent = KnownAgent(its)
     async with AgentClient(ours, "ROS 2") as client:
-        helm = Helm(client)
-        await helm.obtain()
+        control = RosControl(client)
+        await control.obtain()
         for _ in range(round(IDLE_S) + 2):
             agent.tell(agent.state)
             agent.tell_package(client.now, changed=told, without=() if told else (FlightStatus,))
-            helm.advance()
+            control.advance()
             await anyio.sleep(1.0)
-        assert helm.session.has_lease is is_kept
+        assert control.session.has_lease is is_kept

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from m100link.apps.bus.network import DEPTH, TokenChange
 from m100link.apps.ros2.graph import (
     Attachment,
-    End,
+    EntityKind,
+    GraphDiscovery,
     Names,
     NodeName,
-    Presence,
     Qos,
     Seen,
     data_key,
@@ -40,7 +40,9 @@ def test_keys() -> None:
 def test_tokens() -> None:
     session = NODE.session
     assert NODE.token == f"@ros2_lv/2/{session}/0/0/NN/%/%/m100"
-    found = NODE.token_of(10, End.PUBLISHER, "/m100/imu", "sensor_msgs/Imu", Qos(is_reliable=False))
+    found = NODE.token_of(
+        10, EntityKind.PUBLISHER, "/m100/imu", "sensor_msgs/Imu", Qos(is_reliable=False)
+    )
     about = f"%m100%imu/sensor_msgs::msg::dds_::Imu_/{IMU}/2::,10:,:,:,,"
     assert found == f"@ros2_lv/2/{session}/0/10/MP/%/%/m100/{about}"
     inner = NodeName(2, session, "/drones/first", "a1", 3)
@@ -61,10 +63,10 @@ def test_qualities(qos: Qos, text: str) -> None:
 
 
 def test_tokens_are_read() -> None:
-    assert read_token(NODE.token) == Seen((NODE.session, "0"), "/m100", End.NODE, "")
+    assert read_token(NODE.token) == Seen((NODE.session, "0"), "/m100", EntityKind.NODE, "")
     other = "@ros2_lv/0/aac3/0/10/SC/%/%fleet/cli/%m100%land/std_srvs::srv::dds_::Trigger_/X/::,:"
     found = read_token(other + ",:,:,,")
-    assert found == Seen(("aac3", "0"), "/fleet/cli", End.CLIENT, "/m100/land")
+    assert found == Seen(("aac3", "0"), "/fleet/cli", EntityKind.CLIENT, "/m100/land")
 
 
 @given(st.text("@ros2_lvNMPSC/%", max_size=60))
@@ -140,15 +142,15 @@ def test_topics_may_come_together() -> None:
 TOPIC = "/m100/land"
 
 
-def token(session: str, end: End = End.CLIENT, topic: str = TOPIC) -> str:
+def token(session: str, end: EntityKind = EntityKind.CLIENT, topic: str = TOPIC) -> str:
     node = NodeName(0, session, "/", f"node_{session}")
     return node.token_of(1, end, topic, "std_srvs/srv/Trigger", Qos())
 
 
 def test_those_who_can_call_are_known_until_one_is_gone() -> None:
     inbox = MemoryInbox[TokenChange](99)
-    presence = Presence(lambda: inbox)
-    others = (token("c", End.SERVER), token("d", topic="/other"), "@ros2_lv/junk")
+    presence = GraphDiscovery(lambda: inbox)
+    others = (token("c", EntityKind.SERVER), token("d", topic="/other"), "@ros2_lv/junk")
     for key in (token("a"), token("b"), *others):
         inbox.waiting.append(TokenChange(key, True))
     presence.look()
@@ -164,7 +166,7 @@ def test_those_who_can_call_are_known_until_one_is_gone() -> None:
 
 def test_who_went_and_is_back_within_a_step_was_gone() -> None:
     inbox = MemoryInbox[TokenChange](99)
-    presence = Presence(lambda: inbox)
+    presence = GraphDiscovery(lambda: inbox)
     inbox.waiting.append(TokenChange(token("a"), True))
     presence.look()
     clients = presence.clients(TOPIC)
@@ -178,7 +180,7 @@ def test_who_went_and_is_back_within_a_step_was_gone() -> None:
 
 def test_a_flood_of_tokens_is_not_kept() -> None:
     inbox = MemoryInbox[TokenChange](DEPTH)
-    presence = Presence(lambda: inbox)
+    presence = GraphDiscovery(lambda: inbox)
     for number in range(10 * DEPTH):
         inbox.waiting.append(TokenChange(token(str(number)), True))
         if number % 1000 == 0:
@@ -189,7 +191,7 @@ def test_a_flood_of_tokens_is_not_kept() -> None:
 def test_of_a_flood_some_is_lost_and_then_all_count_as_gone() -> None:
     inboxes = [MemoryInbox[TokenChange](DEPTH), MemoryInbox[TokenChange](DEPTH)]
     waiting = iter(inboxes)
-    presence = Presence(lambda: next(waiting))
+    presence = GraphDiscovery(lambda: next(waiting))
     inboxes[0].waiting.append(TokenChange(token("a"), True))
     presence.look()
     clients = presence.clients(TOPIC)

@@ -20,7 +20,7 @@ from m100link.apps.agent.orders import Obtain
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.bus.network import Question, Received, TokenChange
 from m100link.apps.ros2.control import IDLE_S
-from m100link.apps.ros2.graph import End, Names, NodeName, data_key, read_token
+from m100link.apps.ros2.graph import EntityKind, Names, NodeName, data_key, read_token
 from m100link.apps.ros2.topics import INPUTS, OUTPUTS, SERVICES
 from m100link.errors import M100Error
 from m100link.log.cdr import encode
@@ -47,12 +47,12 @@ async def test_all_that_is_offered_has_a_token(rig: Rig) -> None:
     seen = [read_token(one) for one in rig.bus.tokens]
     assert all(one is not None and one.node_name == "/m100" for one in seen)
     ends = [(one.end, one.topic) for one in seen if one is not None]
-    assert ends[0] == (End.NODE, "")
+    assert ends[0] == (EntityKind.NODE, "")
     full = rig.names.full
     assert set(ends[1:]) >= {
-        *((End.PUBLISHER, full(name)) for name in OUTPUTS),
-        *((End.SUBSCRIBER, full(name)) for name in INPUTS),
-        *((End.SERVER, full(name)) for name in SERVICES),
+        *((EntityKind.PUBLISHER, full(name)) for name in OUTPUTS),
+        *((EntityKind.SUBSCRIBER, full(name)) for name in INPUTS),
+        *((EntityKind.SERVER, full(name)) for name in SERVICES),
     }
     assert len({one.split("/")[4] for one in rig.bus.tokens}) == len(rig.bus.tokens)
 
@@ -159,7 +159,7 @@ async def test_a_dead_publisher_means_hover(rig: Rig, program: Program) -> None:
     assert rig.speed < 2.9  # it brakes
     await anyio.sleep(1.5)
     assert rig.speed < 0.3
-    assert rig.node.helm.stick.holder is None
+    assert rig.node.control.mux.holder is None
 
 
 async def test_a_second_publisher_is_not_flown_and_does_not_follow(
@@ -187,7 +187,7 @@ async def test_setpoints_that_waited_are_not_flown(rig: Rig, program: Program) -
     program.late = 0.5
     await program.fly(1.0, 3.0)
     assert rig.speed < 0.3
-    assert rig.node.helm.stick.refused["late"] == 20
+    assert rig.node.control.mux.refused["late"] == 20
 
 
 async def test_a_place_is_flown_to(rig: Rig, program: Program) -> None:

@@ -12,7 +12,7 @@ import anyio
 import pytest
 
 from m100link.apps.ros2.graph import read_attachment
-from m100link.apps.ros2.publishers import Level, Stamps, Status, diagnostics
+from m100link.apps.ros2.publishers import DiagnosticLevel, Stamps, Status, diagnostics
 from m100link.apps.ros2.topics import OUTPUTS
 from m100link.log.cdr import full_name
 from m100link.protocol import encode_telemetry
@@ -165,15 +165,15 @@ async def test_each_message_is_counted_by_its_publisher(rig: Rig) -> None:
 # -- what /diagnostics says, and that it says it when something is wrong ---------------------------
 
 
-def levels(rig: Rig) -> dict[str, Level]:
+def levels(rig: Rig) -> dict[str, DiagnosticLevel]:
     told = rig.said("/diagnostics")[-1]["status"]
     assert all(one["name"].startswith("m100: ") for one in told)
-    return {one["name"].removeprefix("m100: "): Level(one["level"]) for one in told}
+    return {one["name"].removeprefix("m100: "): DiagnosticLevel(one["level"]) for one in told}
 
 
 async def test_all_is_well(rig: Rig) -> None:
     await anyio.sleep(6.0)
-    assert set(levels(rig).values()) == {Level.OK}
+    assert set(levels(rig).values()) == {DiagnosticLevel.OK}
     clock = next(one for one in rig.said("/diagnostics")[-1]["status"] if "clock" in one["name"])
     values = {one["key"]: one["value"] for one in clock["values"]}
     assert 0.0 < float(values["bound of stamps ms"]) < 50.0
@@ -182,11 +182,11 @@ async def test_all_is_well(rig: Rig) -> None:
 async def test_a_low_battery_and_a_line_that_is_gone(rig: Rig) -> None:
     rig.aircraft.vehicle.flight.battery_percent = 20.0
     await anyio.sleep(3.0)
-    assert levels(rig)["battery"] is Level.WARN
+    assert levels(rig)["battery"] is DiagnosticLevel.WARN
     rig.service.close()  # the agent has gone
     await anyio.sleep(10.0)
-    assert levels(rig)["line"] is Level.ERROR
-    assert levels(rig)["battery"] is Level.STALE
+    assert levels(rig)["line"] is DiagnosticLevel.ERROR
+    assert levels(rig)["battery"] is DiagnosticLevel.STALE
 
 
 async def test_what_was_not_done_is_counted(rig: Rig, program: Program) -> None:
@@ -202,12 +202,12 @@ async def test_a_position_that_cannot_be_true(rig: Rig) -> None:
     flight.phase = FlightPhase.IN_AIR
     flight.dynamics.place(0.0, 0.0, 10.0)
     await anyio.sleep(6.0)
-    assert levels(rig)["navigation"] is Level.OK
+    assert levels(rig)["navigation"] is DiagnosticLevel.OK
     flight.dynamics.place(500.0, 0.0, 10.0)
     await anyio.sleep(1.5)
-    assert levels(rig)["navigation"] is Level.ERROR
+    assert levels(rig)["navigation"] is DiagnosticLevel.ERROR
     await anyio.sleep(6.0)
-    assert levels(rig)["navigation"] is Level.OK
+    assert levels(rig)["navigation"] is DiagnosticLevel.OK
 
 
 def found(known: Known, name: str, **clock: Any) -> Status:
@@ -230,26 +230,38 @@ def test_numbers_are_in_the_units_of_their_names() -> None:
 
 
 @pytest.mark.parametrize(
-    ("uncertainty_s", "level"), [(0.05, Level.OK), (0.051, Level.WARN), (float("inf"), Level.WARN)]
+    ("uncertainty_s", "level"),
+    [
+        (0.05, DiagnosticLevel.OK),
+        (0.051, DiagnosticLevel.WARN),
+        (float("inf"), DiagnosticLevel.WARN),
+    ],
 )
-def test_stamps_are_uncertain_beyond_50_ms(uncertainty_s: float, level: Level) -> None:
+def test_stamps_are_uncertain_beyond_50_ms(uncertainty_s: float, level: DiagnosticLevel) -> None:
     clock = found(Known(), "clock", uncertainty_s=uncertainty_s, skew_ppm=0.0, resets=0)
     assert clock.level is level
-    assert found(Known(), "clock").level is Level.STALE
+    assert found(Known(), "clock").level is DiagnosticLevel.STALE
 
 
 @pytest.mark.parametrize(
     ("percent", "level"),
-    [(31, Level.OK), (30, Level.WARN), (0, Level.WARN), (100, Level.OK), (101, Level.STALE)],
+    [
+        (31, DiagnosticLevel.OK),
+        (30, DiagnosticLevel.WARN),
+        (0, DiagnosticLevel.WARN),
+        (100, DiagnosticLevel.OK),
+        (101, DiagnosticLevel.STALE),
+    ],
 )
-def test_a_battery_is_low_from_thirty_percent_down(percent: int, level: Level) -> None:
+def test_a_battery_is_low_from_thirty_percent_down(percent: int, level: DiagnosticLevel) -> None:
     assert found(Known(Battery(percent)), "battery").level is level
 
 
 @pytest.mark.parametrize(
-    ("age", "level"), [(1.2, Level.OK), (1.3, Level.STALE), (None, Level.STALE)]
+    ("age", "level"),
+    [(1.2, DiagnosticLevel.OK), (1.3, DiagnosticLevel.STALE), (None, DiagnosticLevel.STALE)],
 )
-def test_a_line_without_telemetry_is_stale(age: float | None, level: Level) -> None:
+def test_a_line_without_telemetry_is_stale(age: float | None, level: DiagnosticLevel) -> None:
     known = Known()
     known.newest_age = age
     assert found(known, "line").level is level

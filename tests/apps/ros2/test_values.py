@@ -21,9 +21,9 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.messages import (
     Ask,
     Event,
+    GuardLimits,
     LeaseChanged,
-    Limits,
-    MissionTold,
+    MissionReport,
     State,
     Steer,
     Telemetry,
@@ -296,7 +296,7 @@ def told(
     async def listen() -> None:
         async with KnownRig().running() as rig:
             await anyio.sleep(0.75)
-            rig.known.tell(state, LeaseChanged(3, "somebody"), MissionTold(2, b"\x09\x04"))
+            rig.known.tell(state, LeaseChanged(3, "somebody"), MissionReport(2, b"\x09\x04"))
             rig.known.tell(Event(1, 0.75, "warning", "a bird"))
             await anyio.sleep(SECOND_AT - 0.75 - pause)
             gone = (Time, Battery)  # the battery is told once a second
@@ -560,7 +560,7 @@ def test_a_place_is_flown_to_no_faster_than_the_guards_allow() -> None:
         connection="connected",
         firmware="3.1",
         has_authority=True,
-        limits=Limits(max_speed_m_s=2.5),
+        limits=GuardLimits(max_speed_m_s=2.5),
     )
     [steer] = steered("~/setpoint_position", pose_at(-100.0, 70.0, 12.34), slow)
     assert (steer.setpoint.x, steer.setpoint.y) == pytest.approx((2.0, -1.5), abs=0.01)

@@ -14,13 +14,13 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.server.agent import Agent
-from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.station.ros.client import Client
 from m100link.apps.station.ros.dji_sdk import DjiSdk
 from m100link.apps.station.ros.graph import Graph, add_rosapi, add_rosout
 from m100link.apps.station.ros.leases import Clients
-from m100link.apps.station.ros.node_2015 import Node
+from m100link.apps.station.ros.node_2015 import Node2015
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft
@@ -81,7 +81,7 @@ class FakeClient:
 def serve_rosbridge(agent: AgentClient, graph: Graph) -> None:
     """What a station offers to clients of rosbridge."""
     clients = Clients(agent, graph)
-    Node(agent, graph, clients)
+    Node2015(agent, graph, clients)
     DjiSdk(agent, graph, clients)
     add_rosout({"m100": agent}, graph)
     add_rosapi(graph)
@@ -100,7 +100,7 @@ class Rig:
     async def running(self) -> AsyncIterator[Rig]:
         # As bytes, so that every message of every test also goes through its codec.
         ours, its = self.channels = memory_channels(as_bytes=True)
-        self.service = Service(self.agent)
+        self.service = AgentServer(self.agent)
         async with self.agent, AgentClient(ours, "station") as self.front:
             self.service.attach(its)
             serve_rosbridge(self.front, self.graph)

@@ -13,13 +13,13 @@ import pytest
 from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from m100link.apps.station.foxglove import Channel, Viewer
-from m100link.apps.station.run import Running
+from m100link.apps.station.foxglove import FoxgloveChannel, Viewer
+from m100link.apps.station.run import RunningStation
 from tests.apps.station.web.test_server import TOKEN, station
 from tests.sockets import connect
 from tests.waiting import PATIENCE, Standing
 
-CHANNELS = (Channel(1, "/a", "A", "{}"), Channel(2, "/b", "B", "{}"))
+CHANNELS = (FoxgloveChannel(1, "/a", "A", "{}"), FoxgloveChannel(2, "/b", "B", "{}"))
 
 
 def viewer() -> Viewer:
@@ -142,7 +142,7 @@ def anyio_backend() -> str:
     return "asyncio"  # real time: sockets are not virtual
 
 
-def url(one: Running, query: str = "") -> str:
+def url(one: RunningStation, query: str = "") -> str:
     return f"ws://127.0.0.1:{one.sockets.port('foxglove')}/{query}"
 
 

@@ -13,13 +13,13 @@ from typing import Any
 import pytest
 
 from m100link.apps.mavlink.bridge import signature_time
-from m100link.apps.mavlink.translator.codec import Message, Signer, write_frame
+from m100link.apps.mavlink.translator.codec import MavlinkMessage, PacketSigner, write_frame
 from m100link.apps.station.config import Settings
 from m100link.apps.station.mavlink import prepare, serving_mavlink
 from tests.waiting import PATIENCE
 
 KEY = bytes(range(32))
-PING = Message("PING", {}, component=190)
+PING = MavlinkMessage("PING", {}, component=190)
 
 
 @pytest.fixture
@@ -48,7 +48,9 @@ async def served(settings: Settings, *frames: bytes) -> int:
 
 
 def test_what_was_recorded_is_refused_at_the_next_start(settings: Settings, tmp_path: Path) -> None:
-    recorded = write_frame(PING, system=245, sequence=0, signer=Signer(KEY), now=signature_time())
+    recorded = write_frame(
+        PING, system=245, sequence=0, signer=PacketSigner(KEY), now=signature_time()
+    )
     assert asyncio.run(served(settings, recorded)) == 0
     [file] = (tmp_path / "m100link" / "mavlink").iterdir()
     assert list(json.loads(file.read_text())["newest"]) == ["245.190.0"]
@@ -60,7 +62,7 @@ def test_a_folder_that_cannot_be_written_is_told_and_it_serves(
 ) -> None:
     (tmp_path / "m100link").write_text("a file")
     later = signature_time() + 100_000
-    frame = write_frame(PING, system=245, sequence=0, signer=Signer(KEY), now=later)
+    frame = write_frame(PING, system=245, sequence=0, signer=PacketSigner(KEY), now=later)
     with caplog.at_level(logging.WARNING):
         assert asyncio.run(served(settings, frame)) == 0
     assert "signatures are not remembered" in caplog.text

@@ -18,8 +18,8 @@ from websockets.asyncio.client import ClientConnection
 from m100link.apps.station import supervisor
 from m100link.apps.station.config import FRONT_NICENESS, Settings, resolve
 from m100link.apps.station.run import (
-    RunningApart,
-    RunningSeveral,
+    RunningMultiVehicle,
+    RunningTwoProcess,
     agent_settings,
     front_settings,
     running_apart,
@@ -75,7 +75,7 @@ class Pilot:
 @asynccontextmanager
 async def flying(
     *, with_console: bool = False, **more: Any
-) -> AsyncIterator[tuple[RunningApart, asyncio.Task[None]]]:
+) -> AsyncIterator[tuple[RunningTwoProcess, asyncio.Task[None]]]:
     """A station in two processes whose aircraft flies to the east."""
     async with AsyncExitStack() as stack:
         settings = Settings(sim=True, port=0, console_port=0, **more)
@@ -93,7 +93,7 @@ async def flying(
         await asyncio.gather(work, return_exceptions=True)
 
 
-def east(one: RunningApart) -> float:
+def east(one: RunningTwoProcess) -> float:
     """Velocity to the east of the last frame that reached the aircraft, m/s."""
     assert one.virtual is not None
     moves = one.virtual.autopilot.received_movements
@@ -164,7 +164,7 @@ async def test_a_front_that_hangs_costs_a_hover() -> None:
         os.kill(one.front.pid, signal.SIGSTOP)
         try:
             await until(lambda: east(one) == 0.0)
-            await until(lambda: one.agent.desk.holder(one.agent.now) is None)
+            await until(lambda: one.agent.leases.holder(one.agent.now) is None)
             await until(lambda: not one.agent.holding.has_authority)
         finally:
             os.kill(one.front.pid, signal.SIGCONT)
@@ -186,13 +186,13 @@ async def test_pages_asked_for_without_pause_do_not_end_a_flight() -> None:
     async with flying(with_console=True) as (one, work):
         port = one.sockets.port("console")
         assert port is not None
-        holder = one.agent.desk.holder(one.agent.now)
+        holder = one.agent.leases.holder(one.agent.now)
         before = one.front.pid
         async with asyncio.timeout(2 * PATIENCE):
             pages = await asyncio.gather(*(get(port) for _ in range(20)))
         assert sum(page.startswith(b"HTTP/1.1 200") for page in pages) >= 1
         assert not work.done()
-        assert one.agent.desk.holder(one.agent.now) == holder
+        assert one.agent.leases.holder(one.agent.now) == holder
         assert one.agent.holding.has_authority
         assert one.front.pid == before
         await until(lambda: east(one) == 1.0)
@@ -321,7 +321,7 @@ class NamedPilot(Pilot):
 
 
 @asynccontextmanager
-async def two() -> AsyncIterator[tuple[RunningSeveral, list[str]]]:
+async def two() -> AsyncIterator[tuple[RunningMultiVehicle, list[str]]]:
     """A station with two virtual aircraft, and what it tells."""
     told: list[str] = []
     settings = Settings(sim=True, port=0)

@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.mavlink.translator.codec import Message, Reading, write_frame
-from m100link.apps.mavlink.translator.numbers import Command, Result
+from m100link.apps.mavlink.translator.codec import MavlinkMessage, MessageReader, write_frame
+from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
 from m100link.sim.orders import send_order
 from tests.browser.conftest import Console, Watch, context_of, running_console, until
 from tests.browser.operator import banner, press_for, press_until
@@ -36,7 +36,7 @@ class Station:
         self.line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.line.connect((host, int(port)))
         self.line.setblocking(False)
-        self.newest: dict[str, Message] = {}
+        self.newest: dict[str, MavlinkMessage] = {}
         self.answers: list[tuple[int, int]] = []
         self.texts = ""
         self.sent = 0
@@ -44,7 +44,7 @@ class Station:
 
     def say(self, message: str, **fields: float) -> None:
         self.sent += 1
-        values = Message(message, {"target_system": 1, "target_component": 1} | fields)
+        values = MavlinkMessage(message, {"target_system": 1, "target_component": 1} | fields)
         with suppress(OSError):
             self.line.send(write_frame(values, system=255, sequence=self.sent))
 
@@ -60,7 +60,7 @@ class Station:
             await asyncio.sleep(0.05)
 
     def _hear(self, data: bytes) -> None:
-        for message in Reading(data):
+        for message in MessageReader(data):
             self.newest[message.name] = message
             if message.name == "COMMAND_ACK":
                 self.answers.append((message["command"], message["result"]))
@@ -71,17 +71,17 @@ class Station:
         fields = {"coordinate_frame": 1, "type_mask": 0b1101_1100_0111, "vx": NORTH}
         self.say("SET_POSITION_TARGET_LOCAL_NED", **fields)
 
-    async def ask(self, command: int, *parameters: float) -> Result:
+    async def ask(self, command: int, *parameters: float) -> MavResult:
         self.answers.clear()
         given = (*parameters, *(math.nan,) * (7 - len(parameters)))
         named = {f"param{place}": value for place, value in enumerate(given, 1)}
         self.say("COMMAND_LONG", command=command, **named)
-        ends = (Result.IN_PROGRESS,)
+        ends = (MavResult.IN_PROGRESS,)
         await until(lambda: any(one == command and r not in ends for one, r in self.answers))
-        return Result(next(r for one, r in self.answers if one == command and r not in ends))
+        return MavResult(next(r for one, r in self.answers if one == command and r not in ends))
 
-    async def mode(self, mode: tuple[int, int]) -> Result:
-        return await self.ask(Command.DO_SET_MODE, 1, *mode)
+    async def mode(self, mode: tuple[int, int]) -> MavResult:
+        return await self.ask(MavCommand.DO_SET_MODE, 1, *mode)
 
     @property
     def shown(self) -> tuple[int, int]:
@@ -91,8 +91,8 @@ class Station:
     async def flies_north(self, truth: Truth) -> None:
         """Armed, in the air, and on its way by setpoints."""
         await until(lambda: "HOME_POSITION" in self.newest)
-        assert await self.ask(Command.COMPONENT_ARM_DISARM, 1) is Result.ACCEPTED
-        assert await self.ask(Command.NAV_TAKEOFF) is Result.ACCEPTED
+        assert await self.ask(MavCommand.COMPONENT_ARM_DISARM, 1) is MavResult.ACCEPTED
+        assert await self.ask(MavCommand.NAV_TAKEOFF) is MavResult.ACCEPTED
         await until(lambda: truth.now["height"] > 2.0)
         await until(lambda: self.shown == HOLD)
         await self.again(truth)
@@ -100,7 +100,7 @@ class Station:
     async def again(self, truth: Truth) -> None:
         self.streams = True
         await asyncio.sleep(0.2)
-        assert await self.mode(OFFBOARD) is Result.ACCEPTED
+        assert await self.mode(OFFBOARD) is MavResult.ACCEPTED
         before = truth.now["north"]
         await until(lambda: truth.now["north"] > before + 2.0)
 
@@ -188,16 +188,18 @@ async def test_a_page_stops_takes_over_and_is_closed(browser: Any, tmp_path: Pat
         await station.again(truth)
         await take_over(page)
         await truth.stands()
-        assert await station.mode(LAND) is Result.TEMPORARILY_REJECTED
-        assert await station.mode(OFFBOARD) is Result.TEMPORARILY_REJECTED
-        assert await station.ask(Command.COMPONENT_ARM_DISARM, 1) is Result.TEMPORARILY_REJECTED
+        assert await station.mode(LAND) is MavResult.TEMPORARILY_REJECTED
+        assert await station.mode(OFFBOARD) is MavResult.TEMPORARILY_REJECTED
+        assert (
+            await station.ask(MavCommand.COMPONENT_ARM_DISARM, 1) is MavResult.TEMPORARILY_REJECTED
+        )
         assert station.newest["HEARTBEAT"]["base_mode"] & 128, "it flies"
         await page.close()
         await until(lambda: truth.now["control"] == "rc")
         await truth.stands()
-        assert await station.ask(Command.COMPONENT_ARM_DISARM, 1) is Result.ACCEPTED
+        assert await station.ask(MavCommand.COMPONENT_ARM_DISARM, 1) is MavResult.ACCEPTED
         await truth.stands()
-        assert await station.mode(LAND) is Result.ACCEPTED
+        assert await station.mode(LAND) is MavResult.ACCEPTED
         await until(lambda: truth.now["flight_status"] == "standby")
 
 

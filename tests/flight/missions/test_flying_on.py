@@ -21,8 +21,8 @@ from m100link import (
 from m100link.flight.stop_path import StopAction
 from tests.flight.foreign_aircraft import GOING_HOME, MODE_F, ONBOARD, STANDBY, frame
 from tests.flight.missions.foreign import assert_rests, foreign, plan, tell_standby_once
-from tests.flight.missions.test_keeper import start_from_a_phone
-from tests.flight.missions.test_run import (
+from tests.flight.missions.test_mission_guard import start_from_a_phone
+from tests.flight.missions.test_mission_session import (
     SLOW,
     assert_stopped,
     begun,

@@ -11,7 +11,14 @@ from typing import Any
 
 import zenoh
 
-from m100link.apps.ros2.graph import End, NodeName, Qos, data_key, read_attachment, write_attachment
+from m100link.apps.ros2.graph import (
+    EntityKind,
+    NodeName,
+    Qos,
+    data_key,
+    read_attachment,
+    write_attachment,
+)
 from m100link.log.cdr import decode, encode
 
 FLY_TO = "m100_msgs/action/FlyTo"
@@ -43,7 +50,7 @@ def goal(port: int, node: str, latitude: str, longitude: str) -> None:
     name = NodeName(0, str(session.zid()), "/", "commander")
     inner = f"{node}/fly_to/_action"
     kind = f"{FLY_TO}_SendGoal"
-    token = name.token_of(1, End.CLIENT, f"{inner}/send_goal", kind, Qos())
+    token = name.token_of(1, EntityKind.CLIENT, f"{inner}/send_goal", kind, Qos())
     held = [session.liveliness().declare_token(one) for one in (name.token, token)]
     time.sleep(1.0)
     place = {"latitude": float(latitude), "longitude": float(longitude)}

@@ -25,7 +25,7 @@ from m100link.sim import (
     serve_tcp,
 )
 from m100link.sim.line import is_telemetry
-from m100link.sim.orders import Scenario, Step
+from m100link.sim.orders import Scenario, ScenarioStep
 from m100link.sim.ports.driver import (
     LINE_OPTIONS,
     MISSION_OPTIONS,
@@ -259,7 +259,9 @@ async def test_two_ports_hear_the_same(virtual_aircraft: ConnectableAircraft) ->
 
 async def test_a_scenario_happens_in_time(virtual_aircraft: ConnectableAircraft) -> None:
     driver = virtual_aircraft.driver
-    driver.scenario = Scenario([Step(2.0, "gps 1"), Step(1.0, "rc-mode P"), Step(1.5, "key xx")])
+    driver.scenario = Scenario(
+        [ScenarioStep(2.0, "gps 1"), ScenarioStep(1.0, "rc-mode P"), ScenarioStep(1.5, "key xx")]
+    )
     await asyncio.sleep(1.2)
     assert virtual_aircraft.remote.mode.name == "P"
     assert virtual_aircraft.gps_health == 5

@@ -12,7 +12,7 @@ from m100link.sim.vehicle.dynamics import (
     STEP_S,
     Airframe,
     Dynamics,
-    Guidance,
+    DynamicsInput,
     ModelHorizontal,
     ModelVertical,
     ModelYaw,
@@ -27,7 +27,7 @@ def hovering(airframe: Airframe | None = None, *, yaw_deg: float = 0.0) -> Dynam
     return motion
 
 
-def run(motion: Dynamics, guidance: Guidance, seconds: float) -> None:
+def run(motion: Dynamics, guidance: DynamicsInput, seconds: float) -> None:
     for _ in range(round(seconds / STEP_S)):
         motion.step(guidance)
 
@@ -42,7 +42,7 @@ def test_tilt_responds_as_a_critically_damped_second_order_system(
 ) -> None:
     motion, wanted, w = hovering(), math.radians(10), Airframe().tilt_frequency
     a, b = (wanted, 0.0) if axis == "roll" else (0.0, wanted)
-    run(motion, Guidance(ModelHorizontal.TILT, a, b), seconds)
+    run(motion, DynamicsInput(ModelHorizontal.TILT, a, b), seconds)
     closed_form = wanted * (1 - (1 + w * seconds) * math.exp(-w * seconds))
     assert getattr(motion, axis) == pytest.approx(closed_form, rel=1e-9)
 
@@ -50,21 +50,21 @@ def test_tilt_responds_as_a_critically_damped_second_order_system(
 @pytest.mark.parametrize("seconds", [0.1, 0.35, 1.0])
 def test_climb_rate_responds_as_a_first_order_lag(seconds: float) -> None:
     motion, lag = hovering(), Airframe().vertical_time_constant
-    run(motion, Guidance(vertical=ModelVertical.VELOCITY, up=1.5), seconds)
+    run(motion, DynamicsInput(vertical=ModelVertical.VELOCITY, up=1.5), seconds)
     assert motion.velocity_up == pytest.approx(1.5 * (1 - math.exp(-seconds / lag)), rel=1e-9)
 
 
 @pytest.mark.parametrize("seconds", [0.1, 0.5, 2.0])
 def test_yaw_rate_responds_as_a_first_order_lag(seconds: float) -> None:
     motion, lag, rate = hovering(), Airframe().yaw_time_constant, math.radians(60)
-    run(motion, Guidance(yaw_mode=ModelYaw.RATE, yaw=rate), seconds)
+    run(motion, DynamicsInput(yaw_mode=ModelYaw.RATE, yaw=rate), seconds)
     angle = rate * (seconds - lag * (1 - math.exp(-seconds / lag)))
     assert motion.yaw == pytest.approx(angle, rel=1e-9)
 
 
 def test_velocity_at_constant_tilt_without_drag_grows_with_g_tan_tilt() -> None:
     motion = hovering(STILL)
-    guidance = Guidance(ModelHorizontal.TILT, 0.0, math.radians(-10))
+    guidance = DynamicsInput(ModelHorizontal.TILT, 0.0, math.radians(-10))
     run(motion, guidance, 2.0)
     before = motion.velocity_north
     run(motion, guidance, 3.0)
@@ -75,7 +75,7 @@ def test_velocity_at_constant_tilt_without_drag_grows_with_g_tan_tilt() -> None:
 
 def test_velocity_at_constant_tilt_ends_where_drag_balances_it() -> None:
     motion = hovering()
-    run(motion, Guidance(ModelHorizontal.TILT, math.radians(5), 0.0), 30.0)
+    run(motion, DynamicsInput(ModelHorizontal.TILT, math.radians(5), 0.0), 30.0)
     assert motion.velocity_east == pytest.approx(
         GRAVITY * math.tan(math.radians(5)) / Airframe().drag, rel=1e-3
     )
@@ -84,13 +84,13 @@ def test_velocity_at_constant_tilt_ends_where_drag_balances_it() -> None:
 def test_drag_slows_exponentially() -> None:
     motion = hovering()
     motion.velocity_north = 5.0
-    run(motion, Guidance(ModelHorizontal.TILT), 4.0)
+    run(motion, DynamicsInput(ModelHorizontal.TILT), 4.0)
     assert motion.velocity_north == pytest.approx(5.0 * math.exp(-4.0 * Airframe().drag), rel=0.01)
 
 
 def test_velocity_control_takes_about_a_second_and_hardly_overshoots() -> None:
     motion = hovering()
-    guidance = Guidance(ModelHorizontal.VELOCITY, 4.0, 0.0)
+    guidance = DynamicsInput(ModelHorizontal.VELOCITY, 4.0, 0.0)
     reached, highest = 0.0, 0.0
     for step in range(1, 600):
         motion.step(guidance)
@@ -104,7 +104,7 @@ def test_velocity_control_takes_about_a_second_and_hardly_overshoots() -> None:
 
 def test_position_control_arrives_and_stays() -> None:
     motion = hovering()
-    guidance = Guidance(ModelHorizontal.POSITION, 12.0, -7.0)
+    guidance = DynamicsInput(ModelHorizontal.POSITION, 12.0, -7.0)
     run(motion, guidance, 20.0)
     assert (motion.north, motion.east) == pytest.approx((12.0, -7.0), abs=0.02)
     assert motion.speed < 0.02
@@ -112,7 +112,7 @@ def test_position_control_arrives_and_stays() -> None:
 
 def test_height_control_arrives_and_stays() -> None:
     motion = hovering()
-    run(motion, Guidance(vertical=ModelVertical.HEIGHT, up=60.0), 15.0)
+    run(motion, DynamicsInput(vertical=ModelVertical.HEIGHT, up=60.0), 15.0)
     assert motion.height == pytest.approx(60.0, abs=0.01)
     assert abs(motion.velocity_up) < 0.01
 
@@ -122,7 +122,7 @@ def test_height_control_arrives_and_stays() -> None:
 )
 def test_yaw_angle_turns_the_short_way(start: float, target: float, turn: float) -> None:
     motion = hovering(yaw_deg=start)
-    guidance = Guidance(yaw_mode=ModelYaw.ANGLE, yaw=math.radians(target))
+    guidance = DynamicsInput(yaw_mode=ModelYaw.ANGLE, yaw=math.radians(target))
     turned, before = 0.0, motion.yaw
     for _ in range(1000):
         motion.step(guidance)
@@ -133,10 +133,10 @@ def test_yaw_angle_turns_the_short_way(start: float, target: float, turn: float)
 
 def test_braking_stops_and_holds_the_place() -> None:
     motion = hovering()
-    run(motion, Guidance(ModelHorizontal.VELOCITY, 8.0, 0.0), 5.0)
-    run(motion, Guidance(), 6.0)
+    run(motion, DynamicsInput(ModelHorizontal.VELOCITY, 8.0, 0.0), 5.0)
+    run(motion, DynamicsInput(), 6.0)
     place = motion.north, motion.east
-    run(motion, Guidance(), 20.0)
+    run(motion, DynamicsInput(), 20.0)
     assert motion.speed < 0.01
     assert (motion.north, motion.east) == pytest.approx(place, abs=0.05)
 
@@ -145,9 +145,13 @@ def test_hovering_thrust_keeps_the_height_and_more_climbs() -> None:
     airframe = Airframe(vertical_drag=0.0)
     motion = hovering(airframe)
     thrust = airframe.hover_thrust
-    run(motion, Guidance(ModelHorizontal.TILT, vertical=ModelVertical.THRUST, up=thrust), 5.0)
+    run(motion, DynamicsInput(ModelHorizontal.TILT, vertical=ModelVertical.THRUST, up=thrust), 5.0)
     assert motion.height == pytest.approx(50.0)
-    run(motion, Guidance(ModelHorizontal.TILT, vertical=ModelVertical.THRUST, up=1.1 * thrust), 2.0)
+    run(
+        motion,
+        DynamicsInput(ModelHorizontal.TILT, vertical=ModelVertical.THRUST, up=1.1 * thrust),
+        2.0,
+    )
     assert motion.velocity_up == pytest.approx(0.1 * GRAVITY * 2.0, rel=1e-9)
     assert motion.height == pytest.approx(50.0 + 0.5 * 0.1 * GRAVITY * 2.0**2, rel=1e-9)
 
@@ -158,14 +162,14 @@ def test_hovering_thrust_keeps_the_height_and_more_climbs() -> None:
 @pytest.mark.parametrize(
     ("guidance", "read", "limit"),
     [
-        (Guidance(ModelHorizontal.TILT, 1.5, 0.0), "roll", math.radians(30)),
-        (Guidance(ModelHorizontal.TILT, 0.0, -1.5), "pitch", -math.radians(30)),
-        (Guidance(up=9.0), "velocity_up", 4.0),
-        (Guidance(up=-9.0), "velocity_up", -4.0),
-        (Guidance(yaw_mode=ModelYaw.RATE, yaw=9.0), "rate_z", math.radians(100)),
+        (DynamicsInput(ModelHorizontal.TILT, 1.5, 0.0), "roll", math.radians(30)),
+        (DynamicsInput(ModelHorizontal.TILT, 0.0, -1.5), "pitch", -math.radians(30)),
+        (DynamicsInput(up=9.0), "velocity_up", 4.0),
+        (DynamicsInput(up=-9.0), "velocity_up", -4.0),
+        (DynamicsInput(yaw_mode=ModelYaw.RATE, yaw=9.0), "rate_z", math.radians(100)),
     ],
 )
-def test_limits_of_the_document_are_kept(guidance: Guidance, read: str, limit: float) -> None:
+def test_limits_of_the_document_are_kept(guidance: DynamicsInput, read: str, limit: float) -> None:
     motion = hovering()
     run(motion, guidance, 3.0)
     assert getattr(motion, read) == pytest.approx(limit, rel=1e-3)
@@ -173,7 +177,7 @@ def test_limits_of_the_document_are_kept(guidance: Guidance, read: str, limit: f
 
 def test_tilt_stays_below_the_cruise_tilt_in_velocity_control() -> None:
     motion = hovering()
-    guidance = Guidance(ModelHorizontal.VELOCITY, 10.0, 10.0)
+    guidance = DynamicsInput(ModelHorizontal.VELOCITY, 10.0, 10.0)
     for _ in range(500):
         motion.step(guidance)
         tilt = math.acos(math.cos(motion.roll) * math.cos(motion.pitch))
@@ -185,7 +189,7 @@ def test_tilt_stays_below_the_cruise_tilt_in_velocity_control() -> None:
 
 def test_forward_is_a_negative_pitch_and_right_a_positive_roll() -> None:
     motion = hovering(yaw_deg=0)
-    run(motion, Guidance(ModelHorizontal.VELOCITY, 3.0, 2.0, body=True), 0.5)
+    run(motion, DynamicsInput(ModelHorizontal.VELOCITY, 3.0, 2.0, body=True), 0.5)
     assert motion.pitch < 0 < motion.roll
     assert motion.velocity_north > 0
     assert motion.velocity_east > 0
@@ -199,7 +203,7 @@ def test_ground_frame_tracks_ignore_the_heading(
     motion, reference = hovering(yaw_deg=yaw_deg), hovering()
     a, b = (0.05, -0.1) if horizontal is ModelHorizontal.TILT else (3.0, 1.0)
     for each in (motion, reference):
-        run(each, Guidance(horizontal, a, b), 4.0)
+        run(each, DynamicsInput(horizontal, a, b), 4.0)
     assert (motion.north, motion.east) == pytest.approx((reference.north, reference.east), abs=0.03)
 
 
@@ -211,7 +215,7 @@ def test_body_frame_tracks_turn_with_the_heading(
     motion, reference = hovering(yaw_deg=yaw_deg), hovering()
     a, b = (0.05, -0.1) if horizontal is ModelHorizontal.TILT else (3.0, 1.0)
     for each in (motion, reference):
-        run(each, Guidance(horizontal, a, b, body=True), 4.0)
+        run(each, DynamicsInput(horizontal, a, b, body=True), 4.0)
     yaw = math.radians(yaw_deg)
     assert (motion.north, motion.east) == pytest.approx(
         (
@@ -225,7 +229,7 @@ def test_body_frame_tracks_turn_with_the_heading(
 def test_a_turning_body_frame_velocity_flies_a_circle() -> None:
     """At v and yaw rate w the radius is v / w; one turn ends where it began."""
     motion, rate = hovering(), math.radians(20)
-    guidance = Guidance(
+    guidance = DynamicsInput(
         ModelHorizontal.VELOCITY, 3.0, 0.0, body=True, yaw_mode=ModelYaw.RATE, yaw=rate
     )
     run(motion, guidance, 10.0)
@@ -242,13 +246,17 @@ def test_a_turning_body_frame_velocity_flies_a_circle() -> None:
 # --- consistency ----------------------------------------------------------------------------
 
 
-def wild_flight() -> list[Guidance]:
+def wild_flight() -> list[DynamicsInput]:
     return [
-        Guidance(ModelHorizontal.VELOCITY, 6.0, -4.0, up=2.0, yaw=0.8),
-        Guidance(ModelHorizontal.TILT, 0.3, -0.2, body=True, up=-1.0, yaw=-1.2),
-        Guidance(ModelHorizontal.POSITION, -20.0, 30.0, vertical=ModelVertical.HEIGHT, up=70.0),
-        Guidance(),
-        Guidance(ModelHorizontal.TILT, -0.1, 0.4, vertical=ModelVertical.THRUST, up=60.0, yaw=1.0),
+        DynamicsInput(ModelHorizontal.VELOCITY, 6.0, -4.0, up=2.0, yaw=0.8),
+        DynamicsInput(ModelHorizontal.TILT, 0.3, -0.2, body=True, up=-1.0, yaw=-1.2),
+        DynamicsInput(
+            ModelHorizontal.POSITION, -20.0, 30.0, vertical=ModelVertical.HEIGHT, up=70.0
+        ),
+        DynamicsInput(),
+        DynamicsInput(
+            ModelHorizontal.TILT, -0.1, 0.4, vertical=ModelVertical.THRUST, up=60.0, yaw=1.0
+        ),
     ]
 
 
@@ -338,7 +346,7 @@ def test_body_rates_turn_the_quaternion() -> None:
 def test_wind_is_held_against_by_tilting_into_it() -> None:
     motion = hovering()
     motion.wind_north = 6.0
-    run(motion, Guidance(ModelHorizontal.POSITION, 0.0, 0.0), 30.0)
+    run(motion, DynamicsInput(ModelHorizontal.POSITION, 0.0, 0.0), 30.0)
     assert motion.north == pytest.approx(0.0, abs=0.02)
     assert math.tan(motion.pitch) * GRAVITY == pytest.approx(
         Airframe().drag * 6.0 * -1.0 * -1.0, rel=0.02
@@ -348,28 +356,28 @@ def test_wind_is_held_against_by_tilting_into_it() -> None:
 def test_without_position_control_wind_carries_it_away() -> None:
     motion = hovering()
     motion.wind_east = 4.0
-    run(motion, Guidance(ModelHorizontal.TILT), 30.0)
+    run(motion, DynamicsInput(ModelHorizontal.TILT), 30.0)
     assert motion.velocity_east == pytest.approx(4.0, abs=0.01)
 
 
 def test_on_the_ground_with_motors_off_nothing_moves() -> None:
     motion = Dynamics()
-    run(motion, Guidance(ModelHorizontal.VELOCITY, 5.0, 5.0, up=4.0), 3.0)
+    run(motion, DynamicsInput(ModelHorizontal.VELOCITY, 5.0, 5.0, up=4.0), 3.0)
     assert (motion.north, motion.east, motion.height, motion.yaw) == (0, 0, 0, 0)
 
 
 def test_on_the_ground_with_idle_motors_only_climbing_moves() -> None:
     motion = Dynamics()
     motion.motors_on = True
-    run(motion, Guidance(ModelHorizontal.VELOCITY, 5.0, 5.0, up=0.0, yaw=1.0), 3.0)
+    run(motion, DynamicsInput(ModelHorizontal.VELOCITY, 5.0, 5.0, up=0.0, yaw=1.0), 3.0)
     assert (motion.north, motion.east, motion.height, motion.yaw) == (0, 0, 0, 0)
-    run(motion, Guidance(up=1.0), 3.0)
+    run(motion, DynamicsInput(up=1.0), 3.0)
     assert motion.height == pytest.approx(3.0 - Airframe().vertical_time_constant, rel=0.01)
 
 
 def test_sinking_ends_on_the_ground() -> None:
     motion = hovering()
-    run(motion, Guidance(up=-4.0), 20.0)
+    run(motion, DynamicsInput(up=-4.0), 20.0)
     assert motion.height == 0.0
     assert motion.on_ground
     assert motion.touchdown_speed == pytest.approx(4.0, rel=0.01)
@@ -379,9 +387,9 @@ def test_sinking_ends_on_the_ground() -> None:
 def test_motors_off_in_the_air_falls() -> None:
     motion = hovering()
     motion.motors_on = False
-    run(motion, Guidance(), 2.0)
+    run(motion, DynamicsInput(), 2.0)
     assert motion.height == pytest.approx(50.0 - 0.5 * GRAVITY * 2.0**2, rel=1e-9)
-    run(motion, Guidance(), 5.0)
+    run(motion, DynamicsInput(), 5.0)
     assert motion.on_ground
     assert motion.touchdown_speed == pytest.approx(math.sqrt(2 * GRAVITY * 50.0), rel=0.01)
 

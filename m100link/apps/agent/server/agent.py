@@ -13,19 +13,19 @@ from typing import Any, NamedTuple, Self
 
 from m100link.aircraft import Aircraft
 from m100link.apps.agent import orders
-from m100link.apps.agent.background import BackgroundTasks, ignore
-from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseDesk, TakeOver
-from m100link.apps.agent.messages import Journal, PlanTold, Topic
+from m100link.apps.agent.background import TaskSet, ignore
+from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseManager, TakeOver
+from m100link.apps.agent.messages import EventTopic, Journal, PlanChanged
 from m100link.apps.agent.orders import ORDERS, SETPOINT_LIFETIME, Needs, Order
 from m100link.apps.agent.server.authority import (
-    Activation,
-    Holding,
+    ActivationManager,
+    AuthorityManager,
     HoldingInput,
     HoldingState,
-    Inherited,
+    OrphanedAuthority,
 )
-from m100link.apps.agent.server.connection import Connect, Connection
-from m100link.apps.agent.server.flight import Flying, pattern
+from m100link.apps.agent.server.connection import AircraftConnection, Connect
+from m100link.apps.agent.server.flight import ActiveFlight, pattern
 from m100link.apps.agent.server.replays import Replays, refused
 from m100link.errors import AuthorityLost, GuardRefused, UsageError
 from m100link.flight.guards import Envelope, Guards
@@ -84,12 +84,12 @@ class Agent:
         self._clock = asyncio.get_running_loop().time
         self.replay = replay  #: as given
         self.journal = Journal(self._clock)  #: what happened
-        self.background = BackgroundTasks()  #: tasks that end with the agent
-        self.connection = Connection(connect, self.journal)  #: the line to the aircraft
+        self.background = TaskSet()  #: tasks that end with the agent
+        self.connection = AircraftConnection(connect, self.journal)  #: the line to the aircraft
         #: How the aircraft was activated.
-        self.activation = Activation(credentials, self.journal)
+        self.activation = ActivationManager(credentials, self.journal)
         #: Who may steer.
-        self.desk = LeaseDesk(
+        self.leases = LeaseManager(
             lifetime=lease_lifetime,
             longest_step=_LONGEST_STEP,
             leases_before=leases_before,
@@ -97,9 +97,11 @@ class Agent:
         )
         guards = Guards(envelope=envelope or Envelope())
         #: Control authority, and the flights under it.
-        self.holding = Holding(self.journal, self.background, guards)
+        self.holding = AuthorityManager(self.journal, self.background, guards)
         self.holding.on_change.append(self._holding_changed)
-        self._inherited = Inherited(self.journal, self.background, is_owed=leases_before > 0)
+        self._inherited = OrphanedAuthority(
+            self.journal, self.background, is_owed=leases_before > 0
+        )
         self._keep_authority = keep_authority
         # Ends a time in which authority is held for nobody.
         self._unclaimed: asyncio.TimerHandle | None = None
@@ -109,9 +111,9 @@ class Agent:
         #: Called after each change with the reason, the lease in force, or None, and what was
         #: flown for the one before.
         self.on_lease: list[Callable[[LeaseChange, Lease | None, Flown], None]] = []
-        self.plan = PlanTold()  #: the plan that waits to be started under the lease, or flies
+        self.plan = PlanChanged()  #: the plan that waits to be started under the lease, or flies
         self.on_plan: list[
-            Callable[[PlanTold], None]
+            Callable[[PlanChanged], None]
         ] = []  #: called with each, and when it is void
         self.connection.on_aircraft.append(self._aircraft_changed)
 
@@ -145,7 +147,7 @@ class Agent:
     async def _watch_lease(self) -> None:
         while True:
             await asyncio.sleep(_LEASE_CHECK)
-            self.desk.advance(self.now)
+            self.leases.advance(self.now)
 
     def _lease_changed(self, why: LeaseChange, old: Lease | None, new: Lease | None) -> None:
         flown = self.holding.flown
@@ -160,7 +162,7 @@ class Agent:
             self.holding.feed(HoldingInput.LET_GO)
         for callback in self.on_lease:
             callback(why, new, flown)
-        self.upload(PlanTold())  # nobody flies what somebody else left
+        self.upload(PlanChanged())  # nobody flies what somebody else left
         if new is not None:
             whom = f" from {old.name}" if old is not None else ""
             self.journal.note(f"{new.name} has control ({why.value}{whom})")
@@ -216,13 +218,13 @@ class Agent:
     def begin(self, order: Order, token: str, accepted: Callable[[], None]) -> Any:
         """Begin as :meth:`ask`: returns the answer of what is done at once, else what to await."""
         if order.needs is Needs.LEASE_IF_HELD:
-            if self.desk.holder(self.now) is not None:
-                self.desk.check(token, self.now)
+            if self.leases.holder(self.now) is not None:
+                self.leases.check(token, self.now)
         elif order.needs is not Needs.NOTHING:
-            self.desk.renew(token, self.now)
-        return HANDLERS[type(order)](Call(self, token, accepted), order)
+            self.leases.renew(token, self.now)
+        return HANDLERS[type(order)](OrderContext(self, token, accepted), order)
 
-    def upload(self, plan: PlanTold) -> None:
+    def upload(self, plan: PlanChanged) -> None:
         """Keep the plan that may be started under the lease in force, and tell it."""
         if plan != self.plan:
             self.plan = plan
@@ -242,7 +244,7 @@ class Agent:
         self._begin_anew = ""  # a STOP from now on came after this was asked for
         await self._inherited.settle()
         await self.holding.settle()
-        self.desk.check(token, self.now)  # it may have ended while authority went back
+        self.leases.check(token, self.now)  # it may have ended while authority went back
         await self.holding.obtain(aircraft)
 
     async def give_back(self) -> None:
@@ -263,7 +265,7 @@ class Agent:
             NoAuthority, GuardRefused, UsageError: See :meth:`m100link.Control.send`.
         """
         now = self.now
-        self.desk.renew(token, now)
+        self.leases.renew(token, now)
         since, self._steered_at = now - self._steered_at, now
         is_new = since > _PAUSE_S and self.holding.has_authority
         if is_new and self._begin_anew == _LOST_MEANWHILE:
@@ -285,7 +287,7 @@ class Agent:
         """
         if self.holding.flying is not None:
             self.holding.flying.halt(why)
-        holder = self.desk.holder(self.now)
+        holder = self.leases.holder(self.now)
         if token and holder is not None and token == holder.token:
             self._begin_anew = ""
 
@@ -303,7 +305,7 @@ class Agent:
         No command ends a task: giving control authority back is all that this side can do.
         """
         self._begin_anew = "STOP was pressed"
-        self.journal.note("stop", topic=Topic.STOPPED)
+        self.journal.note("stop", topic=EventTopic.STOPPED)
         flying = self.holding.flying
         is_in_task = flying is not None and flying.is_in_task
         is_in_task = is_in_task or await self.holding.stop_landing()
@@ -319,7 +321,7 @@ Answer = tuple[str, int] | Lease | TakeOver | None
 """What an order gives: a text and a number, a lease, or what confirms a take-over."""
 
 
-class Call(NamedTuple):
+class OrderContext(NamedTuple):
     """Who asks, and for what an order is carried out."""
 
     agent: Agent
@@ -332,29 +334,29 @@ class Call(NamedTuple):
         return self.agent.connection.require_aircraft()
 
     @property
-    def flying(self) -> Flying:
+    def flying(self) -> ActiveFlight:
         """What flies. Raises NoAuthority: control authority is not held."""
         return self.agent.holding.require()
 
     @property
-    def desk(self) -> LeaseDesk:
+    def leases(self) -> LeaseManager:
         """Who grants leases. Raises OnlyRecorded: nobody gets one of a replay."""
         if self.agent.replay is not None:
             raise refused()
-        return self.agent.desk
+        return self.agent.leases
 
 
-async def _activate(call: Call, _: orders.Activate) -> None:
+async def _activate(call: OrderContext, _: orders.Activate) -> None:
     await call.agent.activation.activate(call.aircraft)
 
 
-async def _version(call: Call, _: orders.AskVersion) -> Answer:
+async def _version(call: OrderContext, _: orders.AskVersion) -> Answer:
     aircraft = call.aircraft  # LinkError without one; its version was asked at connecting
     version = call.agent.connection.version or await aircraft.version()
     return version.name, version.crc
 
 
-async def _point_gimbal(call: Call, order: orders.PointGimbal) -> None:
+async def _point_gimbal(call: OrderContext, order: orders.PointGimbal) -> None:
     angles, mode = order.angles, order.angles.mode
     await call.aircraft.gimbal.set_angles(
         yaw=None if mode & GimbalAngleMode.KEEP_YAW else angles.yaw_deg,
@@ -365,26 +367,26 @@ async def _point_gimbal(call: Call, order: orders.PointGimbal) -> None:
     )
 
 
-async def _turn_gimbal(call: Call, order: orders.TurnGimbal) -> None:
+async def _turn_gimbal(call: OrderContext, order: orders.TurnGimbal) -> None:
     rates = order.rates
     await call.aircraft.gimbal.set_angular_rates(
         yaw=rates.yaw_deg_s, pitch=rates.pitch_deg_s, roll=rates.roll_deg_s
     )
 
 
-async def _order_replay(call: Call, order: orders.OrderReplay) -> None:
+async def _order_replay(call: OrderContext, order: orders.OrderReplay) -> None:
     if call.agent.replay is None:
         raise UsageError("this is not a replay", remedy="m100link replay FILE")
     await call.agent.replay.order(order.text)
 
 
-async def _fly_pattern(call: Call, order: orders.FlyPattern) -> None:
+async def _fly_pattern(call: OrderContext, order: orders.FlyPattern) -> None:
     call.flying.start_pattern(f"simple task {order.number}", pattern(order.number))
 
 
-async def _upload_plan(call: Call, order: orders.UploadPlan) -> Answer:
+async def _upload_plan(call: OrderContext, order: orders.UploadPlan) -> Answer:
     agent = call.agent
-    agent.upload(PlanTold())  # the one before is void, whatever comes of this one
+    agent.upload(PlanChanged())  # the one before is void, whatever comes of this one
     try:
         plan = order.plan()
     except ValueError as error:
@@ -393,13 +395,13 @@ async def _upload_plan(call: Call, order: orders.UploadPlan) -> Answer:
             cause="the program that uploaded it belongs to another release",
             remedy="install the same release on both sides",
         ) from None
-    name = agent.desk.check(call.token, agent.now).name
+    name = agent.leases.check(call.token, agent.now).name
     agent.journal.note(f"{name} uploaded a plan of {len(plan.waypoints)} waypoints")
-    agent.upload(PlanTold(name, order))
+    agent.upload(PlanChanged(name, order))
     return order.digest, 0
 
 
-async def _start_mission(call: Call, order: orders.StartMission) -> None:
+async def _start_mission(call: OrderContext, order: orders.StartMission) -> None:
     uploaded = call.agent.plan.plan
     if uploaded is None:
         raise UsageError(
@@ -415,22 +417,22 @@ async def _start_mission(call: Call, order: orders.StartMission) -> None:
     await call.flying.start_mission(uploaded.plan(), take_off=order.take_off, begun=begun)
 
 
-async def _set_speed(call: Call, order: orders.SetMissionSpeed) -> Answer:
+async def _set_speed(call: OrderContext, order: orders.SetMissionSpeed) -> Answer:
     flight = call.flying.mission.flight(WaypointFlight)
     return "", round(await flight.set_speed(order.speed) * 1000)
 
 
-def _circle(call: Call) -> HotpointFlight:
+def _circle(call: OrderContext) -> HotpointFlight:
     return call.flying.mission.flight(HotpointFlight)
 
 
-HANDLERS: dict[type[Order], Callable[[Call, Any], Any]] = {
+HANDLERS: dict[type[Order], Callable[[OrderContext, Any], Any]] = {
     # A lease of a replay cannot be had, and be given back all the same.
-    orders.ReleaseLease: lambda call, one: call.agent.desk.release(one.token, call.agent.now),
-    orders.AcquireLease: lambda call, one: call.desk.acquire(one.name, call.agent.now),
-    orders.RenewLease: lambda call, one: call.desk.renew(one.token, call.agent.now),
-    orders.AskTakeOver: lambda call, one: call.desk.ask_take_over(one.name, call.agent.now),
-    orders.ConfirmTakeOver: lambda call, one: call.desk.confirm(one.token, call.agent.now),
+    orders.ReleaseLease: lambda call, one: call.agent.leases.release(one.token, call.agent.now),
+    orders.AcquireLease: lambda call, one: call.leases.acquire(one.name, call.agent.now),
+    orders.RenewLease: lambda call, one: call.leases.renew(one.token, call.agent.now),
+    orders.AskTakeOver: lambda call, one: call.leases.ask_take_over(one.name, call.agent.now),
+    orders.ConfirmTakeOver: lambda call, one: call.leases.confirm(one.token, call.agent.now),
     orders.Halt: lambda call, one: call.agent.halt(one.why, call.token),
     orders.Stop: lambda call, _: call.agent.stop(),
     orders.Activate: _activate,

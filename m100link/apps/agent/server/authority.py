@@ -17,11 +17,11 @@ from enum import Enum
 
 from m100link.aircraft import Aircraft
 from m100link.aircraft.activation import ActivationProgress
-from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.background import TaskSet
 from m100link.apps.agent.lease import Flown
-from m100link.apps.agent.messages import Journal, Limits, Topic
+from m100link.apps.agent.messages import EventTopic, GuardLimits, Journal
 from m100link.apps.agent.orders import GuidedOrder
-from m100link.apps.agent.server.flight import Flying, limits_of
+from m100link.apps.agent.server.flight import ActiveFlight, limits_of
 from m100link.apps.agent.server.mission import MissionListener, look_at
 from m100link.errors import (
     AuthorityLost,
@@ -125,17 +125,15 @@ _UNSEEN = (LinkError, TelemetryStalled)
 """What ends control without a sight of the aircraft."""
 
 
-class Holding:
+class AuthorityManager:
     """Control authority for the clients of one agent, by default under all guards."""
 
-    def __init__(
-        self, journal: Journal, background: BackgroundTasks, guards: Guards | None = None
-    ) -> None:
+    def __init__(self, journal: Journal, background: TaskSet, guards: Guards | None = None) -> None:
         self._journal = journal
         self._background = background
         self._guards = guards or Guards()
         self.state = HoldingState.NONE
-        self.flying: Flying | None = None  # what flies; None outside a control block
+        self.flying: ActiveFlight | None = None  # what flies; None outside a control block
         # Called after each change with the old and the new state.
         self.on_change: list[Callable[[HoldingState, HoldingState], None]] = []
         # Called when somebody else took authority.
@@ -176,7 +174,7 @@ class Holding:
         return self.flying.flown if self.flying is not None else Flown.NOTHING
 
     @property
-    def limits(self) -> Limits:
+    def limits(self) -> GuardLimits:
         """What the guards allow; without control, what they would."""
         return limits_of(self._guards, None) if self.flying is None else self.flying.limits
 
@@ -185,7 +183,7 @@ class Holding:
         """Where somebody has pointed and the aircraft flies to, or None."""
         return self.flying.guiding.order if self.flying is not None else None
 
-    def require(self) -> Flying:
+    def require(self) -> ActiveFlight:
         """What flies. Raises NoAuthority: authority is not held."""
         if self.flying is None or not self.has_authority:
             raise NoAuthority(
@@ -283,7 +281,7 @@ class Holding:
             granted.cancel()
 
     async def _use(self, control: Control, granted: asyncio.Future[None]) -> None:
-        flying = self.flying = Flying(control, self._journal, self._background)
+        flying = self.flying = ActiveFlight(control, self._journal, self._background)
         flying.mission.on_event = self.on_mission_event
         try:
             self.feed(HoldingInput.OBTAINED)
@@ -319,7 +317,7 @@ class Holding:
         told = f"the {what} ended: {why}"
         if not is_seen:
             told = f"nobody here flies the {what} now: {why}; the aircraft may fly on"
-        self._journal.note(told, "error", Topic.MISSION_ABORTED)
+        self._journal.note(told, "error", EventTopic.MISSION_ABORTED)
 
     # -- the pilot comes back --------------------------------------------------------------------
 
@@ -355,10 +353,10 @@ class Holding:
 # later.
 
 
-class Inherited:
+class OrphanedAuthority:
     """Gives back, once, what an agent before may have held, if there was one (``is_owed``)."""
 
-    def __init__(self, journal: Journal, background: BackgroundTasks, *, is_owed: bool) -> None:
+    def __init__(self, journal: Journal, background: TaskSet, *, is_owed: bool) -> None:
         self._journal = journal
         self._background = background
         self._is_owed = is_owed
@@ -400,7 +398,7 @@ class Inherited:
 # -- the activation of the aircraft for one app, and how the last one went -------------------------
 
 
-class Activation:
+class ActivationManager:
     """What activates the aircraft; without credentials it can only be watched."""
 
     def __init__(self, credentials: Credentials | None, journal: Journal) -> None:

@@ -36,7 +36,7 @@ class ConnectionState(Enum):
     LOST = "lost"  # it was connected; the next attempt comes after a pause
 
 
-class Connection:
+class AircraftConnection:
     """Keeps an aircraft connected, whichever it is.
 
     A :class:`~m100link.Supervised` ends when another aircraft answers. Nobody flies then: a control

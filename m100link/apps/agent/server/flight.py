@@ -11,9 +11,9 @@ from typing import Any, Literal
 import anyio
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.background import BackgroundTasks, ignore
+from m100link.apps.agent.background import TaskSet, ignore
 from m100link.apps.agent.lease import Flown
-from m100link.apps.agent.messages import Journal, Limits
+from m100link.apps.agent.messages import GuardLimits, Journal
 from m100link.apps.agent.orders import (
     ANGLE_MODE,
     SETPOINT_LIFETIME,
@@ -22,7 +22,7 @@ from m100link.apps.agent.orders import (
     setpoint_of,
 )
 from m100link.apps.agent.preview import preview
-from m100link.apps.agent.server.mission import FlyingMission
+from m100link.apps.agent.server.mission import ActiveMission
 from m100link.errors import GuardRefused, M100Error, NotObserved, TaskRefused, UsageError
 from m100link.flight.control import Control
 from m100link.flight.foresight import (
@@ -35,7 +35,7 @@ from m100link.flight.foresight import (
 )
 from m100link.flight.guards import Guards
 from m100link.flight.guidance import GuidanceProgress
-from m100link.flight.missions.keeper import MissionFlight
+from m100link.flight.missions.mission_guard import MissionFlight
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.hotpoint import HotpointStart
@@ -50,17 +50,17 @@ Pattern = Callable[[Control, Callable[[Setpoint], None]], Coroutine[Any, Any, No
 """A program that flies: takes the control and what sends a setpoint."""
 
 
-class Flying:
+class ActiveFlight:
     """What flies during one control block; made when it is entered, ended before it is left."""
 
-    def __init__(self, control: Control, journal: Journal, background: BackgroundTasks) -> None:
+    def __init__(self, control: Control, journal: Journal, background: TaskSet) -> None:
         self._control = control
         self._journal = journal
         self._background = background
         # Name of the task that was asked of the aircraft and has not ended, or None.
         self.task: str | None = None
-        self.mission = FlyingMission(control, journal, background)
-        self.guiding = Guiding(control, journal, background)
+        self.mission = ActiveMission(control, journal, background)
+        self.guiding = GuidedFlightManager(control, journal, background)
         # The setpoint to neutralise when motion has to stop; None when nothing was sent.
         self._last: Setpoint | None = None
         self._running_task: asyncio.Task[None] | None = None
@@ -73,7 +73,7 @@ class Flying:
         return not self._is_ended and self._control.has_authority
 
     @property
-    def limits(self) -> Limits:
+    def limits(self) -> GuardLimits:
         """What the guards of the block allow."""
         return limits_of(self._control.guards, self._control.origin)
 
@@ -305,7 +305,7 @@ class Flying:
         return broken_off
 
 
-def limits_of(guards: Guards, origin: tuple[float, float] | None) -> Limits:
+def limits_of(guards: Guards, origin: tuple[float, float] | None) -> GuardLimits:
     """Guards as a front is told of them, with latitude and longitude of the start, °."""
     envelope = guards.envelope
     height, radius, speed = (
@@ -317,7 +317,7 @@ def limits_of(guards: Guards, origin: tuple[float, float] | None) -> Limits:
         )
     )
     latitude, longitude = origin if origin is not None else (None, None)
-    return Limits(height, radius, speed, guards.battery_floor_percent, latitude, longitude)
+    return GuardLimits(height, radius, speed, guards.battery_floor_percent, latitude, longitude)
 
 
 # -- flying to where an operator points: one at a time, and the newest wins ------------------------
@@ -337,10 +337,10 @@ class _Flight:
     hovers: bool = True  # whether the aircraft hovers then, as far as this side decides it
 
 
-class Guiding:
+class GuidedFlightManager:
     """The guided flight of one control block, if there is one."""
 
-    def __init__(self, control: Control, journal: Journal, background: BackgroundTasks) -> None:
+    def __init__(self, control: Control, journal: Journal, background: TaskSet) -> None:
         self._control = control
         self._journal = journal
         self._background = background
@@ -399,7 +399,7 @@ class Guiding:
                 self._journal.note(f"{order.label} begins")
                 flight.accepted()
 
-        expected = preview(order, control.state, Limits()).seconds
+        expected = preview(order, control.state, GuardLimits()).seconds
         timeout = _PATIENCE_S + _PATIENCE * expected
         if isinstance(order, orders.FlyTo):
             await control.fly_to(**asdict(order), timeout=timeout, progress=progress)

@@ -7,8 +7,8 @@ import math
 from collections.abc import Callable
 from typing import TypeVar
 
-from m100link.apps.agent.background import BackgroundTasks
-from m100link.apps.agent.messages import Journal, Topic
+from m100link.apps.agent.background import TaskSet
+from m100link.apps.agent.messages import EventTopic, Journal
 from m100link.errors import M100Error, MissionRunning, NotObserved, UsageError
 from m100link.flight.control import Control
 from m100link.flight.missions.events import (
@@ -22,7 +22,7 @@ from m100link.flight.missions.events import (
     Uploaded,
 )
 from m100link.flight.missions.hotpoint import CircleHeading, CircleStart, HotpointFlight
-from m100link.flight.missions.keeper import MissionFlight
+from m100link.flight.missions.mission_guard import MissionFlight
 from m100link.flight.missions.waypoint import WaypointFlight
 from m100link.missions.plan import AtEnd, WaypointPlan
 from m100link.protocol.commands.hotpoint import HotpointStart
@@ -39,10 +39,10 @@ MissionListener = Callable[[MissionEvent], None]
 """Told of each event, progress excepted."""
 
 
-class FlyingMission:
+class ActiveMission:
     """The mission of one control block, if there is one."""
 
-    def __init__(self, control: Control, journal: Journal, background: BackgroundTasks) -> None:
+    def __init__(self, control: Control, journal: Journal, background: TaskSet) -> None:
         self._control = control
         self._journal = journal
         self._background = background
@@ -124,7 +124,7 @@ class FlyingMission:
         begun: asyncio.Future[None],
         over: asyncio.Future[None],
     ) -> None:
-        outcome, level, topic = f"the {what} is over", "info", Topic.NONE
+        outcome, level, topic = f"the {what} is over", "info", EventTopic.NONE
         failure: M100Error | None = None
         is_flown = False
         try:
@@ -139,7 +139,7 @@ class FlyingMission:
         except M100Error as error:
             failure = error
             outcome, level = f"the {what} ended: {error.seen}", "error"
-            topic = Topic.MISSION_ABORTED if begun.done() else Topic.NONE
+            topic = EventTopic.MISSION_ABORTED if begun.done() else EventTopic.NONE
             if not begun.done():
                 begun.set_exception(error)
         except asyncio.CancelledError:

@@ -17,22 +17,22 @@ from m100link.apps.agent.messages import (
     Ask,
     AuthorityTaken,
     Event,
-    Fault,
-    FromMobile,
+    EventTopic,
     Hello,
+    JournalNote,
     LeaseChanged,
     LinkCounted,
     Message,
     MessageError,
-    MissionTold,
-    Note,
-    Outcome,
+    MissionReport,
+    MobileMessage,
+    OrderOutcome,
+    RemoteError,
     Stage,
     State,
     Steer,
     SteerRefused,
     Telemetry,
-    Topic,
     fault_of,
 )
 from m100link.apps.agent.orders import Halt, Right
@@ -55,12 +55,12 @@ _NONE = MissionKind.NONE
 _BOUNDS = (*(str(bound) for bound in ROUND_TRIP_BOUNDS_S), "inf")
 
 
-class Service:
+class AgentServer:
     """Serves any number of fronts."""
 
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
-        self._fronts: set[Front] = set()
+        self._fronts: set[ClientSession] = set()
         self._told: tuple[object, ...] = ()
         agent.connection.on_sample.append(self._sample)
         agent.connection.on_aircraft.append(self._aircraft_changed)
@@ -74,7 +74,7 @@ class Service:
 
     def attach(self, channel: Channel) -> None:
         """Serve the front at the other end of this channel."""
-        front = Front(
+        front = ClientSession(
             self._agent, channel, on_gone=self._fronts.discard, before_outcome=self._tell_state
         )
         self._fronts.add(front)
@@ -105,7 +105,7 @@ class Service:
     async def _watch_mobile(self, aircraft: Aircraft) -> None:
         async with aircraft.from_mobile() as messages:
             async for data in messages:
-                self._tell(FromMobile(data))
+                self._tell(MobileMessage(data))
 
     def _event(self, event: Event) -> None:
         self._tell_state()
@@ -116,12 +116,12 @@ class Service:
 
     def _authority_taken(self, error: AuthorityLost) -> None:
         self._tell_state()
-        self._tell(AuthorityTaken(Fault.of(error)))
+        self._tell(AuthorityTaken(RemoteError.of(error)))
 
     def _mission_event(self, event: MissionEvent) -> None:
         push = push_of(event)
         if push is not None:
-            self._tell(MissionTold(*push))
+            self._tell(MissionReport(*push))
 
     def _lease_changed(self, why: LeaseChange, lease: Lease | None, flown: Flown) -> None:
         number, name = (lease.number, lease.name) if lease is not None else (0, "")
@@ -207,7 +207,7 @@ class Service:
             mission=mission.kind.value if mission.is_running or mission.kind is _NONE else "",
             mission_index=-1 if mission.index is None else mission.index,
             mission_status=-1 if mission.status is None else mission.status,
-            lease_remaining=agent.desk.remaining(agent.now),
+            lease_remaining=agent.leases.remaining(agent.now),
             round_trip=connection.round_trip,
             discards=sum(link.discards.values()) if link else 0,
             late_acks=link.late_acks + link.foreign_acks if link else 0,
@@ -232,13 +232,13 @@ _MAX_NOTE = 200
 _NOTES_PER_S, _MAX_NOTES = 5.0, 20.0
 
 
-class Front:
+class ClientSession:
     def __init__(
         self,
         agent: Agent,
         channel: Channel,
         *,
-        on_gone: Callable[[Front], None],
+        on_gone: Callable[[ClientSession], None],
         # Called before each outcome, so that the state is there first.
         before_outcome: Callable[[], None],
     ) -> None:
@@ -257,7 +257,7 @@ class Front:
         self._handlers: dict[type[Any], Callable[[Any], None]] = {
             Steer: self._on_steer,
             Ask: self._on_ask,
-            Note: self._on_note,
+            JournalNote: self._on_note,
         }
 
     # -- the connection --------------------------------------------------------------------------
@@ -266,7 +266,7 @@ class Front:
         """Say hello and where everything stands, then listen."""
         agent = self._agent
         self.tell(Hello(VERSION, "agent", agent.now))
-        lease = agent.desk.holder(agent.now)
+        lease = agent.leases.holder(agent.now)
         self.tell(LeaseChanged(lease.number, lease.name) if lease else LeaseChanged(0, ""))
         self.tell(state)
         self.tell(agent.plan)
@@ -288,7 +288,7 @@ class Front:
         self._on_gone(self)
         for token in list(self._tokens.values()):
             try:
-                self._agent.desk.release(token, self._agent.now, why)
+                self._agent.leases.release(token, self._agent.now, why)
             except LeaseRefused:
                 pass  # another one has it by now
             else:
@@ -332,7 +332,7 @@ class Front:
             self._agent.steer(token, steer.setpoint, steer.lifetime)
         except M100Error as error:
             self._before_outcome()
-            self.tell(SteerRefused(steer.fence, Fault.of(error)))
+            self.tell(SteerRefused(steer.fence, RemoteError.of(error)))
 
     # -- everything else -------------------------------------------------------------------------
 
@@ -346,7 +346,7 @@ class Front:
         self._notes -= 1.0
         return True
 
-    def _on_note(self, note: Note) -> None:
+    def _on_note(self, note: JournalNote) -> None:
         if note.level in LEVELS and self._may_note():
             self._agent.journal.note(_line(note.text), note.level)
 
@@ -375,9 +375,11 @@ class Front:
 
     def _tell_halt(self, why: str) -> None:
         """Tell whoever flies that somebody else had it hover: more may be to come of its flight."""
-        holder = self._agent.desk.holder(self._agent.now)
+        holder = self._agent.leases.holder(self._agent.now)
         if holder is not None and holder.number not in self._tokens and self._may_note():
-            self._agent.journal.note(_line(why or f"{self._name}: hover"), "info", Topic.HALTED)
+            self._agent.journal.note(
+                _line(why or f"{self._name}: hover"), "info", EventTopic.HALTED
+            )
 
     def _begin(self, ask: Ask) -> Any:
         token = self._tokens.get(ask.fence, "")
@@ -387,7 +389,7 @@ class Front:
         self, ask: Ask, stage: Stage, error: M100Error | None = None, answer: Answer = None
     ) -> None:
         self._before_outcome()
-        outcome = Outcome(ask.id, stage, fault_of(error))
+        outcome = OrderOutcome(ask.id, stage, fault_of(error))
         if isinstance(answer, Lease):
             self._tokens[answer.number] = answer.token
             outcome = replace(outcome, lease=answer)

@@ -16,8 +16,8 @@ from m100link.apps.agent.messages import MessageError
 from m100link.apps.fleet.asking import PATIENCE_S, Asker, nobody_there, reason_of
 from m100link.apps.fleet.logs.words import (
     LogEntry,
+    LogPart,
     LogReply,
-    Part,
     unpack_entries,
     unpack_reply,
 )
@@ -71,7 +71,7 @@ class LogFetcher:
     ) -> Fetched:
         """See :meth:`m100link.apps.fleet.FleetAircraft.fetch_log`."""
         entry = await self._entry(log)
-        part = await _in_thread(Part, Path(to), f"{self._keys.name}-{entry.log}")
+        part = await _in_thread(LogPart, Path(to), f"{self._keys.name}-{entry.log}")
         try:
             await _in_thread(part.open, entry.size)
             return await self._fetch(entry, part, progress or ignore)
@@ -100,7 +100,7 @@ class LogFetcher:
             )
         return found
 
-    async def _fetch(self, entry: LogEntry, part: Part, progress: Progress) -> Fetched:
+    async def _fetch(self, entry: LogEntry, part: LogPart, progress: Progress) -> Fetched:
         name, size = self._keys.name, entry.size
         fetched = Fetched(name, entry.log, part.whole, size, 0, entry.is_written)
         if await _in_thread(part.whole.exists):
@@ -129,7 +129,7 @@ class LogFetcher:
                 )
             at = began_at = 0  # what was here from before is of something else
 
-    async def _same(self, entry: LogEntry, part: Part) -> int:
+    async def _same(self, entry: LogEntry, part: LogPart) -> int:
         """How many bytes of the log were fetched before."""
         have, digest = await _in_thread(part.whole_digest)
         if have > entry.size or await self._digest(entry.log, have) != digest:
@@ -195,7 +195,7 @@ class LogFetcher:
         )
 
 
-def _with_rest(error: M100Error, part: Part, size: int) -> M100Error:
+def _with_rest(error: M100Error, part: LogPart, size: int) -> M100Error:
     """The error, with what is here already."""
     told = error.again()
     if part.at:

@@ -20,7 +20,7 @@ from io import FileIO
 from pathlib import Path
 from typing import Any, TypeVar
 
-from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.background import TaskSet
 from m100link.apps.agent.messages import fault_of
 from m100link.apps.bus.network import Bus, Question
 from m100link.apps.fleet.agent import Verify, admit
@@ -32,7 +32,7 @@ from m100link.apps.fleet.logs.words import (
     pack_reply,
     require_possible,
 )
-from m100link.apps.fleet.payloads import LogQuestion, Order, What, outcome_of, unpack
+from m100link.apps.fleet.payloads import LogQuestion, OrderMessage, What, outcome_of, unpack
 from m100link.errors import M100Error, UsageError
 from m100link.errors.texts import read_path
 from m100link.log.folder import is_log_name
@@ -90,17 +90,17 @@ class LogService:
         if not rate > 0.0:
             raise UsageError(f"logs cannot leave at {rate:g} bytes a second")
         self._bus, self._keys, self._verify = bus, keys, verify
-        self._shelf = Shelf(folder)
+        self._shelf = LogDirectory(folder)
         self._rate = rate
         self._clock = asyncio.get_running_loop().time
         self._free_at = self._clock()
-        self._background = BackgroundTasks()
+        self._background = TaskSet()
         self._waiting = 0
         self._is_ended = False
         self._apart = apart or OwnThreads(f"logs of {keys.name}")
         self._digests: OrderedDict[tuple[str, int], asyncio.Task[bytes]] = OrderedDict()
         self.dropped = 0  # questions of a flood that were not read
-        self._doing: dict[What, Callable[[LogQuestion, Order], Awaitable[bytes]]] = {
+        self._doing: dict[What, Callable[[LogQuestion, OrderMessage], Awaitable[bytes]]] = {
             What.LIST: self._list,
             What.PIECE: self._piece,
             What.DIGEST: self._digest,
@@ -131,7 +131,7 @@ class LogService:
     async def _answer(self, question: Question) -> None:
         identity = ""
         try:
-            order: Order = unpack(Order, question.payload)
+            order: OrderMessage = unpack(OrderMessage, question.payload)
             identity = order.id
             payload = await self._answered(order)
         except M100Error as error:
@@ -141,7 +141,7 @@ class LogService:
             self._waiting -= 1
         question.answer(self._keys.log, payload)
 
-    async def _answered(self, order: Order) -> bytes:
+    async def _answered(self, order: OrderMessage) -> bytes:
         question = admit(order, self._keys, LogQuestion, self._verify)
         require_possible(question)
         return await self._doing[question.what](question, order)
@@ -156,12 +156,12 @@ class LogService:
         await asyncio.sleep(waits)
         return 0.0
 
-    async def _list(self, question: LogQuestion, order: Order) -> bytes:
+    async def _list(self, question: LogQuestion, order: OrderMessage) -> bytes:
         if again := await self._may_go(_LIST_COSTS):
             return self._told(order, again_s=again)
         return self._told(order, pack_entries(await self._apart.do(self._shelf.entries)))
 
-    async def _piece(self, question: LogQuestion, order: Order) -> bytes:
+    async def _piece(self, question: LogQuestion, order: OrderMessage) -> bytes:
         if again := await self._may_go(question.length):
             return self._told(order, again_s=again)
         log, offset, length = question.log, question.offset, question.length
@@ -169,7 +169,7 @@ class LogService:
         is_written = entry.is_written
         return self._told(order, data, offset=offset, size=entry.size, is_written=is_written)
 
-    async def _digest(self, question: LogQuestion, order: Order) -> bytes:
+    async def _digest(self, question: LogQuestion, order: OrderMessage) -> bytes:
         """Of one log at a time: whoever asks comes again until it is ready."""
         wanted = (question.log, question.length)
         task = self._digests.get(wanted)
@@ -192,7 +192,7 @@ class LogService:
             lambda: self._shelf.digest(log, length, lambda: not self._is_ended)
         )
 
-    def _told(self, order: Order, data: bytes = b"", **fields: Any) -> bytes:
+    def _told(self, order: OrderMessage, data: bytes = b"", **fields: Any) -> bytes:
         return pack_reply(LogReply(order.id, self._keys.name, **fields), data)
 
 
@@ -207,7 +207,7 @@ _IDLE = 1.0
 """Seconds without reading for each second of reading: whoever flies has the processor, too."""
 
 
-class Shelf:
+class LogDirectory:
     """The logs of one aircraft; UsageError for each that is not there, or cannot be read.
 
     ``folder``: where they are; None: nowhere, nothing is recorded.

@@ -17,7 +17,7 @@ from io import FileIO
 from pathlib import Path
 
 from m100link.apps.agent.codec import parsed
-from m100link.apps.agent.messages import Fault, MessageError
+from m100link.apps.agent.messages import MessageError, RemoteError
 from m100link.apps.fleet.payloads import (
     VERSION,
     LogQuestion,
@@ -50,7 +50,7 @@ class LogReply:
     id: str  # of the order
     name: str
     outcome: Outcome = Outcome.OK  # whether it is answered
-    fault: Fault | None = None  # why it is not
+    fault: RemoteError | None = None  # why it is not
     again_s: float = 0.0  # seconds after which to ask again, when it is not ready; 0 when it is
     offset: int = 0  # first byte of the piece
     size: int = 0  # bytes that the log has now
@@ -118,7 +118,7 @@ def unpack_entries(data: bytes) -> list[LogEntry]:
 _BLOCK = 1 << 20
 
 
-class Part:
+class LogPart:
     """The part of one log.
 
     Raises:

@@ -15,7 +15,7 @@ from typing import Self
 from m100link.apps.agent import orders
 from m100link.apps.agent.messages import MessageError
 from m100link.apps.fleet.asking import PATIENCE_S, Asker, Questions
-from m100link.apps.fleet.payloads import MissionCard, MissionStage, Reply, unpack
+from m100link.apps.fleet.payloads import MissionCard, MissionStage, OrderReply, unpack
 from m100link.errors import M100Error, MissionAborted, OutcomeUnknown
 from m100link.flight.missions.events import (
     Finished,
@@ -35,7 +35,7 @@ _logger = logging.getLogger(__name__)
 _LOOK_S = 0.5
 _AGAIN_S = 0.2
 
-OrderUnderLease = Callable[[orders.Order], Awaitable[Reply]]
+OrderUnderLease = Callable[[orders.Order], Awaitable[OrderReply]]
 
 
 async def mission_card(asker: Asker, *, patience: float = PATIENCE_S) -> MissionCard:

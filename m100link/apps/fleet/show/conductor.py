@@ -25,16 +25,16 @@ from m100link.apps.fleet.payloads import (
     AskShow,
     LeaveShow,
     LoadTrack,
-    Reply,
+    OrderReply,
     SendTrack,
     ShowStage,
     StartShow,
     TakePlace,
 )
-from m100link.apps.fleet.show.performer import Leave
 from m100link.apps.fleet.show.plan.document import SKEW_S, Show
 from m100link.apps.fleet.show.plan.steering import ShowRefused, Why
 from m100link.apps.fleet.show.plan.track import BadShow, TimedTrack
+from m100link.apps.fleet.show.track_executor import Leave
 from m100link.errors import M100Error, Unreachable
 
 _ANSWER_S = 1.0
@@ -255,7 +255,7 @@ class Conductor:
             await asyncio.sleep(_LOOK_S)
 
 
-def _part(reply: Reply) -> Part:
+def _part(reply: OrderReply) -> Part:
     told = reply.show
     if told is None:
         raise MessageError(f"{reply.name} does not say where it stands in the show")

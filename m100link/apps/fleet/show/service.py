@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import MessageError
 from m100link.apps.bus.network import Bus, Question
-from m100link.apps.fleet.agent import Namesakes, Verify, admit
+from m100link.apps.fleet.agent import DuplicateNames, Verify, admit
 from m100link.apps.fleet.identity import Since
 from m100link.apps.fleet.keys import Keys, name_in
 from m100link.apps.fleet.payloads import (
@@ -21,8 +21,8 @@ from m100link.apps.fleet.payloads import (
     AskShow,
     LeaveShow,
     LoadTrack,
-    Order,
-    Reply,
+    OrderMessage,
+    OrderReply,
     SendTrack,
     ShowCard,
     ShowOrder,
@@ -31,9 +31,9 @@ from m100link.apps.fleet.payloads import (
     pack,
     unpack,
 )
-from m100link.apps.fleet.show.performer import Performer
-from m100link.apps.fleet.show.plan.conflicts import Ahead, Neighbours
+from m100link.apps.fleet.show.plan.conflicts import ConflictMonitor, Neighbours
 from m100link.apps.fleet.show.plan.track import MAX_POINTS, BadShow
+from m100link.apps.fleet.show.track_executor import TrackExecutor
 from m100link.errors import M100Error, NotAllowed
 
 _TELL_S = 0.2
@@ -47,14 +47,14 @@ class Beside:
     """The aircraft that one process serves: its session of the network does not hear itself."""
 
     def __init__(self) -> None:
-        self._hear: list[Callable[[Ahead], None]] = []
+        self._hear: list[Callable[[ConflictMonitor], None]] = []
 
-    def hear(self, take: Callable[[Ahead], None]) -> Callable[[], None]:
+    def hear(self, take: Callable[[ConflictMonitor], None]) -> Callable[[], None]:
         """Hear where each of them will be, until what is returned is called."""
         self._hear.append(take)
         return lambda: self._hear.remove(take)
 
-    def tell(self, ahead: Ahead) -> None:
+    def tell(self, ahead: ConflictMonitor) -> None:
         """One of them tells where it will be."""
         for take in self._hear:
             take(ahead)
@@ -72,7 +72,7 @@ class ShowService:
         # Looks at each order; without it the router alone decides who may ask.
         verify: Verify | None = None,
         # Whether another agent has its name: then it does not begin.
-        namesakes: Namesakes | None = None,
+        namesakes: DuplicateNames | None = None,
         # Other aircraft of the same session; None where it has one of its own.
         beside: Beside | None = None,
     ) -> None:
@@ -82,7 +82,7 @@ class ShowService:
         self._verify = verify
         self._namesakes = namesakes
         self._beside = beside or Beside()
-        self.performer = Performer(client, keys.name)
+        self.performer = TrackExecutor(client, keys.name)
         # What became of orders that were let through: the network may bring one twice.
         self._known: dict[bytes, M100Error | None] = {}
         self._pieces = bytearray()
@@ -115,13 +115,13 @@ class ShowService:
         if self.performer.neighbours is None or payload[:1] != bytes([VERSION]):
             return
         try:
-            ahead = Ahead.from_bytes(payload[1:])
+            ahead = ConflictMonitor.from_bytes(payload[1:])
         except BadShow:
             return  # nothing that an aircraft tells
         if ahead.name == name_in(key):
             self._hear(ahead)
 
-    def _hear(self, ahead: Ahead) -> None:
+    def _hear(self, ahead: ConflictMonitor) -> None:
         if self.performer.neighbours is not None:
             self.performer.neighbours.hear(ahead, self._client.now)
 
@@ -131,7 +131,7 @@ class ShowService:
             return
         identity, fault = "", None
         try:
-            order: Order = unpack(Order, question.payload)
+            order: OrderMessage = unpack(OrderMessage, question.payload)
             identity, digest = order.id, order.digest()
             if digest not in self._known:  # by its id somebody else's would be taken for it
                 asked = admit(order, self._keys, ShowOrder, self._verify)
@@ -147,7 +147,7 @@ class ShowService:
             fault = error
         question.answer(self._keys.show, pack(self._reply(identity, fault)))
 
-    def _do(self, order: Order, asked: ShowOrder) -> None:
+    def _do(self, order: OrderMessage, asked: ShowOrder) -> None:
         performer = self.performer
         if not isinstance(asked, AskShow):  # the answer says where it stands
             performer.require_run(asked.run)
@@ -182,7 +182,7 @@ class ShowService:
             )
         self._pieces[at:] = data
 
-    def _reply(self, identity: str, error: M100Error | None) -> Reply:
+    def _reply(self, identity: str, error: M100Error | None) -> OrderReply:
         performer = self.performer
         track, why = performer.track, performer.fault
         card = ShowCard(
@@ -192,4 +192,4 @@ class ShowService:
             "" if why is None else why.seen,
         )
         now = self._client.now
-        return Reply.done(identity, self._keys.name, "", error, clock=now, show=card)
+        return OrderReply.done(identity, self._keys.name, "", error, clock=now, show=card)

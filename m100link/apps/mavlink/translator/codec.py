@@ -159,7 +159,7 @@ _TYPES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Message:
+class MavlinkMessage:
     name: str  # as in the definitions
     fields: Mapping[str, Any]  # values by name; a text for characters, a tuple for other arrays
     system: int = 0  # who sent it; 0 for what is to be sent
@@ -181,7 +181,7 @@ class _Field:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class MessageLayout:
     """How a message lies on the wire."""
 
     number: int
@@ -230,7 +230,7 @@ class Layout:
         return found
 
 
-def _layout(row: str) -> Layout:
+def _layout(row: str) -> MessageLayout:
     number, name, told = re.fullmatch(r"(\d+) (\w+): (.+)", row).groups()  # type: ignore[union-attr]  # a row of ours
     basic, _, extensions = told.partition(" | ")
     extra, codes, fields = f"{name} ".encode(), "<", []
@@ -245,10 +245,10 @@ def _layout(row: str) -> Layout:
             codes += f"{size or ''}{code}"
             fields.append(_Field(called, base == "char", size))
     crc = _crc(extra)
-    return Layout(int(number), name, (crc & 0xFF) ^ (crc >> 8), Struct(codes), tuple(fields))
+    return MessageLayout(int(number), name, (crc & 0xFF) ^ (crc >> 8), Struct(codes), tuple(fields))
 
 
-LAYOUTS: dict[str, Layout] = {
+LAYOUTS: dict[str, MessageLayout] = {
     layout.name: layout
     for layout in map(_layout, DEFINITIONS.replace("\n    ", " ").strip().splitlines())
 }
@@ -258,7 +258,7 @@ _BY_NUMBER = {layout.number: layout for layout in LAYOUTS.values()}
 
 
 @dataclass
-class Signer:
+class PacketSigner:
     """A secret that both ends know: who has it not is not obeyed.
 
     A frame is taken once: its time has to be later than that of any frame before it from the same
@@ -305,7 +305,12 @@ class Signer:
 
 
 def write_frame(
-    message: Message, *, system: int, sequence: int, signer: Signer | None = None, now: int = 0
+    message: MavlinkMessage,
+    *,
+    system: int,
+    sequence: int,
+    signer: PacketSigner | None = None,
+    now: int = 0,
 ) -> bytes:
     """A frame of version 2 from component 1 of a system, 1 to 255; ``now`` in 10 µs since 2015."""
     layout = LAYOUTS[message.name]
@@ -320,7 +325,7 @@ def write_frame(
     return frame if signer is None else frame + signer.sign(frame, now)
 
 
-class Reading:
+class MessageReader:
     """The valid messages of a datagram, each searched from the end of the one before.
 
     With a signer only HEARTBEAT is taken without a signature: it moves nothing. ``now`` is the time
@@ -329,7 +334,12 @@ class Reading:
     """
 
     def __init__(
-        self, data: bytes, *, signer: Signer | None = None, now: int = 0, most: int | None = None
+        self,
+        data: bytes,
+        *,
+        signer: PacketSigner | None = None,
+        now: int = 0,
+        most: int | None = None,
     ) -> None:
         # Bytes that looked like a frame, so far, counted again where such frames overlap: what
         # reading cost. Bytes between frames are skipped and cost next to nothing.
@@ -339,7 +349,7 @@ class Reading:
         self._now = now
         self._most = most
 
-    def __iter__(self) -> Iterator[Message]:
+    def __iter__(self) -> Iterator[MavlinkMessage]:
         data, signer = self._data, self._signer
         start = _START.search(data)
         while start is not None:
@@ -360,7 +370,7 @@ class Reading:
 class _Found(NamedTuple):
     """What stands behind a start byte."""
 
-    message: Message | None  # the message, if it is one for us
+    message: MavlinkMessage | None  # the message, if it is one for us
     end: int  # where the frame ends; 0 if there is none
     checked: int  # bytes that were looked at
 
@@ -368,7 +378,7 @@ class _Found(NamedTuple):
 _NO_FRAME = _Found(None, 0, _HEADER_V2.size)
 
 
-def _frame_v2(data: bytes, at: int, signer: Signer | None, now: int) -> _Found:
+def _frame_v2(data: bytes, at: int, signer: PacketSigner | None, now: int) -> _Found:
     begin = at + _HEADER_V2.size
     if begin + 2 > len(data):
         return _NO_FRAME
@@ -389,7 +399,7 @@ def _frame_v2(data: bytes, at: int, signer: Signer | None, now: int) -> _Found:
             return _Found(None, whole, whole - at)
     fields = layout.read(data[begin : begin + size])
     is_right = signer is not None and is_signed
-    message = Message(layout.name, fields, system, component, is_right)
+    message = MavlinkMessage(layout.name, fields, system, component, is_right)
     return _Found(message, whole, whole - at)
 
 
@@ -407,11 +417,11 @@ def _frame_v1(data: bytes, at: int, *, is_signed: bool) -> _Found:
     if is_signed and layout.name != "HEARTBEAT":
         return _Found(None, end, end - at)
     fields = layout.read(data[begin : begin + size])
-    message = Message(layout.name, fields, system, component)
+    message = MavlinkMessage(layout.name, fields, system, component)
     return _Found(message, end, end - at)
 
 
-def _is_whole(data: bytes, at: int, end: int, layout: Layout) -> bool:
+def _is_whole(data: bytes, at: int, end: int, layout: MessageLayout) -> bool:
     (told,) = _CHECKSUM.unpack_from(data, end - 2)
     return bool(told == _crc(data[at + 1 : end - 2] + bytes([layout.crc_extra])))
 
@@ -435,7 +445,7 @@ class Snapshot:
 
 
 class SignatureMemory:
-    def __init__(self, folder: Path, signer: Signer) -> None:
+    def __init__(self, folder: Path, signer: PacketSigner) -> None:
         self._signer = signer
         named = hashlib.sha256(b"m100link MAVLink signatures" + signer.key).hexdigest()[:16]
         # The file. Its name tells which key it belongs to, and nothing of the key.

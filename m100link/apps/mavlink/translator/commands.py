@@ -9,32 +9,37 @@ from dataclasses import dataclass, replace
 from m100link.apps.agent import orders
 from m100link.apps.agent.orders import GuidedOrder
 from m100link.apps.agent.preview import preview, preview_plan
-from m100link.apps.mavlink.translator.codec import LAYOUTS, Message
-from m100link.apps.mavlink.translator.deck import Deck
-from m100link.apps.mavlink.translator.modes import Mode, Phase, mode_of_number, mode_of_standard
+from m100link.apps.mavlink.translator.codec import LAYOUTS, MavlinkMessage
+from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
+from m100link.apps.mavlink.translator.modes import (
+    Mode,
+    VehiclePhase,
+    mode_of_number,
+    mode_of_standard,
+)
 from m100link.apps.mavlink.translator.numbers import (
     RELATIVE,
     SEA_LEVEL,
     BaseMode,
-    Command,
-    Frame,
-    Result,
+    MavCommand,
+    MavFrame,
+    MavResult,
     Severity,
 )
 from m100link.apps.mavlink.translator.orders import (
-    Do,
-    Flight,
-    GoHome,
-    Halt,
-    Land,
-    Order,
-    TakeOff,
-    Wish,
+    FlightSequence,
+    HoldPosition,
+    LandInPlace,
+    MissionCommand,
+    ModeRequest,
+    ReturnToLaunch,
+    TakeOffAndClimb,
+    VehicleOrder,
 )
-from m100link.apps.mavlink.translator.parameters import Parameters
+from m100link.apps.mavlink.translator.parameters import ParameterProtocol
 from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.telemetry import NUMBERS, STREAMS, Rates
-from m100link.apps.mavlink.translator.world import World
+from m100link.apps.mavlink.translator.vehicle_state import VehicleState
 from m100link.errors import GuardRefused, UsageError
 
 _Place = tuple[float, float]  # latitude and longitude, degrees
@@ -51,40 +56,40 @@ class Asked:
     y: float = math.nan  # longitude, °, or the sixth
     z: float = math.nan  # altitude, or the seventh
     # What the altitude counts from; above sea level where the message does not say it.
-    frame: int = Frame.GLOBAL
+    frame: int = MavFrame.GLOBAL
 
 
-def read_command(message: Message, peer: Peer) -> Asked:
+def read_command(message: MavlinkMessage, peer: Peer) -> Asked:
     """COMMAND_LONG or COMMAND_INT."""
     four = tuple(message[f"param{place}"] for place in range(1, 5))
     if message.name == "COMMAND_LONG":
-        x, y, z, frame = message["param5"], message["param6"], message["param7"], Frame.GLOBAL
+        x, y, z, frame = message["param5"], message["param6"], message["param7"], MavFrame.GLOBAL
     else:
         raw, z, frame = (message["x"], message["y"]), message["z"], message["frame"]
         x, y = (math.nan if one == _NO_PLACE else one / 1e7 for one in raw)
     return Asked(message["command"], four, peer, x, y, z, frame)
 
 
-class Commands:
+class CommandProtocol:
     """Carries commands out, or says why not."""
 
     def __init__(
         self,
-        world: World,
-        deck: Deck,  # what decides about flights
-        parameters: Parameters,  # heights and speeds that commands leave open
+        world: VehicleState,
+        manager: FlightModeManager,  # what decides about flights
+        parameters: ParameterProtocol,  # heights and speeds that commands leave open
         rates: Rates,  # how often telemetry is sent, which each peer may ask for
         *,
         tell: Callable[[Severity, str], None],
         # Sends a message by its number to whoever asks; False where there is none.
         request: Callable[[int, float, Peer, float], bool],
-        # Makes the wish that flies the mission; None where there is none.
-        mission: Callable[[Peer, int | None], Wish | None],
+        # Makes the mode request that flies the mission; None where there is none.
+        mission: Callable[[Peer, int | None], ModeRequest | None],
         # Why nobody may fly from a place (None: from here) to another, or around it with a radius.
         fence: Callable[[_Place | None, _Place, float], str],
     ) -> None:
         self._world = world
-        self._deck = deck
+        self._manager = manager
         self._parameters = parameters
         self._rates = rates
         self._tell = tell
@@ -94,36 +99,36 @@ class Commands:
         # What DO_CHANGE_SPEED said, until the next flight is over.
         self._speed: float | None = None
 
-    def carry_out(self, asked: Asked, now: float) -> Result | None:
+    def carry_out(self, asked: Asked, now: float) -> MavResult | None:
         """The answer; None while arming takes time."""
         row = COMMANDS.get(asked.command)
         if row is None:
-            return Result.UNSUPPORTED
+            return MavResult.UNSUPPORTED
         if any(map(math.isinf, (*asked.parameters, asked.x, asked.y, asked.z))):
             # NaN says that nothing is said; infinity has no meaning in any command.
             self._tell(Severity.WARNING, f"command {asked.command}: a parameter is not finite")
-            return Result.DENIED
+            return MavResult.DENIED
         try:
             return row.handler(self, asked, now)
         except (UsageError, GuardRefused) as error:
             self._tell(Severity.WARNING, error.seen)
-            return Result.DENIED
+            return MavResult.DENIED
 
     # -- arming and modes ------------------------------------------------------------------------
 
-    def arm(self, asked: Asked, now: float) -> Result | None:
+    def arm(self, asked: Asked, now: float) -> MavResult | None:
         """COMPONENT_ARM_DISARM."""
         if asked.parameters[0] == 1.0:
-            return self._deck.arm(asked.peer, now)
+            return self._manager.arm(asked.peer, now)
         if asked.parameters[0] == 0.0:
-            return self._deck.disarm(asked.peer)
-        return Result.DENIED
+            return self._manager.disarm(asked.peer)
+        return MavResult.DENIED
 
-    def set_mode(self, asked: Asked, now: float) -> Result:
+    def set_mode(self, asked: Asked, now: float) -> MavResult:
         """DO_SET_MODE, by the numbers of PX4."""
         base, main, sub, _ = asked.parameters
         if not (_is_byte(base) and _is_byte(main)):
-            return Result.DENIED
+            return MavResult.DENIED
         if not int(base) & BaseMode.CUSTOM:
             return self._no_mode(f"base mode {int(base)}")
         # Leaving the sub mode out is how ground stations ask for modes that have none.
@@ -132,7 +137,7 @@ class Commands:
             return self._no_mode(f"mode {int(main)}.{int(sub) if _is_byte(sub) else 0}")
         return self.wish_mode(mode, asked.peer, now)
 
-    def set_standard_mode(self, asked: Asked, now: float) -> Result:
+    def set_standard_mode(self, asked: Asked, now: float) -> MavResult:
         """DO_SET_STANDARD_MODE."""
         number = asked.parameters[0]
         mode = mode_of_standard(int(number)) if _is_byte(number) else None
@@ -140,35 +145,39 @@ class Commands:
             return self._no_mode(f"standard mode {number:g}")
         return self.wish_mode(mode, asked.peer, now)
 
-    def _no_mode(self, what: str) -> Result:
+    def _no_mode(self, what: str) -> MavResult:
         self._tell(Severity.WARNING, f"{what} is not one of this aircraft, or the RC has it alone")
-        return Result.DENIED
+        return MavResult.DENIED
 
-    def wish_mode(self, mode: Mode, peer: Peer, now: float) -> Result:
+    def wish_mode(self, mode: Mode, peer: Peer, now: float) -> MavResult:
         """A mode by its name alone."""
         if mode is Mode.TAKEOFF:
-            order = TakeOff(self._take_off_height(math.nan))
-            return self._deck.wish(Wish(mode, order, peer), now)
+            order = TakeOffAndClimb(self._take_off_height(math.nan))
+            return self._manager.request_mode(ModeRequest(mode, order, peer), now)
         if mode is Mode.MISSION:
             return self._start(peer, None, mode.value, now)
         is_steered = mode in (Mode.OFFBOARD, Mode.POSCTL, Mode.ALTCTL)
-        if is_steered and not self._deck.has_setpoint(mode, peer, now):
+        if is_steered and not self._manager.has_setpoint(mode, peer, now):
             self._tell(Severity.WARNING, f"{mode.value}: no setpoint came yet")
-            return Result.DENIED
-        order_of: dict[Mode, Order] = {Mode.HOLD: Halt(), Mode.LAND: Land(), Mode.RTL: GoHome()}
-        return self._deck.wish(Wish(mode, order_of.get(mode), peer), now)
+            return MavResult.DENIED
+        order_of: dict[Mode, VehicleOrder] = {
+            Mode.HOLD: HoldPosition(),
+            Mode.LAND: LandInPlace(),
+            Mode.RTL: ReturnToLaunch(),
+        }
+        return self._manager.request_mode(ModeRequest(mode, order_of.get(mode), peer), now)
 
     # -- flights ---------------------------------------------------------------------------------
 
-    def take_off(self, asked: Asked, now: float) -> Result:
+    def take_off(self, asked: Asked, now: float) -> MavResult:
         """NAV_TAKEOFF: to an altitude above sea level, or to the height of the parameter."""
         altitude = math.nan if asked.z == 0.0 else asked.z
         if asked.frame not in (*SEA_LEVEL, *RELATIVE) and math.isfinite(altitude):
             raise UsageError(f"take-off: an altitude in frame {asked.frame} cannot be flown to")
         if asked.frame in RELATIVE and math.isfinite(altitude):
             altitude += self._ground()
-        order = TakeOff(self._take_off_height(altitude))
-        return self._deck.wish(Wish(Mode.TAKEOFF, order, asked.peer), now)
+        order = TakeOffAndClimb(self._take_off_height(altitude))
+        return self._manager.request_mode(ModeRequest(Mode.TAKEOFF, order, asked.peer), now)
 
     def _ground(self) -> float:
         ground = self._world.ground_altitude
@@ -185,7 +194,7 @@ class Commands:
         self._check(orders.ChangeHeight(height))
         return height
 
-    def reposition(self, asked: Asked, now: float) -> Result:
+    def reposition(self, asked: Asked, now: float) -> MavResult:
         """DO_REPOSITION: a place, a height, a heading, or nothing of these, which is a pause."""
         if not self._is_place(asked) and math.isnan(asked.z):
             yaw = asked.parameters[3]
@@ -205,7 +214,7 @@ class Commands:
         )
         return self._fly(order, Mode.GOTO, asked.peer, now)
 
-    def orbit(self, asked: Asked, now: float) -> Result:
+    def orbit(self, asked: Asked, now: float) -> MavResult:
         """DO_ORBIT around a place, or around where it is.
 
         The altitude is above sea level whatever the frame says, as PX4 takes it: MAVSDK leaves the
@@ -215,15 +224,15 @@ class Commands:
         position = self._world.known.view.place
         if not math.isfinite(radius) or radius == 0.0:
             self._tell(Severity.WARNING, f"orbit: a radius of {radius:g} m")
-            return Result.DENIED
+            return MavResult.DENIED
         if position is None:
             self._tell(Severity.WARNING, "orbit: nobody knows where the aircraft is")
-            return Result.TEMPORARILY_REJECTED
+            return MavResult.TEMPORARILY_REJECTED
         here = position.latitude_deg, position.longitude_deg
         place = (asked.x, asked.y) if self._is_place(asked) else here
         order = orders.FlyAround(
             *place,
-            self._height_of(replace(asked, frame=Frame.GLOBAL)),
+            self._height_of(replace(asked, frame=MavFrame.GLOBAL)),
             abs(radius),
             speed if math.isfinite(speed) and speed > 0 else 2.0,
             _ORBIT_TURNS,
@@ -231,67 +240,71 @@ class Commands:
         )
         return self._fly(order, Mode.ORBIT, asked.peer, now)
 
-    def pause(self, asked: Asked, now: float) -> Result:
+    def pause(self, asked: Asked, now: float) -> MavResult:
         """DO_PAUSE_CONTINUE: hold, or fly the mission on."""
         is_on = asked.parameters[0] == 1.0
         return self.wish_mode(Mode.MISSION if is_on else Mode.HOLD, asked.peer, now)
 
-    def start_mission(self, asked: Asked, now: float) -> Result:
+    def start_mission(self, asked: Asked, now: float) -> MavResult:
         """MISSION_START, from an item."""
         first = asked.parameters[0]
         number = int(first) if math.isfinite(first) and first > 0 else None
         return self._start(asked.peer, number, "mission", now)
 
-    def _start(self, peer: Peer, first: int | None, what: str, now: float) -> Result:
-        if self._deck.is_others(peer, what):
-            return Result.TEMPORARILY_REJECTED
-        wish = self._mission(peer, first)
-        if wish is None:
+    def _start(self, peer: Peer, first: int | None, what: str, now: float) -> MavResult:
+        if self._manager.is_others(peer, what):
+            return MavResult.TEMPORARILY_REJECTED
+        request = self._mission(peer, first)
+        if request is None:
             self._tell(Severity.WARNING, "there is no mission to fly")
-            return Result.DENIED
-        return self._fly_mission(wish, now)
+            return MavResult.DENIED
+        return self._fly_mission(request, now)
 
-    def _fly_mission(self, wish: Wish, now: float) -> Result:
+    def _fly_mission(self, request: ModeRequest, now: float) -> MavResult:
         """Check each place of it first, and each way from one to the next.
 
         Raises:
             GuardRefused, UsageError: See :meth:`_check`.
         """
-        if isinstance(wish.order, Flight):
+        if isinstance(request.order, FlightSequence):
             before = None
-            for leg in wish.order.legs:
+            for leg in request.order.legs:
                 before = self._check(leg, before)
-            if wish.order.plan is not None:
+            if request.order.plan is not None:
                 # On the ground, what the agent would refuse when it has taken off: outside of the
                 # envelope, or the battery does not last.
                 known = self._world.known.view
-                for refusal in preview_plan(wish.order.plan, known.telemetry, known.state.limits):
+                for refusal in preview_plan(
+                    request.order.plan, known.telemetry, known.state.limits
+                ):
                     raise refusal
-        return self._deck.wish(wish, now)
+        return self._manager.request_mode(request, now)
 
-    def set_current(self, asked: Asked, now: float) -> Result:
+    def set_current(self, asked: Asked, now: float) -> MavResult:
         """DO_SET_MISSION_CURRENT: the item to go on from, at once if the mission flies."""
         number = asked.parameters[0]
         if not math.isfinite(number) or number < 0:
-            return Result.DENIED
-        if self._deck.is_others(asked.peer, "mission"):
-            return Result.TEMPORARILY_REJECTED
-        wish = self._mission(asked.peer, int(number))
-        if wish is None:
-            return Result.DENIED
-        return self._fly_mission(wish, now) if self._deck.flies_mission else Result.ACCEPTED
+            return MavResult.DENIED
+        if self._manager.is_others(asked.peer, "mission"):
+            return MavResult.TEMPORARILY_REJECTED
+        request = self._mission(asked.peer, int(number))
+        if request is None:
+            return MavResult.DENIED
+        return (
+            self._fly_mission(request, now) if self._manager.flies_mission else MavResult.ACCEPTED
+        )
 
-    def change_speed(self, asked: Asked, now: float) -> Result:
+    def change_speed(self, asked: Asked, now: float) -> MavResult:
         """DO_CHANGE_SPEED: of a mission that the aircraft flies, and of the flights that come."""
         speed = asked.parameters[1]
         if asked.parameters[0] not in (0.0, 1.0) or not 0.0 < speed <= 10.0:
-            return Result.DENIED
-        if self._deck.is_others(asked.peer, "speed"):
-            return Result.TEMPORARILY_REJECTED
+            return MavResult.DENIED
+        if self._manager.is_others(asked.peer, "speed"):
+            return MavResult.TEMPORARILY_REJECTED
         self._speed = speed
-        if self._deck.is_flown_by_aircraft:
-            self._deck.orders.append(Do(orders.SetMissionSpeed(speed)))
-        return Result.ACCEPTED
+        if self._manager.is_flown_by_aircraft:
+            self._manager.orders.append(MissionCommand(orders.SetMissionSpeed(speed)))
+        return MavResult.ACCEPTED
 
     def _speed_of(self, wanted: float) -> float:
         if wanted > 0:  # infinity is refused with its flight
@@ -321,11 +334,11 @@ class Commands:
             raise UsageError(f"an altitude in frame {asked.frame} cannot be flown to")
         return asked.z - ground
 
-    def _fly(self, order: GuidedOrder, mode: Mode, peer: Peer, now: float) -> Result:
-        if self._deck.is_others(peer, mode.value):
-            return Result.TEMPORARILY_REJECTED
+    def _fly(self, order: GuidedOrder, mode: Mode, peer: Peer, now: float) -> MavResult:
+        if self._manager.is_others(peer, mode.value):
+            return MavResult.TEMPORARILY_REJECTED
         self._check(order)
-        return self._deck.wish(Wish(mode, Flight((order,)), peer), now)
+        return self._manager.request_mode(ModeRequest(mode, FlightSequence((order,)), peer), now)
 
     def _check(self, order: GuidedOrder, begin: _Place | None = None) -> _Place | None:
         """Refuse now what the agent would refuse in flight; give the place where the order ends.
@@ -343,7 +356,9 @@ class Commands:
             if why:
                 raise UsageError(f"{order.label}: {why}")
         known = self._world.known.view
-        is_standing = known.is_on_ground is not False or self._deck.phase is Phase.DISARMED
+        is_standing = (
+            known.is_on_ground is not False or self._manager.phase is VehiclePhase.DISARMED
+        )
         for error in preview(order, known.telemetry, known.state.limits).refusals:
             if isinstance(error, GuardRefused) and error.guard == "envelope":
                 raise error
@@ -353,55 +368,55 @@ class Commands:
 
     # -- messages and rates ----------------------------------------------------------------------
 
-    def set_interval(self, asked: Asked, now: float) -> Result:
+    def set_interval(self, asked: Asked, now: float) -> MavResult:
         """SET_MESSAGE_INTERVAL."""
         number, interval = asked.parameters[:2]
         name = NUMBERS.get(int(number)) if math.isfinite(number) else None
         if name is None:
-            return Result.UNSUPPORTED
+            return MavResult.UNSUPPORTED
         if not math.isfinite(interval):
-            return Result.DENIED
+            return MavResult.DENIED
         hz = None if interval == 0 else 0.0 if interval < 0 else 1e6 / interval
         self._rates.set_hz(name, hz, asked.peer)
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def get_interval(self, asked: Asked, now: float) -> Result:
+    def get_interval(self, asked: Asked, now: float) -> MavResult:
         """GET_MESSAGE_INTERVAL: answered by MESSAGE_INTERVAL."""
         number = asked.parameters[0]
         is_sent = math.isfinite(number) and int(number) in NUMBERS
         wanted = LAYOUTS["MESSAGE_INTERVAL"].number
         if is_sent and self._request(wanted, number, asked.peer, now):
-            return Result.ACCEPTED
-        return Result.UNSUPPORTED
+            return MavResult.ACCEPTED
+        return MavResult.UNSUPPORTED
 
-    def request_message(self, asked: Asked, now: float) -> Result:
+    def request_message(self, asked: Asked, now: float) -> MavResult:
         """REQUEST_MESSAGE."""
         number, parameter = asked.parameters[:2]
         if not math.isfinite(number):
-            return Result.DENIED
+            return MavResult.DENIED
         if self._request(int(number), parameter, asked.peer, now):
-            return Result.ACCEPTED
+            return MavResult.ACCEPTED
         # One that is known, and says nothing now, may be asked for again.
         is_known = NUMBERS.get(int(number)) in STREAMS
-        return Result.TEMPORARILY_REJECTED if is_known else Result.UNSUPPORTED
+        return MavResult.TEMPORARILY_REJECTED if is_known else MavResult.UNSUPPORTED
 
-    def request_home(self, asked: Asked, now: float) -> Result:
+    def request_home(self, asked: Asked, now: float) -> MavResult:
         """GET_HOME_POSITION."""
         wanted = LAYOUTS["HOME_POSITION"].number
         is_sent = self._request(wanted, 0.0, asked.peer, now)
-        return Result.ACCEPTED if is_sent else Result.TEMPORARILY_REJECTED
+        return MavResult.ACCEPTED if is_sent else MavResult.TEMPORARILY_REJECTED
 
-    def request_version(self, asked: Asked, now: float) -> Result:
+    def request_version(self, asked: Asked, now: float) -> MavResult:
         """REQUEST_AUTOPILOT_CAPABILITIES."""
         self._request(LAYOUTS["AUTOPILOT_VERSION"].number, 0.0, asked.peer, now)
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
 
 def _is_byte(value: float) -> bool:
     return math.isfinite(value) and 0 <= value <= 255
 
 
-def _mode(mode: Mode) -> Callable[[Commands, Asked, float], Result]:
+def _mode(mode: Mode) -> Callable[[CommandProtocol, Asked, float], MavResult]:
     return lambda commands, asked, now: commands.wish_mode(mode, asked.peer, now)
 
 
@@ -409,39 +424,54 @@ def _mode(mode: Mode) -> Callable[[Commands, Asked, float], Result]:
 class CommandRow:
     """A command that has a meaning here."""
 
-    handler: Callable[[Commands, Asked, float], Result | None]  # what carries it out
+    handler: Callable[[CommandProtocol, Asked, float], MavResult | None]  # what carries it out
     meaning: str  # for the manual
 
 
 COMMANDS: Mapping[int, CommandRow] = {
-    Command.COMPONENT_ARM_DISARM: CommandRow(
-        Commands.arm, "control authority; no disarming in the air, forced or not"
+    MavCommand.COMPONENT_ARM_DISARM: CommandRow(
+        CommandProtocol.arm, "control authority; no disarming in the air, forced or not"
     ),
-    Command.NAV_TAKEOFF: CommandRow(
-        Commands.take_off, "the autopilot's take-off, then a climb; waits for arming up to 10 s"
+    MavCommand.NAV_TAKEOFF: CommandRow(
+        CommandProtocol.take_off,
+        "the autopilot's take-off, then a climb; waits for arming up to 10 s",
     ),
-    Command.NAV_LAND: CommandRow(_mode(Mode.LAND), "lands in place, whatever place is named"),
-    Command.NAV_RETURN_TO_LAUNCH: CommandRow(_mode(Mode.RTL), "the autopilot's way home"),
-    Command.DO_SET_MODE: CommandRow(Commands.set_mode, "the modes below, by the numbers of PX4"),
-    Command.DO_SET_STANDARD_MODE: CommandRow(Commands.set_standard_mode, "the same by standard"),
-    Command.DO_REPOSITION: CommandRow(
-        Commands.reposition, "flies to a place, changes height or heading; without any: hold"
+    MavCommand.NAV_LAND: CommandRow(_mode(Mode.LAND), "lands in place, whatever place is named"),
+    MavCommand.NAV_RETURN_TO_LAUNCH: CommandRow(_mode(Mode.RTL), "the autopilot's way home"),
+    MavCommand.DO_SET_MODE: CommandRow(
+        CommandProtocol.set_mode, "the modes below, by the numbers of PX4"
     ),
-    Command.DO_ORBIT: CommandRow(
-        Commands.orbit, "circles a place, looking at it; altitude above sea level in every frame"
+    MavCommand.DO_SET_STANDARD_MODE: CommandRow(
+        CommandProtocol.set_standard_mode, "the same by standard"
     ),
-    Command.DO_PAUSE_CONTINUE: CommandRow(Commands.pause, "hold, or the mission"),
-    Command.DO_CHANGE_SPEED: CommandRow(
-        Commands.change_speed, "of a mission that the aircraft flies, of later flights to a place"
+    MavCommand.DO_REPOSITION: CommandRow(
+        CommandProtocol.reposition, "flies to a place, changes height or heading; without any: hold"
     ),
-    Command.MISSION_START: CommandRow(Commands.start_mission, "flies the mission"),
-    Command.DO_SET_MISSION_CURRENT: CommandRow(Commands.set_current, "the item to go on from"),
-    Command.SET_MESSAGE_INTERVAL: CommandRow(Commands.set_interval, "up to 50 Hz, for who asks"),
-    Command.GET_MESSAGE_INTERVAL: CommandRow(Commands.get_interval, "answers MESSAGE_INTERVAL"),
-    Command.REQUEST_MESSAGE: CommandRow(Commands.request_message, "telemetry, version, modes"),
-    Command.GET_HOME_POSITION: CommandRow(Commands.request_home, "answers HOME_POSITION"),
-    Command.REQUEST_AUTOPILOT_CAPABILITIES: CommandRow(
-        Commands.request_version, "answers AUTOPILOT_VERSION"
+    MavCommand.DO_ORBIT: CommandRow(
+        CommandProtocol.orbit,
+        "circles a place, looking at it; altitude above sea level in every frame",
+    ),
+    MavCommand.DO_PAUSE_CONTINUE: CommandRow(CommandProtocol.pause, "hold, or the mission"),
+    MavCommand.DO_CHANGE_SPEED: CommandRow(
+        CommandProtocol.change_speed,
+        "of a mission that the aircraft flies, of later flights to a place",
+    ),
+    MavCommand.MISSION_START: CommandRow(CommandProtocol.start_mission, "flies the mission"),
+    MavCommand.DO_SET_MISSION_CURRENT: CommandRow(
+        CommandProtocol.set_current, "the item to go on from"
+    ),
+    MavCommand.SET_MESSAGE_INTERVAL: CommandRow(
+        CommandProtocol.set_interval, "up to 50 Hz, for who asks"
+    ),
+    MavCommand.GET_MESSAGE_INTERVAL: CommandRow(
+        CommandProtocol.get_interval, "answers MESSAGE_INTERVAL"
+    ),
+    MavCommand.REQUEST_MESSAGE: CommandRow(
+        CommandProtocol.request_message, "telemetry, version, modes"
+    ),
+    MavCommand.GET_HOME_POSITION: CommandRow(CommandProtocol.request_home, "answers HOME_POSITION"),
+    MavCommand.REQUEST_AUTOPILOT_CAPABILITIES: CommandRow(
+        CommandProtocol.request_version, "answers AUTOPILOT_VERSION"
     ),
 }
 """By number; every other one is answered UNSUPPORTED."""

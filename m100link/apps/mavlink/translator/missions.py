@@ -11,8 +11,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-from m100link.apps.mavlink.translator.codec import Message
-from m100link.apps.mavlink.translator.numbers import Command, MissionResult, MissionType, Severity
+from m100link.apps.mavlink.translator.codec import MavlinkMessage
+from m100link.apps.mavlink.translator.numbers import (
+    MavCommand,
+    MissionResult,
+    MissionType,
+    Severity,
+)
 from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.route import Refused, Route, read_route
 from m100link.geodesy import WGS84_FLATTENING, WGS84_SEMI_MAJOR_AXIS_M, LocalFrame
@@ -30,15 +35,15 @@ class _Upload:
     kind: int
     count: int
     asked_at: float  # when the next one was asked for last, s
-    items: list[Message] = field(default_factory=list)  # those that are there
+    items: list[MavlinkMessage] = field(default_factory=list)  # those that are there
     tries: int = 0
 
 
-class Missions:
+class MissionProtocol:
     def __init__(
         self,
         # Sends a message to a peer, None for everybody.
-        send: Callable[[Message, Peer | None], None],
+        send: Callable[[MavlinkMessage, Peer | None], None],
         tell: Callable[[Severity, str], None],  # takes what people have to know
         *,
         ground: Callable[[], float | None],  # altitude of the take-off point above sea level, m
@@ -52,7 +57,7 @@ class Missions:
         self._speed = speed
         self._may_change = may_change
         # What was uploaded last, by its kind.
-        self._stored: dict[int, tuple[Message, ...]] = dict.fromkeys(
+        self._stored: dict[int, tuple[MavlinkMessage, ...]] = dict.fromkeys(
             (MissionType.MISSION, MissionType.FENCE, MissionType.RALLY), ()
         )
         self._upload: _Upload | None = None
@@ -65,7 +70,7 @@ class Missions:
         self._told_at = float("-inf")
 
     @property
-    def items(self) -> tuple[Message, ...]:
+    def items(self) -> tuple[MavlinkMessage, ...]:
         return self._stored[MissionType.MISSION]
 
     def route(self) -> Route | None:
@@ -80,7 +85,7 @@ class Missions:
 
     # -- what comes in ---------------------------------------------------------------------------
 
-    def receive(self, message: Message, peer: Peer, now: float) -> None:
+    def receive(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         upload = self._upload
         kind = message.fields.get("mission_type", MissionType.MISSION)
         if message.name == "MISSION_COUNT":
@@ -89,7 +94,7 @@ class Missions:
             self._take(message, kind, peer, now)
         elif message.name == "MISSION_REQUEST_LIST":
             count = len(self._stored.get(kind, ()))
-            self._send(Message("MISSION_COUNT", {"count": count} | _to(peer, kind)), peer)
+            self._send(MavlinkMessage("MISSION_COUNT", {"count": count} | _to(peer, kind)), peer)
         elif message.name in ("MISSION_REQUEST_INT", "MISSION_REQUEST"):
             self._give(message["seq"], kind, peer)
         elif message.name == "MISSION_CLEAR_ALL":
@@ -98,7 +103,7 @@ class Missions:
             self._upload = None  # MISSION_ACK: it does not want to go on
 
     def _acknowledge(self, result: MissionResult, kind: int, peer: Peer) -> None:
-        self._send(Message("MISSION_ACK", {"type": result} | _to(peer, kind)), peer)
+        self._send(MavlinkMessage("MISSION_ACK", {"type": result} | _to(peer, kind)), peer)
 
     def _begin(self, count: int, kind: int, peer: Peer, now: float) -> None:
         upload = self._upload
@@ -126,9 +131,9 @@ class Missions:
     def _ask(self, upload: _Upload, now: float) -> None:
         upload.asked_at = now
         fields = {"seq": len(upload.items)} | _to(upload.peer, upload.kind)
-        self._send(Message("MISSION_REQUEST_INT", fields), upload.peer)
+        self._send(MavlinkMessage("MISSION_REQUEST_INT", fields), upload.peer)
 
-    def _take(self, item: Message, kind: int, peer: Peer, now: float) -> None:
+    def _take(self, item: MavlinkMessage, kind: int, peer: Peer, now: float) -> None:
         upload = self._upload
         if upload is None or upload.peer != peer or upload.kind != kind:
             told = self._answered
@@ -147,7 +152,7 @@ class Missions:
         self._answered = peer, kind, result, now
         self._acknowledge(result, kind, peer)
 
-    def _store(self, kind: int, items: tuple[Message, ...], peer: Peer) -> MissionResult:
+    def _store(self, kind: int, items: tuple[MavlinkMessage, ...], peer: Peer) -> MissionResult:
         try:
             why = self._may_change(peer, kind)
             if why:
@@ -178,7 +183,7 @@ class Missions:
             return
         fields = dict(items[number].fields) | _to(peer, kind)
         fields["current"] = int(kind == MissionType.MISSION and number == self.current)
-        self._send(Message("MISSION_ITEM_INT", fields), peer)
+        self._send(MavlinkMessage("MISSION_ITEM_INT", fields), peer)
 
     def _clear(self, kind: int, peer: Peer) -> None:
         kinds = list(self._stored) if kind == MissionType.ALL else [kind]
@@ -219,7 +224,7 @@ class Missions:
 
     def reached(self, number: int) -> None:
         self._reached = number
-        self._send(Message("MISSION_ITEM_REACHED", {"seq": number}), None)
+        self._send(MavlinkMessage("MISSION_ITEM_REACHED", {"seq": number}), None)
 
     def over(self) -> None:
         """The last one is done: items behind it have no place to be reached."""
@@ -233,7 +238,7 @@ class Missions:
         """Whether it was flown to its end."""
         return bool(self.items) and self._reached == len(self.items) - 1
 
-    def due(self, now: float, *, is_flying: bool) -> Iterator[Message]:
+    def due(self, now: float, *, is_flying: bool) -> Iterator[MavlinkMessage]:
         """What has to be asked again, and MISSION_CURRENT."""
         upload = self._upload
         if upload is not None and now - upload.asked_at >= _AGAIN_S:
@@ -248,7 +253,7 @@ class Missions:
             self._told_at = now
             yield self.current_message(is_flying=is_flying)
 
-    def current_message(self, *, is_flying: bool) -> Message:
+    def current_message(self, *, is_flying: bool) -> MavlinkMessage:
         """MISSION_CURRENT."""
         if not self.items:
             state = _NONE
@@ -259,7 +264,7 @@ class Missions:
         else:
             state = _PAUSED if self.current else _NOT_STARTED
         fields = {"seq": self.current, "total": len(self.items), "mission_state": state}
-        return Message("MISSION_CURRENT", fields)
+        return MavlinkMessage("MISSION_CURRENT", fields)
 
 
 def _to(peer: Peer, kind: int) -> dict[str, int]:
@@ -272,12 +277,12 @@ def _to(peer: Peer, kind: int) -> dict[str, int]:
 
 
 _POLYGONS = {
-    Command.NAV_FENCE_POLYGON_VERTEX_INCLUSION: True,
-    Command.NAV_FENCE_POLYGON_VERTEX_EXCLUSION: False,
+    MavCommand.NAV_FENCE_POLYGON_VERTEX_INCLUSION: True,
+    MavCommand.NAV_FENCE_POLYGON_VERTEX_EXCLUSION: False,
 }
 _CIRCLES = {
-    Command.NAV_FENCE_CIRCLE_INCLUSION: True,
-    Command.NAV_FENCE_CIRCLE_EXCLUSION: False,
+    MavCommand.NAV_FENCE_CIRCLE_INCLUSION: True,
+    MavCommand.NAV_FENCE_CIRCLE_EXCLUSION: False,
 }
 _AROUND_M = 2.0  # between the places of a circle that are looked at; at most 256
 _FAR_M = 10_000.0  # from here on the distance of an area is that of the circle around it
@@ -427,7 +432,7 @@ class Fence:
         return max(away, default=0.0)
 
 
-def read_fence(items: Sequence[Message]) -> Fence:
+def read_fence(items: Sequence[MavlinkMessage]) -> Fence:
     """The fence of these items.
 
     Raises:

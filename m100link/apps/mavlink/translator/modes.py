@@ -1,4 +1,4 @@
-"""Flight modes: what each is called, its numbers, and which wishes a phase of the flight takes.
+"""Flight modes: their names and numbers, and the mode requests that each phase takes.
 
 The numbers of ``custom_mode`` are those of PX4, because ground stations know them; the protocol of
 standard modes names the same modes for programs that ask instead of knowing.
@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from m100link.apps.mavlink.translator.codec import Message
+from m100link.apps.mavlink.translator.codec import MavlinkMessage
 from m100link.apps.mavlink.translator.numbers import BaseMode
 
 
@@ -62,8 +62,8 @@ MODES: dict[Mode, ModeRow] = {
 }
 
 
-class Phase(Enum):
-    """Where the flight stands, from what the aircraft and the agent tell; never from a wish."""
+class VehiclePhase(Enum):
+    """Where the flight stands by what aircraft and agent report, never by a mode request."""
 
     AWAY = "no aircraft is heard"
     OTHER = "another client of the station has control"
@@ -74,16 +74,16 @@ class Phase(Enum):
     PILOT = "the pilot flies"
 
 
-REMEDIES: dict[Phase, str] = {
-    Phase.DISARMED: "on the ground: arm, and take off first",
-    Phase.ARMED: "on the ground: take off first",
-    Phase.FREE: "control authority is not held: arm first",
+REMEDIES: dict[VehiclePhase, str] = {
+    VehiclePhase.DISARMED: "on the ground: arm, and take off first",
+    VehiclePhase.ARMED: "on the ground: take off first",
+    VehiclePhase.FREE: "control authority is not held: arm first",
 }
-"""Why a wish is refused in a phase that a ground station can change."""
+"""Why a mode request is refused in a phase that a ground station can change."""
 
 
-class Verdict(Enum):
-    """What becomes of a wish."""
+class ModeVerdict(Enum):
+    """What becomes of a mode request."""
 
     START = "it begins"
     OBTAIN = "control authority is obtained, then it begins"
@@ -93,31 +93,31 @@ class Verdict(Enum):
     REJECT = "not now"
 
 
-_V, _M = Verdict, Mode
+_V, _M = ModeVerdict, Mode
 
 _FROM_THE_AIR = (_M.POSCTL, _M.ALTCTL, _M.ORBIT, _M.GOTO)
 _REMEMBERED = (_M.TAKEOFF, _M.MISSION, _M.OFFBOARD)
 _ENDS = (_M.HOLD, _M.LAND, _M.RTL)
 
-VERDICTS: dict[Phase, dict[Mode, Verdict]] = {
-    Phase.AWAY: dict.fromkeys(_M, _V.REJECT),
-    Phase.OTHER: dict.fromkeys(_M, _V.REJECT),
+VERDICTS: dict[VehiclePhase, dict[Mode, ModeVerdict]] = {
+    VehiclePhase.AWAY: dict.fromkeys(_M, _V.REJECT),
+    VehiclePhase.OTHER: dict.fromkeys(_M, _V.REJECT),
     # QGroundControl asks for a take-off or a mission first, and arms when that was accepted.
-    Phase.DISARMED: dict.fromkeys(_REMEMBERED, _V.REMEMBER)
+    VehiclePhase.DISARMED: dict.fromkeys(_REMEMBERED, _V.REMEMBER)
     | dict.fromkeys(_ENDS, _V.NOTHING)
     | dict.fromkeys(_FROM_THE_AIR, _V.DENY),
-    Phase.ARMED: dict.fromkeys(_REMEMBERED, _V.START)
+    VehiclePhase.ARMED: dict.fromkeys(_REMEMBERED, _V.START)
     | dict.fromkeys(_ENDS, _V.NOTHING)
     | dict.fromkeys(_FROM_THE_AIR, _V.DENY),
-    Phase.AIRBORNE: dict.fromkeys(_M, _V.START) | {_M.TAKEOFF: _V.DENY},
+    VehiclePhase.AIRBORNE: dict.fromkeys(_M, _V.START) | {_M.TAKEOFF: _V.DENY},
     # Whoever wants more than an end of the flight says so by arming.
-    Phase.FREE: dict.fromkeys(_M, _V.REJECT) | dict.fromkeys(_ENDS, _V.OBTAIN),
-    Phase.PILOT: dict.fromkeys(_M, _V.REJECT),
+    VehiclePhase.FREE: dict.fromkeys(_M, _V.REJECT) | dict.fromkeys(_ENDS, _V.OBTAIN),
+    VehiclePhase.PILOT: dict.fromkeys(_M, _V.REJECT),
 }
-"""Phase of the flight, wish, what becomes of it."""
+"""Phase of the flight, mode request, verdict."""
 
 
-class Running(Enum):
+class FlightSource(Enum):
     """What flies the aircraft for the bridge."""
 
     NOTHING = "nothing"
@@ -130,23 +130,23 @@ class Running(Enum):
     STREAM = "setpoints of a program or of sticks"
 
 
-class Step(Enum):
-    """How a wish that begins takes over from what flies."""
+class ModeTransition(Enum):
+    """How a mode request that begins takes over from what flies."""
 
-    REPLACE = "what flies ends at once, the wish begins"
+    REPLACE = "what flies ends at once, the mode request begins"
     WAIT = "it begins when what flies has ended; the newest waits, but a way to the ground stays"
     INTERRUPT = "authority goes back and is obtained again, which ends what flies; then it begins"
     KEEP = "it is what flies; a mission that was changed is stopped, and begins anew"
     PAUSE = "the aircraft hovers and keeps its mission"
     RESUME = "the aircraft goes on with its mission; one that was changed is stopped, and begins"
-    STOP = "the aircraft is told to stop its mission, which ends it; then the wish begins"
+    STOP = "the aircraft is told to stop its mission, which ends it; then the mode request begins"
     REFUSE = "what flies goes on"
 
 
-_S, _R = Step, Running
+_S, _R = ModeTransition, FlightSource
 _LANDING = dict.fromkeys(_M, _S.REFUSE) | {_M.HOLD: _S.INTERRUPT}
 
-RUNNING: dict[Running, dict[Mode, Step]] = {
+RUNNING: dict[FlightSource, dict[Mode, ModeTransition]] = {
     _R.NOTHING: dict.fromkeys(_M, _S.REPLACE),
     # The aircraft ignores setpoints until its take-off is over, and refuses a landing.
     _R.TAKE_OFF: dict.fromkeys(_M, _S.WAIT) | {_M.TAKEOFF: _S.KEEP},
@@ -158,30 +158,30 @@ RUNNING: dict[Running, dict[Mode, Step]] = {
     _R.PAUSED: dict.fromkeys(_M, _S.STOP) | {_M.HOLD: _S.KEEP, _M.MISSION: _S.RESUME},
     _R.STREAM: dict.fromkeys(_M, _S.REPLACE),
 }
-"""What flies, wish, how the wish takes over."""
+"""Flight source, mode request, transition."""
 
-ARM_VERDICTS: dict[Phase, Verdict] = {
-    Phase.AWAY: _V.REJECT,
-    Phase.OTHER: _V.REJECT,
-    Phase.DISARMED: _V.START,  # a second request gets the answer of the first
-    Phase.ARMED: _V.NOTHING,
-    Phase.AIRBORNE: _V.NOTHING,
-    Phase.FREE: _V.START,
-    Phase.PILOT: _V.REJECT,
+ARM_VERDICTS: dict[VehiclePhase, ModeVerdict] = {
+    VehiclePhase.AWAY: _V.REJECT,
+    VehiclePhase.OTHER: _V.REJECT,
+    VehiclePhase.DISARMED: _V.START,  # a second request gets the answer of the first
+    VehiclePhase.ARMED: _V.NOTHING,
+    VehiclePhase.AIRBORNE: _V.NOTHING,
+    VehiclePhase.FREE: _V.START,
+    VehiclePhase.PILOT: _V.REJECT,
 }
-"""What becomes of the wish to arm: to obtain control authority."""
+"""What becomes of the mode request to arm: to obtain control authority."""
 
-DISARM_VERDICTS: dict[Phase, Verdict] = {
-    Phase.AWAY: _V.REJECT,
-    Phase.OTHER: _V.REJECT,
-    Phase.DISARMED: _V.NOTHING,  # but for a request to arm, which ends
-    Phase.ARMED: _V.START,
+DISARM_VERDICTS: dict[VehiclePhase, ModeVerdict] = {
+    VehiclePhase.AWAY: _V.REJECT,
+    VehiclePhase.OTHER: _V.REJECT,
+    VehiclePhase.DISARMED: _V.NOTHING,  # but for a request to arm, which ends
+    VehiclePhase.ARMED: _V.START,
     # The M100 has no command that stops motors in the air, forced or not.
-    Phase.AIRBORNE: _V.DENY,
-    Phase.FREE: _V.DENY,
-    Phase.PILOT: _V.DENY,
+    VehiclePhase.AIRBORNE: _V.DENY,
+    VehiclePhase.FREE: _V.DENY,
+    VehiclePhase.PILOT: _V.DENY,
 }
-"""What becomes of the wish to disarm: to give control authority back."""
+"""What becomes of the mode request to disarm: to give control authority back."""
 
 
 # -- the modes for programs that ask instead of knowing: AVAILABLE_MODES and CURRENT_MODE ----------
@@ -204,17 +204,17 @@ def _selectable(is_it: Callable[[ModeRow], bool]) -> Mode | None:
     return next((one for one, row in MODES.items() if is_it(row) and row.is_selectable), None)
 
 
-def available(index: int) -> list[Message]:
+def available(index: int) -> list[MavlinkMessage]:
     """AVAILABLE_MODES: one by its number from 1, all of them for 0; empty where there is none."""
     return [_available(one, mode) for one, mode in enumerate(MODES, 1) if index in (0, one)]
 
 
-def _available(index: int, mode: Mode) -> Message:
+def _available(index: int, mode: Mode) -> MavlinkMessage:
     row = MODES[mode]
     properties = 0 if row.is_selectable else _NOT_SELECTABLE
     if mode is Mode.OFFBOARD:
         properties |= _ADVANCED
-    return Message(
+    return MavlinkMessage(
         "AVAILABLE_MODES",
         {
             "number_modes": len(MODES),
@@ -227,7 +227,7 @@ def _available(index: int, mode: Mode) -> Message:
     )
 
 
-def current(mode: Mode) -> Message:
+def current(mode: Mode) -> MavlinkMessage:
     """CURRENT_MODE."""
     row = MODES[mode]
     fields = {
@@ -235,4 +235,4 @@ def current(mode: Mode) -> Message:
         "custom_mode": row.number,
         "intended_custom_mode": row.number,
     }
-    return Message("CURRENT_MODE", fields)
+    return MavlinkMessage("CURRENT_MODE", fields)

@@ -7,7 +7,7 @@ from enum import IntEnum, IntFlag
 AUTOPILOT_GENERIC, AUTOPILOT_PX4 = 0, 12  # MAV_AUTOPILOT
 
 
-class Result(IntEnum):
+class MavResult(IntEnum):
     """MAV_RESULT: what becomes of a command."""
 
     ACCEPTED = 0
@@ -90,7 +90,7 @@ class Capability(IntFlag):
     MISSION_FENCE = 0x4000
 
 
-class Frame(IntEnum):
+class MavFrame(IntEnum):
     """MAV_FRAME: what coordinates count from."""
 
     GLOBAL = 0
@@ -104,8 +104,8 @@ class Frame(IntEnum):
     BODY_FRD = 12
 
 
-SEA_LEVEL = (Frame.GLOBAL, Frame.GLOBAL_INT)
-RELATIVE = (Frame.GLOBAL_RELATIVE_ALT, Frame.GLOBAL_RELATIVE_ALT_INT)
+SEA_LEVEL = (MavFrame.GLOBAL, MavFrame.GLOBAL_INT)
+RELATIVE = (MavFrame.GLOBAL_RELATIVE_ALT, MavFrame.GLOBAL_RELATIVE_ALT_INT)
 
 
 class MissionType(IntEnum):
@@ -131,7 +131,7 @@ class MissionResult(IntEnum):
     OPERATION_CANCELLED = 15
 
 
-class Command(IntEnum):
+class MavCommand(IntEnum):
     """MAV_CMD: what the bridge has an answer of its own for."""
 
     NAV_WAYPOINT = 16

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from m100link.apps.mavlink.translator.codec import Message
-from m100link.apps.mavlink.translator.numbers import Frame
-from m100link.apps.mavlink.translator.parameters import Parameters
-from m100link.apps.mavlink.translator.world import World
+from m100link.apps.mavlink.translator.codec import MavlinkMessage
+from m100link.apps.mavlink.translator.numbers import MavFrame
+from m100link.apps.mavlink.translator.parameters import ParameterProtocol
+from m100link.apps.mavlink.translator.vehicle_state import VehicleState
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
 
@@ -33,7 +33,7 @@ _CLIMB_M_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class OffboardTarget:
     """What a program wants; None where it says nothing."""
 
     at: float  # when it came, s
@@ -51,7 +51,7 @@ def _limited(value: float, limit: float) -> float:
     return max(-limit, min(limit, value))
 
 
-def _fastest(world: World, parameters: Parameters) -> float:
+def _fastest(world: VehicleState, parameters: ParameterProtocol) -> float:
     """Horizontal speed that is asked for at most, m/s."""
     limit = world.known.view.state.limits.max_speed_m_s
     return min(parameters["MPC_XY_VEL_MAX"], 10.0 if limit is None else limit)
@@ -64,12 +64,12 @@ def _turn(yaw: float) -> float:
 class Offboard:
     """The newest setpoint of the operator."""
 
-    def __init__(self, world: World, parameters: Parameters) -> None:
+    def __init__(self, world: VehicleState, parameters: ParameterProtocol) -> None:
         self._world = world
         self._parameters = parameters
-        self.target: Target | None = None  # the newest one; None before the first
+        self.target: OffboardTarget | None = None  # the newest one; None before the first
 
-    def receive(self, message: Message, now: float) -> str:
+    def receive(self, message: MavlinkMessage, now: float) -> str:
         """Take a setpoint over. Returns why it cannot be flown, empty where it can."""
         if message.name == "SET_ATTITUDE_TARGET":
             return self._attitude(message, now)
@@ -80,8 +80,8 @@ class Offboard:
         # The bit that makes a force of an acceleration means nothing where there is none.
         if mask & _NO_FORCE != _NO_FORCE and any(fields[f"af{axis}"] for axis in "xyz"):
             return "the M100 takes no acceleration and no force"
-        is_body = frame in (Frame.BODY_NED, Frame.BODY_OFFSET_NED, Frame.BODY_FRD)
-        if not is_body and frame != Frame.LOCAL_NED:
+        is_body = frame in (MavFrame.BODY_NED, MavFrame.BODY_OFFSET_NED, MavFrame.BODY_FRD)
+        if not is_body and frame != MavFrame.LOCAL_NED:
             return f"frame {frame} of setpoints is not known"
         # What is flown in part is another flight than the one that is asked for.
         if mask & _PLACE not in (0, _PLACE) or mask & _SPEED not in (0, _SPEED):
@@ -90,7 +90,7 @@ class Offboard:
         has_speed, has_climb = not mask & _SPEED, not mask & _CLIMB
         if is_body and (has_place or has_height):
             return f"a place in frame {frame}: places count from home, in LOCAL_NED"
-        target = Target(
+        target = OffboardTarget(
             now,
             place=(fields["x"], fields["y"]) if has_place else None,
             height=-fields["z"] if has_height else None,
@@ -102,7 +102,7 @@ class Offboard:
         )
         return self._take(target)
 
-    def _attitude(self, message: Message, now: float) -> str:
+    def _attitude(self, message: MavlinkMessage, now: float) -> str:
         mask, thrust = message["type_mask"], message["thrust"]
         if mask & (_NO_ATTITUDE | _NO_THRUST) or not 0.0 <= thrust <= 1.0:
             return "the M100 takes attitudes with a thrust of 0 to 1, no body rates"
@@ -120,9 +120,9 @@ class Offboard:
         if thrust == 0.0:
             up = 0.0  # "no thrust" while a program begins; the M100 does not fall
         tilt = (math.degrees(roll), math.degrees(pitch))
-        return self._take(Target(now, tilt=tilt, climb=up, yaw_deg=math.degrees(yaw)))
+        return self._take(OffboardTarget(now, tilt=tilt, climb=up, yaw_deg=math.degrees(yaw)))
 
-    def _take(self, target: Target) -> str:
+    def _take(self, target: OffboardTarget) -> str:
         pairs = (*(target.place or ()), *(target.velocity or ()), *(target.tilt or ()))
         ones = (target.height, target.climb, target.yaw_deg, target.yaw_rate)
         told = {*pairs, *ones} - {None}
@@ -167,7 +167,7 @@ class Offboard:
             north=first, east=second, up=climb, yaw_deg=yaw_deg, yaw_rate_deg_s=yaw_rate
         )
 
-    def _climb(self, target: Target) -> float:
+    def _climb(self, target: OffboardTarget) -> float:
         climb = target.climb or 0.0
         if target.height is not None:
             height = self._world.height if self._is_located else None
@@ -176,7 +176,7 @@ class Offboard:
             return max(-self._parameters["MPC_Z_VEL_MAX_DN"], climb)
         return min(self._parameters["MPC_Z_VEL_MAX_UP"], climb)
 
-    def _speed(self, target: Target) -> tuple[float, float]:
+    def _speed(self, target: OffboardTarget) -> tuple[float, float]:
         first, second = target.velocity or (0.0, 0.0)
         if target.place is not None:
             here = self._world.local if self._is_located else None
@@ -215,14 +215,16 @@ def _stick(value: float) -> float:
 class Manual:
     """The newest sticks of the operator."""
 
-    def __init__(self, world: World, parameters: Parameters, *, is_tilt: bool) -> None:
+    def __init__(
+        self, world: VehicleState, parameters: ParameterProtocol, *, is_tilt: bool
+    ) -> None:
         self._world = world
         self._parameters = parameters
         self._is_tilt = is_tilt
         self._sticks = (0.0, 0.0, 0.0, 0.0)
         self._at = float("-inf")
 
-    def receive(self, message: Message, now: float) -> None:
+    def receive(self, message: MavlinkMessage, now: float) -> None:
         """Take sticks over: pitch, roll, climb (0 to 1000, 500 stays), turn."""
         x, y, z, r = (message[axis] for axis in "xyzr")
         first, second, third, fourth = map(_stick, (x, y, (z - _FULL_STICK / 2) * 2, r))

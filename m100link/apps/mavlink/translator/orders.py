@@ -1,4 +1,4 @@
-"""What the bridge asks of the agent: values that the deck decides and the crew carries out."""
+"""Orders of the bridge to the agent: the manager decides, the executor carries them out."""
 
 from __future__ import annotations
 
@@ -7,43 +7,43 @@ from typing import ClassVar
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.orders import FlyTo, GuidedOrder
-from m100link.apps.mavlink.translator.modes import Mode, Running
+from m100link.apps.mavlink.translator.modes import FlightSource, Mode
 from m100link.apps.mavlink.translator.peers import Peer
 from m100link.missions.plan import WaypointPlan
 
 
-class Order:
+class VehicleOrder:
     """What takes time and has an end; the newest one replaces what was ordered before it."""
 
     __slots__ = ()
 
-    running: ClassVar[Running] = Running.NOTHING  # what flies while it is carried out
+    running: ClassVar[FlightSource] = FlightSource.NOTHING  # what flies while it is carried out
 
 
 @dataclass(frozen=True, slots=True)
-class Arm(Order):
+class ObtainControl(VehicleOrder):
     """Take the lease and obtain control authority."""
 
     name: str  # for whom, for people
 
 
 @dataclass(frozen=True, slots=True)
-class Disarm(Order):
+class ReleaseControl(VehicleOrder):
     """Give lease and authority back: motion ends, the pilot flies."""
 
 
 @dataclass(frozen=True, slots=True)
-class TakeOff(Order):
+class TakeOffAndClimb(VehicleOrder):
     """Let the autopilot take off, then climb."""
 
-    running: ClassVar[Running] = Running.TAKE_OFF
+    running: ClassVar[FlightSource] = FlightSource.TAKE_OFF
 
     # To climb to, m above the take-off point; None stays where the autopilot ends.
     height: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class CallOff(Order):
+class CancelTakeOff(VehicleOrder):
     """Keep a take-off that was ordered from being flown, and give lease and authority back.
 
     Giving back is all that can be done on the ground: a landing is refused there, and nothing stops
@@ -53,40 +53,42 @@ class CallOff(Order):
 
 
 @dataclass(frozen=True, slots=True)
-class Land(Order):
+class LandInPlace(VehicleOrder):
     """Let the autopilot land in place."""
 
-    running: ClassVar[Running] = Running.LAND
+    running: ClassVar[FlightSource] = FlightSource.LAND
 
     # End the autopilot's task first, by giving authority back and asking anew.
     is_interrupting: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class GoHome(Order):
+class ReturnToLaunch(VehicleOrder):
     """Let the autopilot fly home and land."""
 
-    running: ClassVar[Running] = Running.GO_HOME
+    running: ClassVar[FlightSource] = FlightSource.GO_HOME
 
-    is_interrupting: bool = False  # as in Land
+    is_interrupting: bool = False  # as in LandInPlace
 
 
 @dataclass(frozen=True, slots=True)
-class Halt(Order):
-    is_interrupting: bool = False  # as in Land
+class HoldPosition(VehicleOrder):
+    is_interrupting: bool = False  # as in LandInPlace
     why: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Flight(Order):
+class FlightSequence(VehicleOrder):
     """Flights of the agent, one after the other."""
 
-    running: ClassVar[Running] = Running.FLIGHT
+    running: ClassVar[FlightSource] = FlightSource.FLIGHT
 
     legs: tuple[GuidedOrder, ...]  # each an order of the agent
     waits: tuple[float, ...] = ()  # seconds to hover after each
     takes_off: bool = False  # take off first
-    then: Land | GoHome | None = None  # the way to the ground that follows them; None hovers
+    then: LandInPlace | ReturnToLaunch | None = (
+        None  # the way to the ground that follows them; None hovers
+    )
     # Number of the mission's item of each leg, None for a leg of none; empty where no mission is
     # flown.
     items: tuple[int | None, ...] = ()
@@ -108,11 +110,11 @@ class Flight(Order):
 
 
 @dataclass(frozen=True, slots=True)
-class Do:
+class MissionCommand:
     """What is told to the mission that the aircraft flies; it replaces nothing."""
 
     order: orders.Order  # to pause it, to go on, or for another speed
-    flight: Flight | None = None  # which is paused or goes on; None for whichever flies
+    flight: FlightSequence | None = None  # which is paused or goes on; None for whichever flies
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,14 +122,14 @@ class Drop:
     """Leave the order under way as it is: control was lost, and what was to come is not flown."""
 
 
-# -- a wish of a ground station: a value for the deck ----------------------------------------------
+# -- a mode request of a ground station: a value for the manager -----------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class ModeRequest:
     """What somebody wants to be flown."""
 
     mode: Mode  # in which mode
-    order: Order | None  # what the agent is asked for; None where setpoints fly
+    order: VehicleOrder | None  # what the agent is asked for; None where setpoints fly
     peer: Peer | None = None  # who wants it; None for the bridge itself
     is_anew: bool = False  # whether it is another mission than the one that flies or is paused

@@ -10,20 +10,20 @@ import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from m100link.apps.mavlink.translator.codec import Message
-from m100link.apps.mavlink.translator.world import World
+from m100link.apps.mavlink.translator.codec import MavlinkMessage
+from m100link.apps.mavlink.translator.vehicle_state import VehicleState
 
 _REAL32, _INT32 = 9, 6
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class MavlinkParameter:
     value: float | None  # at first; of one that tells of the aircraft, None
     meaning: str  # for the manual
     least: float = 0.0  # what it may be set to
     most: float = 0.0  # likewise; where both are the same it is read-only
     # What the aircraft or the agent tells, for those that tell of it.
-    told: Callable[[World, int], float | None] | None = None
+    told: Callable[[VehicleState, int], float | None] | None = None
     is_whole: bool = False  # whether it is an integer
 
     @property
@@ -31,30 +31,38 @@ class Parameter:
         return self.most > self.least
 
 
-PARAMETERS: Mapping[str, Parameter] = {
-    "MAV_SYS_ID": Parameter(
+PARAMETERS: Mapping[str, MavlinkParameter] = {
+    "MAV_SYS_ID": MavlinkParameter(
         None, "system id of this aircraft", told=lambda _, system: system, is_whole=True
     ),
-    "MIS_TAKEOFF_ALT": Parameter(2.5, "height of a take-off without one, m", 1.5, 100.0),
-    "RTL_RETURN_ALT": Parameter(-1.0, "DJI's own setting, which the wire does not tell: -1"),
-    "COM_OF_LOSS_T": Parameter(0.5, "s without a setpoint until OFFBOARD holds", 0.1, 2.0),
-    "MPC_XY_CRUISE": Parameter(5.0, "speed of flights to a place and of missions, m/s", 0.5, 10.0),
-    "MPC_XY_VEL_MAX": Parameter(5.0, "greatest speed of OFFBOARD and of sticks, m/s", 0.5, 10.0),
-    "MPC_Z_VEL_MAX_UP": Parameter(2.0, "greatest climb of OFFBOARD and of sticks, m/s", 0.2, 4.0),
-    "MPC_Z_VEL_MAX_DN": Parameter(1.5, "greatest descent of them, m/s", 0.2, 3.0),
-    "MPC_MAN_Y_MAX": Parameter(60.0, "greatest turn of sticks, degrees/s", 5.0, 100.0),
-    "MPC_MAN_TILT_MAX": Parameter(15.0, "greatest tilt of sticks in ALTCTL, degrees", 1.0, 30.0),
-    "GF_MAX_HOR_DIST": Parameter(
+    "MIS_TAKEOFF_ALT": MavlinkParameter(2.5, "height of a take-off without one, m", 1.5, 100.0),
+    "RTL_RETURN_ALT": MavlinkParameter(-1.0, "DJI's own setting, which the wire does not tell: -1"),
+    "COM_OF_LOSS_T": MavlinkParameter(0.5, "s without a setpoint until OFFBOARD holds", 0.1, 2.0),
+    "MPC_XY_CRUISE": MavlinkParameter(
+        5.0, "speed of flights to a place and of missions, m/s", 0.5, 10.0
+    ),
+    "MPC_XY_VEL_MAX": MavlinkParameter(
+        5.0, "greatest speed of OFFBOARD and of sticks, m/s", 0.5, 10.0
+    ),
+    "MPC_Z_VEL_MAX_UP": MavlinkParameter(
+        2.0, "greatest climb of OFFBOARD and of sticks, m/s", 0.2, 4.0
+    ),
+    "MPC_Z_VEL_MAX_DN": MavlinkParameter(1.5, "greatest descent of them, m/s", 0.2, 3.0),
+    "MPC_MAN_Y_MAX": MavlinkParameter(60.0, "greatest turn of sticks, degrees/s", 5.0, 100.0),
+    "MPC_MAN_TILT_MAX": MavlinkParameter(
+        15.0, "greatest tilt of sticks in ALTCTL, degrees", 1.0, 30.0
+    ),
+    "GF_MAX_HOR_DIST": MavlinkParameter(
         None,
         "the agent's envelope: m from where control was obtained; 0 without",
         told=lambda world, _: world.known.view.state.limits.max_radius_m,
     ),
-    "GF_MAX_VER_DIST": Parameter(
+    "GF_MAX_VER_DIST": MavlinkParameter(
         None,
         "the agent's envelope: m above the take-off point; 0 without",
         told=lambda world, _: world.known.view.state.limits.max_height_m,
     ),
-    "COM_ARM_BAT_MIN": Parameter(
+    "COM_ARM_BAT_MIN": MavlinkParameter(
         None,
         "the agent's floor of the battery, 0 to 1",
         told=lambda world, _: (world.known.view.state.limits.battery_floor_percent or 0) / 100,
@@ -65,8 +73,8 @@ PARAMETERS: Mapping[str, Parameter] = {
 _NAMES = tuple(PARAMETERS)
 
 
-class Parameters:
-    def __init__(self, world: World, system: int) -> None:
+class ParameterProtocol:
+    def __init__(self, world: VehicleState, system: int) -> None:
         self._world = world
         self._system = system
         self._values = {name: one.value for name, one in PARAMETERS.items()}
@@ -76,7 +84,7 @@ class Parameters:
         value = self._values[name] if one.told is None else one.told(self._world, self._system)
         return 0.0 if value is None else value
 
-    def message(self, name: str) -> Message:
+    def message(self, name: str) -> MavlinkMessage:
         """PARAM_VALUE."""
         one, value = PARAMETERS[name], self[name]
         if one.is_whole:  # an integer travels as its bits
@@ -88,9 +96,9 @@ class Parameters:
             "param_id": name,
             "param_type": _INT32 if one.is_whole else _REAL32,
         }
-        return Message("PARAM_VALUE", fields)
+        return MavlinkMessage("PARAM_VALUE", fields)
 
-    def receive(self, message: Message) -> list[Message]:
+    def receive(self, message: MavlinkMessage) -> list[MavlinkMessage]:
         """The answers to a question, or to a value that nobody refuses (:meth:`refusal`)."""
         if message.name == "PARAM_REQUEST_LIST":
             return [self.message(name) for name in _NAMES]
@@ -104,7 +112,7 @@ class Parameters:
             self._values[name] = message["param_value"]
         return [self.message(name)]
 
-    def refusal(self, message: Message) -> str:
+    def refusal(self, message: MavlinkMessage) -> str:
         """Why a value was not taken; empty where it was."""
         name, value = str(message["param_id"]), message["param_value"]
         one = PARAMETERS.get(name)

@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from m100link.apps.agent.orders import FlyTo
-from m100link.apps.mavlink.translator.codec import Message
+from m100link.apps.mavlink.translator.codec import MavlinkMessage
 from m100link.apps.mavlink.translator.modes import Mode
-from m100link.apps.mavlink.translator.numbers import RELATIVE, SEA_LEVEL, Command, MissionResult
+from m100link.apps.mavlink.translator.numbers import RELATIVE, SEA_LEVEL, MavCommand, MissionResult
 from m100link.errors import BadPlan
 from m100link.geodesy import normalize_degrees
 from m100link.missions.checks import MOST_ACTIONS
@@ -38,7 +38,7 @@ class Refused(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Leg:
+class RoutePoint:
     """A place that the mission flies to."""
 
     item: int  # number of the item
@@ -55,14 +55,14 @@ class Route:
     def __init__(self, ground: float | None, speed: float) -> None:
         self._ground = ground
         self._is_over = False
-        self.legs: list[Leg] = []
+        self.legs: list[RoutePoint] = []
         # To climb to after a take-off, m above the ground; None without such an item.
         self.height: float | None = None
         self.then = Mode.HOLD  # how it ends: RTL, LAND, or hovering
         self.left_out: list[int] = []  # commands of items that are not carried out
         self._speed = speed  # of the legs that follow, m/s
 
-    def read(self, number: int, item: Message) -> None:
+    def read(self, number: int, item: MavlinkMessage) -> None:
         command = item["command"]
         row = ITEMS.get(command)
         if row is not None:
@@ -76,7 +76,7 @@ class Route:
         else:
             self.left_out.append(command)
 
-    def _height(self, number: int, item: Message) -> float:
+    def _height(self, number: int, item: MavlinkMessage) -> float:
         frame, height = item["frame"], float(item["z"])
         if frame in SEA_LEVEL:
             if self._ground is None:
@@ -90,38 +90,38 @@ class Route:
             raise Refused(MissionResult.INVALID, f"item {number}: a height of {height:.1f} m")
         return height
 
-    def take_off(self, number: int, item: Message) -> None:
+    def take_off(self, number: int, item: MavlinkMessage) -> None:
         """NAV_TAKEOFF."""
         if self.legs:
             raise Refused(MissionResult.INVALID, f"item {number}: a take-off in the air")
         self.height = self._height(number, item)
 
-    def waypoint(self, number: int, item: Message) -> None:
+    def waypoint(self, number: int, item: MavlinkMessage) -> None:
         """NAV_WAYPOINT, with its time."""
         self._fly(number, item, _seconds(number, item["param1"]))
 
-    def loiter(self, number: int, item: Message) -> None:
+    def loiter(self, number: int, item: MavlinkMessage) -> None:
         """NAV_LOITER_UNLIM: the end."""
         self._fly(number, item, 0.0)
         self._is_over = True
 
-    def _fly(self, number: int, item: Message, wait: float) -> None:
+    def _fly(self, number: int, item: MavlinkMessage, wait: float) -> None:
         latitude, longitude = _place(number, item)
         yaw = item["param4"]
         heading = math.remainder(yaw, 360.0) if math.isfinite(yaw) else None
         height = self._height(number, item)
         order = FlyTo(latitude, longitude, height, self._speed, heading)
-        self.legs.append(Leg(number, order, wait))
+        self.legs.append(RoutePoint(number, order, wait))
 
-    def delay(self, number: int, item: Message) -> None:
+    def delay(self, number: int, item: MavlinkMessage) -> None:
         """NAV_DELAY by seconds."""
         wait = _seconds(number, item["param1"])
         if not wait or not self.legs:
             raise Refused(MissionResult.INVALID, f"item {number}: a delay by seconds, in the air")
         last = self.legs[-1]
-        self.legs[-1] = Leg(last.item, last.order, min(_LONGEST_WAIT, last.wait + wait))
+        self.legs[-1] = RoutePoint(last.item, last.order, min(_LONGEST_WAIT, last.wait + wait))
 
-    def change_speed(self, number: int, item: Message) -> None:
+    def change_speed(self, number: int, item: MavlinkMessage) -> None:
         """DO_CHANGE_SPEED of the legs that follow."""
         speed = item["param2"]
         if math.isfinite(speed) and speed > 0.0:
@@ -129,20 +129,20 @@ class Route:
                 raise Refused(MissionResult.INVALID, f"item {number}: {speed:g} m/s is too fast")
             self._speed = speed
 
-    def go_home(self, number: int, item: Message) -> None:
+    def go_home(self, number: int, item: MavlinkMessage) -> None:
         """NAV_RETURN_TO_LAUNCH: the end."""
         self.then, self._is_over = Mode.RTL, True
 
-    def land(self, number: int, item: Message) -> None:
+    def land(self, number: int, item: MavlinkMessage) -> None:
         """NAV_LAND: the end, at a place if one is named."""
         if (item["x"] or item["y"]) and self.legs:
             height = self.legs[-1].order.height
             place = _place(number, item)
-            self.legs.append(Leg(number, FlyTo(*place, height, self._speed)))
+            self.legs.append(RoutePoint(number, FlyTo(*place, height, self._speed)))
         self.then, self._is_over = Mode.LAND, True
 
 
-def _place(number: int, item: Message) -> tuple[float, float]:
+def _place(number: int, item: MavlinkMessage) -> tuple[float, float]:
     latitude, longitude = item["x"] / 1e7, item["y"] / 1e7
     if not (abs(latitude) <= 89.0 and abs(longitude) <= 180.0) or not (latitude or longitude):
         raise Refused(MissionResult.INVALID, f"item {number}: there is no such place")
@@ -159,24 +159,24 @@ def _seconds(number: int, value: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class ItemRow:
-    reader: Callable[[Route, int, Message], None]  # what reads it
+    reader: Callable[[Route, int, MavlinkMessage], None]  # what reads it
     meaning: str  # for the manual
 
 
 ITEMS: Mapping[int, ItemRow] = {
-    Command.NAV_TAKEOFF: ItemRow(Route.take_off, "height of the climb after the take-off"),
-    Command.NAV_WAYPOINT: ItemRow(Route.waypoint, "straight there; hold time, heading if named"),
-    Command.NAV_LOITER_TIME: ItemRow(Route.waypoint, "the same, with its time"),
-    Command.NAV_LOITER_UNLIM: ItemRow(Route.loiter, "straight there, and the end"),
-    Command.NAV_DELAY: ItemRow(Route.delay, "seconds, at the waypoint before"),
-    Command.DO_CHANGE_SPEED: ItemRow(Route.change_speed, "of what follows, up to 10 m/s"),
-    Command.NAV_RETURN_TO_LAUNCH: ItemRow(Route.go_home, "the autopilot's way home at the end"),
-    Command.NAV_LAND: ItemRow(Route.land, "the autopilot's landing at the end"),
+    MavCommand.NAV_TAKEOFF: ItemRow(Route.take_off, "height of the climb after the take-off"),
+    MavCommand.NAV_WAYPOINT: ItemRow(Route.waypoint, "straight there; hold time, heading if named"),
+    MavCommand.NAV_LOITER_TIME: ItemRow(Route.waypoint, "the same, with its time"),
+    MavCommand.NAV_LOITER_UNLIM: ItemRow(Route.loiter, "straight there, and the end"),
+    MavCommand.NAV_DELAY: ItemRow(Route.delay, "seconds, at the waypoint before"),
+    MavCommand.DO_CHANGE_SPEED: ItemRow(Route.change_speed, "of what follows, up to 10 m/s"),
+    MavCommand.NAV_RETURN_TO_LAUNCH: ItemRow(Route.go_home, "the autopilot's way home at the end"),
+    MavCommand.NAV_LAND: ItemRow(Route.land, "the autopilot's landing at the end"),
 }
 """By number. Other NAV and CONDITION items refuse the mission; all else is left out by name."""
 
 
-def read_route(items: Sequence[Message], *, ground: float | None, speed: float) -> Route:
+def read_route(items: Sequence[MavlinkMessage], *, ground: float | None, speed: float) -> Route:
     """The mission as it is flown.
 
     ``ground``: altitude of the take-off point above sea level, m; None while nobody knows.
@@ -213,7 +213,7 @@ def flies_missions(firmware: str) -> bool:
     return profile is not None and WaypointMission.is_known_to(profile)
 
 
-def plan_of(legs: Sequence[Leg], then: Mode, *, yaw_deg: float | None) -> WaypointPlan:
+def plan_of(legs: Sequence[RoutePoint], then: Mode, *, yaw_deg: float | None) -> WaypointPlan:
     """The plan that flies these legs.
 
     ``yaw_deg``: heading at its start; None while nobody knows.
@@ -252,7 +252,7 @@ def plan_of(legs: Sequence[Leg], then: Mode, *, yaw_deg: float | None) -> Waypoi
         raise Unfit(_seen(problem, legs)) from None
 
 
-def _headings(legs: Sequence[Leg], yaw_deg: float | None) -> list[float]:
+def _headings(legs: Sequence[RoutePoint], yaw_deg: float | None) -> list[float]:
     """Of each leg: what its item names, or what it was before."""
     named = [leg.order.yaw_deg for leg in legs]
     if all(one is None for one in named):
@@ -266,14 +266,14 @@ def _headings(legs: Sequence[Leg], yaw_deg: float | None) -> list[float]:
     return found
 
 
-def _stays(leg: Leg) -> list[Stay]:
+def _stays(leg: RoutePoint) -> list[Stay]:
     parts = math.ceil(leg.wait / _LONGEST_STAY)
     if parts > MOST_ACTIONS:
         raise Unfit(f"item {leg.item}: it hovers for {leg.wait:g} s")
     return [Stay(leg.wait / max(1, parts))] * parts
 
 
-def _seen(problem: BadPlan, legs: Sequence[Leg]) -> str:
+def _seen(problem: BadPlan, legs: Sequence[RoutePoint]) -> str:
     """What is wrong, by the number of the item."""
     if problem.point is None:
         return problem.seen

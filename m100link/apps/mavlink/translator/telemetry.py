@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from m100link.apps.mavlink.translator.codec import LAYOUTS, Message
+from m100link.apps.mavlink.translator.codec import LAYOUTS, MavlinkMessage
 from m100link.apps.mavlink.translator.modes import MODES, Mode
 from m100link.apps.mavlink.translator.numbers import (
     BaseMode,
@@ -23,7 +23,7 @@ from m100link.apps.mavlink.translator.numbers import (
     SystemStatus,
 )
 from m100link.apps.mavlink.translator.peers import MOST_PEERS, Address, Peer
-from m100link.apps.mavlink.translator.world import World
+from m100link.apps.mavlink.translator.vehicle_state import VehicleState
 from m100link.protocol.records import (
     Acceleration,
     AngularVelocity,
@@ -59,7 +59,7 @@ def _cm(value: float) -> int:
     return max(-0x7FFF, min(0x7FFF, round(value * 100)))
 
 
-def heartbeat(world: World, mode: Mode, autopilot: int) -> Fields:
+def heartbeat(world: VehicleState, mode: Mode, autopilot: int) -> Fields:
     """HEARTBEAT."""
     row, is_armed = MODES[mode], world.is_armed
     battery = world.known.view.get(Battery)
@@ -75,7 +75,7 @@ def heartbeat(world: World, mode: Mode, autopilot: int) -> Fields:
     }
 
 
-def _sys_status(world: World, now: float) -> Fields:
+def _sys_status(world: VehicleState, now: float) -> Fields:
     view = world.known.view
     place, present, health = view.place, 0, 0
     for record, bit in (
@@ -108,13 +108,13 @@ def _sys_status(world: World, now: float) -> Fields:
     }
 
 
-def _extended(world: World, now: float) -> Fields:
+def _extended(world: VehicleState, now: float) -> Fields:
     phase = world.known.view.phase
     landed = LandedState.UNDEFINED if phase is None else _LANDED[phase]
     return {"vtol_state": 0, "landed_state": landed}
 
 
-def _attitude(world: World, now: float) -> Fields | None:
+def _attitude(world: VehicleState, now: float) -> Fields | None:
     view = world.known.view
     attitude, rates = view.get(Attitude), view.get(AngularVelocity)
     if attitude is None:
@@ -132,7 +132,7 @@ def _rates(rates: AngularVelocity | None) -> Fields:
     return dict(zip(("rollspeed", "pitchspeed", "yawspeed"), given, strict=True))
 
 
-def _quaternion(world: World, now: float) -> Fields | None:
+def _quaternion(world: VehicleState, now: float) -> Fields | None:
     view = world.known.view
     attitude, rates = view.get(Attitude), view.get(AngularVelocity)
     if attitude is None:
@@ -141,7 +141,7 @@ def _quaternion(world: World, now: float) -> Fields | None:
     return {"time_boot_ms": _ms(now)} | dict(parts) | _rates(rates)
 
 
-def _global(world: World, now: float) -> Fields | None:
+def _global(world: VehicleState, now: float) -> Fields | None:
     view = world.known.view
     position, velocity, yaw = view.place, view.get(Velocity), world.yaw_deg
     if position is None or velocity is None or (world.home is None and view.is_on_ground):
@@ -159,7 +159,7 @@ def _global(world: World, now: float) -> Fields | None:
     }
 
 
-def _local(world: World, now: float) -> Fields | None:
+def _local(world: VehicleState, now: float) -> Fields | None:
     place, velocity = world.local, world.known.view.get(Velocity)
     if place is None or velocity is None:
         return None
@@ -171,7 +171,7 @@ def _local(world: World, now: float) -> Fields | None:
     }
 
 
-def _home(world: World, now: float) -> Fields | None:
+def _home(world: VehicleState, now: float) -> Fields | None:
     home = world.home
     if home is None:
         return None
@@ -185,7 +185,7 @@ def _home(world: World, now: float) -> Fields | None:
     }
 
 
-def _gps(world: World, now: float) -> Fields | None:
+def _gps(world: VehicleState, now: float) -> Fields | None:
     view = world.known.view
     position, velocity = view.get(Position), view.get(Velocity)
     if position is None or position.gps_health is None:
@@ -208,7 +208,7 @@ def _gps(world: World, now: float) -> Fields | None:
     return fields
 
 
-def _battery(world: World, now: float) -> Fields | None:
+def _battery(world: VehicleState, now: float) -> Fields | None:
     battery = world.known.view.get(Battery)
     if battery is None:
         return None
@@ -223,7 +223,7 @@ def _battery(world: World, now: float) -> Fields | None:
     }
 
 
-def _rc(world: World, now: float) -> Fields | None:
+def _rc(world: VehicleState, now: float) -> Fields | None:
     remote = world.known.view.get(RemoteControl)
     if remote is None:
         return None
@@ -235,7 +235,7 @@ def _rc(world: World, now: float) -> Fields | None:
     return {"time_boot_ms": _ms(now), "chancount": len(known), "rssi": _U8, **channels}
 
 
-def _vfr(world: World, now: float) -> Fields | None:
+def _vfr(world: VehicleState, now: float) -> Fields | None:
     view = world.known.view
     position, velocity, yaw = view.place, view.get(Velocity), world.yaw_deg
     if position is None or velocity is None or yaw is None:
@@ -250,7 +250,7 @@ def _vfr(world: World, now: float) -> Fields | None:
     }
 
 
-def _altitude(world: World, now: float) -> Fields | None:
+def _altitude(world: VehicleState, now: float) -> Fields | None:
     position, height = world.known.view.get(Position), world.height
     if position is None or height is None:
         return None
@@ -265,7 +265,7 @@ def _altitude(world: World, now: float) -> Fields | None:
     }
 
 
-def _estimator(world: World, now: float) -> Fields | None:
+def _estimator(world: VehicleState, now: float) -> Fields | None:
     view = world.known.view
     integrity, velocity = view.integrity, view.get(Velocity)
     flags = Estimator.ATTITUDE if view.get(Attitude) is not None else Estimator(0)
@@ -286,7 +286,7 @@ def _estimator(world: World, now: float) -> Fields | None:
     }
 
 
-def _imu(world: World, now: float) -> Fields | None:
+def _imu(world: VehicleState, now: float) -> Fields | None:
     view = world.known.view
     rates, attitude = view.get(AngularVelocity), view.get(Attitude)
     acceleration = view.get(Acceleration)
@@ -325,7 +325,7 @@ class Stream:
     hz: float  # how often it is sent; 0 until somebody asks
     group: int  # MAV_DATA_STREAM of REQUEST_DATA_STREAM
     # Makes it; None where what it says is not known.
-    fields: Callable[[World, float], Fields | None]
+    fields: Callable[[VehicleState, float], Fields | None]
     source: str  # what it is made of, for the manual
 
 
@@ -378,7 +378,7 @@ Audience = Mapping[Address, tuple[Peer, ...]]
 class Rates:
     """How often each is sent to whom."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: VehicleState) -> None:
         self._world = world
         self._asked: dict[Peer, dict[str, float]] = {}
         # What follows for each address: made anew, once a step, when rates or addresses changed.
@@ -432,12 +432,14 @@ class Rates:
             for address, table in self._tables.items()
         }
 
-    def message(self, name: str, now: float) -> Message | None:
+    def message(self, name: str, now: float) -> MavlinkMessage | None:
         """One of them as it is now."""
         fields = STREAMS[name].fields(self._world, now)
-        return None if fields is None else Message(name, fields)
+        return None if fields is None else MavlinkMessage(name, fields)
 
-    def due(self, now: float, audience: Audience) -> Iterator[tuple[Message, tuple[Address, ...]]]:
+    def due(
+        self, now: float, audience: Audience
+    ) -> Iterator[tuple[MavlinkMessage, tuple[Address, ...]]]:
         """Those whose time has come, and where they go."""
         if audience != self._audience:
             self._arrange(audience, now)
@@ -484,7 +486,7 @@ class Texts:
     def tell(self, severity: Severity, text: str) -> None:
         self._waiting.append((severity, text))
 
-    def due(self, now: float) -> Iterator[Message]:
+    def due(self, now: float) -> Iterator[MavlinkMessage]:
         """The messages; a long text comes in parts of 50 characters, four at most."""
         self._allowed = min(_AT_ONCE, self._allowed + (now - self._at) * _PER_S)
         self._at = now
@@ -497,15 +499,15 @@ class Texts:
             self._allowed -= 1.0
             yield from self._parts(severity, text)
 
-    def _parts(self, severity: Severity, text: str) -> Iterator[Message]:
+    def _parts(self, severity: Severity, text: str) -> Iterator[MavlinkMessage]:
         plain = " ".join(text.encode("ascii", "replace").decode().split())
         if len(plain) <= _SIZE:
-            yield Message("STATUSTEXT", {"severity": severity, "text": plain})
+            yield MavlinkMessage("STATUSTEXT", {"severity": severity, "text": plain})
             return
         self._count = self._count % 0xFFFF + 1  # 0 is a text in one part
         for number in range(_MOST_PARTS):
             part = plain[number * _SIZE : (number + 1) * _SIZE]
             fields = {"severity": severity, "text": part, "id": self._count, "chunk_seq": number}
-            yield Message("STATUSTEXT", fields)
+            yield MavlinkMessage("STATUSTEXT", fields)
             if len(part) < _SIZE:
                 return  # a part that is not full is the last one

@@ -8,17 +8,17 @@ from collections.abc import Callable
 from m100link import __version__
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
-from m100link.apps.agent.messages import Event, Topic
+from m100link.apps.agent.messages import Event, EventTopic
 from m100link.apps.agent.orders import FlyAround, FlyTo
-from m100link.apps.mavlink.crew import MissionFlights
-from m100link.apps.mavlink.translator.codec import LAYOUTS, Message
-from m100link.apps.mavlink.translator.commands import Asked, Commands, read_command
-from m100link.apps.mavlink.translator.deck import Deck
-from m100link.apps.mavlink.translator.missions import Missions
+from m100link.apps.mavlink.order_executor import MissionFlights
+from m100link.apps.mavlink.translator.codec import LAYOUTS, MavlinkMessage
+from m100link.apps.mavlink.translator.commands import Asked, CommandProtocol, read_command
+from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
+from m100link.apps.mavlink.translator.missions import MissionProtocol
 from m100link.apps.mavlink.translator.modes import (
+    FlightSource,
     Mode,
-    Phase,
-    Running,
+    VehiclePhase,
     available,
     current,
     mode_of_number,
@@ -26,13 +26,13 @@ from m100link.apps.mavlink.translator.modes import (
 from m100link.apps.mavlink.translator.numbers import (
     BaseMode,
     Capability,
-    Command,
+    MavCommand,
+    MavResult,
     MissionType,
-    Result,
     Severity,
 )
 from m100link.apps.mavlink.translator.offboard import Manual, Offboard
-from m100link.apps.mavlink.translator.parameters import Parameters
+from m100link.apps.mavlink.translator.parameters import ParameterProtocol
 from m100link.apps.mavlink.translator.peers import Address, Peer
 from m100link.apps.mavlink.translator.telemetry import (
     NUMBERS,
@@ -42,7 +42,7 @@ from m100link.apps.mavlink.translator.telemetry import (
     heartbeat,
     severity_of,
 )
-from m100link.apps.mavlink.translator.world import World
+from m100link.apps.mavlink.translator.vehicle_state import VehicleState
 from m100link.errors import M100Error
 from m100link.geodesy import LocalFrame
 from m100link.protocol.records import Position, Velocity
@@ -56,7 +56,7 @@ _TO_ALL = (0, COMPONENT)
 _AHEAD_S = 1.8  # so far ahead the fence is looked at: at a tilt of 30 degrees it needs them to stop
 _AWAY_M = 0.3  # so far it may be told to move away from the fence while it stands
 
-_FLIGHTS = (Running.FLIGHT, Running.MISSION, Running.PAUSED)
+_FLIGHTS = (FlightSource.FLIGHT, FlightSource.MISSION, FlightSource.PAUSED)
 """What leads back into the fence by itself, if it leads there."""
 
 _MISSION_MESSAGES = (
@@ -65,7 +65,7 @@ _MISSION_MESSAGES = (
 )
 
 
-class Vehicle:
+class MavlinkVehicle:
     """The vehicle, with a system id of 1 to 250."""
 
     def __init__(
@@ -74,45 +74,45 @@ class Vehicle:
         self.system = system
         self._autopilot = autopilot
         # What has to be sent: to which peer, to which addresses, or None for everybody.
-        self.outbox: list[tuple[Message, Peer | tuple[Address, ...] | None]] = []
-        self.world = World(known, session)  # what is known of the aircraft
+        self.outbox: list[tuple[MavlinkMessage, Peer | tuple[Address, ...] | None]] = []
+        self.world = VehicleState(known, session)  # what is known of the aircraft
         self._texts = Texts()
-        self._parameters = Parameters(self.world, system)
+        self._parameters = ParameterProtocol(self.world, system)
         self._offboard = Offboard(self.world, self._parameters)
         self._manual = {
             mode: Manual(self.world, self._parameters, is_tilt=mode is Mode.ALTCTL)
             for mode in (Mode.POSCTL, Mode.ALTCTL)
         }
         tell = self._texts.tell
-        self.deck = Deck(self.world, tell, {Mode.OFFBOARD: self._offboard, **self._manual})
-        self.deck.on_armed = self._armed
+        streams: dict[Mode, Offboard | Manual] = {Mode.OFFBOARD: self._offboard, **self._manual}
+        self.manager = FlightModeManager(self.world, tell, streams)
+        self.manager.on_armed = self._armed
         self._rates = Rates(self.world)
-        self._commands = Commands(
+        self._commands = CommandProtocol(
             self.world,
-            self.deck,
+            self.manager,
             self._parameters,
             self._rates,
             tell=tell,
             request=self._request,
-            mission=lambda peer, first: self.flights.wish(peer, first),
+            mission=lambda peer, first: self.flights.mission_request(peer, first),
             fence=self._may_fly_to,
         )
-        self._missions = Missions(
+        self._missions = MissionProtocol(
             self._send,
             tell,
             ground=lambda: self.world.ground_altitude,
             speed=lambda: self._parameters["MPC_XY_CRUISE"],
             may_change=self._may_change,
         )
-        self.flights = MissionFlights(self.world, self.deck, self._missions, tell)
+        self.flights = MissionFlights(self.world, self.manager, self._missions, tell)
         self._breach_m: float | None = None  # the least since it is outside; None inside
         # Who waits for the answer to arming, and when they were told last that it takes time.
         self._arming: dict[Peer, float] = {}
         self._beaten_at = -math.inf
         self._beaten: tuple[object, ...] = ()
-        self._handlers: dict[str, Callable[[Message, Peer, float], None]] = {
-            "COMMAND_LONG": self._command,
-            "COMMAND_INT": self._command,
+        self._handlers: dict[str, Callable[[MavlinkMessage, Peer, float], None]] = {
+            **dict.fromkeys(("COMMAND_LONG", "COMMAND_INT"), self._command),
             "SET_MODE": self._set_mode,
             "PARAM_REQUEST_LIST": self._parameter,
             "PARAM_REQUEST_READ": self._parameter,
@@ -132,129 +132,133 @@ class Vehicle:
     @property
     def is_busy(self) -> bool:
         """Whether it cannot wait: orders, setpoints, or telemetry that comes often."""
-        deck = self.deck
-        return bool(deck.orders) or deck.running is Running.STREAM or self._rates.is_often
+        manager = self.manager
+        return (
+            bool(manager.orders) or manager.running is FlightSource.STREAM or self._rates.is_often
+        )
 
     # -- what comes in ---------------------------------------------------------------------------
 
-    def receive(self, message: Message, peer: Peer, now: float) -> None:
+    def receive(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         """A message of a peer that is known by its heartbeat."""
         handler = self._handlers.get(message.name)
         if handler is not None and self._is_for_us(message):
             handler(message, peer, now)
 
-    def _is_for_us(self, message: Message) -> bool:
+    def _is_for_us(self, message: MavlinkMessage) -> bool:
         system = message.fields.get("target_system", message.fields.get("target", 0))
         component = message.fields.get("target_component", 0)
         return system in (0, self.system) and component in _TO_ALL
 
-    def _send(self, message: Message, peer: Peer | None = None) -> None:
+    def _send(self, message: MavlinkMessage, peer: Peer | None = None) -> None:
         self.outbox.append((message, peer))
 
-    def _command(self, message: Message, peer: Peer, now: float) -> None:
+    def _command(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         asked = read_command(message, peer)
         result = self._commands.carry_out(asked, now)
         if result is None and peer in self._arming:
-            self._acknowledge(asked.command, Result.IN_PROGRESS, peer)
+            self._acknowledge(asked.command, MavResult.IN_PROGRESS, peer)
         elif result is None:
             self._arming[peer] = now
         else:
             self._acknowledge(asked.command, result, peer)
 
-    def _acknowledge(self, command: int, result: Result, peer: Peer) -> None:
+    def _acknowledge(self, command: int, result: MavResult, peer: Peer) -> None:
         fields = {
             "command": command,
             "result": result,
-            "progress": _UNKNOWN_PROGRESS if result is Result.IN_PROGRESS else 0,
+            "progress": _UNKNOWN_PROGRESS if result is MavResult.IN_PROGRESS else 0,
         }
-        self._send(Message("COMMAND_ACK", fields | peer.target), peer)
+        self._send(MavlinkMessage("COMMAND_ACK", fields | peer.target), peer)
 
     def _armed(self, error: M100Error | None) -> None:
-        result = Result.ACCEPTED if error is None else Result.TEMPORARILY_REJECTED
+        result = MavResult.ACCEPTED if error is None else MavResult.TEMPORARILY_REJECTED
         waiting, self._arming = self._arming, {}
         for peer in waiting:
-            self._acknowledge(Command.COMPONENT_ARM_DISARM, result, peer)
+            self._acknowledge(MavCommand.COMPONENT_ARM_DISARM, result, peer)
 
-    def _set_mode(self, message: Message, peer: Peer, now: float) -> None:
+    def _set_mode(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         """SET_MODE, which older programs send; it has no answer but the heartbeat."""
         number = message["custom_mode"]
         main, sub = number >> 16 & 0xFF, number >> 24
         if mode_of_number(main, sub) is None or not message["base_mode"] & BaseMode.CUSTOM:
             self._texts.tell(Severity.WARNING, f"mode 0x{number:08x} is not one of this aircraft")
             return
-        asked = Asked(Command.DO_SET_MODE, (BaseMode.CUSTOM, main, sub, math.nan), peer)
+        asked = Asked(MavCommand.DO_SET_MODE, (BaseMode.CUSTOM, main, sub, math.nan), peer)
         result = self._commands.carry_out(asked, now)
-        self._acknowledge(LAYOUTS["SET_MODE"].number, result or Result.ACCEPTED, peer)
+        self._acknowledge(LAYOUTS["SET_MODE"].number, result or MavResult.ACCEPTED, peer)
 
-    def _parameter(self, message: Message, peer: Peer, now: float) -> None:
+    def _parameter(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         if message.name == "PARAM_SET":
             refusal = self._parameters.refusal(message)
-            if not refusal and self.deck.other_operator(peer) is not None:
+            if not refusal and self.manager.other_operator(peer) is not None:
                 refusal = "a parameter: somebody else flies"
             if refusal:
                 # The question for the value, instead of a new one.
                 fields = dict(message.fields) | {"param_index": -1}
-                message = Message("PARAM_REQUEST_READ", fields)
+                message = MavlinkMessage("PARAM_REQUEST_READ", fields)
                 self._texts.tell(Severity.WARNING, refusal)
         for answer in self._parameters.receive(message):
             self._send(answer, peer)
 
     def _may_steer(self, peer: Peer) -> bool:
-        return self.deck.operator in (None, peer)
+        return self.manager.operator in (None, peer)
 
-    def _setpoint(self, message: Message, peer: Peer, now: float) -> None:
+    def _setpoint(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         if self._may_steer(peer):
-            self.deck.steering = peer
+            self.manager.steering = peer
             refusal = self._offboard.receive(message, now)
             if refusal:
                 self._texts.tell(Severity.WARNING, f"setpoint: {refusal}")
 
-    def _sticks(self, message: Message, peer: Peer, now: float) -> None:
+    def _sticks(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         if self._may_steer(peer):
-            self.deck.steering = peer
+            self.manager.steering = peer
             for manual in self._manual.values():
                 manual.receive(message, now)
 
-    def _data_stream(self, message: Message, peer: Peer, now: float) -> None:
+    def _data_stream(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         """What older programs ask for: it has no answer."""
         hz = message["req_message_rate"] if message["start_stop"] else 0
         self._rates.set_group(message["req_stream_id"], hz, peer)
 
-    def _ping(self, message: Message, peer: Peer, now: float) -> None:
+    def _ping(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         if message["target_system"] == 0:
-            self._send(Message("PING", dict(message.fields) | peer.target), peer)
+            self._send(MavlinkMessage("PING", dict(message.fields) | peer.target), peer)
 
-    def _timesync(self, message: Message, peer: Peer, now: float) -> None:
+    def _timesync(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         if message["tc1"] == 0:
-            self._send(Message("TIMESYNC", {"tc1": int(now * 1e9), "ts1": message["ts1"]}), peer)
+            self._send(
+                MavlinkMessage("TIMESYNC", {"tc1": int(now * 1e9), "ts1": message["ts1"]}), peer
+            )
 
-    def _no_logs(self, message: Message, peer: Peer, now: float) -> None:
+    def _no_logs(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         """There are none here: without an answer programs wait for ever."""
-        self._send(Message("LOG_ENTRY", {}), peer)
+        self._send(MavlinkMessage("LOG_ENTRY", {}), peer)
 
-    def _no_files(self, message: Message, peer: Peer, now: float) -> None:
+    def _no_files(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         """There are none here: NAK, "unknown command", to the question of that number."""
         payload = message["payload"]
         sequence = (payload[0] | payload[1] << 8) + 1 & 0xFFFF
         answer = [sequence & 0xFF, sequence >> 8, payload[2], 129, 1, payload[3]]
         answer += [0] * (12 - len(answer)) + [7]
         fields = {"payload": tuple(answer)} | peer.target
-        self._send(Message("FILE_TRANSFER_PROTOCOL", fields), peer)
+        self._send(MavlinkMessage("FILE_TRANSFER_PROTOCOL", fields), peer)
 
     # -- missions --------------------------------------------------------------------------------
 
-    def _set_current(self, message: Message, peer: Peer, now: float) -> None:
+    def _set_current(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         number = (float(message["seq"]), math.nan, math.nan, math.nan)
-        self._commands.carry_out(Asked(Command.DO_SET_MISSION_CURRENT, number, peer), now)
-        self._send(self._missions.current_message(is_flying=self.deck.flies_mission))
+        self._commands.carry_out(Asked(MavCommand.DO_SET_MISSION_CURRENT, number, peer), now)
+        self._send(self._missions.current_message(is_flying=self.manager.flies_mission))
 
     def _may_change(self, peer: Peer, kind: int) -> str:
         if kind == MissionType.FENCE and not self.world.is_armed:
             return ""
-        if self.deck.flies_mission and kind == MissionType.MISSION:
+        if self.manager.flies_mission and kind == MissionType.MISSION:
             return "it is flown: hold first"
-        if self.world.is_armed and self.deck.operator not in (None, peer):
-            return f"{self.deck.operator.name} flies" if self.deck.operator else ""
+        if self.world.is_armed and self.manager.operator not in (None, peer):
+            return f"{self.manager.operator.name} flies" if self.manager.operator else ""
         return ""
 
     def _may_fly_to(
@@ -289,16 +293,16 @@ class Vehicle:
         now follows from what was told last, and nobody flies on who does not know that.
         """
         fence = self._missions.fence
-        if not fence.areas or self.deck.phase is not Phase.AIRBORNE:
+        if not fence.areas or self.manager.phase is not VehiclePhase.AIRBORNE:
             self._breach_m = None
             return
-        if self.deck.running not in (*_FLIGHTS, Running.STREAM):
+        if self.manager.running not in (*_FLIGHTS, FlightSource.STREAM):
             self._breach_m = math.inf  # what begins outside has been asked for its direction
             return
         view = self.world.known.view
         position, velocity = view.place, view.get(Velocity)
         if position is None or velocity is None:
-            self.deck.hold("hold: nobody knows how near the fence is")
+            self.manager.hold("hold: nobody knows how near the fence is")
             return
         here = position.latitude_deg, position.longitude_deg
         late = _AHEAD_S + max(view.age(one) or 0.0 for one in (Position, Velocity))
@@ -310,18 +314,22 @@ class Vehicle:
         else:
             self._breach_m = depth if least is None else min(depth, least)
             is_deeper = least is None or fence.depth_m(*ahead) > least + _AWAY_M
-            leads_back = self.deck.running in _FLIGHTS and not is_deeper
+            leads_back = self.manager.running in _FLIGHTS and not is_deeper
             why = "" if leads_back and not fence.enters(here, ahead) else fence.refusal(*here)
         if why:
-            self.deck.hold(f"hold: {why}")
+            self.manager.hold(f"hold: {why}")
 
     def _ahead(self, frame: LocalFrame, way: complex) -> tuple[float, float]:
         """Where it will be; a flight of the agent stops at its place, or turns around it.
 
         ``way``: m north, and east as the imaginary part, if it flies straight on.
         """
-        flight, leg = self.deck.flight, self.flights.flown
-        is_flown = flight is not None and leg in flight.legs and self.deck.running is Running.FLIGHT
+        flight, leg = self.manager.flight, self.flights.flown
+        is_flown = (
+            flight is not None
+            and leg in flight.legs
+            and self.manager.running is FlightSource.FLIGHT
+        )
         if is_flown and isinstance(leg, FlyTo | FlyAround) and way:
             to = complex(*frame.to_local(leg.latitude_deg, leg.longitude_deg))
             past, share = way - to, to / way
@@ -346,9 +354,9 @@ class Vehicle:
             LAYOUTS["AUTOPILOT_VERSION"].number: lambda: [self._version()],
             LAYOUTS["AVAILABLE_MODES"].number: lambda: available(_whole(parameter)),
             LAYOUTS["MISSION_CURRENT"].number: lambda: [
-                self._missions.current_message(is_flying=self.deck.flies_mission)
+                self._missions.current_message(is_flying=self.manager.flies_mission)
             ],
-            LAYOUTS["CURRENT_MODE"].number: lambda: [current(self.deck.mode)],
+            LAYOUTS["CURRENT_MODE"].number: lambda: [current(self.manager.mode)],
             LAYOUTS["HEARTBEAT"].number: lambda: [self._heartbeat()],
             LAYOUTS["MESSAGE_INTERVAL"].number: lambda: [self._interval(_whole(parameter), peer)],
         }.get(number)
@@ -357,7 +365,7 @@ class Vehicle:
             self._send(one, peer)
         return bool(messages)
 
-    def _version(self) -> Message:
+    def _version(self) -> MavlinkMessage:
         major, minor, patch = (int(part) for part in (__version__.split(".") + ["0"] * 3)[:3])
         capabilities = (
             Capability.COMMAND_INT
@@ -376,23 +384,23 @@ class Vehicle:
             "product_id": _PRODUCT,
             "flight_custom_version": (0, 0, 0, 0, 0, patch & 0xFF, minor & 0xFF, major & 0xFF),
         }
-        return Message("AUTOPILOT_VERSION", fields)
+        return MavlinkMessage("AUTOPILOT_VERSION", fields)
 
-    def _interval(self, number: int, peer: Peer) -> Message:
+    def _interval(self, number: int, peer: Peer) -> MavlinkMessage:
         interval = 0  # of what is not there, by the definition; -1 of what nobody asked for
         if number in NUMBERS:
             hz = self._rates.hz(NUMBERS[number], peer)
             interval = round(1e6 / hz) if hz > 0 else -1
-        return Message("MESSAGE_INTERVAL", {"message_id": number, "interval_us": interval})
+        return MavlinkMessage("MESSAGE_INTERVAL", {"message_id": number, "interval_us": interval})
 
     # -- time passes -----------------------------------------------------------------------------
 
     def event(self, event: Event) -> None:
         """Something happened at the agent: people are told."""
         self._texts.tell(severity_of(event.level), event.text)
-        if event.topic in (Topic.STOPPED, Topic.HALTED):
-            is_stop = event.topic is Topic.STOPPED
-            self.deck.stopped("STOP was pressed" if is_stop else event.text)
+        if event.topic in (EventTopic.STOPPED, EventTopic.HALTED):
+            is_stop = event.topic is EventTopic.STOPPED
+            self.manager.stopped("STOP was pressed" if is_stop else event.text)
 
     def tell(self, text: str) -> None:
         self._texts.tell(Severity.WARNING, text)
@@ -403,34 +411,36 @@ class Vehicle:
         ``now``: s. ``lost``: whether a peer is, at a time.
         """
         self.world.look()
-        operator = self.deck.operator
+        operator = self.manager.operator
         if operator is not None and lost(operator, now):
-            self.deck.operator_lost()
+            self.manager.operator_lost()
         self._watch_fence()
-        self.deck.advance(now)
+        self.manager.advance(now)
         for peer, told_at in self._arming.items():
             if now - told_at >= _PROGRESS_S:
                 self._arming[peer] = now
-                self._acknowledge(Command.COMPONENT_ARM_DISARM, Result.IN_PROGRESS, peer)
+                self._acknowledge(MavCommand.COMPONENT_ARM_DISARM, MavResult.IN_PROGRESS, peer)
         for text in self._texts.due(now):
             self._send(text)
         # A vehicle that nobody hears is silent: whoever looks at it has to see that it is lost.
         if self.world.known.view.is_heard:
             self._tell_state(now, audience)
 
-    def _heartbeat(self) -> Message:
-        return Message("HEARTBEAT", heartbeat(self.world, self.deck.mode, self._autopilot))
+    def _heartbeat(self) -> MavlinkMessage:
+        return MavlinkMessage(
+            "HEARTBEAT", heartbeat(self.world, self.manager.mode, self._autopilot)
+        )
 
     def _tell_state(self, now: float, audience: Audience) -> None:
         beat = self._heartbeat()
         told = tuple(beat.fields.values())
         if told != self._beaten or now - self._beaten_at >= _HEARTBEAT_S:
             if told[:1] != self._beaten[:1]:
-                self._send(current(self.deck.mode))
+                self._send(current(self.manager.mode))
             self._beaten, self._beaten_at = told, now
             self._send(beat)
         self.outbox += self._rates.due(now, audience)
-        for message in self._missions.due(now, is_flying=self.deck.flies_mission):
+        for message in self._missions.due(now, is_flying=self.manager.flies_mission):
             self._send(message)
 
 

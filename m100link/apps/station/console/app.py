@@ -21,8 +21,8 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from m100link.apps.station.console.kept import History
-from m100link.apps.station.console.orders import Orders
+from m100link.apps.station.console.kept import PlotHistory
+from m100link.apps.station.console.orders import SimulatorOrders
 from m100link.apps.station.console.page import STATIC, Page, worker
 from m100link.apps.station.console.tabs import Tabs
 from m100link.apps.station.listeners import Fronts
@@ -58,7 +58,7 @@ browser opens its socket within seconds.
 def console_app(
     agents: Mapping[str, AgentClient],
     settings: Settings,  # who may connect, and the folder with tiles
-    orders: Mapping[str, Orders],
+    orders: Mapping[str, SimulatorOrders],
     tabs: Tabs | None = None,  # where its tabs are kept; of its own by default
 ) -> AccessControl:
     """The application behind its gate.
@@ -67,12 +67,12 @@ def console_app(
     """
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     tabs = tabs or Tabs(agents)
-    histories: dict[str, History] = {}
+    histories: dict[str, PlotHistory] = {}
     unheard: dict[str, Client] = {}
 
-    def history_of(name: str) -> History:
+    def history_of(name: str) -> PlotHistory:
         if name not in histories:  # of one that came later from its first page on
-            histories[name] = History()
+            histories[name] = PlotHistory()
             agents[name].background.spawn(histories[name].keep(agents[name]), "history")
         return histories[name]
 

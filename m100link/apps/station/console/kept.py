@@ -43,7 +43,7 @@ class _Look:
     connection: AircraftState  # the telemetry of the connection then: each connection has another
 
 
-class Looks:
+class Preferences:
     """Words that places are free, by person and aircraft."""
 
     def __init__(self) -> None:
@@ -68,7 +68,7 @@ class Looks:
             words[aircraft] = _Look(agent.now, agent.telemetry)
 
     def said_at(
-        self, person: str, aircraft: str, agent: AgentClient, history: History
+        self, person: str, aircraft: str, agent: AgentClient, history: PlotHistory
     ) -> float | None:
         """When that person looked around, on the agent's clock, s; None: look again."""
         look = self._persons.get(person, {}).get(aircraft)
@@ -108,7 +108,7 @@ _READERS = [
 ]
 
 
-class History:
+class PlotHistory:
     """Rows of numbers, the newest :data:`KEPT_S` seconds of them."""
 
     def __init__(self) -> None:

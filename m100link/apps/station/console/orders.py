@@ -13,7 +13,7 @@ from m100link.sim.orders import perform, send_order, status
 from m100link.sim.virtual import VirtualAircraft
 
 
-class Orders:
+class SimulatorOrders:
     """Gives orders to a virtual aircraft, and keeps what it last showed."""
 
     def __init__(
@@ -32,17 +32,17 @@ class Orders:
             self.status = await self._give(shlex.split(line))
 
 
-def orders_in_process(virtual: VirtualAircraft) -> Orders:
+def orders_in_process(virtual: VirtualAircraft) -> SimulatorOrders:
     """Orders to a virtual aircraft of this event loop."""
 
     async def give(words: list[str]) -> dict[str, Any]:
         perform(virtual, words)
         return status(virtual)
 
-    return Orders(give, status(virtual))
+    return SimulatorOrders(give, status(virtual))
 
 
-async def orders_by_socket(path: Path) -> Orders:
+async def orders_by_socket(path: Path) -> SimulatorOrders:
     """Orders to the virtual aircraft behind a socket of :class:`m100link.sim.orders.CtlServer`.
 
     Raises ``M100Error``: nobody answers there.
@@ -55,4 +55,4 @@ async def orders_by_socket(path: Path) -> Orders:
         shown: dict[str, Any] = answer["status"]
         return shown
 
-    return Orders(give, await give(["status"]))
+    return SimulatorOrders(give, await give(["status"]))

@@ -39,13 +39,13 @@ from m100link.apps.station.console.components.header import (
 from m100link.apps.station.console.components.map import MapPart
 from m100link.apps.station.console.components.plan import PlanPart
 from m100link.apps.station.console.components.settings import SettingsPart, load_settings
-from m100link.apps.station.console.kept import History
-from m100link.apps.station.console.orders import Orders
+from m100link.apps.station.console.kept import PlotHistory
+from m100link.apps.station.console.orders import SimulatorOrders
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.tabs import Tabs
 from m100link.apps.station.console.view.situation import Inputs, Ship
 from m100link.apps.station.console.view.texts import for_browser
-from m100link.apps.station.console.view.view import Memory, View, view_of
+from m100link.apps.station.console.view.view_model import Memory, ViewModel, view_of
 
 STATIC = Path(__file__).parent / "static"
 
@@ -75,10 +75,10 @@ class Page:
         self,
         agent: AgentClient,  # the agent that owns the aircraft
         tab: Tab,  # who looks at it
-        orders: Orders | None,  # what the panel does to a virtual aircraft, or None
+        orders: SimulatorOrders | None,  # what the panel does to a virtual aircraft, or None
         *,
         has_tiles: bool,  # whether there are map tiles
-        history: History,  # the last minutes of every number
+        history: PlotHistory,  # the last minutes of every number
         tabs: Tabs,  # who looks at this and at other aircraft
         key: str,  # the secret part of the address of its socket
     ) -> None:
@@ -185,7 +185,7 @@ class Page:
         tabs = self._context.tabs
         return (*tabs.dropped().items(), *tabs.dropped_by_clients().items())
 
-    def _view(self) -> View:
+    def _view(self) -> ViewModel:
         agent, tab = self._agent, self._tab
         return view_of(
             Inputs(

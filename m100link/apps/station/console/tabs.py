@@ -15,7 +15,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import RENEWAL_S, ControlSession
 from m100link.apps.agent.view import Hearing
-from m100link.apps.station.console.kept import Looks
+from m100link.apps.station.console.kept import Preferences
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.view.fly import live, seen_from_afar
 from m100link.apps.station.web.limits import to_evict
@@ -73,7 +73,7 @@ class Tabs:
         self._count = 0
         self._moves: dict[str, _Move] = {}  # by their codes
         self.tabs: dict[str, Tab] = {}  # those that are open
-        self.looks = Looks()  # what their operators said before a take-off
+        self.looks = Preferences()  # what their operators said before a take-off
         self._places: dict[str, _Place] = {}
 
     def open(self, aircraft: str = "", moved: str = "") -> tuple[str, Tab]:

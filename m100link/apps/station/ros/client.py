@@ -14,7 +14,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from m100link.apps.station.ros.graph import Call, Graph, Publication, Topic, canonical_name
+from m100link.apps.station.ros.graph import (
+    Graph,
+    Publication,
+    RosTopic,
+    ServiceCall,
+    canonical_name,
+)
 from m100link.apps.station.ros.messages import (
     BadMessage,
     Reassembly,
@@ -35,7 +41,7 @@ _LEVELS = ("none", "error", "warning", "info")
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class ClientLimits:
     """What one client may use."""
 
     message_size: int = 64 * 1024  # bytes of a frame it sends, and of a message from fragments
@@ -75,14 +81,14 @@ class Client:
         graph: Graph,  # topics and services
         name: str = "client",  # who it is, for people
         *,
-        limits: Limits | None = None,  # what it may use
+        limits: ClientLimits | None = None,  # what it may use
         on_output: Callable[[], None] = lambda: None,  # called when there may be something to send
         # Called when the client has to be disconnected.
         on_disconnect: Callable[[], None] = lambda: None,
     ) -> None:
         self.graph = graph
         self.name = name
-        self.limits = limits or Limits()
+        self.limits = limits or ClientLimits()
         self._on_output = on_output
         self._on_disconnect = on_disconnect
         self.refused = 0  # frames not carried out
@@ -189,7 +195,7 @@ class Client:
             raise _Fault(f"there is no operation {str(operation)[:64]!r} here")
         handler(message, now)
 
-    def _topic(self, message: dict[str, Any]) -> Topic:
+    def _topic(self, message: dict[str, Any]) -> RosTopic:
         name = _text(message, "topic")
         topic = self.graph.topics.get(canonical_name(name))
         if topic is None:
@@ -235,18 +241,18 @@ class Client:
     def _subscribe(self, message: dict[str, Any], now: float) -> None:
         topic = self._topic(message)
         name = message["topic"]
-        wish = self._wish(message)
+        options = self._wish(message)
         count = sum(len(one.wishes) for one in self.outbox.subscriptions.values())
         if count >= self.limits.subscriptions:
             raise _Fault(f"at most {self.limits.subscriptions} subscriptions are possible")
         subscription = self.outbox.subscription(topic, name)
         topic.subscribers.add(self)
-        subscription.wishes[str(message.get("id"))] = wish
+        subscription.wishes[str(message.get("id"))] = options
         subscription.merge()
 
-    def _wish(self, message: dict[str, Any]) -> Wish:
+    def _wish(self, message: dict[str, Any]) -> SubscribeOptions:
         size, compression = self._packing(message)
-        return Wish(
+        return SubscribeOptions(
             max(0, _number(message, "throttle_rate", -86_400_000, 86_400_000)) / 1000.0,
             min(_number(message, "queue_length", 0, 1_000_000), self.limits.queue_length),
             size,
@@ -286,7 +292,7 @@ class Client:
             self._respond(name, identity, packing, json.dumps(str(fault)), False)
             return
         self._calls += 1
-        call = Call(self, service, request, (name, identity, packing), now)
+        call = ServiceCall(self, service, request, (name, identity, packing), now)
         service.on_call(call)
 
     def _packing(self, message: dict[str, Any]) -> _Packing:
@@ -330,7 +336,7 @@ class Client:
                 message["id"] = identity
             self._answer(json.dumps(message))
 
-    def respond(self, call: Call, values: str, result: bool) -> None:
+    def respond(self, call: ServiceCall, values: str, result: bool) -> None:
         """Answer a service call; ``values`` is JSON."""
         self._calls -= 1
         name, identity, packing = call.identity
@@ -408,24 +414,26 @@ COMPRESSIONS = ("none", "png", "cbor", "cbor-raw")
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class SubscribeOptions:
     throttle: float = 0.0  # seconds between two messages, at least
     queue_length: int = 0  # messages that are kept while the throttle holds them back
     fragment_size: int | None = None  # characters of a fragment, None for whole messages
     compression: str = "none"  # one of :data:`COMPRESSIONS`
 
 
-class Subscription:
+class TopicSubscription:
     """All subscriptions of one client to one topic under one spelling, merged."""
 
-    __slots__ = ("dropped", "held", "name", "next_at", "pending", "topic", "wish", "wishes")
+    __slots__ = ("dropped", "held", "name", "next_at", "options", "pending", "topic", "wishes")
 
-    def __init__(self, topic: Topic, name: str) -> None:
+    def __init__(self, topic: RosTopic, name: str) -> None:
         self.topic = topic
         self.name = name  # its name as the client spelled it
-        self.wishes: dict[str, Wish] = {}  # what was asked for, by the client's id for it
+        self.wishes: dict[
+            str, SubscribeOptions
+        ] = {}  # what was asked for, by the client's id for it
         # The most generous of the wishes: every message that any of them asked for.
-        self.wish = Wish()
+        self.options = SubscribeOptions()
         self.pending = 0  # messages in the outbox that were not dropped
         # Messages that stand in the outbox and have to be passed over, the oldest first.
         self.dropped = 0
@@ -435,7 +443,7 @@ class Subscription:
     def merge(self) -> None:
         wishes = self.wishes.values()
         sizes = [one.fragment_size for one in wishes if one.fragment_size is not None]
-        self.wish = Wish(
+        self.options = SubscribeOptions(
             min(one.throttle for one in wishes),
             max(one.queue_length for one in wishes),
             min(sizes, default=None),
@@ -447,7 +455,7 @@ class Subscription:
 
         A late message does not shift those after it; a microsecond makes up for rounding.
         """
-        throttle = self.wish.throttle
+        throttle = self.options.throttle
         due = self.next_at if now - self.next_at < throttle else now
         self.next_at = due + throttle - 1e-6
 
@@ -461,29 +469,29 @@ class Outbox:
     """
 
     def __init__(self, waiting: int, on_output: Callable[[], None]) -> None:
-        self.subscriptions: dict[str, Subscription] = {}  # by name, as the client spelled it
+        self.subscriptions: dict[str, TopicSubscription] = {}  # by name, as the client spelled it
         # Answers and statuses: they go first, and none is dropped.
         self.answers: deque[str | bytes] = deque()
         self.dropped = 0  # messages dropped because the client was slow
         self._limit = waiting
         self._on_output = on_output
-        self._by_topic: dict[str, list[Subscription]] = {}
-        self._queue: deque[tuple[Subscription, Publication]] = deque()
+        self._by_topic: dict[str, list[TopicSubscription]] = {}
+        self._queue: deque[tuple[TopicSubscription, Publication]] = deque()
         # Messages in the queue that were not dropped.
         self._count = 0
         # Subscriptions by how many of their messages wait, and how many the busiest has: so that
         # dropping costs the same however many topics there are.
-        self._crowds: list[dict[Subscription, None]] = [{}]
+        self._crowds: list[dict[TopicSubscription, None]] = [{}]
         self._most = 0
         # What is left of a message that is sent in pieces.
         self._ready: Iterator[str | bytes] = iter(())
         self._fragment_count = 0
 
-    def subscription(self, topic: Topic, name: str) -> Subscription:
+    def subscription(self, topic: RosTopic, name: str) -> TopicSubscription:
         """The subscription under this spelling; a new one if there is none."""
         found = self.subscriptions.get(name)
         if found is None:
-            found = self.subscriptions[name] = Subscription(topic, name)
+            found = self.subscriptions[name] = TopicSubscription(topic, name)
             self._by_topic.setdefault(topic.name, []).append(found)
         return found
 
@@ -509,21 +517,21 @@ class Outbox:
         for subscription in self._by_topic.get(publication.topic.name, ()):
             self.offer(subscription, publication, now)
 
-    def offer(self, subscription: Subscription, publication: Publication, now: float) -> None:
+    def offer(self, subscription: TopicSubscription, publication: Publication, now: float) -> None:
         """A message for one subscription, as far as its throttle lets it through."""
-        wish = subscription.wish
-        if not wish.throttle:
+        options = subscription.options
+        if not options.throttle:
             self._put(subscription, publication)
         elif now >= subscription.next_at and not subscription.held:
             subscription.advance(now)
             self._put(subscription, publication)
-        elif wish.queue_length:
+        elif options.queue_length:
             subscription.held.append(publication)
-            while len(subscription.held) > wish.queue_length:
+            while len(subscription.held) > options.queue_length:
                 subscription.held.popleft()
             self._on_output()
 
-    def _put(self, subscription: Subscription, publication: Publication) -> None:
+    def _put(self, subscription: TopicSubscription, publication: Publication) -> None:
         self._queue.append((subscription, publication))
         crowds, pending = self._crowds, subscription.pending + 1
         if pending > 1:
@@ -539,7 +547,7 @@ class Outbox:
             self._drop_one()
         self._on_output()
 
-    def _take(self, subscription: Subscription) -> None:
+    def _take(self, subscription: TopicSubscription) -> None:
         crowds, pending = self._crowds, subscription.pending
         del crowds[pending][subscription]
         if pending > 1:
@@ -559,7 +567,7 @@ class Outbox:
 
     def _sweep(self) -> None:
         """Take out what was dropped: as many as were dropped since the last time."""
-        kept: deque[tuple[Subscription, Publication]] = deque()
+        kept: deque[tuple[TopicSubscription, Publication]] = deque()
         for subscription, publication in self._queue:
             if subscription.dropped:
                 subscription.dropped -= 1
@@ -595,12 +603,12 @@ class Outbox:
             return self._pack(subscription, publication)
         return None
 
-    def _pack(self, subscription: Subscription, publication: Publication) -> str | bytes:
-        wish = subscription.wish
-        frame = publication.pack(subscription.name, wish.compression)
-        if isinstance(frame, bytes) or wish.fragment_size is None:
+    def _pack(self, subscription: TopicSubscription, publication: Publication) -> str | bytes:
+        options = subscription.options
+        frame = publication.pack(subscription.name, options.compression)
+        if isinstance(frame, bytes) or options.fragment_size is None:
             return frame
-        self._ready = self.fragmented(frame, wish.fragment_size)
+        self._ready = self.fragmented(frame, options.fragment_size)
         return next(self._ready)
 
     def fragmented(self, text: str, size: int) -> Iterator[str | bytes]:

@@ -16,10 +16,10 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.latency import MAX_LATE, ClockEstimate
 from m100link.apps.agent.orders import CameraUse
-from m100link.apps.station.ros.graph import Call, Graph, Listener, Topic
+from m100link.apps.station.ros.graph import Graph, GraphListener, RosTopic, ServiceCall
 from m100link.apps.station.ros.leases import TASKS, Clients
 from m100link.apps.station.ros.messages import Message, present
-from m100link.apps.station.ros.missions import Missions
+from m100link.apps.station.ros.missions import MissionTopics
 from m100link.errors import BadSetpoint, GuardRefused, M100Error, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.log.ros2 import DJI_TOPICS, DjiTopic
@@ -78,13 +78,13 @@ class DjiSdk:
         self._agent, self._graph, self._clients = agent, graph, clients
         self._sequence = 0
         self._origin: tuple[LocalFrame, float] | None = None
-        self._topics: list[tuple[Topic, DjiTopic]] = []
+        self._topics: list[tuple[RosTopic, DjiTopic]] = []
         self._add_telemetry()
         self._add_setpoints()
         self._add_services()
         self._from_mobile = graph.add_topic("/dji_sdk/from_mobile_data", "dji_sdk/MobileData")
-        Payload(agent, graph, clients)
-        Missions(agent, graph, clients)
+        PayloadTopics(agent, graph, clients)
+        MissionTopics(agent, graph, clients)
         agent.background.spawn(self._watch(), "dji_sdk topics")
         agent.background.spawn(self._watch_mobile(), "mobile data")
 
@@ -142,7 +142,7 @@ class DjiSdk:
             )
 
     def _on_setpoint(
-        self, flag: int | None, session: Listener, message: Message, now: float
+        self, flag: int | None, session: GraphListener, message: Message, now: float
     ) -> None:
         axes = message["axes"]
         count = 5 if flag is None else 4
@@ -173,17 +173,17 @@ class DjiSdk:
         ):
             self._clients.offer(name, kind, handler)
 
-    async def _activate(self, call: Call) -> Message:
+    async def _activate(self, call: ServiceCall) -> Message:
         return await self._clients.order(call, orders.Activate()) | {"cmd_set": 0, "cmd_id": 1}
 
-    async def _authority(self, call: Call) -> Message:
+    async def _authority(self, call: ServiceCall) -> Message:
         wanted = call.request["control_enable"]
         if wanted > 1:
             raise UsageError("control_enable is 1 to obtain and 0 to release")
         await self._clients.switch(call.session, on=bool(wanted))
         return {"result": True, "cmd_set": 1, "cmd_id": 0, "ack_data": 2 if wanted else 1}
 
-    async def _task(self, call: Call) -> Message:
+    async def _task(self, call: ServiceCall) -> Message:
         number = call.request["task"]
         if number not in TASKS:
             raise UsageError("tasks are 4 (take-off), 6 (landing) and 1 (go-home)")
@@ -193,7 +193,7 @@ class DjiSdk:
         )
         return {"result": True, "cmd_set": 1, "cmd_id": 1, "ack_data": 2}
 
-    async def _version(self, call: Call) -> Message:
+    async def _version(self, call: ServiceCall) -> Message:
         name = (await self._agent.ask(orders.AskVersion())).text
         numbers = name.rpartition("-")[2].split(".")
         packed = 0
@@ -201,7 +201,7 @@ class DjiSdk:
             packed = packed << 8 | (int(number) & 0xFF if number.isdecimal() else 0)
         return {"version": packed & 0xFFFFFFFF, "hardware": name}
 
-    async def _set_origin(self, call: Call) -> Message:
+    async def _set_origin(self, call: ServiceCall) -> Message:
         position = self._agent.view.get(Position)
         if position is None:
             return {"result": False}
@@ -214,11 +214,11 @@ class DjiSdk:
         self._origin = (frame, position.altitude_m)
         return {"result": True}
 
-    async def _send_to_mobile(self, call: Call) -> Message:
+    async def _send_to_mobile(self, call: ServiceCall) -> Message:
         return await self._clients.order(call, orders.SendToMobile(call.request["data"]))
 
 
-def _check_way(session: Listener, stamp: Message, now: float) -> None:
+def _check_way(session: GraphListener, stamp: Message, now: float) -> None:
     """Refuse a setpoint that waited on its way; one without a stamp counts as new.
 
     Raises ``GuardRefused``: its stamp is old, against the newest of that client.
@@ -251,7 +251,7 @@ _KEPT = {
 _SHORTEST_S = 0.1
 
 
-class Payload:
+class PayloadTopics:
     """The topics and services of what hangs below, and of the motors."""
 
     def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
@@ -267,7 +267,7 @@ class Payload:
         ):
             clients.offer(name, kind, handler)
 
-    def _on_angles(self, session: Listener, message: Message, now: float) -> None:
+    def _on_angles(self, session: GraphListener, message: Message, now: float) -> None:
         """Radians, as DJI's node has them; seconds are whole."""
         command = GimbalAngle(
             yaw_deg=math.degrees(message["yaw"]),
@@ -278,7 +278,7 @@ class Payload:
         )
         self._send(session, command)
 
-    def _on_rates(self, session: Listener, message: Message, now: float) -> None:
+    def _on_rates(self, session: GraphListener, message: Message, now: float) -> None:
         """Radians per second: roll, pitch, yaw. One message turns it for half a second."""
         vector = message["vector"]
         command = GimbalSpeed(
@@ -288,7 +288,7 @@ class Payload:
         )
         self._send(session, command)
 
-    async def _angles(self, call: Call) -> Message:
+    async def _angles(self, call: ServiceCall) -> Message:
         """Tenths of a degree and of a second."""
         asked = call.request
         mode = GimbalAngleMode(asked["absolute_or_incremental"])
@@ -304,7 +304,7 @@ class Payload:
         )
         return await self._clients.order(call, _gimbal(command))
 
-    async def _rates(self, call: Call) -> Message:
+    async def _rates(self, call: ServiceCall) -> Message:
         """Tenths of a degree per second; one call turns it for half a second."""
         asked = call.request
         command = GimbalSpeed(
@@ -314,7 +314,7 @@ class Payload:
         )
         return await self._clients.order(call, _gimbal(command))
 
-    def _send(self, session: Listener, command: GimbalAngle | GimbalSpeed) -> None:
+    def _send(self, session: GraphListener, command: GimbalAngle | GimbalSpeed) -> None:
         try:
             order = _gimbal(command)
         except M100Error as error:
@@ -322,13 +322,13 @@ class Payload:
             return
         self._clients.run(session, lambda: self._clients.session(session).ask(order), order.label)
 
-    async def _camera(self, call: Call) -> Message:
+    async def _camera(self, call: ServiceCall) -> Message:
         number = call.request["camera_action"]
         if number >= len(CameraUse):  # in the order of its members
             raise UsageError("camera_action is 0 (photo), 1 (start video) or 2 (stop video)")
         return await self._clients.order(call, orders.UseCamera(tuple(CameraUse)[number]))
 
-    async def _arm(self, call: Call) -> Message:
+    async def _arm(self, call: ServiceCall) -> Message:
         wanted = call.request["arm"]
         if wanted > 1:
             raise UsageError("arm is 1 (start the motors) or 0 (stop them)")

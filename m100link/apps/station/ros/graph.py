@@ -41,7 +41,7 @@ class Publication:
 
     __slots__ = ("_json", "_packed", "message", "topic")
 
-    def __init__(self, topic: Topic, message: Message) -> None:
+    def __init__(self, topic: RosTopic, message: Message) -> None:
         self.topic = topic
         self.message = message
         self._json: str | None = None
@@ -71,7 +71,7 @@ class Publication:
         return frame
 
 
-class Listener(Protocol):
+class GraphListener(Protocol):
     """Who uses the topics and services, as they see it."""
 
     name: str  # who it is, for people
@@ -80,7 +80,7 @@ class Listener(Protocol):
     def deliver(self, publication: Publication, now: float) -> None:
         """A message was published on a topic that it subscribed."""
 
-    def respond(self, call: Call, values: str, result: bool) -> None:
+    def respond(self, call: ServiceCall, values: str, result: bool) -> None:
         """The answer to its call; ``values`` is JSON."""
 
     def status(self, level: str, text: str) -> None:
@@ -88,20 +88,20 @@ class Listener(Protocol):
 
 
 @dataclass(slots=True, eq=False)
-class Topic:
+class RosTopic:
     name: str  # its name, with a leading slash
     type: MessageType  # type of its messages
     # What a client's message does; None on topics that only the station publishes.
-    on_publish: Callable[[Listener, Message, float], None] | None = None
-    subscribers: set[Listener] = field(default_factory=set)  # sessions that listen
+    on_publish: Callable[[GraphListener, Message, float], None] | None = None
+    subscribers: set[GraphListener] = field(default_factory=set)  # sessions that listen
 
 
 @dataclass(slots=True, eq=False)
-class Call:
+class ServiceCall:
     """A service call of a client, to be answered once."""
 
-    session: Listener
-    service: Service
+    session: GraphListener
+    service: RosService
     request: Message  # the checked request
     identity: Any
     now: float  # when it came
@@ -121,10 +121,10 @@ class Call:
 
 
 @dataclass(slots=True, eq=False)
-class Service:
+class RosService:
     name: str  # its name, with a leading slash
     type: ServiceType
-    on_call: Callable[[Call], None]  # answers a call, at once or later
+    on_call: Callable[[ServiceCall], None]  # answers a call, at once or later
 
 
 class Graph:
@@ -136,12 +136,12 @@ class Graph:
     def __init__(self, prefix: str = "", whole: Graph | None = None) -> None:
         self.prefix = prefix
         # Topics by name, those of all namespaces.
-        self.topics: dict[str, Topic] = {} if whole is None else whole.topics
+        self.topics: dict[str, RosTopic] = {} if whole is None else whole.topics
         # Services by name, those of all namespaces.
-        self.services: dict[str, Service] = {} if whole is None else whole.services
-        self.sessions: set[Listener] = set() if whole is None else whole.sessions
+        self.services: dict[str, RosService] = {} if whole is None else whole.services
+        self.sessions: set[GraphListener] = set() if whole is None else whole.sessions
         # Called when a client has gone.
-        self.on_leave: list[Callable[[Listener, float], None]] = (
+        self.on_leave: list[Callable[[GraphListener, float], None]] = (
             [] if whole is None else whole.on_leave
         )
 
@@ -149,7 +149,7 @@ class Graph:
         """A part of this graph: whatever is added to it is called ``/name/…``."""
         return Graph(f"{self.prefix}/{name}", self)
 
-    def known(self, session: Listener) -> dict[str, Any]:
+    def known(self, session: GraphListener) -> dict[str, Any]:
         """What the nodes of this namespace know about a listener."""
         known: dict[str, Any] = session.data.setdefault(f"nodes of {self.prefix or '/'}", {})
         return known
@@ -158,26 +158,28 @@ class Graph:
         self,
         name: str,
         type_name: str,
-        on_publish: Callable[[Listener, Message, float], None] | None = None,
-    ) -> Topic:
+        on_publish: Callable[[GraphListener, Message, float], None] | None = None,
+    ) -> RosTopic:
         """A topic that the station publishes, or takes messages from."""
         name = self.prefix + name
-        topic = self.topics[name] = Topic(name, MESSAGES[type_name], on_publish)
+        topic = self.topics[name] = RosTopic(name, MESSAGES[type_name], on_publish)
         return topic
 
-    def add_service(self, name: str, type_name: str, on_call: Callable[[Call], None]) -> None:
+    def add_service(
+        self, name: str, type_name: str, on_call: Callable[[ServiceCall], None]
+    ) -> None:
         """A service that the station offers."""
         name = self.prefix + name
-        self.services[name] = Service(name, SERVICES[type_name], on_call)
+        self.services[name] = RosService(name, SERVICES[type_name], on_call)
 
-    def publish(self, topic: Topic, message: Message, now: float) -> None:
+    def publish(self, topic: RosTopic, message: Message, now: float) -> None:
         """Give a message to every subscriber."""
         if topic.subscribers:
             publication = Publication(topic, message)
             for session in topic.subscribers:
                 session.deliver(publication, now)
 
-    def leave(self, session: Listener, now: float) -> None:
+    def leave(self, session: GraphListener, now: float) -> None:
         if session in self.sessions:
             self.sessions.discard(session)
             for topic in self.topics.values():
@@ -229,8 +231,8 @@ def add_rosapi(graph: Graph) -> None:
         graph.add_service(f"/rosapi/{name}", f"rosapi/{kind}", _answering(answer))
 
 
-def _answering(answer: Callable[[Message], Message]) -> Callable[[Call], None]:
-    def on_call(call: Call) -> None:
+def _answering(answer: Callable[[Message], Message]) -> Callable[[ServiceCall], None]:
+    def on_call(call: ServiceCall) -> None:
         try:
             call.respond(answer(call.request))
         except _Failed as error:
@@ -247,7 +249,7 @@ class _RosApi:
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
 
-    def _topics(self) -> list[Topic]:
+    def _topics(self) -> list[RosTopic]:
         return [self._graph.topics[name] for name in sorted(self._graph.topics)]
 
     def topics(self, _: Message) -> Message:

@@ -15,7 +15,7 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient, given
 from m100link.apps.agent.control_session import ControlSession, ControlState, Terms
 from m100link.apps.agent.lease import LeaseRefused, not_in_force
-from m100link.apps.station.ros.graph import Call, Graph, Listener
+from m100link.apps.station.ros.graph import Graph, GraphListener, ServiceCall
 from m100link.apps.station.ros.messages import Message
 from m100link.apps.station.web.limits import TokenBucket
 from m100link.errors import CommandRefused, M100Error, UsageError
@@ -39,7 +39,7 @@ class Clients:
         graph.on_leave.append(self._left)
         graph.add_service("/m100link/lease", "m100link/Lease", self._on_lease)
 
-    def session(self, client: Listener) -> ControlSession:
+    def session(self, client: GraphListener) -> ControlSession:
         """The control session of that client; a closed one when the client has gone."""
         known = self._graph.known(client)
         session: ControlSession | None = known.get(_CONTROL)
@@ -53,15 +53,15 @@ class Clients:
             self._agent.background.spawn(session.keep(), f"lease of {client.name}")
         return session
 
-    def _changed(self, client: Listener, state: ControlState) -> None:
+    def _changed(self, client: GraphListener, state: ControlState) -> None:
         if state in (ControlState.LOST, ControlState.TAKEN_OVER):
             holder = self._agent.holder
             client.status("error", str(not_in_force(holder.name if holder.number else None)))
 
-    def _left(self, client: Listener, now: float) -> None:
+    def _left(self, client: GraphListener, now: float) -> None:
         self.session(client).close()
 
-    async def switch(self, client: Listener, *, on: bool) -> None:
+    async def switch(self, client: GraphListener, *, on: bool) -> None:
         """Open or close control.
 
         Raises ``LeaseHeld``: another client has it. Raises ``M100Error``: as
@@ -79,19 +79,19 @@ class Clients:
         finally:
             session.let_go()
 
-    async def order(self, call: Call, order: orders.Order) -> Message:
+    async def order(self, call: ServiceCall, order: orders.Order) -> Message:
         """Give an order for who calls; raises as the control session."""
         await self.session(call.session).ask(order)
         return {"result": True}
 
-    def complain(self, client: Listener, error: Exception) -> None:
+    def complain(self, client: GraphListener, error: Exception) -> None:
         """Tell a client what is wrong, at most once a second: keys repeat thirty times."""
         now = self._agent.now
         if now - client.data.get(_COMPLAINED_AT, float("-inf")) >= _COMPLAINT_PAUSE:
             client.data[_COMPLAINED_AT] = now
             client.status("error", str(error))
 
-    def admits(self, client: Listener) -> bool:
+    def admits(self, client: GraphListener) -> bool:
         """Whether the client may order one more thing now; it is told when it may not.
 
         What is ordered is told to people and asked of the aircraft, both of which a client could
@@ -107,7 +107,7 @@ class Clients:
         return False
 
     def run(
-        self, client: Listener, wish: Callable[[], Coroutine[Any, Any, object]], name: str
+        self, client: GraphListener, wish: Callable[[], Coroutine[Any, Any, object]], name: str
     ) -> None:
         """Run a client's wish, unless it wishes too much; it is told when it fails."""
         if not self.admits(client):
@@ -122,14 +122,14 @@ class Clients:
         self._agent.background.spawn(guarded(), f"{name} for {client.name}")
 
     def offer(
-        self, name: str, kind: str, handler: Callable[[Call], Coroutine[Any, Any, Message]]
+        self, name: str, kind: str, handler: Callable[[ServiceCall], Coroutine[Any, Any, Message]]
     ) -> None:
         """Offer a service of ``dji_sdk``: a refusal is an answer, trouble is a failure.
 
         Generations of DJI's node tell more or less of one thing: each type has the fields it knows.
         """
 
-        async def answer(call: Call) -> None:
+        async def answer(call: ServiceCall) -> None:
             try:
                 told = await handler(call)
             except CommandRefused as error:
@@ -141,7 +141,7 @@ class Clients:
             known = call.service.type.response.default()
             call.respond({name: value for name, value in told.items() if name in known})
 
-        def on_call(call: Call) -> None:
+        def on_call(call: ServiceCall) -> None:
             if self.admits(call.session):
                 self._agent.background.spawn(answer(call), name)
             else:
@@ -151,7 +151,7 @@ class Clients:
 
     # -- the service -----------------------------------------------------------------------------
 
-    def _on_lease(self, call: Call) -> None:
+    def _on_lease(self, call: ServiceCall) -> None:
         action = call.request["action"]
         handler = {
             "status": self._status,
@@ -170,7 +170,7 @@ class Clients:
         self._agent.background.spawn(self._answer(call, handler), f"lease {action}")
 
     async def _answer(
-        self, call: Call, handler: Callable[[Call], Coroutine[Any, Any, Message]]
+        self, call: ServiceCall, handler: Callable[[ServiceCall], Coroutine[Any, Any, Message]]
     ) -> None:
         try:
             told = {"success": True, **await handler(call)}
@@ -182,21 +182,21 @@ class Clients:
             return
         call.respond(told | {"holder": self._agent.holder.name})
 
-    async def _status(self, call: Call) -> Message:
+    async def _status(self, call: ServiceCall) -> Message:
         return {}
 
-    async def _acquire(self, call: Call) -> Message:
+    async def _acquire(self, call: ServiceCall) -> Message:
         name = call.request["name"] or call.session.name
         grant = partial(self._agent.acquire, name)
         return {"token": (await self.session(call.session).take(grant)).token}
 
-    async def _renew(self, call: Call) -> Message:
+    async def _renew(self, call: ServiceCall) -> Message:
         renewed = await self._agent.ask(orders.RenewLease(call.request["token"]))
         lease = given(renewed.lease)
         self.session(call.session).adopt(lease)
         return {"token": lease.token}
 
-    async def _release(self, call: Call) -> Message:
+    async def _release(self, call: ServiceCall) -> Message:
         session, token = self.session(call.session), call.request["token"]
         if session.lease is not None and session.lease.token == token:
             await session.give_back()
@@ -204,12 +204,12 @@ class Clients:
             await self._agent.release_lease(token)
         return {}
 
-    async def _ask_take_over(self, call: Call) -> Message:
+    async def _ask_take_over(self, call: ServiceCall) -> Message:
         name = call.request["name"] or call.session.name
         wanted = await self._agent.ask_take_over(name)
         asked = f"{wanted.from_name} would lose control; confirm with this token"
         return {"token": wanted.token, "message": asked}
 
-    async def _confirm(self, call: Call) -> Message:
+    async def _confirm(self, call: ServiceCall) -> Message:
         grant = partial(self._agent.confirm, call.request["token"])
         return {"token": (await self.session(call.session).take(grant)).token}

@@ -174,7 +174,7 @@ class BadMessage(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class MessageField:
     name: str
     type: str  # type of the value, or of the elements of an array
     # None for a single value, 0 for an array of any length, else the exact length.
@@ -194,7 +194,7 @@ class MessageType:
     """A message type, or one half of a service type."""
 
     name: str
-    fields: tuple[Field, ...]  # in their order
+    fields: tuple[MessageField, ...]  # in their order
 
     @property
     def type_name(self) -> str:
@@ -260,7 +260,7 @@ class ServiceType:
         return self.request.read(args)
 
 
-def _fields(text: str) -> tuple[Field, ...]:
+def _fields(text: str) -> tuple[MessageField, ...]:
     fields = []
     for part in text.split(","):
         if not part.strip():
@@ -272,7 +272,7 @@ def _fields(text: str) -> tuple[Field, ...]:
         length = int(size) if size.isdecimal() else 0
         kind, _, also = kind.partition("|")
         least = int(shorter or length)
-        fields.append(Field(name, kind, length if bracket else None, bound, least, also))
+        fields.append(MessageField(name, kind, length if bracket else None, bound, least, also))
     return tuple(fields)
 
 
@@ -310,7 +310,7 @@ def present() -> Message:
     return {"secs": seconds, "nsecs": nanoseconds}
 
 
-def _default(field: Field) -> Any:
+def _default(field: MessageField) -> Any:
     if field.length is not None:
         if field.is_bytes:
             return bytes(field.length)
@@ -326,7 +326,7 @@ def _scalar_default(kind: str) -> Any:
     return {"string": "", "bool": False, "float32": 0.0, "float64": 0.0}.get(kind, 0)
 
 
-def _read(field: Field, value: Any, path: str) -> Any:
+def _read(field: MessageField, value: Any, path: str) -> Any:
     if field.length is None:
         return _read_scalar(field.type, value, path)
     # The size is judged before any element is read: reading costs what a stranger sends.
@@ -346,7 +346,7 @@ def _read(field: Field, value: Any, path: str) -> Any:
     return [_read_scalar(_kind(field, one), one, f"{path}[{i}]") for i, one in enumerate(value)]
 
 
-def _kind(field: Field, value: Any) -> str:
+def _kind(field: MessageField, value: Any) -> str:
     is_below = field.also and isinstance(value, int | float) and value < 0
     return field.also if is_below else field.type
 
@@ -445,7 +445,7 @@ def without_nan(value: Any) -> Any:
     return value
 
 
-def _for_cbor(field: Field, value: Any) -> Any:
+def _for_cbor(field: MessageField, value: Any) -> Any:
     if field.type in MESSAGES:
         nested = MESSAGES[field.type]
         if field.length is None:
@@ -507,7 +507,7 @@ def _own(kind: MessageType) -> str:
     return "\n".join(f"{_written(field)} {field.name}" for field in kind.fields)
 
 
-def _written(field: Field) -> str:
+def _written(field: MessageField) -> str:
     # Inside a definition a header goes by its last name: readers of the text know it by that.
     name = "Header" if field.type == "std_msgs/Header" else field.type
     return name if field.length is None else f"{name}[{field.length or ''}]"

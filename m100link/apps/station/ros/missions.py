@@ -15,9 +15,9 @@ from collections.abc import Callable, Mapping
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.messages import MissionTold
+from m100link.apps.agent.messages import MissionReport
 from m100link.apps.agent.orders import Order
-from m100link.apps.station.ros.graph import Call, Graph
+from m100link.apps.station.ros.graph import Graph, ServiceCall
 from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.messages import Message
 from m100link.errors import UsageError
@@ -35,7 +35,7 @@ _KINDS = {"no mission": 0, "waypoint mission": 1, "hotpoint": 2, "follow mission
 """Numbers of the status push, by the kind that the agent tells."""
 
 
-class Missions:
+class MissionTopics:
     """The topics and services of missions."""
 
     def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
@@ -84,7 +84,7 @@ class Missions:
             values = (index, status) if kind == 1 else (status, 0)
             self._graph.publish(self._status, _push(kind, bytes((*values, 0, 0, 0))), self._now)
 
-    def _told(self, told: MissionTold) -> None:
+    def _told(self, told: MissionReport) -> None:
         self._graph.publish(self._event, _push(told.event, told.data), self._now)
 
     @property
@@ -93,7 +93,7 @@ class Missions:
 
     # -- what is asked ---------------------------------------------------------------------------
 
-    async def _upload(self, call: Call) -> Message:
+    async def _upload(self, call: ServiceCall) -> Message:
         task = call.request["waypoint_task"]
         mission, points = _commands(task)
         await self._clients.order(call, orders.UploadPlan.of_commands(mission, points))
@@ -101,17 +101,17 @@ class Missions:
         self._graph.known(call.session)[_LATEST] = orders.StartMission
         return _done(WaypointMission.ADDRESS)
 
-    async def _act(self, call: Call) -> Message:
+    async def _act(self, call: ServiceCall) -> Message:
         return await self._acted(call, orders.StartMission, (0x12, 0x12, 0x13, 0x13))
 
-    async def _act_circle(self, call: Call) -> Message:
+    async def _act_circle(self, call: ServiceCall) -> Message:
         def start() -> Order:
             return orders.StartHotpoint(self._circle(call)[1])
 
         return await self._acted(call, start, (0x20, 0x21, 0x22, 0x22))
 
     async def _acted(
-        self, call: Call, start: Callable[[], Order], commands: tuple[int, ...]
+        self, call: ServiceCall, start: Callable[[], Order], commands: tuple[int, ...]
     ) -> Message:
         number = call.request["action"]
         if number >= len(commands):
@@ -120,13 +120,13 @@ class Missions:
         await self._clients.order(call, others[number - 1] if number else start())
         return _done((0x03, commands[number]))
 
-    async def _start(self, call: Call) -> Message:
+    async def _start(self, call: ServiceCall) -> Message:
         """Start what that client uploaded last: this service does not say which kind."""
         if self._graph.known(call.session).get(_LATEST) is not orders.StartHotpoint:
             return await self._clients.order(call, orders.StartMission())
         return await self._clients.order(call, orders.StartHotpoint(self._circle(call)[1]))
 
-    async def _pause(self, call: Call) -> Message:
+    async def _pause(self, call: ServiceCall) -> Message:
         wanted = call.request["pause"]
         if wanted > 1:
             raise UsageError("pause is 0 (pause) or 1 (resume)")
@@ -134,13 +134,13 @@ class Missions:
             call, orders.ResumeMission() if wanted else orders.PauseMission()
         )
 
-    async def _cancel(self, call: Call) -> Message:
+    async def _cancel(self, call: ServiceCall) -> Message:
         return await self._clients.order(call, orders.StopMission())
 
-    async def _info(self, call: Call) -> Message:
+    async def _info(self, call: ServiceCall) -> Message:
         return {"waypoint_task": self._uploaded()}
 
-    async def _get_speed(self, call: Call) -> Message:
+    async def _get_speed(self, call: ServiceCall) -> Message:
         self._uploaded()
         return {"speed": self._speed, "cmd_set": 0x03, "cmd_id": 0x17}
 
@@ -149,7 +149,7 @@ class Missions:
             raise UsageError("no mission was uploaded through this station")
         return self._task
 
-    async def _set_speed(self, call: Call) -> Message:
+    async def _set_speed(self, call: ServiceCall) -> Message:
         speed = call.request["speed"]
         if not math.isfinite(speed):
             raise UsageError("speed is a number of m/s")
@@ -160,7 +160,7 @@ class Missions:
 
     # -- hotpoint --------------------------------------------------------------------------------
 
-    async def _upload_circle(self, call: Call) -> Message:
+    async def _upload_circle(self, call: ServiceCall) -> Message:
         self._clients.session(call.session).held()
         given = call.request["hotpoint_task"]
         request = HotpointStart(
@@ -178,31 +178,33 @@ class Missions:
         self._graph.known(call.session)[_LATEST] = orders.StartHotpoint
         return _done(HotpointStart.ADDRESS)
 
-    def _circle(self, call: Call) -> tuple[Message, HotpointStart]:
+    def _circle(self, call: ServiceCall) -> tuple[Message, HotpointStart]:
         found: tuple[Message, HotpointStart] | None = self._graph.known(call.session).get(_CIRCLE)
         if found is None:
             raise UsageError("this client has uploaded no hotpoint", remedy="upload it first")
         return found
 
-    async def _circle_info(self, call: Call) -> Message:
+    async def _circle_info(self, call: ServiceCall) -> Message:
         return {"hotpoint_task": self._circle(call)[0]} | _done((0x03, 0x26))
 
-    async def _set_radius(self, call: Call) -> Message:
+    async def _set_radius(self, call: ServiceCall) -> Message:
         await self._change(call, orders.SetHotpointRadius, call.request["radius"])
         return _done((0x03, 0x24))
 
-    async def _set_rate(self, call: Call) -> Message:
+    async def _set_rate(self, call: ServiceCall) -> Message:
         asked = call.request
         rate = asked["yaw_rate" if "yaw_rate" in asked else "speed"]
         signed = rate if asked["direction"] else -rate
         await self._change(call, orders.SetHotpointRate, signed)
         return _done((0x03, 0x23))
 
-    async def _reset_heading(self, call: Call) -> Message:
+    async def _reset_heading(self, call: ServiceCall) -> Message:
         await self._clients.order(call, orders.ResetHotpointHeading())
         return _done((0x03, 0x25))
 
-    async def _change(self, call: Call, make: Callable[[float], Order], value: float) -> None:
+    async def _change(
+        self, call: ServiceCall, make: Callable[[float], Order], value: float
+    ) -> None:
         """Sent; nobody acknowledges it (facts K15)."""
         if not math.isfinite(value):
             raise UsageError("that is not a number")

@@ -31,7 +31,7 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import LeaseHeld
 from m100link.apps.agent.orders import ANGLE_MODE, VELOCITY_MODE, setpoint_of
-from m100link.apps.station.ros.graph import Graph, Listener, Publication, Topic
+from m100link.apps.station.ros.graph import Graph, GraphListener, Publication, RosTopic
 from m100link.apps.station.ros.leases import TASKS, Clients
 from m100link.apps.station.ros.messages import Message
 from m100link.errors import (
@@ -61,11 +61,13 @@ NO_AUTHORITY = 8.0
 _CLOSED_BY_APP = 4.0
 _VERSION_PAUSE = 10.0
 _MODE, _LAST = "control mode", "last setpoint"
-_Order = Callable[[Listener, float], Coroutine[Any, Any, object]]  # whose, and the number that came
+_Order = Callable[
+    [GraphListener, float], Coroutine[Any, Any, object]
+]  # whose, and the number that came
 _NEEDS_MORE = (NotActivated, LevelTooLow, CommandNotSupported, KeyRejected)
 
 
-class Node:
+class Node2015:
     """The topics of 2015."""
 
     def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
@@ -109,17 +111,17 @@ class Node:
                     message: Message = {"data": float(device.control)}
                     self._graph.publish(self._test_fre, message, sample.received_at)
 
-    def _tell(self, topic: Topic, number: float) -> None:
+    def _tell(self, topic: RosTopic, number: float) -> None:
         self._graph.publish(topic, {"data": number}, self._agent.now)
 
     # -- what the node is asked ------------------------------------------------------------------
 
     def _on_order(
-        self, name: str, work: _Order, session: Listener, message: Message, now: float
+        self, name: str, work: _Order, session: GraphListener, message: Message, now: float
     ) -> None:
         self._clients.run(session, lambda: work(session, message["data"]), name)
 
-    async def _activate(self, session: Listener, data: float = 0.0) -> None:
+    async def _activate(self, session: GraphListener, data: float = 0.0) -> None:
         try:
             await self._clients.session(session).ask(orders.Activate())
         except ActivationRefused:
@@ -128,7 +130,7 @@ class Node:
             self._tell(self._activation, NO_AUTHORITY)
             raise
 
-    async def _open_or_close(self, session: Listener, data: float) -> None:
+    async def _open_or_close(self, session: GraphListener, data: float) -> None:
         wanted = _byte(data)
         if wanted not in (0, 1):
             raise UsageError(f"/nav_open_close_request takes 1 (open) or 0 (close), not {wanted}")
@@ -149,7 +151,7 @@ class Node:
             self._tell(self._activation, NO_AUTHORITY)
             raise
 
-    async def _command(self, session: Listener, data: float) -> None:
+    async def _command(self, session: GraphListener, data: float) -> None:
         number = _byte(data)
         if number not in TASKS:
             raise UsageError(
@@ -162,14 +164,14 @@ class Node:
             self._tell(self._activation, NO_AUTHORITY)
             raise
 
-    def _on_mode(self, session: Listener, message: Message, now: float) -> None:
+    def _on_mode(self, session: GraphListener, message: Message, now: float) -> None:
         if message["data"] in (ANGLE_MODE, VELOCITY_MODE):
             self._graph.known(session)[_MODE] = int(message["data"])
         else:
             error = UsageError(f"there is no control mode {message['data']}: 1 or 2")
             self._clients.complain(session, error)
 
-    def _on_control(self, session: Listener, message: Message, now: float) -> None:
+    def _on_control(self, session: GraphListener, message: Message, now: float) -> None:
         mode = self._graph.known(session).get(_MODE, ANGLE_MODE)
         values = (message["x"], message["y"], message["z"], message["w"])
         try:
@@ -182,7 +184,7 @@ class Node:
         except M100Error as error:
             self._clients.complain(session, error)
 
-    async def _simple_task(self, session: Listener, data: float) -> None:
+    async def _simple_task(self, session: GraphListener, data: float) -> None:
         if not math.isfinite(data):
             raise UsageError("/sdk_request_simple_task takes a number")
         number = int(data)
@@ -196,7 +198,7 @@ class Node:
         else:
             await self._clients.session(session).ask(orders.FlyPattern(number))
 
-    async def _tell_version(self, session: Listener) -> None:
+    async def _tell_version(self, session: GraphListener) -> None:
         version = await self._agent.ask(orders.AskVersion())
         text = f"version: {version.text} (CRC {version.number:08X})"
         session.status("info", text)

@@ -60,7 +60,7 @@ class Waiting(Protocol):
         """Do one step; ask for another turn if there is more to do."""
 
 
-class Connection(Protocol):
+class HttpTransport(Protocol):
     """The protocol on a connection: HTTP or WebSocket."""
 
     @property
@@ -148,8 +148,8 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
         self._is_over = False
 
     @property
-    def _connection(self) -> Connection:
-        return cast(Connection, self._inner)
+    def _connection(self) -> HttpTransport:
+        return cast(HttpTransport, self._inner)
 
     @property
     def steers(self) -> bool:
@@ -294,7 +294,7 @@ _FULL_PAUSE = 1.0
 _FULL = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
 
-class Listener:
+class SocketListener:
     steers, is_dear = False, False
 
     def __init__(
@@ -361,7 +361,7 @@ class _Newcomer:
 
     steers, is_answered = False, True
 
-    def __init__(self, listener: Listener, accepted: socket.socket, peer: str) -> None:
+    def __init__(self, listener: SocketListener, accepted: socket.socket, peer: str) -> None:
         self.peer = peer  # address of the client
         self._listener, self._accepted = listener, accepted
         self._loop = asyncio.get_running_loop()

@@ -32,7 +32,7 @@ from m100link.apps.agent.view import Hearing
 from m100link.apps.station.listeners import Fronts
 from m100link.apps.station.ros.client import Client
 from m100link.apps.station.web.access_control import AccessControl
-from m100link.apps.station.web.server import Bridge, serve_http
+from m100link.apps.station.web.server import RosbridgeServer, serve_http
 from m100link.protocol.items import ITEMS
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ class StationMetrics(Collector):
     """What is counted in a station, taken when somebody scrapes."""
 
     def __init__(
-        self, bridge: Bridge, dropped_by_tabs: Callable[[], Mapping[str, int]] = dict
+        self, bridge: RosbridgeServer, dropped_by_tabs: Callable[[], Mapping[str, int]] = dict
     ) -> None:
         self._bridge = bridge
         self._dropped_by_tabs = dropped_by_tabs
@@ -203,7 +203,9 @@ def _state_of(agent: AgentClient) -> str:
 
 
 def metrics_app(
-    bridge: Bridge, settings: Settings, dropped_by_tabs: Callable[[], Mapping[str, int]] = dict
+    bridge: RosbridgeServer,
+    settings: Settings,
+    dropped_by_tabs: Callable[[], Mapping[str, int]] = dict,
 ) -> AccessControl:
     """``/metrics`` and ``/dashboard.json``, behind the gate of the station."""
     registry = CollectorRegistry()
@@ -233,6 +235,6 @@ def metrics_app(
 async def serve(fronts: Fronts) -> None:
     """Serve the numbers of rosbridge, of the console and of the link."""
     bridge = fronts.made["rosbridge"]
-    assert isinstance(bridge, Bridge)
+    assert isinstance(bridge, RosbridgeServer)
     app = metrics_app(bridge, fronts.settings, fronts.dropped.get("console", dict))
     await serve_http(fronts, "metrics", app)

@@ -27,13 +27,13 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.station.config import namespace_of
 from m100link.apps.station.listeners import Fronts
-from m100link.apps.station.ros.client import Client, Limits
+from m100link.apps.station.ros.client import Client, ClientLimits
 from m100link.apps.station.ros.dji_sdk import DjiSdk
 from m100link.apps.station.ros.graph import Graph, add_rosapi, add_rosout
 from m100link.apps.station.ros.leases import Clients
-from m100link.apps.station.ros.node_2015 import Node
+from m100link.apps.station.ros.node_2015 import Node2015
 from m100link.apps.station.web.access_control import AccessControl
-from m100link.apps.station.web.intake import Intake, Listener
+from m100link.apps.station.web.intake import Intake, SocketListener
 from m100link.apps.station.web.limits import SparingLogger, to_evict
 from m100link.apps.station.web.protocol import PATIENCE, Config, HttpConnection, WebSocketConnection
 from m100link.errors import UsageError
@@ -54,7 +54,7 @@ _PACKING_TIME = 0.001
 _WRITE_SIZE = 64 * 1024
 
 
-class Bridge:
+class RosbridgeServer:
     """Everything that rosbridge clients reach: topics, services, sockets."""
 
     def __init__(
@@ -63,12 +63,12 @@ class Bridge:
         # called as DJI's are, those of the others stand in a namespace of their name.
         agents: Mapping[str, AgentClient],
         *,
-        limits: Limits | None = None,  # what one client may use
+        limits: ClientLimits | None = None,  # what one client may use
         max_clients: int = 32,  # clients at once
         pages: Path | None = None,  # folder with web pages to serve on the same port
     ) -> None:
         self.agents = agents
-        self._limits = limits or Limits()
+        self._limits = limits or ClientLimits()
         self._max_clients = max_clients
         self._log = SparingLogger(logging.getLogger(__name__))
         self.graph = Graph()  # topics and services
@@ -76,7 +76,7 @@ class Bridge:
         for name, agent in agents.items():
             part = self.graph.namespace(namespace_of(name)) if self.clients else self.graph
             clients = self.clients[name] = Clients(agent, part)
-            Node(agent, part, clients)
+            Node2015(agent, part, clients)
             DjiSdk(agent, part, clients)
         add_rosout(agents, self.graph)
         add_rosapi(self.graph)
@@ -309,7 +309,7 @@ class Server(uvicorn.Server):
         config = Config(
             app,
             intake,
-            ws_max_size=Limits().message_size,
+            ws_max_size=ClientLimits().message_size,
             ws_ping_interval=PING_INTERVAL,
             ws_ping_timeout=PING_TIMEOUT,
             ws_per_message_deflate=False,
@@ -346,7 +346,7 @@ class Server(uvicorn.Server):
         self.servers = []
         for one in sockets or []:
             one.listen(_BACKLOG)
-            listener = Listener(
+            listener = SocketListener(
                 one, config.intake, config.door, connection, context=config.ssl, patience=PATIENCE
             )
             # uvicorn only closes it.
@@ -365,7 +365,7 @@ class Server(uvicorn.Server):
 async def serve(fronts: Fronts) -> None:
     agents = await fronts.reached("rosbridge")
     settings = fronts.settings
-    bridge = Bridge(agents, max_clients=settings.max_clients, pages=settings.pages)
+    bridge = RosbridgeServer(agents, max_clients=settings.max_clients, pages=settings.pages)
     fronts.made["rosbridge"], fronts.dropped["rosbridge"] = bridge, bridge.dropped
     await serve_http(fronts, "rosbridge", bridge.app(settings))
 

@@ -14,8 +14,8 @@ from m100link.sim.vehicle.authority import ControlArbiter, Obstacle
 from m100link.sim.vehicle.dynamics import STEP_S, Dynamics
 from m100link.sim.vehicle.flight import GOOD_GPS, FlightController, Maneuver
 from m100link.sim.vehicle.gimbal import Camera, GimbalMount
-from m100link.sim.vehicle.missions.plan import ActionKind, WaypointPlan
-from m100link.sim.vehicle.missions.route import MissionSettings, Place, Site, distance
+from m100link.sim.vehicle.missions.plan import ActionKind, StoredPlan
+from m100link.sim.vehicle.missions.route import LocalPlace, MissionSettings, Site, distance
 from m100link.sim.vehicle.missions.steering import Nose, wrapped
 from m100link.sim.vehicle.settings import AircraftSettings
 
@@ -32,7 +32,7 @@ def aim_gimbal(gimbal: GimbalMount, pitch_deg: float, seconds: float) -> None:
 
 
 @dataclass(slots=True)
-class Payload:
+class MissionPayload:
     """What hangs below, as far as a mission uses it."""
 
     gimbal: GimbalMount
@@ -59,7 +59,7 @@ class ActionRunner:
     def __init__(
         self,
         point: WaypointPoint,
-        payload: Payload,
+        payload: MissionPayload,
         motion: Dynamics,
         nose: Nose,  # where the mission points it
         settings: MissionSettings,  # how long things take
@@ -191,7 +191,7 @@ class Conditions:
         on_ground = self.flight.dynamics.on_ground
         return self.to_start() or (MissionCode.NOT_IN_THE_AIR if on_ground else _OK)
 
-    def waypoints(self, plan: WaypointPlan) -> MissionCode:
+    def waypoints(self, plan: StoredPlan) -> MissionCode:
         """Whether a waypoint mission may start."""
         missions, site, flight = self.settings.missions, self.site, self.flight
         code = self.to_start()
@@ -213,7 +213,7 @@ class Conditions:
         )
         return next((code for is_wrong, code in checks if is_wrong), _OK)
 
-    def _seconds_of(self, plan: WaypointPlan) -> float:
+    def _seconds_of(self, plan: StoredPlan) -> float:
         """The whole flight, with the way to its first point."""
         way = distance(self.here, plan.places[0]) / plan.cruise_speed
         return way + plan.mission.repeat * plan.estimate()
@@ -226,12 +226,12 @@ class Conditions:
         return max(0.0, left) / 100.0 * 60.0 * settings.hover_minutes
 
     @property
-    def here(self) -> Place:
+    def here(self) -> LocalPlace:
         """Where the aircraft is."""
         motion = self.flight.dynamics
-        return Place(motion.north, motion.east, motion.height)
+        return LocalPlace(motion.north, motion.east, motion.height)
 
     @property
-    def home(self) -> Place:
+    def home(self) -> LocalPlace:
         """The home point, or the place of power-on."""
-        return Place(*(self.flight.home or (0.0, 0.0)), 0.0)
+        return LocalPlace(*(self.flight.home or (0.0, 0.0)), 0.0)

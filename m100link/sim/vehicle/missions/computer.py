@@ -23,13 +23,13 @@ from m100link.protocol.commands.hotpoint import FollowStart, HotpointStart
 from m100link.protocol.commands.missions import IdleStatus, MissionStatus, Reached, WaypointEvent
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
 from m100link.sim.vehicle.authority import ControlArbiter
-from m100link.sim.vehicle.dynamics import Guidance, ModelVertical
+from m100link.sim.vehicle.dynamics import DynamicsInput, ModelVertical
 from m100link.sim.vehicle.flight import GOOD_GPS, FlightController, Maneuver
-from m100link.sim.vehicle.missions.actions import Conditions, Payload
+from m100link.sim.vehicle.missions.actions import Conditions, MissionPayload
 from m100link.sim.vehicle.missions.hotpoint import (
     LARGEST_RADIUS,
-    FollowFlight,
-    HotpointFlight,
+    FollowExecution,
+    HotpointExecution,
     follow_code,
     hotpoint_code,
 )
@@ -37,15 +37,15 @@ from m100link.sim.vehicle.missions.plan import (
     CIRCLE_REFUSALS,
     WAYPOINT_REFUSALS,
     FinishAction,
-    Order,
-    Stage,
+    MissionOrder,
+    MissionPhase,
     WaypointUpload,
 )
-from m100link.sim.vehicle.missions.route import Place, Site, distance, is_on_earth
-from m100link.sim.vehicle.missions.waypoints import BEFORE_ACTIONS, WaypointFlight
+from m100link.sim.vehicle.missions.route import LocalPlace, Site, distance, is_on_earth
+from m100link.sim.vehicle.missions.waypoints import BEFORE_ACTIONS, WaypointExecution
 from m100link.sim.vehicle.settings import AircraftSettings
 
-Flown: TypeAlias = WaypointFlight | HotpointFlight | FollowFlight
+Flown: TypeAlias = WaypointExecution | HotpointExecution | FollowExecution
 
 _OK = MissionCode.SUCCESS
 _TAKES_OFF = (Maneuver.SPIN_UP, Maneuver.TAKE_OFF)
@@ -66,7 +66,7 @@ class MissionComputer:
         flight: FlightController,  # what flies, and is told where to
         settings: AircraftSettings,  # the aircraft and its site
         authority: ControlArbiter,  # who may give orders, and where the pilot's sticks are
-        payload: Payload,
+        payload: MissionPayload,
         log: Callable[[str], None],  # notes what happens, for people
     ) -> None:
         self._flight = flight
@@ -93,7 +93,7 @@ class MissionComputer:
         self._events: list[WaypointEvent] = []
         self._next_status = 0.0
         self.last = IdleStatus()  # how the last mission ended
-        self._hover = Guidance()
+        self._hover = DynamicsInput()
         # The flight controller takes off for the mission.
         self._is_taking_off = False
         # The pilot flies meanwhile; the mission waits, paused, for control to come back.
@@ -104,17 +104,17 @@ class MissionComputer:
     # --- waypoints --------------------------------------------------------------------------
 
     @property
-    def stage(self) -> Stage:
+    def stage(self) -> MissionPhase:
         """How far a waypoint mission is."""
-        if isinstance(self.running, WaypointFlight):
-            return Stage.PAUSED if self.is_paused else Stage.FLYING
+        if isinstance(self.running, WaypointExecution):
+            return MissionPhase.PAUSED if self.is_paused else MissionPhase.FLYING
         if self.upload.plan is not None:
-            return Stage.READY
-        return Stage.EMPTY if self.upload.mission is None else Stage.PLANNED
+            return MissionPhase.READY
+        return MissionPhase.EMPTY if self.upload.mission is None else MissionPhase.PLANNED
 
     def begin_upload(self, mission: WaypointMission) -> MissionCode:
         """Take 0x03/0x10."""
-        code = self._conditions.control() or self.refusal(WaypointFlight, Order.UPLOAD)
+        code = self._conditions.control() or self.refusal(WaypointExecution, MissionOrder.UPLOAD)
         if not code:
             code = self.upload.begin(mission)
             self.is_active = True
@@ -122,7 +122,7 @@ class MissionComputer:
 
     def add(self, point: WaypointPoint) -> MissionCode:
         """Take 0x03/0x11."""
-        code = self.refusal(WaypointFlight, Order.ADD)
+        code = self.refusal(WaypointExecution, MissionOrder.ADD)
         if code:
             return code
         code, told = self.upload.add(point, self._home)
@@ -132,7 +132,7 @@ class MissionComputer:
 
     def start(self) -> MissionCode:
         """Fly the mission that was uploaded; on the ground, take off for it."""
-        code = self.refusal(WaypointFlight, Order.START)
+        code = self.refusal(WaypointExecution, MissionOrder.START)
         if code:
             return code
         plan = self.upload.plan
@@ -143,12 +143,14 @@ class MissionComputer:
         if code:
             return code
         motion, airframe = self._flight.dynamics, self._settings.airframe
-        return self._begin(WaypointFlight(plan, motion, airframe, self._payload, self._missions))
+        return self._begin(WaypointExecution(plan, motion, airframe, self._payload, self._missions))
 
     def set_idle_speed(self, speed: float) -> MissionCode:
         """Change the speed without the stick, on the way as well."""
-        code = self.refusal(WaypointFlight, Order.SPEED) or self.upload.set_idle_speed(speed)
-        if not code and isinstance(self.running, WaypointFlight):
+        code = self.refusal(WaypointExecution, MissionOrder.SPEED) or self.upload.set_idle_speed(
+            speed
+        )
+        if not code and isinstance(self.running, WaypointExecution):
             self.running.idle_speed = speed
         return code
 
@@ -158,7 +160,7 @@ class MissionComputer:
         """Circle a point."""
         here = self._conditions.here
         code = (
-            self.refusal(HotpointFlight, Order.START)
+            self.refusal(HotpointExecution, MissionOrder.START)
             or self._conditions.in_the_air()
             or hotpoint_code(command, self._site, here, self._conditions.home)
         )
@@ -166,7 +168,7 @@ class MissionComputer:
             return code
         centre = self._site.place(command.latitude, command.longitude, command.altitude)
         motion, airframe = self._flight.dynamics, self._settings.airframe
-        return self._begin(HotpointFlight(command, centre, motion, airframe, self._missions))
+        return self._begin(HotpointExecution(command, centre, motion, airframe, self._missions))
 
     def largest_radius(self, command: HotpointStart) -> float:
         """How large a circle around that point may be; 0 around none."""
@@ -181,33 +183,33 @@ class MissionComputer:
         """Follow a target."""
         here, home = self._conditions.here, self._conditions.home
         code = (
-            self.refusal(FollowFlight, Order.START)
+            self.refusal(FollowExecution, MissionOrder.START)
             or self._conditions.in_the_air()
             or follow_code(command, self._site, here, home)
         )
         if code:
             return code
         motion, airframe = self._flight.dynamics, self._settings.airframe
-        return self._begin(FollowFlight(command, motion, airframe, self._missions, self._site))
+        return self._begin(FollowExecution(command, motion, airframe, self._missions, self._site))
 
-    def _circle_stage(self, kind: type[Flown]) -> Stage:
+    def _circle_stage(self, kind: type[Flown]) -> MissionPhase:
         if self.running is None:
-            return Stage.EMPTY
+            return MissionPhase.EMPTY
         if not isinstance(self.running, kind):
-            return Stage.OTHER
-        return Stage.PAUSED if self.is_paused else Stage.FLYING
+            return MissionPhase.OTHER
+        return MissionPhase.PAUSED if self.is_paused else MissionPhase.FLYING
 
     # --- any mission ------------------------------------------------------------------------
 
-    def refusal(self, kind: type[Flown], order: Order) -> MissionCode:
+    def refusal(self, kind: type[Flown], order: MissionOrder) -> MissionCode:
         """Whether a mission of that kind is at a stage which refuses an order."""
-        if kind is WaypointFlight:
+        if kind is WaypointExecution:
             return WAYPOINT_REFUSALS.get((order, self.stage), _OK)
         return CIRCLE_REFUSALS.get((order, self._circle_stage(kind)), _OK)
 
     def stop(self, kind: type[Flown]) -> MissionCode:
         """End a mission of that kind and hover."""
-        code = self.refusal(kind, Order.STOP)
+        code = self.refusal(kind, MissionOrder.STOP)
         if not code:
             self._flight.interrupt()
             self._end()
@@ -215,7 +217,7 @@ class MissionComputer:
 
     def pause(self, kind: type[Flown]) -> MissionCode:
         """Hover where it is until the mission is resumed."""
-        code = self.refusal(kind, Order.PAUSE)
+        code = self.refusal(kind, MissionOrder.PAUSE)
         if not code:
             self.is_paused = True
             self._hover_here()
@@ -224,17 +226,17 @@ class MissionComputer:
 
     def _hover_here(self) -> None:
         height = self._flight.dynamics.height
-        self._hover = Guidance(vertical=ModelVertical.HEIGHT, up=height)
+        self._hover = DynamicsInput(vertical=ModelVertical.HEIGHT, up=height)
 
     def resume(self, kind: type[Flown]) -> MissionCode:
         """Go on."""
-        code = self.refusal(kind, Order.RESUME)
+        code = self.refusal(kind, MissionOrder.RESUME)
         running = self.running
         if code or running is None:
             return code
         if self._is_suspended:
             return self._conditions.control() or MissionCode.UNKNOWN
-        if isinstance(running, HotpointFlight) and running.is_out_of_reach:
+        if isinstance(running, HotpointExecution) and running.is_out_of_reach:
             return MissionCode.TOO_FAR_FROM_CIRCLE
         self.is_paused = False
         running.resume()
@@ -255,7 +257,7 @@ class MissionComputer:
                 "doing": running.doing,
                 "is_paused": self.is_paused,
             }
-            if isinstance(running, WaypointFlight):
+            if isinstance(running, WaypointExecution):
                 told |= {"waypoint": running.index, "waypoints": len(running.plan.points)}
             return told
         if not last.last_mission:
@@ -275,7 +277,7 @@ class MissionComputer:
         self.running = flight
         self.is_paused = False
         self.is_active = True
-        self._hover = Guidance()
+        self._hover = DynamicsInput()
         self._interruptions = self._flight.interruptions
         self._is_taking_off = self._flight.dynamics.on_ground
         self._log(f"{self.name} mission begins")
@@ -292,7 +294,7 @@ class MissionComputer:
         self.last = IdleStatus(self.running.KIND, broken_off, int(reason or 0))
         because = "ends" if reason is None else f"broken off: {reason.meaning}"
         self._log(f"{self.name} mission {because}")
-        if isinstance(self.running, WaypointFlight):
+        if isinstance(self.running, WaypointExecution):
             self.upload.forget()
         self.running = None
         self.is_paused = self._is_suspended = False
@@ -352,8 +354,8 @@ class MissionComputer:
         if self._missions.stick_pauses and not self.is_paused:
             sticks = self._authority.remote.sticks()
             is_moved = max(abs(sticks.roll), abs(sticks.throttle)) > _DEAD_ZONE
-            if is_moved and isinstance(running, WaypointFlight):
-                self.pause(WaypointFlight)
+            if is_moved and isinstance(running, WaypointExecution):
+                self.pause(WaypointExecution)
 
     def _take_events(self, running: Flown) -> None:
         for told in running.events:
@@ -382,9 +384,9 @@ class MissionComputer:
             return MissionCode.BATTERY_LOW
         if flight.dynamics.on_ground and flight.maneuver is Maneuver.MISSION:
             return MissionCode.TOO_LOW  # it was led to the ground, or into it
-        if isinstance(running, HotpointFlight) and running.is_out_of_reach:
+        if isinstance(running, HotpointExecution) and running.is_out_of_reach:
             return MissionCode.TOO_FAR_FROM_CIRCLE
-        if isinstance(running, FollowFlight) and running.is_lost:
+        if isinstance(running, FollowExecution) and running.is_lost:
             return MissionCode.TARGET_LOST
         return None
 
@@ -422,6 +424,6 @@ class MissionComputer:
         return MissionStatus(self.last if running is None else running.status(self.is_paused))
 
     @property
-    def _home(self) -> Place | None:
+    def _home(self) -> LocalPlace | None:
         home = self._flight.home
-        return None if home is None else Place(*home, 0.0)
+        return None if home is None else LocalPlace(*home, 0.0)

@@ -15,14 +15,20 @@ from m100link.sim.vehicle.dynamics import (
     STEP_S,
     Airframe,
     Dynamics,
-    Guidance,
+    DynamicsInput,
     ModelHorizontal,
     ModelVertical,
     ModelYaw,
 )
 from m100link.sim.vehicle.missions.plan import FinishAction
-from m100link.sim.vehicle.missions.route import Leg, MissionSettings, Place, Site, is_on_earth
-from m100link.sim.vehicle.missions.steering import Nose, Steering, slowed
+from m100link.sim.vehicle.missions.route import (
+    LocalPlace,
+    MissionSettings,
+    RouteLeg,
+    Site,
+    is_on_earth,
+)
+from m100link.sim.vehicle.missions.steering import MissionSteering, Nose, slowed
 from m100link.sim.vehicle.remote import Sticks
 
 SMALLEST_RADIUS, LARGEST_RADIUS, LOWEST = 5.0, 500.0, 5.0
@@ -47,7 +53,9 @@ def largest_rate(radius: float) -> float:
     return min(_FASTEST_DEG, _TANGENTIAL / radius)
 
 
-def hotpoint_code(command: HotpointStart, site: Site, here: Place, home: Place) -> MissionCode:
+def hotpoint_code(
+    command: HotpointStart, site: Site, here: LocalPlace, home: LocalPlace
+) -> MissionCode:
     """What is wrong with 0x03/0x20 by itself and where the aircraft is."""
     numbers = command.latitude, command.longitude, command.altitude, command.radius
     if not all(map(math.isfinite, (*numbers, command.angular_rate))):
@@ -86,7 +94,7 @@ class _Phase(Enum):
     CIRCLE = "circles", 1
 
 
-class HotpointFlight:
+class HotpointExecution:
     """One hotpoint under way; :meth:`guide` once per step of the dynamics."""
 
     KIND = 2  # first byte of its status push
@@ -94,7 +102,7 @@ class HotpointFlight:
     def __init__(
         self,
         command: HotpointStart,
-        centre: Place,  # the centre, at the height to circle at
+        centre: LocalPlace,  # the centre, at the height to circle at
         motion: Dynamics,
         airframe: Airframe,
         settings: MissionSettings,
@@ -107,14 +115,14 @@ class HotpointFlight:
         self._motion = motion
         self._airframe = airframe
         self._settings = settings
-        self._steering = Steering(motion, airframe)
+        self._steering = MissionSteering(motion, airframe)
         self._nose = Nose(motion.yaw, settings.turn_rate_deg)
         self._locked = motion.yaw
         # Where the pilot's stick has turned the nose from what the yaw mode says, radians.
         self._nose_offset = 0.0
         self._phase = _Phase.CLIMB
         self._from = self._steering.here
-        self._way: Leg | None = None
+        self._way: RouteLeg | None = None
         self._s = 0.0
         self._height = centre.up
         # Wanted radius, and the one flown now, which follows it; wanted rate in °/s, clockwise.
@@ -181,7 +189,7 @@ class HotpointFlight:
             self._approach_from_here()
         self._flown_radius = self.distance if self._phase is _Phase.CIRCLE else self._flown_radius
 
-    def guide(self, sticks: Sticks) -> Guidance:
+    def guide(self, sticks: Sticks) -> DynamicsInput:
         """What the aircraft is to do now."""
         if self._phase is _Phase.CLIMB:
             if self._motion.height < self._height - 0.3:
@@ -200,16 +208,16 @@ class HotpointFlight:
     def _approach_from_here(self) -> None:
         start = self.command.start_point
         bearing = _START_BEARINGS[start] if start < 4 else math.atan2(*reversed(self._outwards()))
-        end = Place(
+        end = LocalPlace(
             self._centre.north + self._radius * math.cos(bearing),
             self._centre.east + self._radius * math.sin(bearing),
             self._height,
         )
-        self._way = Leg.straight(self._steering.here, end, 0, 0)
+        self._way = RouteLeg.straight(self._steering.here, end, 0, 0)
         self._s = 0.0
         self._flown_radius = self._radius
 
-    def _approach(self, way: Leg) -> Guidance:
+    def _approach(self, way: RouteLeg) -> DynamicsInput:
         steering = self._steering
         self._s = way.nearest(steering.here, self._s)
         on = way.at(self._s)
@@ -226,7 +234,7 @@ class HotpointFlight:
             return 1.0, 0.0
         return (motion.north - self._centre.north) / away, (motion.east - self._centre.east) / away
 
-    def _circle(self, sticks: Sticks) -> Guidance:
+    def _circle(self, sticks: Sticks) -> DynamicsInput:
         self._obey(sticks)
         radius, away = self._flown_radius, max(self.distance, 0.5)
         north, east = self._outwards()
@@ -236,7 +244,7 @@ class HotpointFlight:
         # The pull to the centre, of the place where it will be when its attitude has followed.
         pull = rate * rate * radius / self._airframe.velocity_gain
         turn = math.atan2(east, north) + rate * _LEAD_S
-        return Guidance(
+        return DynamicsInput(
             ModelHorizontal.VELOCITY,
             around * -east + drift * north - pull * math.cos(turn),
             around * north + drift * east - pull * math.sin(turn),
@@ -287,7 +295,9 @@ _CLOSING = 0.7  # m/s per metre behind
 _MOVING_S = 1.5  # how long the speed between two targets is believed
 
 
-def follow_code(command: FollowStart, site: Site, here: Place, home: Place) -> MissionCode:
+def follow_code(
+    command: FollowStart, site: Site, here: LocalPlace, home: LocalPlace
+) -> MissionCode:
     """What is wrong with 0x03/0x30 by itself and where the aircraft is."""
     if not is_on_earth(command.latitude, command.longitude):
         return MissionCode.BAD_PARAMETERS
@@ -307,7 +317,7 @@ def follow_code(command: FollowStart, site: Site, here: Place, home: Place) -> M
     return next((code for is_wrong, code in checks if is_wrong), MissionCode.SUCCESS)
 
 
-class FollowFlight:
+class FollowExecution:
     """One pursuit under way; :meth:`guide` once per step of the dynamics."""
 
     KIND = 3  # first byte of its status push
@@ -381,7 +391,7 @@ class FollowFlight:
     def resume(self) -> None:
         """Go on after a pause with the distance that was kept before."""
 
-    def guide(self, sticks: Sticks) -> Guidance:
+    def guide(self, sticks: Sticks) -> DynamicsInput:
         """What the aircraft is to do now."""
         self.silence += STEP_S
         motion, target = self._motion, self._target
@@ -390,7 +400,7 @@ class FollowFlight:
         if self._looks_at_target and math.hypot(north, east) > 1.0:
             yaw_mode, yaw = ModelYaw.ANGLE, math.atan2(east, north)
         if self.silence > self._settings.follow_silence:
-            return Guidance(
+            return DynamicsInput(
                 vertical=ModelVertical.HEIGHT, up=self._height, yaw_mode=yaw_mode, yaw=yaw
             )
         moves_north, moves_east = self._velocity
@@ -404,7 +414,7 @@ class FollowFlight:
         wanted_east = moves_east + _CLOSING * behind_east
         speed = math.hypot(wanted_north, wanted_east)
         share = min(1.0, self._settings.follow_speed / speed) if speed > 0.0 else 0.0
-        return Guidance(
+        return DynamicsInput(
             ModelHorizontal.VELOCITY,
             share * wanted_north,
             share * wanted_east,

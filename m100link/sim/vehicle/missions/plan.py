@@ -14,9 +14,9 @@ from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.missions import Uploaded
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
 from m100link.sim.vehicle.missions.route import (
-    Leg,
+    LocalPlace,
     MissionSettings,
-    Place,
+    RouteLeg,
     Site,
     distance,
     is_on_earth,
@@ -99,24 +99,26 @@ def _action_code(point: WaypointPoint) -> MissionCode:
 
 
 @dataclass(frozen=True, slots=True)
-class WaypointPlan:
+class StoredPlan:
     """A mission with all its points."""
 
     mission: WaypointMission  # as 0x03/0x10 had it
     points: tuple[WaypointPoint, ...]  # as 0x03/0x11 had them, by index
-    places: tuple[Place, ...]  # where they are, in metres from where the aircraft was switched on
+    places: tuple[
+        LocalPlace, ...
+    ]  # where they are, in metres from where the aircraft was switched on
 
     @property
     def is_curved(self) -> bool:
         """Whether it flies coordinated turns instead of stopping at each point."""
         return self.mission.trace_mode == 1
 
-    def legs(self) -> list[Leg]:
+    def legs(self) -> list[RouteLeg]:
         """The line to fly."""
         dampings = [point.damping for point in self.points] if self.is_curved else None
         return legs_between(list(self.places), dampings)
 
-    def check(self, settings: MissionSettings, home: Place | None, site: Site) -> MissionCode:
+    def check(self, settings: MissionSettings, home: LocalPlace | None, site: Site) -> MissionCode:
         """What is wrong with the whole."""
         lengths = [distance(a, b) for a, b in pairwise(self.places)]
         if min(lengths) < settings.closest_points:
@@ -135,7 +137,7 @@ class WaypointPlan:
         return MissionCode.SUCCESS
 
     @property
-    def _ends(self) -> tuple[Place, Place]:
+    def _ends(self) -> tuple[LocalPlace, LocalPlace]:
         return self.places[0], self.places[-1]
 
     def _curves_fit(self, lengths: list[float]) -> bool:
@@ -188,7 +190,7 @@ class WaypointUpload:
         """Nothing is there any more."""
         self.mission: WaypointMission | None = None
         self.points: dict[int, WaypointPoint] = {}
-        self.plan: WaypointPlan | None = None
+        self.plan: StoredPlan | None = None
 
     def begin(self, mission: WaypointMission) -> MissionCode:
         """Take a mission; a former one is gone, whether this one is legal or not."""
@@ -198,7 +200,9 @@ class WaypointUpload:
             self.mission = mission
         return code
 
-    def add(self, point: WaypointPoint, home: Place | None) -> tuple[MissionCode, Uploaded | None]:
+    def add(
+        self, point: WaypointPoint, home: LocalPlace | None
+    ) -> tuple[MissionCode, Uploaded | None]:
         """Take a point; with the last one that was missing, the whole is judged and told."""
         if self.mission is None:
             return MissionCode.NO_MISSION, None
@@ -212,7 +216,7 @@ class WaypointUpload:
             return code, None
         points = tuple(self.points[index] for index in range(self.mission.count))
         places = tuple(self._site.place(p.latitude, p.longitude, p.altitude) for p in points)
-        plan = WaypointPlan(self.mission, points, places)
+        plan = StoredPlan(self.mission, points, places)
         code = plan.check(self._settings, home, self._site)
         if code:
             self.points.clear()  # all of them have to come again
@@ -238,7 +242,7 @@ class WaypointUpload:
 # What a table does not refuse is taken, or judged by its contents and the state of the aircraft.
 
 
-class Stage(Enum):
+class MissionPhase(Enum):
     """How far a mission of one kind is. Hotpoint and follow know EMPTY, FLYING and PAUSED."""
 
     EMPTY = auto()
@@ -251,7 +255,7 @@ class Stage(Enum):
     OTHER = auto()  # a mission of another kind runs
 
 
-class Order(Enum):
+class MissionOrder(Enum):
     """What can be asked for."""
 
     UPLOAD = auto()
@@ -265,37 +269,37 @@ class Order(Enum):
     SPEED = auto()
 
 
-_GROUNDED = (Stage.EMPTY, Stage.PLANNED, Stage.READY)
-_UNDER_WAY = (Stage.FLYING, Stage.PAUSED)
+_GROUNDED = (MissionPhase.EMPTY, MissionPhase.PLANNED, MissionPhase.READY)
+_UNDER_WAY = (MissionPhase.FLYING, MissionPhase.PAUSED)
 
-WAYPOINT_REFUSALS: dict[tuple[Order, Stage], MissionCode] = {
-    **{(Order.UPLOAD, stage): MissionCode.RUNNING for stage in _UNDER_WAY},
-    **{(Order.ADD, stage): MissionCode.RUNNING for stage in _UNDER_WAY},
-    (Order.ADD, Stage.EMPTY): MissionCode.NO_MISSION,
-    (Order.START, Stage.EMPTY): MissionCode.NO_POINTS,
-    (Order.START, Stage.PLANNED): MissionCode.NO_POINTS,
-    **{(Order.START, stage): MissionCode.ALREADY_SO for stage in _UNDER_WAY},
-    **{(Order.STOP, stage): MissionCode.NOT_STARTED for stage in _GROUNDED},
-    **{(Order.PAUSE, stage): MissionCode.NOT_STARTED for stage in _GROUNDED},
-    **{(Order.RESUME, stage): MissionCode.NOT_STARTED for stage in _GROUNDED},
-    (Order.PAUSE, Stage.PAUSED): MissionCode.ALREADY_SO,
-    (Order.RESUME, Stage.FLYING): MissionCode.ALREADY_SO,
-    (Order.DOWNLOAD, Stage.EMPTY): MissionCode.NO_MISSION,
-    (Order.DOWNLOAD_POINT, Stage.EMPTY): MissionCode.NO_POINTS,
-    (Order.SPEED, Stage.EMPTY): MissionCode.NO_MISSION,
+WAYPOINT_REFUSALS: dict[tuple[MissionOrder, MissionPhase], MissionCode] = {
+    **{(MissionOrder.UPLOAD, stage): MissionCode.RUNNING for stage in _UNDER_WAY},
+    **{(MissionOrder.ADD, stage): MissionCode.RUNNING for stage in _UNDER_WAY},
+    (MissionOrder.ADD, MissionPhase.EMPTY): MissionCode.NO_MISSION,
+    (MissionOrder.START, MissionPhase.EMPTY): MissionCode.NO_POINTS,
+    (MissionOrder.START, MissionPhase.PLANNED): MissionCode.NO_POINTS,
+    **{(MissionOrder.START, stage): MissionCode.ALREADY_SO for stage in _UNDER_WAY},
+    **{(MissionOrder.STOP, stage): MissionCode.NOT_STARTED for stage in _GROUNDED},
+    **{(MissionOrder.PAUSE, stage): MissionCode.NOT_STARTED for stage in _GROUNDED},
+    **{(MissionOrder.RESUME, stage): MissionCode.NOT_STARTED for stage in _GROUNDED},
+    (MissionOrder.PAUSE, MissionPhase.PAUSED): MissionCode.ALREADY_SO,
+    (MissionOrder.RESUME, MissionPhase.FLYING): MissionCode.ALREADY_SO,
+    (MissionOrder.DOWNLOAD, MissionPhase.EMPTY): MissionCode.NO_MISSION,
+    (MissionOrder.DOWNLOAD_POINT, MissionPhase.EMPTY): MissionCode.NO_POINTS,
+    (MissionOrder.SPEED, MissionPhase.EMPTY): MissionCode.NO_MISSION,
 }
 """Waypoints (facts W8, W12, W21 to W23)."""
 
-_IDLE = (Stage.EMPTY, Stage.OTHER)
+_IDLE = (MissionPhase.EMPTY, MissionPhase.OTHER)
 
-CIRCLE_REFUSALS: dict[tuple[Order, Stage], MissionCode] = {
-    **{(Order.START, stage): MissionCode.RUNNING for stage in _UNDER_WAY},
-    (Order.START, Stage.OTHER): MissionCode.OTHER_RUNNING,
-    **{(Order.STOP, stage): MissionCode.NOT_RUNNING for stage in _IDLE},
-    **{(Order.PAUSE, stage): MissionCode.NOT_RUNNING for stage in _IDLE},
-    **{(Order.RESUME, stage): MissionCode.NOT_RUNNING for stage in _IDLE},
-    **{(Order.DOWNLOAD, stage): MissionCode.NOT_RUNNING for stage in _IDLE},
-    (Order.PAUSE, Stage.PAUSED): MissionCode.ALREADY_PAUSED,
-    (Order.RESUME, Stage.FLYING): MissionCode.NOT_PAUSED,
+CIRCLE_REFUSALS: dict[tuple[MissionOrder, MissionPhase], MissionCode] = {
+    **{(MissionOrder.START, stage): MissionCode.RUNNING for stage in _UNDER_WAY},
+    (MissionOrder.START, MissionPhase.OTHER): MissionCode.OTHER_RUNNING,
+    **{(MissionOrder.STOP, stage): MissionCode.NOT_RUNNING for stage in _IDLE},
+    **{(MissionOrder.PAUSE, stage): MissionCode.NOT_RUNNING for stage in _IDLE},
+    **{(MissionOrder.RESUME, stage): MissionCode.NOT_RUNNING for stage in _IDLE},
+    **{(MissionOrder.DOWNLOAD, stage): MissionCode.NOT_RUNNING for stage in _IDLE},
+    (MissionOrder.PAUSE, MissionPhase.PAUSED): MissionCode.ALREADY_PAUSED,
+    (MissionOrder.RESUME, MissionPhase.FLYING): MissionCode.NOT_PAUSED,
 }
 """Hotpoint (facts M1, H8) and, with the same codes, follow."""

@@ -1,7 +1,7 @@
 """The line that a waypoint mission flies: straight legs, and rounded corners between them.
 
-Plain geometry in metres north, east and up. A :class:`Leg` runs from one place where the aircraft
-stops, or turns sharply, to the next; within a leg the line is smooth.
+Plain geometry in metres north, east and up. A :class:`RouteLeg` runs from one place where the
+aircraft stops, or turns sharply, to the next. Within a leg the line is smooth.
 """
 
 from __future__ import annotations
@@ -113,39 +113,39 @@ _STRAIGHT = math.radians(0.5)  # a smaller turn needs no curve
 _SHARP_M = 0.1  # a smaller radius is none
 
 
-class Place(NamedTuple):
+class LocalPlace(NamedTuple):
     """A place, or a vector between two: metres north, east and up."""
 
     north: float
     east: float
     up: float
 
-    def plus(self, other: Place, times: float = 1.0) -> Place:
+    def plus(self, other: LocalPlace, times: float = 1.0) -> LocalPlace:
         """This one and a multiple of another."""
-        return Place(
+        return LocalPlace(
             self.north + times * other.north,
             self.east + times * other.east,
             self.up + times * other.up,
         )
 
-    def dot(self, other: Place) -> float:
+    def dot(self, other: LocalPlace) -> float:
         """The scalar product."""
         return self.north * other.north + self.east * other.east + self.up * other.up
 
-    def scaled(self, factor: float) -> Place:
+    def scaled(self, factor: float) -> LocalPlace:
         """A multiple of it."""
-        return Place(factor * self.north, factor * self.east, factor * self.up)
+        return LocalPlace(factor * self.north, factor * self.east, factor * self.up)
 
 
-_NOWHERE = Place(0.0, 0.0, 0.0)
+_NOWHERE = LocalPlace(0.0, 0.0, 0.0)
 
 
-def distance(one: Place, other: Place) -> float:
+def distance(one: LocalPlace, other: LocalPlace) -> float:
     """Metres between two places, in all three dimensions."""
     return math.dist(one, other)
 
 
-def _direction(start: Place, end: Place) -> Place:
+def _direction(start: LocalPlace, end: LocalPlace) -> LocalPlace:
     length = distance(start, end)
     return end.plus(start, -1.0).scaled(1.0 / length) if length > 0.0 else _NOWHERE
 
@@ -153,15 +153,15 @@ def _direction(start: Place, end: Place) -> Place:
 class OnLeg(NamedTuple):
     """One place of a leg."""
 
-    place: Place
-    tangent: Place  # unit vector along the leg
-    bend: Place  # curvature as a vector towards the centre, 1/m; zero on straight parts
+    place: LocalPlace
+    tangent: LocalPlace  # unit vector along the leg
+    bend: LocalPlace  # curvature as a vector towards the centre, 1/m; zero on straight parts
 
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    start: Place
-    tangent: Place
+    start: LocalPlace
+    tangent: LocalPlace
     length: float
     radius: float = math.inf
 
@@ -173,9 +173,9 @@ class _Line:
 class _Arc:
     """From ``start`` along ``tangent``, bending towards ``normal``."""
 
-    start: Place
-    tangent: Place
-    normal: Place
+    start: LocalPlace
+    tangent: LocalPlace
+    normal: LocalPlace
     radius: float
     length: float
 
@@ -188,7 +188,7 @@ class _Arc:
         return OnLeg(place, tangent, towards.scaled(1.0 / self.radius))
 
 
-class Leg:
+class RouteLeg:
     """A smooth line from one waypoint to another, past those between them.
 
     ``first``: indexes of the waypoints at its ends.
@@ -211,7 +211,7 @@ class Leg:
         self.first, self.last = marks[0][1], marks[-1][1]
 
     @classmethod
-    def straight(cls, start: Place, end: Place, first: int, last: int) -> Leg:
+    def straight(cls, start: LocalPlace, end: LocalPlace, first: int, last: int) -> RouteLeg:
         """A line between two places."""
         length = distance(start, end)
         return cls([_Line(start, _direction(start, end), length)], [(0.0, first), (length, last)])
@@ -222,7 +222,7 @@ class Leg:
         index = max(0, bisect_right(self._starts, s) - 1)
         return self._pieces[index].at(s - self._starts[index])
 
-    def nearest(self, place: Place, s: float) -> float:
+    def nearest(self, place: LocalPlace, s: float) -> float:
         """Where along the leg a place beside it is, in the neighbourhood of ``s``."""
         for _ in range(2):
             here = self.at(s)
@@ -237,7 +237,7 @@ class Leg:
         return first, last, max(0.0, min(1.0, share))
 
 
-def legs_between(places: list[Place], dampings: list[float] | None) -> list[Leg]:
+def legs_between(places: list[LocalPlace], dampings: list[float] | None) -> list[RouteLeg]:
     """The legs of a route.
 
     A curve begins at most its damping before the waypoint, so that those of neighbours always fit
@@ -248,7 +248,7 @@ def legs_between(places: list[Place], dampings: list[float] | None) -> list[Leg]
     coordinated turns; at the first and the last it does not count, and 0 is a corner without a
     curve. None stops at every waypoint.
     """
-    legs: list[Leg] = []
+    legs: list[RouteLeg] = []
     pieces: list[_Line | _Arc] = []
     marks: list[tuple[float, int]] = [(0.0, 0)]
     at, done = places[0], 0.0
@@ -265,7 +265,7 @@ def legs_between(places: list[Place], dampings: list[float] | None) -> list[Leg]
         if curve is None:
             marks.append((done, index))
             if dampings is None or index == len(places) - 1 or not _goes_on(places, index):
-                legs.append(Leg(pieces, marks))
+                legs.append(RouteLeg(pieces, marks))
                 pieces, marks, done = [], [(0.0, index)], 0.0
         else:
             pieces.append(curve)
@@ -275,18 +275,18 @@ def legs_between(places: list[Place], dampings: list[float] | None) -> list[Leg]
     return legs
 
 
-def _turn(before: Place, point: Place, after: Place) -> float:
+def _turn(before: LocalPlace, point: LocalPlace, after: LocalPlace) -> float:
     cosine = _direction(before, point).dot(_direction(point, after))
     return math.acos(max(-1.0, min(1.0, cosine)))
 
 
-def _goes_on(places: list[Place], index: int) -> bool:
+def _goes_on(places: list[LocalPlace], index: int) -> bool:
     """Whether the line goes straight on at a waypoint."""
     before, point, after = places[index - 1 : index + 2]
     return _turn(before, point, after) < _STRAIGHT
 
 
-def _curve(before: Place, point: Place, after: Place, damping: float) -> _Arc | None:
+def _curve(before: LocalPlace, point: LocalPlace, after: LocalPlace, damping: float) -> _Arc | None:
     angle = _turn(before, point, after)
     if angle < _STRAIGHT or damping <= 0.0:
         return None
@@ -334,17 +334,17 @@ class Site:
         radius = settings.radius_limit
         self.radius_limit = min(radius, _UNKNOWN_APP_RADIUS) if limited else radius
 
-    def place(self, latitude: float, longitude: float, height: float) -> Place:
+    def place(self, latitude: float, longitude: float, height: float) -> LocalPlace:
         """A place given in radians, as on the wire; one that :func:`is_on_earth`."""
         north, east = self._frame.to_local(math.degrees(latitude), math.degrees(longitude))
-        return Place(north, east, height)
+        return LocalPlace(north, east, height)
 
-    def is_within_radius(self, place: Place, home: tuple[float, float] | None) -> bool:
+    def is_within_radius(self, place: LocalPlace, home: tuple[float, float] | None) -> bool:
         """Whether a place is within the radius limit around home."""
         north, east = home or (0.0, 0.0)
         return math.hypot(place.north - north, place.east - east) <= self.radius_limit
 
-    def is_forbidden(self, start: Place, end: Place) -> bool:
+    def is_forbidden(self, start: LocalPlace, end: LocalPlace) -> bool:
         """Whether the straight way between two places, or the one place, enters a no-fly zone."""
         return any(
             _distance_to_line(start, end, north, east) < radius
@@ -352,7 +352,7 @@ class Site:
         )
 
 
-def _distance_to_line(start: Place, end: Place, north: float, east: float) -> float:
+def _distance_to_line(start: LocalPlace, end: LocalPlace, north: float, east: float) -> float:
     along_n, along_e = end.north - start.north, end.east - start.east
     square = along_n * along_n + along_e * along_e
     share = 0.0

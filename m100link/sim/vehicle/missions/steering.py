@@ -8,12 +8,12 @@ from m100link.sim.vehicle.dynamics import (
     STEP_S,
     Airframe,
     Dynamics,
-    Guidance,
+    DynamicsInput,
     ModelHorizontal,
     ModelVertical,
     ModelYaw,
 )
-from m100link.sim.vehicle.missions.route import OnLeg, Place
+from m100link.sim.vehicle.missions.route import LocalPlace, OnLeg
 
 BRAKING = 1.8  # deceleration that missions plan with, m/s²
 _NEARING = 0.8  # m/s per metre on the last metres before a stop
@@ -83,7 +83,7 @@ class Nose:
         return self._target == self.heading
 
 
-class Steering:
+class MissionSteering:
     """Turns places, lines and speeds into what the dynamics follow."""
 
     def __init__(self, motion: Dynamics, airframe: Airframe) -> None:
@@ -91,20 +91,20 @@ class Steering:
         self._airframe = airframe
 
     @property
-    def here(self) -> Place:
+    def here(self) -> LocalPlace:
         """Where the aircraft is."""
         motion = self._motion
-        return Place(motion.north, motion.east, motion.height)
+        return LocalPlace(motion.north, motion.east, motion.height)
 
-    def is_at(self, place: Place, within: float = 0.3) -> bool:
+    def is_at(self, place: LocalPlace, within: float = 0.3) -> bool:
         """Whether the aircraft stands still at a place."""
         motion = self._motion
         is_still = motion.speed < 0.3 and abs(motion.velocity_up) < 0.3
         return is_still and math.dist(self.here, place) < within
 
-    def hold(self, place: Place, yaw_mode: ModelYaw, yaw: float) -> Guidance:
+    def hold(self, place: LocalPlace, yaw_mode: ModelYaw, yaw: float) -> DynamicsInput:
         """Stay at a place, or go there straight."""
-        return Guidance(
+        return DynamicsInput(
             ModelHorizontal.POSITION,
             place.north,
             place.east,
@@ -114,14 +114,14 @@ class Steering:
             yaw=yaw,
         )
 
-    def steepest(self, tangent: Place) -> float:
+    def steepest(self, tangent: LocalPlace) -> float:
         """The fastest speed along a direction that climbs and descends as the airframe can."""
         slope = abs(tangent.up)
         return _CLIMB_SHARE * self._airframe.vertical_speed / slope if slope > 1e-6 else math.inf
 
     def along(
         self, on: OnLeg, ahead: OnLeg, speed: float, gain: float, yaw_mode: ModelYaw, yaw: float
-    ) -> Guidance:
+    ) -> DynamicsInput:
         """Fly along a line.
 
         ``on``: the place of the line beside the aircraft. ``ahead``: the one that it reaches while
@@ -136,7 +136,7 @@ class Steering:
         # which is known beforehand is asked for by a difference.
         lead = 1.0 / airframe.velocity_gain
         motion, tangent = self._motion, on.tangent
-        present = Place(motion.velocity_north, motion.velocity_east, motion.velocity_up)
+        present = LocalPlace(motion.velocity_north, motion.velocity_east, motion.velocity_up)
         # Nor more than it can do while it is kept on the line.
         reach, along = _SPEEDING_UP * lead, present.dot(tangent)
         wanted = tangent.scaled(max(along - reach, min(along + reach, speed + gain * lead)))
@@ -144,7 +144,7 @@ class Steering:
         reach = _SPEEDING_UP * airframe.vertical_time_constant
         climb = tangent.up * max(along - reach, min(along + reach, speed))
         wanted = wanted.plus(ahead.bend, speed * speed * lead)
-        return Guidance(
+        return DynamicsInput(
             ModelHorizontal.VELOCITY,
             wanted.north + back * beside.north,
             wanted.east + back * beside.east,

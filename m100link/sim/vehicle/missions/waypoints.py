@@ -6,11 +6,17 @@ import math
 from enum import Enum
 
 from m100link.protocol.commands.missions import Finished, Reached, WaypointEvent, WaypointStatus
-from m100link.sim.vehicle.dynamics import STEP_S, Airframe, Dynamics, Guidance, ModelYaw
-from m100link.sim.vehicle.missions.actions import ActionRunner, Payload, aim_gimbal
-from m100link.sim.vehicle.missions.plan import FinishAction, WaypointPlan, YawMode
-from m100link.sim.vehicle.missions.route import Leg, MissionSettings, Place
-from m100link.sim.vehicle.missions.steering import BRAKING, Nose, Steering, stopping_speed, wrapped
+from m100link.sim.vehicle.dynamics import STEP_S, Airframe, Dynamics, DynamicsInput, ModelYaw
+from m100link.sim.vehicle.missions.actions import ActionRunner, MissionPayload, aim_gimbal
+from m100link.sim.vehicle.missions.plan import FinishAction, StoredPlan, YawMode
+from m100link.sim.vehicle.missions.route import LocalPlace, MissionSettings, RouteLeg
+from m100link.sim.vehicle.missions.steering import (
+    BRAKING,
+    MissionSteering,
+    Nose,
+    stopping_speed,
+    wrapped,
+)
 from m100link.sim.vehicle.remote import Sticks
 
 BEFORE_ACTIONS, AFTER_ACTIONS = 4, 6  # status in the event that a waypoint was reached
@@ -25,7 +31,7 @@ _TURNED = math.radians(2.0)
 _GIMBAL_EVERY_S = 0.5
 
 
-class Phase(Enum):
+class WaypointPhase(Enum):
     """What the aircraft does for its mission; the value is the status that the push shows."""
 
     CLIMB = "climbs to the height of the first point", 0
@@ -47,22 +53,22 @@ class Phase(Enum):
         return self.value[1]
 
 
-class WaypointFlight:
+class WaypointExecution:
     """One waypoint mission under way; :meth:`guide` once per step of the dynamics."""
 
     KIND = 1  # first byte of its status push
 
     def __init__(
         self,
-        plan: WaypointPlan,
+        plan: StoredPlan,
         motion: Dynamics,
         airframe: Airframe,
-        payload: Payload,
+        payload: MissionPayload,
         settings: MissionSettings,
     ) -> None:
         mission = plan.mission
         self.plan = plan
-        self.phase = Phase.CLIMB
+        self.phase = WaypointPhase.CLIMB
         self.index = 0  # the waypoint it flies to, or is at
         # M/s while nobody touches the stick; a command may change it on the way.
         self.idle_speed = mission.idle_speed
@@ -72,14 +78,14 @@ class WaypointFlight:
         self._motion = motion
         self._payload = payload
         self._settings = settings
-        self._steering = Steering(motion, airframe)
+        self._steering = MissionSteering(motion, airframe)
         self._yaw_limit = math.radians(airframe.yaw_rate_deg)
         self._nose = Nose(motion.yaw, settings.turn_rate_deg)
         self._locked = motion.yaw  # the heading at the start, for the yaw mode that keeps it
         self._legs = plan.legs()
         self._leg = 0  # which of them it flies
         self._s = 0.0  # how far along, metres
-        self._way: Leg | None = None  # to the first point
+        self._way: RouteLeg | None = None  # to the first point
         self._from = self._steering.here  # where it climbs before that
         self._furthest = -1  # the last waypoint whose actions were done in this run
         self._runs_left = mission.repeat
@@ -87,18 +93,18 @@ class WaypointFlight:
         self._actions: ActionRunner | None = None
         self._since_aimed = 0.0  # seconds since the gimbal was aimed last
         self._steps = {
-            Phase.CLIMB: self._climb,
-            Phase.RETURN_CLIMB: self._climb,
-            Phase.APPROACH: self._approach,
-            Phase.RETURN: self._approach,
-            Phase.FLY: self._fly,
-            Phase.REACHED: self._stand,
-            Phase.DONE: self._stand,
-            Phase.TURN: self._turn,
-            Phase.BEGIN: self._act,
-            Phase.ACT: self._act,
-            Phase.WAIT: self._wait,
-            Phase.OVER: self._stay,
+            WaypointPhase.CLIMB: self._climb,
+            WaypointPhase.RETURN_CLIMB: self._climb,
+            WaypointPhase.APPROACH: self._approach,
+            WaypointPhase.RETURN: self._approach,
+            WaypointPhase.FLY: self._fly,
+            WaypointPhase.REACHED: self._stand,
+            WaypointPhase.DONE: self._stand,
+            WaypointPhase.TURN: self._turn,
+            WaypointPhase.BEGIN: self._act,
+            WaypointPhase.ACT: self._act,
+            WaypointPhase.WAIT: self._wait,
+            WaypointPhase.OVER: self._stay,
         }
 
     # --- what others see --------------------------------------------------------------------
@@ -115,7 +121,7 @@ class WaypointFlight:
     @property
     def is_over(self) -> bool:
         """Whether it has come to its end."""
-        return self.phase is Phase.OVER
+        return self.phase is WaypointPhase.OVER
 
     @property
     def flies_without_rc(self) -> bool:
@@ -124,41 +130,41 @@ class WaypointFlight:
 
     # --- each step --------------------------------------------------------------------------
 
-    def guide(self, sticks: Sticks) -> Guidance:
+    def guide(self, sticks: Sticks) -> DynamicsInput:
         """What the aircraft is to do now."""
         return self._steps[self.phase](sticks)
 
     def resume(self) -> None:
         """Go on after a pause, from wherever the aircraft was taken meanwhile."""
-        if self.phase in (Phase.APPROACH, Phase.RETURN) and self._way is not None:
-            self._way = Leg.straight(self._steering.here, self.plan.places[0], 0, 0)
+        if self.phase in (WaypointPhase.APPROACH, WaypointPhase.RETURN) and self._way is not None:
+            self._way = RouteLeg.straight(self._steering.here, self.plan.places[0], 0, 0)
             self._s = 0.0
-        elif self.phase is Phase.FLY:
+        elif self.phase is WaypointPhase.FLY:
             self._s = self._legs[self._leg].nearest(self._steering.here, self._s)
 
-    def _climb(self, sticks: Sticks) -> Guidance:
+    def _climb(self, sticks: Sticks) -> DynamicsInput:
         first = self.plan.places[0]
         if self._motion.height >= first.up - 0.3:
-            self._way = Leg.straight(self._steering.here, first, 0, 0)
+            self._way = RouteLeg.straight(self._steering.here, first, 0, 0)
             self._s = 0.0
-            is_end = self.phase is Phase.RETURN_CLIMB
-            self.phase = Phase.RETURN if is_end else Phase.APPROACH
+            is_end = self.phase is WaypointPhase.RETURN_CLIMB
+            self.phase = WaypointPhase.RETURN if is_end else WaypointPhase.APPROACH
             return self._approach(sticks)
         return self._steering.hold(self._from._replace(up=first.up), *self._yaw(sticks))
 
-    def _approach(self, sticks: Sticks) -> Guidance:
+    def _approach(self, sticks: Sticks) -> DynamicsInput:
         assert self._way is not None
         first = self.plan.places[0]
         if self._steering.is_at(first):
-            if self.phase is Phase.RETURN:
-                self.phase = Phase.OVER
+            if self.phase is WaypointPhase.RETURN:
+                self.phase = WaypointPhase.OVER
             else:
                 self._arrive(0)
             return self._stand(sticks)
         speed = self.idle_speed if self.idle_speed > 0.0 else _STICK_APPROACH
         return self._follow(self._way, min(speed, self.plan.mission.max_speed), sticks)
 
-    def _fly(self, sticks: Sticks) -> Guidance:
+    def _fly(self, sticks: Sticks) -> DynamicsInput:
         leg = self._legs[self._leg]
         speed = self._wanted_speed(sticks)
         if speed >= 0.0 and self._has_come_to(leg.length):
@@ -169,7 +175,7 @@ class WaypointFlight:
                 self._enter(self._leg + 1, 0.0)
                 leg = self._legs[self._leg]
             elif speed > 0.0:  # again at the end of a route that was flown already
-                self.phase = Phase.WAIT if self._is_endless else Phase.FLY
+                self.phase = WaypointPhase.WAIT if self._is_endless else WaypointPhase.FLY
         elif speed < 0.0 and self._leg > 0 and self._has_come_to(0.0):
             leg = self._legs[self._leg - 1]
             self._enter(self._leg - 1, leg.length)
@@ -180,36 +186,36 @@ class WaypointFlight:
             self._aim(before, after, share, abs(speed) / max(leg.length, 1.0))
         return guidance
 
-    def _stand(self, sticks: Sticks) -> Guidance:
+    def _stand(self, sticks: Sticks) -> DynamicsInput:
         self._moment -= STEP_S
-        if self._moment <= 0.0 and self.phase is Phase.REACHED:
+        if self._moment <= 0.0 and self.phase is WaypointPhase.REACHED:
             self._begin_actions()
-        elif self._moment <= 0.0 and self.phase is Phase.DONE:
+        elif self._moment <= 0.0 and self.phase is WaypointPhase.DONE:
             self._leave()
         return self._stay(sticks)
 
-    def _turn(self, sticks: Sticks) -> Guidance:
+    def _turn(self, sticks: Sticks) -> DynamicsInput:
         off = abs(wrapped(self._motion.yaw - self._nose.heading))
         if self._nose.has_turned and off < _TURNED:
             self._start_actions()
         return self._stay(sticks)
 
-    def _act(self, sticks: Sticks) -> Guidance:
+    def _act(self, sticks: Sticks) -> DynamicsInput:
         assert self._actions is not None
-        self.phase = Phase.ACT if self._moment <= 0.0 else Phase.BEGIN
+        self.phase = WaypointPhase.ACT if self._moment <= 0.0 else WaypointPhase.BEGIN
         self._moment -= STEP_S
         if self._actions.step():
             self._actions = None
             self._finish_point()
         return self._stay(sticks)
 
-    def _wait(self, sticks: Sticks) -> Guidance:
+    def _wait(self, sticks: Sticks) -> DynamicsInput:
         if sticks.pitch < -_STICK_DEAD_ZONE:
             self._enter(len(self._legs) - 1, self._legs[-1].length)
-            self.phase = Phase.FLY
+            self.phase = WaypointPhase.FLY
         return self._stay(sticks)
 
-    def _stay(self, sticks: Sticks) -> Guidance:
+    def _stay(self, sticks: Sticks) -> DynamicsInput:
         return self._steering.hold(self.plan.places[self.index], *self._yaw(sticks))
 
     # --- from point to point ----------------------------------------------------------------
@@ -222,7 +228,7 @@ class WaypointFlight:
         self.index = index
         self._furthest = index
         self.events.append(WaypointEvent(Reached(index=index, status=BEFORE_ACTIONS)))
-        self.phase, self._moment = Phase.REACHED, _MOMENT_S
+        self.phase, self._moment = WaypointPhase.REACHED, _MOMENT_S
         if index == 0 and self.plan.mission.gimbal_pitch_mode == 1:
             aim_gimbal(self._payload.gimbal, self.plan.points[0].gimbal_pitch, 1.0)
 
@@ -232,7 +238,7 @@ class WaypointFlight:
             self._finish_point()
         elif self.plan.mission.yaw_mode == YawMode.BY_POINT:
             self._nose.turn_to(math.radians(point.yaw), point.turn_mode)
-            self.phase = Phase.TURN
+            self.phase = WaypointPhase.TURN
         else:
             self._nose.look(self._motion.yaw)
             self._start_actions()
@@ -242,19 +248,19 @@ class WaypointFlight:
         actions = ActionRunner(point, self._payload, self._motion, self._nose, self._settings)
         if actions.has_actions:
             self._actions = actions
-            self.phase, self._moment = Phase.BEGIN, _MOMENT_S
+            self.phase, self._moment = WaypointPhase.BEGIN, _MOMENT_S
         else:
             self._finish_point()
 
     def _finish_point(self) -> None:
         self.events.append(WaypointEvent(Reached(index=self.index, status=AFTER_ACTIONS)))
-        self.phase, self._moment = Phase.DONE, _MOMENT_S
+        self.phase, self._moment = WaypointPhase.DONE, _MOMENT_S
 
     def _leave(self) -> None:
         if self.index < len(self.plan.points) - 1:
             leg = next(k for k, leg in enumerate(self._legs) if leg.first == self.index)
             self._enter(leg, 0.0)
-            self.phase = Phase.FLY
+            self.phase = WaypointPhase.FLY
             return
         self._runs_left -= 1
         self.events.append(WaypointEvent(Finished(repeat=self._runs_left)))
@@ -263,15 +269,15 @@ class WaypointFlight:
         if self._runs_left > 0:
             self._furthest = -1
             self.index = 0
-            self.phase = Phase.CLIMB
+            self.phase = WaypointPhase.CLIMB
         elif finish == FinishAction.FIRST_POINT:
             self.index = 0
-            self.phase = Phase.RETURN_CLIMB
+            self.phase = WaypointPhase.RETURN_CLIMB
         elif finish == FinishAction.ENDLESS:
-            self.phase = Phase.WAIT
+            self.phase = WaypointPhase.WAIT
         else:
             self.then = finish
-            self.phase = Phase.OVER
+            self.phase = WaypointPhase.OVER
 
     @property
     def _is_endless(self) -> bool:
@@ -301,7 +307,7 @@ class WaypointFlight:
         stick = sticks.pitch if abs(sticks.pitch) > _STICK_DEAD_ZONE else 0.0
         return max(-most, min(most, self.idle_speed + stick * most))
 
-    def _follow(self, leg: Leg, speed: float, sticks: Sticks) -> Guidance:
+    def _follow(self, leg: RouteLeg, speed: float, sticks: Sticks) -> DynamicsInput:
         """Fly along a leg as fast as wanted and its end and curves allow."""
         steering = self._steering
         self._s = s = leg.nearest(steering.here, self._s)
@@ -332,9 +338,9 @@ class WaypointFlight:
     def _yaw(
         self,
         sticks: Sticks,
-        leg: Leg | None = None,
+        leg: RouteLeg | None = None,
         s: float = 0.0,
-        tangent: Place | None = None,
+        tangent: LocalPlace | None = None,
     ) -> tuple[ModelYaw, float]:
         mode, nose = self.plan.mission.yaw_mode, self._nose
         if mode == YawMode.BY_RC and self._actions is None:
@@ -351,7 +357,7 @@ class WaypointFlight:
             self._turn_evenly(leg, s)
         return ModelYaw.ANGLE, nose.step()
 
-    def _turn_evenly(self, leg: Leg, s: float) -> None:
+    def _turn_evenly(self, leg: RouteLeg, s: float) -> None:
         """From the heading of one point to that of the next, in the direction of the latter."""
         before, after, share = leg.between(s)
         points = self.plan.points

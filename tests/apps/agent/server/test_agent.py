@@ -173,9 +173,9 @@ async def test_a_stop_is_not_undone_by_control_that_was_asked_for_before_it(rig:
 async def test_whoever_takes_over_after_a_stop_begins_anew(rig: Rig) -> None:
     await airborne(rig)
     await rig.agent.stop()
-    desk, now = rig.agent.desk, rig.agent.now
+    leases, now = rig.agent.leases, rig.agent.now
     rig.renewing.cancel()
-    rig.token = desk.confirm(desk.ask_take_over("other", now).token, now).token
+    rig.token = leases.confirm(leases.ask_take_over("other", now).token, now).token
     rig.agent.steer(rig.token, NORTH)
 
 
@@ -183,7 +183,7 @@ async def test_the_end_of_a_lease_stops_the_motion_and_gives_authority_back(rig:
     await airborne(rig)
     rig.agent.steer(rig.token, NORTH, 1.0)
     await anyio.sleep(0.5)
-    rig.agent.desk.release(rig.token, rig.agent.now)
+    rig.agent.leases.release(rig.token, rig.agent.now)
     await anyio.sleep(0.03)
     assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x == 0.0
     await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=2.0)
@@ -221,8 +221,8 @@ async def lose(rig: Rig, why: LeaseChange) -> None:
     await anyio.sleep(0.5)
     rig.renewing.cancel()
     if why is LeaseChange.FRONT_LOST:
-        rig.agent.desk.release(rig.token, rig.agent.now, why)
-    await rig.until(lambda: rig.agent.desk.holder(rig.agent.now) is None, within=3.5)
+        rig.agent.leases.release(rig.token, rig.agent.now, why)
+    await rig.until(lambda: rig.agent.leases.holder(rig.agent.now) is None, within=3.5)
     await anyio.sleep(0.03)
     assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x == 0.0
 
@@ -244,14 +244,14 @@ async def test_kept_authority_is_there_for_whoever_comes_back(why: LeaseChange) 
         assert rig.aircraft.vehicle.authority.is_requested
         with pytest.raises(LeaseRefused):
             rig.agent.steer(rig.token, NORTH)
-        token = rig.agent.desk.acquire("back again", rig.agent.now).token
+        token = rig.agent.leases.acquire("back again", rig.agent.now).token
         await rig.agent.ask(orders.Obtain(), token)
         rig.agent.steer(token, NORTH)
         await anyio.sleep(0.1)
         assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x == 1.0
         for _ in range(20):
             await anyio.sleep(1.0)
-            rig.agent.desk.renew(token, rig.agent.now)
+            rig.agent.leases.renew(token, rig.agent.now)
         assert rig.holding.has_authority
 
 
@@ -270,7 +270,7 @@ async def test_kept_authority_goes_back_when_nobody_comes(why: LeaseChange) -> N
 async def test_who_gives_the_lease_back_leaves_no_authority_behind() -> None:
     async with Rig(keep_authority=10.0).running() as rig:
         await airborne(rig)
-        rig.agent.desk.release(rig.token, rig.agent.now)
+        rig.agent.leases.release(rig.token, rig.agent.now)
         await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=1.0)
 
 
@@ -305,7 +305,7 @@ async def test_a_lease_that_nobody_renews_ends_and_what_flies_by_it(rig: Rig) ->
     rig.renewing.cancel()
     flight = rig.agent.background.spawn(rig.agent.ask(ChangeHeight(50.0), rig.token), "flight")
     await rig.until(lambda: rig.holding.guided_order is not None)
-    await rig.until(lambda: rig.agent.desk.holder(rig.agent.now) is None, within=5.0)
+    await rig.until(lambda: rig.agent.leases.holder(rig.agent.now) is None, within=5.0)
     await rig.until(lambda: rig.holding.guided_order is None, within=0.5)
     await rig.until(flight.done, within=1.0)
     await rig.until(lambda: not rig.holding.has_authority, within=5.0)

@@ -13,11 +13,11 @@ import pytest
 
 from m100link.aircraft import Aircraft
 from m100link.apps.agent import orders
-from m100link.apps.agent.background import BackgroundTasks
+from m100link.apps.agent.background import TaskSet
 from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.messages import Journal
 from m100link.apps.agent.server.agent import Agent
-from m100link.apps.agent.server.authority import Holding, HoldingInput, HoldingState
+from m100link.apps.agent.server.authority import AuthorityManager, HoldingInput, HoldingState
 from m100link.apps.agent.server.connection import ConnectionState
 from m100link.errors import AuthorityRefused, LinkError, NoAuthority
 from m100link.protocol.setpoint import Setpoint
@@ -56,7 +56,7 @@ def pairs() -> list[tuple[HoldingState, HoldingInput, HoldingState]]:
 
 @pytest.mark.parametrize(("state", "what", "expected"), pairs())
 def test_every_pair(state: HoldingState, what: HoldingInput, expected: HoldingState) -> None:
-    holding = Holding(Journal(lambda: 0.0), BackgroundTasks())
+    holding = AuthorityManager(Journal(lambda: 0.0), TaskSet())
     holding.state = state
     changes: list[Any] = []
     holding.on_change.append(lambda before, after: changes.append((before, after)))
@@ -115,7 +115,7 @@ async def test_a_lease_that_ends_while_authority_is_obtained_gives_it_back(rig: 
 
         group.start_soon(obtain)
         await rig.until(lambda: rig.holding.state is S.OBTAINING)
-        rig.agent.desk.release(rig.token, rig.agent.now)
+        rig.agent.leases.release(rig.token, rig.agent.now)
     await rig.until(lambda: rig.holding.state is S.NONE)
     assert rig.states == [S.OBTAINING, S.RELEASING, S.NONE]
 
@@ -132,7 +132,7 @@ async def test_a_lease_that_ends_while_authority_goes_back_obtains_nothing(rig: 
 
         group.start_soon(obtain)
         await anyio.lowlevel.checkpoint()
-        rig.agent.desk.release(rig.token, rig.agent.now)
+        rig.agent.leases.release(rig.token, rig.agent.now)
     await anyio.sleep(2.0)
     assert rig.holding.state is S.NONE
     assert rig.states.count(S.OBTAINING) == 1
@@ -151,8 +151,8 @@ async def test_a_pilot_who_comes_back_does_not_fly_for_another_client(rig: Rig) 
     await rig.agent.ask(orders.Obtain(), rig.token)
     rig.aircraft.leave_f()
     await rig.until(lambda: rig.holding.state is S.PAUSED)
-    wanted = rig.agent.desk.ask_take_over("other", rig.agent.now)
-    rig.token = rig.agent.desk.confirm(wanted.token, rig.agent.now).token
+    wanted = rig.agent.leases.ask_take_over("other", rig.agent.now)
+    rig.token = rig.agent.leases.confirm(wanted.token, rig.agent.now).token
     assert rig.holding.state is S.NONE
     rig.aircraft.return_to_f()
     await anyio.sleep(2.0)
@@ -166,8 +166,8 @@ async def test_who_takes_over_while_another_one_is_given_authority_has_to_ask(
     async def take_over() -> None:
         rig.aircraft.set_faults(LineFaults(delay=0.05))
         await rig.until(lambda: rig.holding.state is state)
-        wanted = rig.agent.desk.ask_take_over("other", rig.agent.now)
-        rig.token = rig.agent.desk.confirm(wanted.token, rig.agent.now).token
+        wanted = rig.agent.leases.ask_take_over("other", rig.agent.now)
+        rig.token = rig.agent.leases.confirm(wanted.token, rig.agent.now).token
 
     if state is S.RESUMING:
         await rig.agent.ask(orders.Obtain(), rig.token)
@@ -293,12 +293,12 @@ async def test_the_first_agent_of_a_station_takes_nothing_from_anybody(rig: Rig)
 async def test_who_asks_at_once_has_it_and_keeps_it(rig: Rig) -> None:
     await killed_in_flight(rig)
     async with next_agent(rig) as agent:
-        token = agent.desk.acquire("the next", agent.now).token
+        token = agent.leases.acquire("the next", agent.now).token
         await agent.ask(orders.Obtain(), token)
         assert agent.holding.has_authority
         for _ in range(6):
             await anyio.sleep(0.5)
-            agent.desk.renew(token, agent.now)
+            agent.leases.renew(token, agent.now)
         assert agent.holding.has_authority
         assert rig.aircraft.vehicle.authority.is_requested
 

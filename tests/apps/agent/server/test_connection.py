@@ -11,7 +11,7 @@ import pytest
 import m100link
 from m100link.aircraft import Aircraft
 from m100link.apps.agent.messages import Journal
-from m100link.apps.agent.server.connection import Connection, ConnectionState
+from m100link.apps.agent.server.connection import AircraftConnection, ConnectionState
 from m100link.errors import LinkError, PortNotFound
 from m100link.telemetry.sample import Sample
 from m100link.testing import ConnectableAircraft
@@ -35,7 +35,7 @@ class Plug:
         self.samples: list[Sample] = []
         self.opened: list[Aircraft] = []
         self.journal = Journal(asyncio.get_running_loop().time)
-        self.connection = Connection(self.open, self.journal)
+        self.connection = AircraftConnection(self.open, self.journal)
         self.connection.on_aircraft.append(self.told.append)
         self.connection.on_sample.append(self.samples.append)
 

@@ -192,7 +192,7 @@ async def test_who_waits_for_the_end_of_a_mission_is_told_what_ended_it(
             rig.aircraft.vehicle.remote.set_mode("P")
         else:
             rig.renewing.cancel()
-            rig.agent.desk.release(rig.token, rig.agent.now)
+            rig.agent.leases.release(rig.token, rig.agent.now)
         await anyio.sleep(10.0)
     await anyio.sleep(3.0)
     assert speed(rig) < 0.1
@@ -450,13 +450,13 @@ async def test_who_flies_slowly_is_given_the_time_for_it(pointing: Pointing) -> 
 
 
 async def lose_lease(pointing: Pointing) -> None:
-    pointing.rig.agent.desk.release(pointing.rig.token, pointing.rig.agent.now)
+    pointing.rig.agent.leases.release(pointing.rig.token, pointing.rig.agent.now)
 
 
 async def take_over(pointing: Pointing) -> None:
     rig = pointing.rig
-    wanted = rig.agent.desk.ask_take_over("another", rig.agent.now)
-    rig.agent.desk.confirm(wanted.token, rig.agent.now)
+    wanted = rig.agent.leases.ask_take_over("another", rig.agent.now)
+    rig.agent.leases.confirm(wanted.token, rig.agent.now)
 
 
 async def renew_no_more(pointing: Pointing) -> None:

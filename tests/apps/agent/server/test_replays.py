@@ -17,7 +17,7 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.replays import Replays
-from m100link.apps.agent.server.server import STATE_INTERVAL, Service
+from m100link.apps.agent.server.server import STATE_INTERVAL, AgentServer
 from m100link.apps.agent.transports import memory_channels
 from m100link.errors import M100Error, OnlyRecorded, UsageError
 from m100link.log import recorder
@@ -45,7 +45,7 @@ async def station(url: str) -> AsyncIterator[tuple[Agent, AgentClient]]:
     """An agent that owns a recording, and a front of it."""
     replays = Replays(url, None, lambda text: agent.journal.note(text))
     async with (agent := Agent(replays.connect, replay=replays)):
-        service = Service(agent)
+        service = AgentServer(agent)
         ours, its = memory_channels()
         service.attach(its)
         async with AgentClient(ours, "front") as client:

@@ -15,13 +15,13 @@ from m100link.apps.agent.messages import (
     VERSION,
     Ask,
     Event,
+    GuardLimits,
     Hello,
+    JournalNote,
     LeaseChanged,
-    Limits,
     Message,
-    Note,
-    Outcome,
-    PlanTold,
+    OrderOutcome,
+    PlanChanged,
     Stage,
     State,
     Steer,
@@ -31,7 +31,7 @@ from m100link.apps.agent.messages import (
 from m100link.apps.agent.orders import FlyTo
 from m100link.apps.agent.server.agent import HANDLERS
 from m100link.apps.agent.server.flight import limits_of
-from m100link.apps.agent.server.server import MAX_SETPOINT_AGE, STATE_INTERVAL, Service
+from m100link.apps.agent.server.server import MAX_SETPOINT_AGE, STATE_INTERVAL, AgentServer
 from m100link.apps.agent.transports import memory_channels
 from m100link.errors import UsageError
 from m100link.flight.guards import Envelope, Guards
@@ -53,7 +53,7 @@ M = TypeVar("M")
 class Front:
     """A front by hand: sends messages, keeps what comes."""
 
-    def __init__(self, rig: Rig, service: Service, *, greets: bool = True) -> None:
+    def __init__(self, rig: Rig, service: AgentServer, *, greets: bool = True) -> None:
         self.rig = rig
         self.channel, its = memory_channels(as_bytes=True)
         service.attach(its)
@@ -75,16 +75,18 @@ class Front:
 
     @property
     def granted(self) -> Lease:
-        return [one.lease for one in self.all(Outcome) if one.lease is not None][-1]
+        return [one.lease for one in self.all(OrderOutcome) if one.lease is not None][-1]
 
     @property
     def offer(self) -> TakeOver:
-        [found] = [one.offer for one in self.all(Outcome) if one.offer is not None]
+        [found] = [one.offer for one in self.all(OrderOutcome) if one.offer is not None]
         return found
 
-    async def outcome(self, identity: int, stage: Stage = Stage.DONE) -> Outcome:
-        def found() -> list[Outcome]:
-            return [one for one in self.all(Outcome) if (one.id, one.stage) == (identity, stage)]
+    async def outcome(self, identity: int, stage: Stage = Stage.DONE) -> OrderOutcome:
+        def found() -> list[OrderOutcome]:
+            return [
+                one for one in self.all(OrderOutcome) if (one.id, one.stage) == (identity, stage)
+            ]
 
         await self.rig.until(lambda: bool(found()))
         return found()[0]
@@ -110,17 +112,17 @@ class Front:
 
 
 @pytest.fixture
-async def service(rig: Rig) -> Service:
-    rig.agent.desk.release(rig.token, rig.agent.now)  # the lease is the front's to take
-    return Service(rig.agent)
+async def service(rig: Rig) -> AgentServer:
+    rig.agent.leases.release(rig.token, rig.agent.now)  # the lease is the front's to take
+    return AgentServer(rig.agent)
 
 
 async def test_a_front_is_greeted_with_everything_it_has_to_know(
-    rig: Rig, service: Service
+    rig: Rig, service: AgentServer
 ) -> None:
     front = Front(rig, service)
     hello, lease, state, plan, *events = front.inbox
-    assert plan == PlanTold()
+    assert plan == PlanChanged()
     assert isinstance(hello, Hello)
     assert hello.version == VERSION
     assert lease == LeaseChanged(0, "")
@@ -136,11 +138,11 @@ async def test_a_front_is_greeted_with_everything_it_has_to_know(
     assert len(front.all(State)) - states == pytest.approx(2.0 / STATE_INTERVAL, abs=1.1)
 
 
-async def test_a_flight_by_messages(rig: Rig, service: Service) -> None:
+async def test_a_flight_by_messages(rig: Rig, service: AgentServer) -> None:
     front = Front(rig, service)
     fence = await front.airborne()
     assert front.all(State)[-1].has_authority
-    stages = [one.stage for one in front.all(Outcome) if one.id == 2]
+    stages = [one.stage for one in front.all(OrderOutcome) if one.id == 2]
     assert stages == [Stage.ACCEPTED, Stage.DONE]
     front.send(Steer(fence, rig.agent.now, 0.3, NORTH))
     await anyio.sleep(0.1)
@@ -156,11 +158,11 @@ async def test_a_flight_by_messages(rig: Rig, service: Service) -> None:
 
 
 async def test_a_front_knows_the_limits_and_from_where_they_are_measured(
-    rig: Rig, service: Service
+    rig: Rig, service: AgentServer
 ) -> None:
     front = Front(rig, service)
     before = front.all(State)[-1].limits
-    assert before == Limits(50.0, 150.0, 10.0, 20)
+    assert before == GuardLimits(50.0, 150.0, 10.0, 20)
     await front.airborne()
     await anyio.sleep(0.5)
     during = front.all(State)[-1].limits
@@ -171,20 +173,20 @@ async def test_a_front_knows_the_limits_and_from_where_they_are_measured(
 
 def test_a_limit_that_is_off_is_told_as_none() -> None:
     open_above = Guards(envelope=Envelope(max_height_m=math.inf), battery_floor_percent=None)
-    assert limits_of(open_above, (1.0, 2.0)) == Limits(None, 150.0, 10.0, None, 1.0, 2.0)
-    assert limits_of(Guards(envelope=None), None) == Limits(battery_floor_percent=20)
+    assert limits_of(open_above, (1.0, 2.0)) == GuardLimits(None, 150.0, 10.0, None, 1.0, 2.0)
+    assert limits_of(Guards(envelope=None), None) == GuardLimits(battery_floor_percent=20)
 
 
-async def test_the_state_is_told_before_the_outcome(rig: Rig, service: Service) -> None:
+async def test_the_state_is_told_before_the_outcome(rig: Rig, service: AgentServer) -> None:
     front = Front(rig, service)
     front.send(Ask(1, orders.Obtain(), front.lease().number))
     await front.outcome(1)
-    place = front.inbox.index(Outcome(1, Stage.DONE))
+    place = front.inbox.index(OrderOutcome(1, Stage.DONE))
     states = [one for one in front.inbox[:place] if isinstance(one, State)]
     assert states[-1].has_authority
 
 
-async def test_a_front_that_has_gone_costs_a_hover(rig: Rig, service: Service) -> None:
+async def test_a_front_that_has_gone_costs_a_hover(rig: Rig, service: AgentServer) -> None:
     front = Front(rig, service)
     fence = await front.airborne()
     front.send(Steer(fence, rig.agent.now, 1.0, NORTH))
@@ -192,7 +194,7 @@ async def test_a_front_that_has_gone_costs_a_hover(rig: Rig, service: Service) -
     front.channel.close("killed")
     await anyio.sleep(0.03)
     assert front.moves[-1].roll_or_x == 0.0
-    assert rig.agent.desk.holder(rig.agent.now) is None
+    assert rig.agent.leases.holder(rig.agent.now) is None
     await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=2.0)
     assert rig.aircraft.height > 1.0
     other = Front(rig, service)  # and another one flies on
@@ -201,8 +203,8 @@ async def test_a_front_that_has_gone_costs_a_hover(rig: Rig, service: Service) -
 
 async def test_authority_is_kept_for_a_front_that_is_lost_and_not_for_one_that_is_ended() -> None:
     async with Rig(keep_authority=10.0).running() as rig:
-        rig.agent.desk.release(rig.token, rig.agent.now)
-        service = Service(rig.agent)
+        rig.agent.leases.release(rig.token, rig.agent.now)
+        service = AgentServer(rig.agent)
         front = Front(rig, service)
         await front.airborne()
         front.channel.close("killed")
@@ -215,7 +217,7 @@ async def test_authority_is_kept_for_a_front_that_is_lost_and_not_for_one_that_i
         await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=1.0)
 
 
-async def test_a_front_that_hangs_loses_its_lease(rig: Rig, service: Service) -> None:
+async def test_a_front_that_hangs_loses_its_lease(rig: Rig, service: AgentServer) -> None:
     front = Front(rig, service)
     fence = front.lease().number
     front.send(Ask(1, orders.Obtain(), fence))
@@ -224,7 +226,9 @@ async def test_a_front_that_hangs_loses_its_lease(rig: Rig, service: Service) ->
     await rig.until(lambda: not rig.holding.has_authority, within=1.0)
 
 
-async def test_a_setpoint_that_was_long_on_its_way_is_not_flown(rig: Rig, service: Service) -> None:
+async def test_a_setpoint_that_was_long_on_its_way_is_not_flown(
+    rig: Rig, service: AgentServer
+) -> None:
     front = Front(rig, service)
     fence = await front.airborne()
     front.send(Steer(fence, rig.agent.now - MAX_SETPOINT_AGE - 0.01, 0.3, NORTH))
@@ -237,7 +241,7 @@ async def test_a_setpoint_that_was_long_on_its_way_is_not_flown(rig: Rig, servic
     assert front.moves[-1].roll_or_x == 1.0
 
 
-async def test_a_setpoint_from_the_future_is_not_flown(rig: Rig, service: Service) -> None:
+async def test_a_setpoint_from_the_future_is_not_flown(rig: Rig, service: AgentServer) -> None:
     front = Front(rig, service)
     fence = await front.airborne()
     front.send(Steer(fence, rig.agent.now + 100.0, 0.3, NORTH))
@@ -247,7 +251,7 @@ async def test_a_setpoint_from_the_future_is_not_flown(rig: Rig, service: Servic
     assert "ahead" in refused.fault.cause
 
 
-async def test_a_fence_of_another_front_moves_nothing(rig: Rig, service: Service) -> None:
+async def test_a_fence_of_another_front_moves_nothing(rig: Rig, service: AgentServer) -> None:
     fence = await Front(rig, service).airborne()
     other = Front(rig, service)
     other.send(Steer(fence, rig.agent.now, 0.3, NORTH))
@@ -264,7 +268,7 @@ async def test_a_fence_of_another_front_moves_nothing(rig: Rig, service: Service
     assert rig.holding.has_authority
 
 
-async def test_an_old_fence_moves_nothing(rig: Rig, service: Service) -> None:
+async def test_an_old_fence_moves_nothing(rig: Rig, service: AgentServer) -> None:
     front = Front(rig, service)
     fence = await front.airborne()
     token = front.granted.token
@@ -276,7 +280,7 @@ async def test_an_old_fence_moves_nothing(rig: Rig, service: Service) -> None:
     assert front.all(SteerRefused)[-1].fence == fence
 
 
-async def test_a_take_over_names_who_loses_it(rig: Rig, service: Service) -> None:
+async def test_a_take_over_names_who_loses_it(rig: Rig, service: AgentServer) -> None:
     first, second = Front(rig, service), Front(rig, service)
     first.lease(name="first")
     second.send(Ask(1, orders.AcquireLease("second")))
@@ -287,48 +291,50 @@ async def test_a_take_over_names_who_loses_it(rig: Rig, service: Service) -> Non
     offer = second.offer
     assert offer.from_name == "first"
     second.send(Ask(3, orders.ConfirmTakeOver(offer.token)))
-    assert second.all(Outcome)[-1] == Outcome(3, Stage.DONE, lease=second.granted)
+    assert second.all(OrderOutcome)[-1] == OrderOutcome(3, Stage.DONE, lease=second.granted)
     assert first.all(LeaseChanged)[-1].name == "second"
 
 
-async def test_another_version_is_not_served(rig: Rig, service: Service) -> None:
+async def test_another_version_is_not_served(rig: Rig, service: AgentServer) -> None:
     front = Front(rig, service, greets=False)
     front.send(Hello(VERSION + 1, "from the future", 0.0))
     assert front.closed == [f"this agent speaks version {VERSION}, not {VERSION + 1}"]
 
 
 @pytest.mark.parametrize("greets", [False, True])
-async def test_what_a_front_does_not_send_ends_it(rig: Rig, service: Service, greets: bool) -> None:
+async def test_what_a_front_does_not_send_ends_it(
+    rig: Rig, service: AgentServer, greets: bool
+) -> None:
     front = Front(rig, service, greets=greets)
     front.send(Telemetry(b"", "1.0", 0.0) if greets else Ask(1, orders.Halt()))
     assert len(front.closed) == 1
-    assert front.all(Outcome) == []
+    assert front.all(OrderOutcome) == []
 
 
-async def test_notes_and_questions_are_bounded(rig: Rig, service: Service) -> None:
+async def test_notes_and_questions_are_bounded(rig: Rig, service: AgentServer) -> None:
     front = Front(rig, service)
     for number in range(1000):
-        front.send(Note("info", f"note {number}"))
+        front.send(JournalNote("info", f"note {number}"))
         front.send(Ask(number + 1, orders.AskVersion()))
     notes = [one for one in rig.agent.journal.events if one.text.startswith("note ")]
     assert len(notes) == 20
     front.send(Ask(2000, orders.Stop()))  # what ends a flight waits behind nobody
-    refused = [one for one in front.all(Outcome) if one.stage is Stage.FAILED]
+    refused = [one for one in front.all(OrderOutcome) if one.stage is Stage.FAILED]
     assert len(refused) == 1000 - 64
     await front.outcome(2000)
-    front.send(Note("shout", "x"))
+    front.send(JournalNote("shout", "x"))
     assert rig.agent.journal.events[-1].level != "shout"
     for seconds, more in ((1.0, 5), (100.0, 20)):  # five of each second, twenty at most
         await anyio.sleep(seconds)
         for _ in range(100):
-            front.send(Note("info", "note"))
+            front.send(JournalNote("info", "note"))
         later = [one for one in rig.agent.journal.events if one.text == "note"]
         assert len(later) == {5: 5, 20: 25}[more]
 
 
 @pytest.mark.parametrize("fails", [False, True])
 async def test_an_order_that_is_done_at_once_needs_its_lease_and_is_answered(
-    rig: Rig, service: Service, monkeypatch: pytest.MonkeyPatch, *, fails: bool
+    rig: Rig, service: AgentServer, monkeypatch: pytest.MonkeyPatch, *, fails: bool
 ) -> None:
     done = []
 
@@ -342,15 +348,15 @@ async def test_an_order_that_is_done_at_once_needs_its_lease_and_is_answered(
     front = Front(rig, service)
     for number, fence in ((1, 0), (2, 7), (3, front.lease().number)):
         front.send(Ask(number, orders.RenewLease(), fence))
-    stages = [(one.id, one.stage) for one in front.all(Outcome) if one.id < 99]
+    stages = [(one.id, one.stage) for one in front.all(OrderOutcome) if one.id < 99]
     third = Stage.FAILED if fails else Stage.DONE
     assert stages == [(1, Stage.FAILED), (2, Stage.FAILED), (3, third)]
     assert len(done) == 1
 
 
-async def test_a_note_is_one_line_that_no_terminal_obeys(rig: Rig, service: Service) -> None:
+async def test_a_note_is_one_line_that_no_terminal_obeys(rig: Rig, service: AgentServer) -> None:
     front = Front(rig, service)
-    front.send(Note("info", "flies for /\x1b]0;x\x07\x1b[2J\r\nconnection lost: größer"))
+    front.send(JournalNote("info", "flies for /\x1b]0;x\x07\x1b[2J\r\nconnection lost: größer"))
     told = rig.agent.journal.events[-1].text
     assert told.isprintable()
     assert told.startswith("flies for /\N{REPLACEMENT CHARACTER}]0;x")
@@ -358,7 +364,7 @@ async def test_a_note_is_one_line_that_no_terminal_obeys(rig: Rig, service: Serv
 
 
 async def test_telemetry_of_a_profile_of_ones_own_is_not_told_under_a_known_name(
-    rig: Rig, service: Service
+    rig: Rig, service: AgentServer
 ) -> None:
     front = Front(rig, service)
     aircraft = rig.agent.connection.aircraft
@@ -371,9 +377,9 @@ async def test_telemetry_of_a_profile_of_ones_own_is_not_told_under_a_known_name
 
 async def test_gimbal_camera_and_motors_by_messages() -> None:
     async with Rig(firmware="3.1").running() as rig:
-        service = Service(rig.agent)
+        service = AgentServer(rig.agent)
         rig.renewing.cancel()
-        rig.agent.desk.release(rig.token, rig.agent.now)
+        rig.agent.leases.release(rig.token, rig.agent.now)
         front = Front(rig, service)
         front.send(Ask(11, orders.PointGimbal(GimbalAngle(pitch_deg=-45.0))))
         await front.outcome(11)
@@ -409,7 +415,7 @@ def speed_of(rig: Rig) -> float:
     return math.hypot(dynamics.velocity_north, dynamics.velocity_east)
 
 
-async def test_a_flight_to_a_place_by_messages(rig: Rig, service: Service) -> None:
+async def test_a_flight_to_a_place_by_messages(rig: Rig, service: AgentServer) -> None:
     front, watcher = Front(rig, service), Front(rig, service)
     fence = await front.airborne()
     order = ahead(rig, 30.0)
@@ -434,7 +440,7 @@ async def test_a_flight_to_a_place_by_messages(rig: Rig, service: Service) -> No
 
 
 async def test_telling_what_remains_does_not_tell_the_state_more_often(
-    rig: Rig, service: Service
+    rig: Rig, service: AgentServer
 ) -> None:
     front = Front(rig, service)
     fence = await front.airborne()
@@ -447,7 +453,7 @@ async def test_telling_what_remains_does_not_tell_the_state_more_often(
 
 @pytest.mark.parametrize("how", ["closes", "hangs", "halts"])
 async def test_a_flight_to_a_place_ends_with_its_front(
-    rig: Rig, service: Service, how: str
+    rig: Rig, service: AgentServer, how: str
 ) -> None:
     front, watcher = Front(rig, service), Front(rig, service)
     fence = await front.airborne()
@@ -469,7 +475,7 @@ async def test_a_flight_to_a_place_ends_with_its_front(
 
 
 async def test_a_halt_that_is_heard_together_with_a_flight_ends_it(
-    rig: Rig, service: Service
+    rig: Rig, service: AgentServer
 ) -> None:
     """Both are read in one go when the agent was held up: the newest wins all the same."""
     front = Front(rig, service)
@@ -482,7 +488,7 @@ async def test_a_halt_that_is_heard_together_with_a_flight_ends_it(
 
 
 async def test_a_flight_that_is_heard_together_with_a_halt_before_it_is_flown(
-    rig: Rig, service: Service
+    rig: Rig, service: AgentServer
 ) -> None:
     front = Front(rig, service)
     fence = await front.airborne()
@@ -495,22 +501,22 @@ async def test_a_flight_that_is_heard_together_with_a_halt_before_it_is_flown(
 
 async def test_a_plan_is_told_to_all_until_its_lease_ends() -> None:
     async with Rig(firmware="3.1").running() as rig:
-        rig.agent.desk.release(rig.token, rig.agent.now)
-        service = Service(rig.agent)
+        rig.agent.leases.release(rig.token, rig.agent.now)
+        service = AgentServer(rig.agent)
         front, watcher = Front(rig, service), Front(rig, service)
-        assert watcher.all(PlanTold) == [PlanTold()]
+        assert watcher.all(PlanChanged) == [PlanChanged()]
         fence = front.lease().number
         plan = WaypointPlan([Waypoint(52.1, 4.31, height=20), Waypoint(52.1003, 4.31, height=25)])
         upload = orders.UploadPlan.of(plan)
         front.send(Ask(1, upload, fence))
         assert (await front.outcome(1)).text == upload.digest
-        told = watcher.all(PlanTold)[-1]
-        assert told == PlanTold("pilot", upload)
+        told = watcher.all(PlanChanged)[-1]
+        assert told == PlanChanged("pilot", upload)
         assert upload.plan().to_wire() == plan.to_wire()
-        assert Front(rig, service).all(PlanTold) == [told]  # who comes later sees it, too
+        assert Front(rig, service).all(PlanChanged) == [told]  # who comes later sees it, too
         assert any("pilot uploaded a plan of 2" in one.text for one in watcher.all(Event))
         front.channel.close("gone")
-        await rig.until(lambda: watcher.all(PlanTold)[-1] == PlanTold())
+        await rig.until(lambda: watcher.all(PlanChanged)[-1] == PlanChanged())
 
 
 PLANS = [
@@ -597,8 +603,8 @@ async def test_a_plan_is_started_under_the_lease_that_it_came_under_and_no_other
     await rig.agent.ask(replace(start, digest=second.digest), rig.token, begun)
     assert flies.calls[1:] == [("start_mission", second.plan(), *how)]
     rig.renewing.cancel()
-    rig.agent.desk.release(rig.token, rig.agent.now)
-    other = rig.agent.desk.acquire("other", rig.agent.now).token
+    rig.agent.leases.release(rig.token, rig.agent.now)
+    other = rig.agent.leases.acquire("other", rig.agent.now).token
     with pytest.raises(UsageError, match="under this lease"):
         await rig.agent.ask(start, other)
     assert len(flies.calls) == 2
@@ -650,8 +656,8 @@ async def begin(flown: Flown, front: Front, fence: int) -> None:
 )
 async def test_who_loses_the_lease_is_told_what_was_flown(flown: Flown) -> None:
     async with Rig(firmware="3.1").running() as rig:
-        rig.agent.desk.release(rig.token, rig.agent.now)
-        service = Service(rig.agent)
+        rig.agent.leases.release(rig.token, rig.agent.now)
+        service = AgentServer(rig.agent)
         front, other = Front(rig, service), Front(rig, service)
         fence = await front.airborne()
         await begin(flown, front, fence)

@@ -14,7 +14,7 @@ from m100link.apps.bus.network import Question
 from m100link.apps.fleet.asking import PATIENCE_S
 from m100link.apps.fleet.logs.fetching import PIECE, Fetched, LogFetcher
 from m100link.apps.fleet.logs.words import LogEntry, LogReply, pack_entries, pack_reply
-from m100link.apps.fleet.payloads import VERSION, Order, unpack
+from m100link.apps.fleet.payloads import VERSION, OrderMessage, unpack
 from m100link.errors import FleetError, Unreachable, UsageError
 from tests.apps.bus.memory import Weather
 from tests.apps.fleet.logs.conftest import FIRST, KEYS, SECOND, Road, bytes_of
@@ -215,7 +215,7 @@ async def test_what_an_aircraft_names_does_not_lead_out_of_the_folder(
     road: Road, tmp_path: Path
 ) -> None:
     def answer(question: Question) -> None:
-        order: Order = unpack(Order, question.payload)
+        order: OrderMessage = unpack(OrderMessage, question.payload)
         entries = [LogEntry("../../evil.mcap", 3, 9e9, False), LogEntry("/tmp/x", 3, 9e9, False)]
         question.answer(KEYS.log, pack_reply(LogReply(order.id, "a1"), pack_entries(entries)))
 

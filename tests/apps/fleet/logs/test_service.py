@@ -16,13 +16,13 @@ import anyio
 import pytest
 
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.logs.service import LogService, OwnThreads, Shelf
+from m100link.apps.fleet.logs.service import LogDirectory, LogService, OwnThreads
 from m100link.apps.fleet.logs.words import (
     MOST_PIECE,
     LogReply,
     unpack_reply,
 )
-from m100link.apps.fleet.payloads import AskShow, LogQuestion, Order, Outcome, What, pack
+from m100link.apps.fleet.payloads import AskShow, LogQuestion, OrderMessage, Outcome, What, pack
 from m100link.errors import NotAllowed, UsageError
 from m100link.log.recorder import Recorder
 from tests.apps.fleet.logs.conftest import FIRST, KEYS, SECOND, Road, bytes_of
@@ -69,7 +69,7 @@ async def test_what_is_not_there_or_not_for_it_is_refused_with_its_reason(road: 
 
 
 async def test_who_may_not_watch_gets_nothing(road: Road) -> None:
-    def verify(order: Order) -> None:
+    def verify(order: OrderMessage) -> None:
         raise NotAllowed("bert may not watch a1")
 
     async with serving(road, verify=verify):
@@ -106,7 +106,7 @@ async def test_so_many_bytes_a_second_leave_it_and_who_is_early_is_told_when(roa
 async def test_of_a_flood_few_wait_and_the_rest_is_not_even_read(road: Road) -> None:
     reads = 0
 
-    def verify(order: Order) -> None:
+    def verify(order: OrderMessage) -> None:
         nonlocal reads
         reads += 1
 
@@ -174,7 +174,7 @@ async def test_the_disk_is_waited_for_in_threads_of_their_own() -> None:
     name = await threads.do(lambda: threading.current_thread().name)
     assert name.startswith("logs of a1")
     with pytest.raises(UsageError):
-        await threads.do(lambda: Shelf(None).piece(FIRST, 0, 1))
+        await threads.do(lambda: LogDirectory(None).piece(FIRST, 0, 1))
     threads.close()
 
 
@@ -201,7 +201,7 @@ def wanted() -> bool:
 def test_the_newest_stands_first_and_what_is_written_is_said(shelf: Path) -> None:
     os.utime(shelf / FIRST, (1000.0, 1000.0))
     recorder = Recorder(shelf)
-    names = {one.log: one for one in Shelf(shelf).entries()}
+    names = {one.log: one for one in LogDirectory(shelf).entries()}
     assert list(names) == [recorder.path.name, FIRST]
     assert (names[FIRST].size, names[FIRST].at, names[FIRST].is_written) == (300_000, 1000.0, False)
     assert names[recorder.path.name].is_written
@@ -209,19 +209,19 @@ def test_the_newest_stands_first_and_what_is_written_is_said(shelf: Path) -> Non
 
 
 def test_a_piece_ends_where_the_log_does(shelf: Path) -> None:
-    data, entry = Shelf(shelf).piece(FIRST, 299_990, 64)
+    data, entry = LogDirectory(shelf).piece(FIRST, 299_990, 64)
     assert data == bytes_of(300_000)[-10:]
     assert entry.size == 300_000
-    assert Shelf(shelf).piece(FIRST, 400_000, 64)[0] == b""
+    assert LogDirectory(shelf).piece(FIRST, 400_000, 64)[0] == b""
 
 
 def test_the_digest_is_of_the_first_bytes(shelf: Path) -> None:
-    found = Shelf(shelf).digest(FIRST, 1000, wanted)
+    found = LogDirectory(shelf).digest(FIRST, 1000, wanted)
     assert found == hashlib.sha256(bytes_of(300_000)[:1000]).digest()
     with pytest.raises(UsageError, match="it has 300000 bytes"):
-        Shelf(shelf).digest(FIRST, 300_001, wanted)
+        LogDirectory(shelf).digest(FIRST, 300_001, wanted)
     with pytest.raises(UsageError, match="the agent ends"):
-        Shelf(shelf).digest(FIRST, 1000, lambda: False)
+        LogDirectory(shelf).digest(FIRST, 1000, lambda: False)
 
 
 def test_no_name_leads_out_and_no_link_anywhere(shelf: Path) -> None:
@@ -231,7 +231,7 @@ def test_no_name_leads_out_and_no_link_anywhere(shelf: Path) -> None:
     (shelf / "m100link-20260101-000002.mcap").mkdir()
     os.mkfifo(shelf / "m100link-20260101-000003.mcap")
     (shelf / "notes.mcap").write_bytes(b"theirs")
-    one = Shelf(shelf)
+    one = LogDirectory(shelf)
     assert [entry.log for entry in one.entries()] == [FIRST]
     for name in (
         SECOND,
@@ -252,6 +252,6 @@ def test_no_name_leads_out_and_no_link_anywhere(shelf: Path) -> None:
 
 
 def test_where_nothing_is_recorded_there_is_nothing(tmp_path: Path) -> None:
-    assert Shelf(None).entries() == Shelf(tmp_path / "none").entries() == []
+    assert LogDirectory(None).entries() == LogDirectory(tmp_path / "none").entries() == []
     with pytest.raises(UsageError):
-        Shelf(None).piece(FIRST, 0, 1)
+        LogDirectory(None).piece(FIRST, 0, 1)

@@ -18,8 +18,8 @@ from m100link.apps.agent.messages import MessageError, fault_of
 from m100link.apps.fleet.logs.words import (
     MOST_PIECE,
     LogEntry,
+    LogPart,
     LogReply,
-    Part,
     pack_entries,
     pack_reply,
     require_possible,
@@ -104,8 +104,8 @@ def test_junk_is_refused_and_raises_nothing_else() -> None:
 # -- A log on its way: what is there is a beginning of it, whatever ended the one before -----------
 
 
-def opened(folder: Path, size: int = 100) -> Part:
-    part = Part(folder, "a1-x.mcap")
+def opened(folder: Path, size: int = 100) -> LogPart:
+    part = LogPart(folder, "a1-x.mcap")
     part.open(size)
     return part
 
@@ -133,13 +133,13 @@ def test_two_programs_do_not_write_one_part(tmp_path: Path) -> None:
     opened(tmp_path).close()
 
 
-@pytest.mark.parametrize("ends", [Part.finish, Part.close])
+@pytest.mark.parametrize("ends", [LogPart.finish, LogPart.close])
 def test_who_comes_as_the_one_before_ends_does_not_get_what_became_of_its_part(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ends: Callable[[Part], None]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ends: Callable[[LogPart], None]
 ) -> None:
     """It was opened while the other program had it, and locked when that had it no more."""
     first = opened(tmp_path)
-    if ends is Part.finish:
+    if ends is LogPart.finish:
         first.add(b"abc")
     lock = fcntl.flock
 
@@ -153,7 +153,7 @@ def test_who_comes_as_the_one_before_ends_does_not_get_what_became_of_its_part(
     assert second.at == 0
     second.add(b"de")
     assert second.path.read_bytes() == b"de"
-    if ends is Part.finish:
+    if ends is LogPart.finish:
         assert second.whole.read_bytes() == b"abc", "and a fetched log is whole"
     second.close()
 
@@ -217,8 +217,8 @@ def test_a_disk_that_takes_no_more_is_told_and_what_came_stays(tmp_path: Path) -
 def test_a_folder_that_cannot_be_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(UsageError, match="--to"):
-        Part(tmp_path / "file" / "below", "x")
-    part = Part(tmp_path, "y" * 300)
+        LogPart(tmp_path / "file" / "below", "x")
+    part = LogPart(tmp_path, "y" * 300)
     with pytest.raises(UsageError):
         part.open(3)
 

@@ -15,13 +15,13 @@ import pytest
 from m100link.apps.fleet.identity import Rights, Signer
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.payloads import ShowStage
-from m100link.apps.fleet.show import performer
+from m100link.apps.fleet.show import track_executor
 from m100link.apps.fleet.show.conductor import Conductor, Part
-from m100link.apps.fleet.show.performer import Leave
 from m100link.apps.fleet.show.plan.document import Show, check
 from m100link.apps.fleet.show.plan.steering import ShowRefused
 from m100link.apps.fleet.show.plan.track import TimedTrack
 from m100link.apps.fleet.show.service import ShowService
+from m100link.apps.fleet.show.track_executor import Leave
 from m100link.apps.fleet.signing import signing, verifying
 from m100link.errors import GuardRefused, M100Error, NotAllowed, Unreachable, UsageError
 from m100link.flight.guards import Envelope, Guards
@@ -121,7 +121,7 @@ async def test_five_fly_a_show_and_land(rig: Rig) -> None:
 async def test_those_that_are_ready_wait_for_one_that_is_long_on_its_way(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(performer, "ATTENDED_S", 5.0)  # for nobody may climb much higher
+    monkeypatch.setattr(track_executor, "ATTENDED_S", 5.0)  # for nobody may climb much higher
     async with company(rig, 2) as made:
         high = points_track("a2", (0, 0, 10, 45), (4, 4, 10, 45))
         made.show = Show("", (made.show.tracks[0], high))

@@ -15,9 +15,9 @@ from m100link.apps.fleet.payloads import (
     AskShow,
     LeaveShow,
     LoadTrack,
-    Order,
+    OrderMessage,
+    OrderReply,
     Outcome,
-    Reply,
     SendTrack,
     ShowCard,
     ShowStage,
@@ -42,11 +42,11 @@ LOADS = '{"kind":"LoadTrack","run":"","leave":%s,"show":"%s","least_m":%s,"other
 LOAD, PLACE = LoadTrack("", "hover"), TakePlace("")
 
 
-def an_order(wanted: Asked, number: int, clock: float, name: str = "a1") -> Order:
-    return Order(f"{number:032x}", SITE, name, "anna", 0, 0.0, wanted, clock)
+def an_order(wanted: Asked, number: int, clock: float, name: str = "a1") -> OrderMessage:
+    return OrderMessage(f"{number:032x}", SITE, name, "anna", 0, 0.0, wanted, clock)
 
 
-def stage(reply: Reply) -> ShowStage | None:
+def stage(reply: OrderReply) -> ShowStage | None:
     return None if reply.show is None else reply.show.stage
 
 
@@ -64,12 +64,12 @@ class Conductor:
         self.running = asyncio.ensure_future(self.service.run())
         await anyio.sleep(0.1)
 
-    async def ask(self, payload: bytes) -> Reply:
+    async def ask(self, payload: bytes) -> OrderReply:
         [answer] = await self.bus.ask(f"m100/{SITE}/a1/show", payload, timeout=1.0)
-        reply: Reply = unpack(Reply, answer.payload)
+        reply: OrderReply = unpack(OrderReply, answer.payload)
         return reply
 
-    async def order(self, wanted: Asked, number: int = 1, name: str = "a1") -> Reply:
+    async def order(self, wanted: Asked, number: int = 1, name: str = "a1") -> OrderReply:
         return await self.ask(pack(an_order(wanted, number, anyio.current_time(), name)))
 
 

@@ -17,13 +17,13 @@ from m100link.apps.mavlink.translator.codec import (
     LAST_SIGNATURE,
     LAYOUTS,
     NEW_WITHIN,
-    Message,
-    Reading,
+    MavlinkMessage,
+    MessageReader,
+    PacketSigner,
     SignatureMemory,
-    Signer,
     write_frame,
 )
-from m100link.apps.mavlink.translator.vehicle import Vehicle
+from m100link.apps.mavlink.translator.vehicle import MavlinkVehicle
 from tests.apps.mavlink.conftest import session_of
 from tests.known import Known
 
@@ -31,28 +31,28 @@ KEY = bytes(range(32))
 
 
 def frame(name: str = "PING", *, sequence: int = 0, **fields: Any) -> bytes:
-    return write_frame(Message(name, fields), system=7, sequence=sequence)
+    return write_frame(MavlinkMessage(name, fields), system=7, sequence=sequence)
 
 
 def test_a_message_comes_out_as_it_went_in() -> None:
     fields: dict[str, Any] = {"severity": 4, "text": "no more than fifty", "id": 3, "chunk_seq": 1}
-    [message] = Reading(frame("STATUSTEXT", **fields))
-    assert message == Message("STATUSTEXT", fields, 7, 1)
+    [message] = MessageReader(frame("STATUSTEXT", **fields))
+    assert message == MavlinkMessage("STATUSTEXT", fields, 7, 1)
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_every_message_is_read_as_it_was_written(name: str) -> None:
     layout = LAYOUTS[name]
     values = layout.read(bytes(Random(name).choices(range(1, 60), k=layout.size)))
-    [message] = Reading(frame(name, **values))
+    [message] = MessageReader(frame(name, **values))
     assert message.fields == values
-    [empty] = Reading(frame(name))
+    [empty] = MessageReader(frame(name))
     assert set(empty.fields) == set(layout.fields)
 
 
 def test_values_at_the_end_that_are_zero_are_not_sent() -> None:
     assert len(frame("PING")) == 10 + 1 + 2
-    [message] = Reading(frame("PING"))
+    [message] = MessageReader(frame("PING"))
     assert message["seq"] == 0
 
 
@@ -60,7 +60,7 @@ def test_a_frame_of_the_first_version_is_read() -> None:
     heartbeat = bytes.fromhex("fe09 2a ff 00 00 00000000 06 08 c0 04 03".replace(" ", ""))
     crc = LAYOUTS["HEARTBEAT"].crc_extra
     whole = heartbeat + codec._CHECKSUM.pack(codec._crc(heartbeat[1:] + bytes([crc])))
-    [message] = Reading(whole)
+    [message] = MessageReader(whole)
     assert (message.name, message.system, message["mavlink_version"]) == ("HEARTBEAT", 255, 3)
 
 
@@ -70,7 +70,7 @@ def test_damage_is_refused() -> None:
         for bit in range(8):
             hurt = bytearray(whole)
             hurt[place] ^= 1 << bit
-            found = [one for one in Reading(bytes(hurt)) if one.name == "COMMAND_LONG"]
+            found = [one for one in MessageReader(bytes(hurt)) if one.name == "COMMAND_LONG"]
             # The flags of compatibility and the sequence are covered, too: nothing passes.
             assert found == []
 
@@ -79,7 +79,7 @@ def test_a_false_start_swallows_nothing_behind_it() -> None:
     random, valid = Random(2), frame("COMMAND_LONG", command=400, param1=1.0)
     for _ in range(500):
         junk = bytes(random.choices((0xFD, 0xFE, 0, 9, 76, 255), k=random.randrange(60)))
-        [message] = Reading(junk + valid + junk)
+        [message] = MessageReader(junk + valid + junk)
         assert message["command"] == 400
 
 
@@ -87,16 +87,16 @@ def test_junk_is_nothing() -> None:
     random = Random(4)
     for _ in range(3000):
         data = random.randbytes(random.randrange(300))
-        assert list(Reading(data)) == []
+        assert list(MessageReader(data)) == []
 
 
 def test_reading_tells_what_it_cost() -> None:
     """Bytes that were checked as a frame: those of a frame once, of overlapping ones many times."""
     valid = frame("COMMAND_LONG", command=400, param1=1.0)
-    reading = Reading(bytes(500) + valid + bytes(500))
+    reading = MessageReader(bytes(500) + valid + bytes(500))
     assert [message.name for message in reading] == ["COMMAND_LONG"]
     assert reading.checked == len(valid)
-    overlapping = Reading(b"\xfe\xf0\0\0\0\0" * 230)
+    overlapping = MessageReader(b"\xfe\xf0\0\0\0\0" * 230)
     assert list(overlapping) == []
     assert overlapping.checked > 30 * 1380
 
@@ -104,7 +104,7 @@ def test_reading_tells_what_it_cost() -> None:
 def test_a_datagram_is_left_when_it_cost_too_much() -> None:
     valid = frame("COMMAND_LONG", command=400, param1=1.0)
     hostile = b"\xfe\xf0\0\0\0\0" * 10_000
-    reading = Reading(valid + hostile, most=16_384)
+    reading = MessageReader(valid + hostile, most=16_384)
     assert len(list(reading)) == 1, "what stands before it is read"
     assert reading.checked < 17_000
 
@@ -112,16 +112,16 @@ def test_a_datagram_is_left_when_it_cost_too_much() -> None:
 # -- signatures -----------------------------------------------------------------------------------
 
 
-def signed(signer: Signer, now: int, name: str = "PING") -> bytes:
-    return write_frame(Message(name, {}), system=7, sequence=0, signer=signer, now=now)
+def signed(signer: PacketSigner, now: int, name: str = "PING") -> bytes:
+    return write_frame(MavlinkMessage(name, {}), system=7, sequence=0, signer=signer, now=now)
 
 
-def taken(reader: Signer, data: bytes, now: int = 1000) -> int:
-    return len(list(Reading(data, signer=reader, now=now)))
+def taken(reader: PacketSigner, data: bytes, now: int = 1000) -> int:
+    return len(list(MessageReader(data, signer=reader, now=now)))
 
 
 def test_what_is_signed_with_the_key_is_taken_once() -> None:
-    writer, reader = Signer(KEY), Signer(KEY)
+    writer, reader = PacketSigner(KEY), PacketSigner(KEY)
     first, second = signed(writer, 1000), signed(writer, 1000)
     assert taken(reader, first) == 1
     assert taken(reader, first) == 0, "it was recorded and sent again"
@@ -130,10 +130,10 @@ def test_what_is_signed_with_the_key_is_taken_once() -> None:
 
 
 def test_what_is_not_signed_or_with_another_key_is_refused_heartbeats_excepted() -> None:
-    reader = Signer(KEY)
+    reader = PacketSigner(KEY)
     assert taken(reader, frame("PING")) == 0
-    assert taken(reader, signed(Signer(bytes(32)), 1000)) == 0
-    assert taken(reader, signed(Signer(bytes(32)), 1000, "HEARTBEAT")) == 0
+    assert taken(reader, signed(PacketSigner(bytes(32)), 1000)) == 0
+    assert taken(reader, signed(PacketSigner(bytes(32)), 1000, "HEARTBEAT")) == 0
     assert taken(reader, frame("HEARTBEAT")) == 1
 
 
@@ -153,11 +153,11 @@ def of_the_first_version(name: str) -> bytes:
         ("HEARTBEAT", frame("HEARTBEAT"), False, [False]),
         ("HEARTBEAT", of_the_first_version("HEARTBEAT"), True, [False]),
         ("HEARTBEAT", of_the_first_version("HEARTBEAT"), False, [False]),
-        ("HEARTBEAT", signed(Signer(KEY), 1000, "HEARTBEAT"), True, [True]),
+        ("HEARTBEAT", signed(PacketSigner(KEY), 1000, "HEARTBEAT"), True, [True]),
         # Nobody looked at it: what has no key trusts all, and says of none that it was signed.
-        ("HEARTBEAT", signed(Signer(KEY), 1000, "HEARTBEAT"), False, [False]),
-        ("PING", signed(Signer(KEY), 1000), True, [True]),
-        ("PING", signed(Signer(KEY), 1000), False, [False]),
+        ("HEARTBEAT", signed(PacketSigner(KEY), 1000, "HEARTBEAT"), False, [False]),
+        ("PING", signed(PacketSigner(KEY), 1000), True, [True]),
+        ("PING", signed(PacketSigner(KEY), 1000), False, [False]),
         ("PING", of_the_first_version("PING"), True, []),
         ("PING", of_the_first_version("PING"), False, [False]),
     ],
@@ -165,35 +165,37 @@ def of_the_first_version(name: str) -> bytes:
 def test_signed_is_what_came_with_a_signature_of_the_key(
     name: str, data: bytes, has_key: bool, expected: list[bool]
 ) -> None:
-    reading = Reading(bytes(20) + data, signer=Signer(KEY) if has_key else None, now=1000)
+    reading = MessageReader(
+        bytes(20) + data, signer=PacketSigner(KEY) if has_key else None, now=1000
+    )
     assert [(one.name, one.is_signed) for one in reading] == [(name, one) for one in expected]
     assert reading.checked == len(data)
 
 
 def test_a_wrong_signature_does_not_lock_out_the_right_one() -> None:
-    reader = Signer(KEY)
-    assert taken(reader, signed(Signer(bytes(32)), 10**12)) == 0
-    assert taken(reader, signed(Signer(KEY), 1000)) == 1
+    reader = PacketSigner(KEY)
+    assert taken(reader, signed(PacketSigner(bytes(32)), 10**12)) == 0
+    assert taken(reader, signed(PacketSigner(KEY), 1000)) == 1
 
 
 def test_a_sender_that_is_new_may_not_be_a_minute_old() -> None:
-    reader = Signer(KEY)
-    assert taken(reader, signed(Signer(KEY), 1000), now=1000 + 6_000_001) == 0
+    reader = PacketSigner(KEY)
+    assert taken(reader, signed(PacketSigner(KEY), 1000), now=1000 + 6_000_001) == 0
 
 
 def test_of_more_senders_than_are_remembered_the_old_ones_give_way_after_a_minute() -> None:
     """Times are in 10 µs. One that is heard first again is refused what it said before."""
-    reader, begin, minute = Signer(KEY), 10**9, 6_000_000
-    recorded = [signed(Signer(KEY, link=link), begin) for link in range(64)]
+    reader, begin, minute = PacketSigner(KEY), 10**9, 6_000_000
+    recorded = [signed(PacketSigner(KEY, link=link), begin) for link in range(64)]
     assert [taken(reader, one, begin) for one in recorded] == [1] * 64
-    late = [signed(Signer(KEY, link=64), begin + minute - back) for back in (1, 0)]
+    late = [signed(PacketSigner(KEY, link=64), begin + minute - back) for back in (1, 0)]
     assert [taken(reader, late[0], begin + minute - 1), len(reader.newest)] == [0, 64]
     assert [taken(reader, late[1], begin + minute), len(reader.newest)] == [1, 1]
     assert [taken(reader, one, begin + minute) for one in recorded] == [0] * 64
 
 
 def test_the_key_is_not_shown() -> None:
-    assert "\\x01" not in repr(Signer(KEY))
+    assert "\\x01" not in repr(PacketSigner(KEY))
 
 
 # -- pymavlink ------------------------------------------------------------------------------------
@@ -228,20 +230,20 @@ def test_pymavlink_reads_what_is_written_signed_or_not(dialects: list[Any]) -> N
     plain = reader.decode(bytearray(frame("ATTITUDE", roll=0.5, yaw=math.nan)))
     assert (plain.get_type(), plain.roll, plain.get_srcSystem()) == ("ATTITUDE", 0.5, 7)
     reader.signing.secret_key = KEY
-    assert reader.decode(bytearray(signed(Signer(KEY), 10**10))).get_type() == "PING"
+    assert reader.decode(bytearray(signed(PacketSigner(KEY), 10**10))).get_type() == "PING"
 
 
 def test_what_pymavlink_writes_is_read(dialects: list[Any]) -> None:
     common = dialects[0]
     writer = common.MAVLink(None, srcSystem=9, srcComponent=4)
     data = common.MAVLink_param_set_message(1, 1, b"MIS_TAKEOFF_ALT", 7.5, 9).pack(writer)
-    [message] = Reading(bytes(data))
+    [message] = MessageReader(bytes(data))
     assert (message.system, message.component) == (9, 4)
     assert (message["param_id"], message["param_value"]) == ("MIS_TAKEOFF_ALT", 7.5)
     writer.signing.secret_key, writer.signing.sign_outgoing = KEY, True
     writer.signing.timestamp = 1000
     signed_ping = common.MAVLink_ping_message(1, 2, 0, 0).pack(writer)
-    assert taken(Signer(KEY), bytes(signed_ping)) == 1
+    assert taken(PacketSigner(KEY), bytes(signed_ping)) == 1
 
 
 # -- what was recorded before a restart is not obeyed after it -------------------------------------
@@ -252,16 +254,16 @@ NOW = 10**12
 
 
 def ping(at: int, system: int = 245) -> bytes:
-    message = Message("PING", {}, component=190)
-    return write_frame(message, system=system, sequence=0, signer=Signer(KEY), now=at)
+    message = MavlinkMessage("PING", {}, component=190)
+    return write_frame(message, system=system, sequence=0, signer=PacketSigner(KEY), now=at)
 
 
-def is_taken(signer: Signer, frame: bytes, now: int) -> bool:
-    return bool(list(Reading(frame, signer=signer, now=now)))
+def is_taken(signer: PacketSigner, frame: bytes, now: int) -> bool:
+    return bool(list(MessageReader(frame, signer=signer, now=now)))
 
 
-def started(folder: Path, now: int = NOW) -> tuple[Signer, SignatureMemory]:
-    signer = Signer(KEY)
+def started(folder: Path, now: int = NOW) -> tuple[PacketSigner, SignatureMemory]:
+    signer = PacketSigner(KEY)
     memory = SignatureMemory(folder, signer)
     assert memory.recall(now) == ""
     return signer, memory
@@ -323,7 +325,7 @@ def test_a_clock_that_was_set_back_takes_and_signs_nothing_old(tmp_path: Path) -
 
 
 def test_who_has_a_later_clock_does_not_refuse_what_is_signed_here() -> None:
-    signer = Signer(KEY)
+    signer = PacketSigner(KEY)
     assert is_taken(signer, ping(NOW + 10 * NEW_WITHIN), NOW)
     signer.sign(b"", NOW)
     assert signer.sent > NOW + 10 * NEW_WITHIN
@@ -340,7 +342,7 @@ def test_who_has_a_later_clock_does_not_refuse_what_is_signed_here() -> None:
     ],
 )
 def test_a_memory_that_cannot_be_read_hides_nothing(tmp_path: Path, spoilt: str) -> None:
-    signer = Signer(KEY)
+    signer = PacketSigner(KEY)
     memory = SignatureMemory(tmp_path, signer)
     memory.path.write_text(spoilt, "latin-1")
     assert "cannot be read" in memory.recall(NOW)
@@ -359,7 +361,7 @@ def test_a_memory_has_a_greatest_time_and_a_greatest_size(tmp_path: Path, beyond
         f'{{"sent": 1, "newest": {{"1.1.1": {latest + beyond}}}}}',
         '{"sent": 1, "newest": {}}'.ljust(65536 + beyond),
     ):
-        memory = SignatureMemory(tmp_path, Signer(KEY))
+        memory = SignatureMemory(tmp_path, PacketSigner(KEY))
         memory.path.write_text(text)
         assert ("cannot be read" in memory.recall(NOW)) is bool(beyond)
 
@@ -370,17 +372,17 @@ def test_no_bit_of_it_turns_over_unnoticed(tmp_path: Path) -> None:
     assert is_taken(signer, ping(NOW + SECOND), NOW)
     work(memory)
     whole = memory.path.read_bytes()
-    assert SignatureMemory(tmp_path, Signer(KEY)).recall(NOW) == ""
+    assert SignatureMemory(tmp_path, PacketSigner(KEY)).recall(NOW) == ""
     for at in range(len(whole)):
         for bit in range(8):
             memory.path.write_bytes(whole[:at] + bytes((whole[at] ^ 1 << bit,)) + whole[at + 1 :])
-            told = SignatureMemory(tmp_path, Signer(KEY)).recall(NOW)
+            told = SignatureMemory(tmp_path, PacketSigner(KEY)).recall(NOW)
             if not told:  # what stands between values may be any white space
                 assert json.loads(memory.path.read_bytes()) == json.loads(whole), (at, bit)
 
 
 def test_one_of_an_older_version_is_read(tmp_path: Path) -> None:
-    signer = Signer(KEY)
+    signer = PacketSigner(KEY)
     memory = SignatureMemory(tmp_path, signer)
     memory.path.write_text(f'{{"sent": {NOW + SECOND}, "newest": {{}}}}')
     assert memory.recall(NOW) == ""
@@ -400,7 +402,7 @@ def test_the_file_is_ours_alone_and_small_and_tells_no_key(tmp_path: Path) -> No
     assert len(json.loads(text)["newest"]) < 30, "who is older is refused for that"
     assert KEY.hex() not in text + memory.path.name
     assert [one.name for one in folder.iterdir()] == [memory.path.name]
-    other = SignatureMemory(folder, Signer(bytes(32)))
+    other = SignatureMemory(folder, PacketSigner(bytes(32)))
     assert other.path != memory.path
 
 
@@ -449,7 +451,7 @@ def test_it_is_written_once_in_a_while_and_at_once_for_somebody_new(tmp_path: Pa
 
 def test_a_disk_that_does_not_take_it_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    signer = Signer(KEY)
+    signer = PacketSigner(KEY)
     memory = SignatureMemory(tmp_path / "file" / "folder", signer)
     assert memory.recall(NOW)
     assert is_taken(signer, ping(NOW + 1), NOW)
@@ -480,5 +482,5 @@ def test_each_message_that_is_sent_or_read_is_defined() -> None:
     assert len(made) > 15
     assert made - LAYOUTS.keys() == set()
     known: Any = Known()
-    read = Vehicle(known, session_of(known), 1, 12)._handlers
+    read = MavlinkVehicle(known, session_of(known), 1, 12)._handlers
     assert read.keys() - LAYOUTS.keys() == set()

@@ -1,4 +1,4 @@
-"""Commands: as a table of what the deck is asked for, and as flights."""
+"""Commands: as a table of what the manager is asked for, and as flights."""
 
 from __future__ import annotations
 
@@ -10,14 +10,21 @@ import anyio
 import pytest
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.messages import Limits, State
-from m100link.apps.mavlink.translator.codec import LAYOUTS, Message
-from m100link.apps.mavlink.translator.commands import COMMANDS, Commands, read_command
-from m100link.apps.mavlink.translator.deck import Deck
-from m100link.apps.mavlink.translator.modes import MODES, Mode, Phase
-from m100link.apps.mavlink.translator.numbers import Command, MissionResult, Result
-from m100link.apps.mavlink.translator.orders import Flight, GoHome, Halt, Land, TakeOff, Wish
-from m100link.apps.mavlink.translator.parameters import Parameters
+from m100link.apps.agent.messages import GuardLimits, State
+from m100link.apps.mavlink.translator.codec import LAYOUTS, MavlinkMessage
+from m100link.apps.mavlink.translator.commands import COMMANDS, CommandProtocol, read_command
+from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
+from m100link.apps.mavlink.translator.modes import MODES, Mode, VehiclePhase
+from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult, MissionResult
+from m100link.apps.mavlink.translator.orders import (
+    FlightSequence,
+    HoldPosition,
+    LandInPlace,
+    ModeRequest,
+    ReturnToLaunch,
+    TakeOffAndClimb,
+)
+from m100link.apps.mavlink.translator.parameters import ParameterProtocol
 from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.telemetry import Rates
 from m100link.geodesy import LocalFrame
@@ -44,15 +51,15 @@ class Asked:
     """Somebody asks; what becomes of it is kept."""
 
     def __init__(self, known: Known | None = None) -> None:
-        self.wishes: list[Wish] = []
+        self.requests: list[ModeRequest] = []
         self.texts: list[str] = []
         self.fenced: list[tuple[Place | None, Place, float]] = []
         self.firsts: list[int | None] = []
         self.orders: list[Any] = []
         self.other: Peer | None = None
-        deck = SimpleNamespace(
-            wish=self._wish,
-            phase=Phase.AIRBORNE,
+        manager = SimpleNamespace(
+            request_mode=self._request,
+            phase=VehiclePhase.AIRBORNE,
             is_others=lambda *_: self.other is not None,
             has_setpoint=lambda *_: True,
             is_flown_by_aircraft=True,
@@ -60,10 +67,10 @@ class Asked:
             orders=self.orders,
         )
         world = world_of(known or Known(position(latitude=NORTH, longitude=EAST)))
-        self.commands = Commands(
+        self.commands = CommandProtocol(
             world,
-            cast(Deck, deck),
-            Parameters(world, 1),
+            cast(FlightModeManager, manager),
+            ParameterProtocol(world, 1),
             Rates(world),
             tell=lambda _, text: self.texts.append(text),
             request=lambda *_: False,
@@ -71,33 +78,33 @@ class Asked:
             fence=self._fence,
         )
 
-    def _wish(self, wish: Wish, now: float) -> Result:
-        self.wishes.append(wish)
-        return Result.ACCEPTED
+    def _request(self, request: ModeRequest, now: float) -> MavResult:
+        self.requests.append(request)
+        return MavResult.ACCEPTED
 
-    def _mission(self, peer: Peer, first: int | None) -> Wish | None:
+    def _mission(self, peer: Peer, first: int | None) -> ModeRequest | None:
         self.firsts.append(first)
-        return Wish(Mode.MISSION, None, peer)
+        return ModeRequest(Mode.MISSION, None, peer)
 
     def _fence(self, begin: Place | None, end: Place, radius: float) -> str:
         self.fenced.append((begin, end, radius))
         return ""
 
-    def ask(self, message: Message) -> Result | None:
+    def ask(self, message: MavlinkMessage) -> MavResult | None:
         return self.commands.carry_out(read_command(message, PEER), 1.0)
 
 
-def long(command: int, *given: float) -> Message:
+def long(command: int, *given: float) -> MavlinkMessage:
     values = (*given, *(NAN,) * (7 - len(given)))
     fields: dict[str, Any] = {f"param{place}": one for place, one in enumerate(values, 1)}
-    return Message("COMMAND_LONG", fields | {"command": command})
+    return MavlinkMessage("COMMAND_LONG", fields | {"command": command})
 
 
-def whole(command: int, frame: int, x: int, y: int, z: float, *four: float) -> Message:
+def whole(command: int, frame: int, x: int, y: int, z: float, *four: float) -> MavlinkMessage:
     values = (*four, *(NAN,) * (4 - len(four)))
     fields: dict[str, Any] = {f"param{place}": one for place, one in enumerate(values, 1)}
     more = {"command": command, "frame": frame, "x": x, "y": y, "z": z}
-    return Message("COMMAND_INT", fields | more)
+    return MavlinkMessage("COMMAND_INT", fields | more)
 
 
 def to(height: float, speed: float = 5.0, yaw: float | None = None) -> orders.FlyTo:
@@ -106,20 +113,20 @@ def to(height: float, speed: float = 5.0, yaw: float | None = None) -> orders.Fl
 
 X, Y = 105_001_000, -202_501_000
 
-TABLE: list[tuple[Message, Mode, object]] = [
+TABLE: list[tuple[MavlinkMessage, Mode, object]] = [
     (
         long(TAKE_OFF, NAN, NAN, NAN, NAN, NAN, NAN, 80.31),
         Mode.TAKEOFF,
-        TakeOff(near(5.0)),
+        TakeOffAndClimb(near(5.0)),
     ),
-    (long(TAKE_OFF), Mode.TAKEOFF, TakeOff(2.5)),
-    (long(TAKE_OFF, 0, 0, 0, 0, 0, 0, 0.0), Mode.TAKEOFF, TakeOff(2.5)),
-    (whole(TAKE_OFF, RELATIVE, 0, 0, 6.0), Mode.TAKEOFF, TakeOff(near(6.0))),
-    (whole(TAKE_OFF, RELATIVE_INT, 0, 0, 6.0), Mode.TAKEOFF, TakeOff(near(6.0))),
-    (whole(TAKE_OFF, GLOBAL_INT, 0, 0, 85.31), Mode.TAKEOFF, TakeOff(near(10.0))),
-    (long(LAND), Mode.LAND, Land()),
-    (long(HOME), Mode.RTL, GoHome()),
-    (long(REPOSITION), Mode.HOLD, Halt()),
+    (long(TAKE_OFF), Mode.TAKEOFF, TakeOffAndClimb(2.5)),
+    (long(TAKE_OFF, 0, 0, 0, 0, 0, 0, 0.0), Mode.TAKEOFF, TakeOffAndClimb(2.5)),
+    (whole(TAKE_OFF, RELATIVE, 0, 0, 6.0), Mode.TAKEOFF, TakeOffAndClimb(near(6.0))),
+    (whole(TAKE_OFF, RELATIVE_INT, 0, 0, 6.0), Mode.TAKEOFF, TakeOffAndClimb(near(6.0))),
+    (whole(TAKE_OFF, GLOBAL_INT, 0, 0, 85.31), Mode.TAKEOFF, TakeOffAndClimb(near(10.0))),
+    (long(LAND), Mode.LAND, LandInPlace()),
+    (long(HOME), Mode.RTL, ReturnToLaunch()),
+    (long(REPOSITION), Mode.HOLD, HoldPosition()),
     # radians, clockwise from north
     (long(REPOSITION, -1, 0, 0, 0.5), Mode.GOTO, orders.ChangeHeading(near(28.6479, abs=1e-3))),
     (
@@ -139,7 +146,7 @@ TABLE: list[tuple[Message, Mode, object]] = [
     (whole(REPOSITION, GLOBAL_INT, X, Y, 95.31, -1), Mode.GOTO, to(20.0)),
     (whole(REPOSITION, RELATIVE, X, Y, 15.0, -1), Mode.GOTO, to(15.0)),
     (whole(REPOSITION, RELATIVE_INT, X, Y, 15.0, -1), Mode.GOTO, to(15.0)),
-    (whole(REPOSITION, GLOBAL, NOWHERE, NOWHERE, NAN), Mode.HOLD, Halt()),
+    (whole(REPOSITION, GLOBAL, NOWHERE, NOWHERE, NAN), Mode.HOLD, HoldPosition()),
     # m, m/s; a positive radius is clockwise
     (
         long(ORBIT, 15.0, 3.0, 0, NAN, 10.5001, -20.2501, 95.31),
@@ -165,12 +172,12 @@ TABLE: list[tuple[Message, Mode, object]] = [
 
 
 @pytest.mark.parametrize(("message", "mode", "order"), TABLE)
-def test_what_a_command_asks_for(message: Message, mode: Mode, order: object) -> None:
+def test_what_a_command_asks_for(message: MavlinkMessage, mode: Mode, order: object) -> None:
     asked = Asked()
-    assert asked.ask(message) is Result.ACCEPTED, asked.texts
-    [wish] = asked.wishes
-    found = wish.order.legs[0] if isinstance(wish.order, Flight) else wish.order
-    assert (wish.mode, wish.peer) == (mode, PEER)
+    assert asked.ask(message) is MavResult.ACCEPTED, asked.texts
+    [request] = asked.requests
+    found = request.order.legs[0] if isinstance(request.order, FlightSequence) else request.order
+    assert (request.mode, request.peer) == (mode, PEER)
     assert found == order
     if isinstance(found, orders.FlyTo):
         assert asked.fenced == [(None, (10.5001, -20.2501), 0.0)]
@@ -180,10 +187,10 @@ def test_what_a_command_asks_for(message: Message, mode: Mode, order: object) ->
 
 def test_a_speed_is_that_of_the_flights_that_come() -> None:
     asked = Asked()
-    assert asked.ask(long(SPEED, 1, 3.5)) is Result.ACCEPTED
+    assert asked.ask(long(SPEED, 1, 3.5)) is MavResult.ACCEPTED
     asked.ask(long(REPOSITION, -1, 1, 0, NAN, 10.5001, -20.2501, 95.31))
     asked.ask(long(REPOSITION, 2.0, 1, 0, NAN, 10.5001, -20.2501, 95.31))
-    speeds = [cast(Any, wish.order).legs[0].speed for wish in asked.wishes]
+    speeds = [cast(Any, request.order).legs[0].speed for request in asked.requests]
     assert speeds == [3.5, 2.0]
 
 
@@ -212,10 +219,10 @@ def test_a_speed_is_that_of_the_flights_that_come() -> None:
         long(ORBIT, NAN, 2.0),
     ],
 )
-def test_what_cannot_be_flown_as_it_is_said_is_denied(message: Message) -> None:
+def test_what_cannot_be_flown_as_it_is_said_is_denied(message: MavlinkMessage) -> None:
     asked = Asked()
-    assert asked.ask(message) is Result.DENIED
-    assert asked.wishes == []
+    assert asked.ask(message) is MavResult.DENIED
+    assert asked.requests == []
 
 
 MODE, CURRENT, START, PAUSE, ARM, STANDARD = 176, 224, 300, 193, 400, 262
@@ -224,10 +231,10 @@ MODE, CURRENT, START, PAUSE, ARM, STANDARD = 176, 224, 300, 193, 400, 262
 @pytest.mark.parametrize(
     ("given", "mode", "order"),
     [
-        ((1, 4, 3), Mode.HOLD, Halt()),
-        ((129, 4, 6), Mode.LAND, Land()),
-        ((1, 4, 5), Mode.RTL, GoHome()),
-        ((1, 4, 2), Mode.TAKEOFF, TakeOff(2.5)),
+        ((1, 4, 3), Mode.HOLD, HoldPosition()),
+        ((129, 4, 6), Mode.LAND, LandInPlace()),
+        ((1, 4, 5), Mode.RTL, ReturnToLaunch()),
+        ((1, 4, 2), Mode.TAKEOFF, TakeOffAndClimb(2.5)),
         ((1, 4, 4), Mode.MISSION, None),
         ((1, 6, 0), Mode.OFFBOARD, None),
         ((1, 6), Mode.OFFBOARD, None),
@@ -237,9 +244,9 @@ MODE, CURRENT, START, PAUSE, ARM, STANDARD = 176, 224, 300, 193, 400, 262
 )
 def test_modes_are_those_of_px4(given: Any, mode: Mode, order: object) -> None:
     asked = Asked()
-    assert asked.ask(long(MODE, *given)) is Result.ACCEPTED, asked.texts
-    [wish] = asked.wishes
-    assert (wish.mode, wish.order) == (mode, order)
+    assert asked.ask(long(MODE, *given)) is MavResult.ACCEPTED, asked.texts
+    [request] = asked.requests
+    assert (request.mode, request.order) == (mode, order)
 
 
 @pytest.mark.parametrize(
@@ -260,10 +267,10 @@ def test_modes_are_those_of_px4(given: Any, mode: Mode, order: object) -> None:
         long(CURRENT, NAN),
     ],
 )
-def test_what_is_no_mode_and_no_number_is_denied(message: Message) -> None:
+def test_what_is_no_mode_and_no_number_is_denied(message: MavlinkMessage) -> None:
     asked = Asked()
-    assert asked.ask(message) is Result.DENIED
-    assert (asked.wishes, asked.firsts) == ([], [])
+    assert asked.ask(message) is MavResult.DENIED
+    assert (asked.requests, asked.firsts) == ([], [])
 
 
 @pytest.mark.parametrize(
@@ -277,37 +284,37 @@ def test_what_is_no_mode_and_no_number_is_denied(message: Message) -> None:
         (long(PAUSE, 1), None),
     ],
 )
-def test_a_mission_begins_with_its_item(message: Message, first: int | None) -> None:
+def test_a_mission_begins_with_its_item(message: MavlinkMessage, first: int | None) -> None:
     asked = Asked()
-    assert asked.ask(message) is Result.ACCEPTED
+    assert asked.ask(message) is MavResult.ACCEPTED
     assert asked.firsts == [first]
-    assert [wish.mode for wish in asked.wishes] == [Mode.MISSION]
+    assert [request.mode for request in asked.requests] == [Mode.MISSION]
 
 
 @pytest.mark.parametrize("number", [NAN, -1.0, 0xFFFFFF])
 def test_the_rate_of_what_is_no_message_is_not_told(number: float) -> None:
-    assert Asked().ask(long(510, number)) is Result.UNSUPPORTED
+    assert Asked().ask(long(510, number)) is MavResult.UNSUPPORTED
 
 
 def test_a_pause_is_a_hold() -> None:
     asked = Asked()
-    assert asked.ask(long(PAUSE, 0)) is Result.ACCEPTED
-    assert [wish.order for wish in asked.wishes] == [Halt()]
+    assert asked.ask(long(PAUSE, 0)) is MavResult.ACCEPTED
+    assert [request.order for request in asked.requests] == [HoldPosition()]
 
 
 @pytest.mark.parametrize(
     "message", [long(SPEED, 1, 3.0), long(CURRENT, 2), long(START, 0), long(MODE, 1, 4, 4)]
 )
-def test_while_somebody_else_flies_nothing_of_the_flight_changes(message: Message) -> None:
+def test_while_somebody_else_flies_nothing_of_the_flight_changes(message: MavlinkMessage) -> None:
     asked = Asked()
     asked.other = Peer(("127.0.0.1", 14560), 1, 1)
-    assert asked.ask(message) is Result.TEMPORARILY_REJECTED
-    assert (asked.wishes, asked.firsts, asked.orders) == ([], [], [])
+    assert asked.ask(message) is MavResult.TEMPORARILY_REJECTED
+    assert (asked.requests, asked.firsts, asked.orders) == ([], [], [])
 
 
 def test_a_speed_goes_to_the_mission_that_the_aircraft_flies_in_millimetres() -> None:
     asked = Asked()
-    assert asked.ask(long(SPEED, 1, 3.25)) is Result.ACCEPTED
+    assert asked.ask(long(SPEED, 1, 3.25)) is MavResult.ACCEPTED
     [order] = asked.orders
     assert order.order == orders.SetMissionSpeed(3.25)
 
@@ -320,13 +327,13 @@ def test_a_speed_goes_to_the_mission_that_the_aircraft_flies_in_millimetres() ->
         long(TAKE_OFF, NAN, NAN, NAN, NAN, NAN, NAN, 75.31 + 101.0),
     ],
 )
-def test_outside_of_the_envelope_is_denied_at_the_command(message: Message) -> None:
+def test_outside_of_the_envelope_is_denied_at_the_command(message: MavlinkMessage) -> None:
     known = Known(position(latitude=NORTH, longitude=EAST))
-    limits = Limits(100.0, 50.0, None, None, NORTH, EAST)
+    limits = GuardLimits(100.0, 50.0, None, None, NORTH, EAST)
     known.state = State(0.0, connection="connected", limits=limits)
     asked = Asked(known)
-    assert asked.ask(message) is Result.DENIED
-    assert asked.wishes == []
+    assert asked.ask(message) is MavResult.DENIED
+    assert asked.requests == []
     assert asked.texts
 
 
@@ -341,13 +348,13 @@ def place(north: float, east: float) -> tuple[float, float]:
 
 async def reposition(
     ground: Ground, frame: int, x: float = NAN, y: float = NAN, z: float = NAN, yaw: float = NAN
-) -> Result:
+) -> MavResult:
     """DO_REPOSITION as COMMAND_INT, which names its frame."""
     known = len(ground.heard)
     whole = [0x7FFFFFFF if math.isnan(one) else round(one * 1e7) for one in (x, y)]
     ground.send(
         "COMMAND_INT",
-        command=Command.DO_REPOSITION,
+        command=MavCommand.DO_REPOSITION,
         target_system=1,
         target_component=1,
         frame=frame,
@@ -359,7 +366,7 @@ async def reposition(
         z=z,
     )
     [ack] = [one for one in ground.heard[known:] if one.name == "COMMAND_ACK"]
-    return Result(ack["result"])
+    return MavResult(ack["result"])
 
 
 @pytest.mark.parametrize("frame", [0, 3, 5, 6])
@@ -367,7 +374,9 @@ async def test_a_place_is_flown_to_in_every_frame(rig: Rig, ground: Ground, fram
     await ground.fly(6.0)
     sea_level = rig.ground_altitude if frame in (0, 5) else 0.0
     where = place(12.0, -9.0)
-    assert await reposition(ground, frame, *where, sea_level + 9.0, math.pi / 2) is Result.ACCEPTED
+    assert (
+        await reposition(ground, frame, *where, sea_level + 9.0, math.pi / 2) is MavResult.ACCEPTED
+    )
     await rig.until(lambda: math.dist(rig.aircraft.position, (12.0, -9.0)) < 1.0)
     await anyio.sleep(3.0)
     assert rig.height == pytest.approx(9.0, abs=1.0)
@@ -376,18 +385,18 @@ async def test_a_place_is_flown_to_in_every_frame(rig: Rig, ground: Ground, fram
 
 async def test_no_place_and_no_height_is_a_pause(rig: Rig, ground: Ground) -> None:
     await ground.fly(6.0)
-    assert await reposition(ground, 6, *place(60.0, 0.0), 6.0) is Result.ACCEPTED
+    assert await reposition(ground, 6, *place(60.0, 0.0), 6.0) is MavResult.ACCEPTED
     await rig.until(lambda: rig.speed > 2.0)
-    assert await ground.ask(Command.DO_REPOSITION, -1, 1, 0) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.DO_REPOSITION, -1, 1, 0) is MavResult.ACCEPTED
     await anyio.sleep(4.0)
     assert rig.speed < 0.1
 
 
 async def test_a_height_alone_and_a_heading_alone(rig: Rig, ground: Ground) -> None:
     await ground.fly(4.0)
-    assert await reposition(ground, 6, z=9.0) is Result.ACCEPTED
+    assert await reposition(ground, 6, z=9.0) is MavResult.ACCEPTED
     await rig.until(lambda: abs(rig.height - 9.0) < 0.5)
-    assert await reposition(ground, 6, yaw=-math.pi / 2) is Result.ACCEPTED
+    assert await reposition(ground, 6, yaw=-math.pi / 2) is MavResult.ACCEPTED
     await rig.until(lambda: abs(ground.last("GLOBAL_POSITION_INT")["hdg"] - 27000) < 500)
 
 
@@ -396,7 +405,7 @@ async def test_a_circle_is_flown_and_held(rig: Rig, ground: Ground, radius: floa
     await ground.fly(6.0)
     where = place(20.0, 0.0)
     args = (radius, 3.0, 0.0, NAN, *where, rig.ground_altitude + 8.0)
-    assert await ground.ask(Command.DO_ORBIT, *args) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.DO_ORBIT, *args) is MavResult.ACCEPTED
     await rig.until(lambda: ground.mode is Mode.ORBIT)
     await anyio.sleep(15.0)
     turned = []
@@ -407,7 +416,7 @@ async def test_a_circle_is_flown_and_held(rig: Rig, ground: Ground, radius: floa
         await anyio.sleep(0.1)
     step = math.remainder(turned[1] - turned[0], math.tau)
     assert (step > 0) == (radius > 0)
-    assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.HOLD) is MavResult.ACCEPTED
     await anyio.sleep(4.0)
     assert rig.speed < 0.1
 
@@ -427,7 +436,7 @@ async def test_a_target_that_is_not_flown_to_is_denied_at_once(
     rig: Rig, ground: Ground, x: float, y: float, z: float
 ) -> None:
     await ground.fly(5.0)
-    assert await reposition(ground, 6, x, y, z) is Result.DENIED
+    assert await reposition(ground, 6, x, y, z) is MavResult.DENIED
     await anyio.sleep(1.0)
     assert rig.speed < 0.1
     assert len(ground.texts.splitlines()) > 3
@@ -438,7 +447,7 @@ async def test_a_take_off_beyond_the_envelope_is_denied_on_the_ground(
 ) -> None:
     await ground.arm()
     args = (0, 0, 0, NAN, NAN, NAN, rig.ground_altitude + 80.0)
-    assert await ground.ask(Command.NAV_TAKEOFF, *args) is Result.DENIED
+    assert await ground.ask(MavCommand.NAV_TAKEOFF, *args) is MavResult.DENIED
     await rig.until(lambda: "the envelope ends at 50 m" in ground.texts.replace("\n", ""))
     await anyio.sleep(3.0)
     assert not rig.motors_on
@@ -467,8 +476,8 @@ async def test_no_mode_moves_an_aircraft_that_is_not_armed(
 
 async def test_another_speed_is_flown_with(rig: Rig, ground: Ground) -> None:
     await ground.fly(5.0)
-    assert await ground.ask(Command.DO_CHANGE_SPEED, 1, 2.0) is Result.ACCEPTED
-    assert await reposition(ground, 6, *place(40.0, 0.0), 5.0) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.DO_CHANGE_SPEED, 1, 2.0) is MavResult.ACCEPTED
+    assert await reposition(ground, 6, *place(40.0, 0.0), 5.0) is MavResult.ACCEPTED
     speeds: list[float] = []
     for _ in range(60):
         await anyio.sleep(0.1)
@@ -484,9 +493,9 @@ async def test_sticks_move_it_and_let_go_when_they_are_silent(rig: Rig, ground: 
             ground.send("MANUAL_CONTROL", target=1, **({"z": 500} | sticks))
             await anyio.sleep(0.05)
 
-    assert await ground.set_mode(Mode.POSCTL) is Result.DENIED, "nobody holds the sticks"
+    assert await ground.set_mode(Mode.POSCTL) is MavResult.DENIED, "nobody holds the sticks"
     await hold(0.2)
-    assert await ground.set_mode(Mode.POSCTL) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.POSCTL) is MavResult.ACCEPTED
     await hold(3.0, x=600)
     assert ground.mode is Mode.POSCTL
     assert rig.aircraft.position[0] > 3.0
@@ -508,7 +517,7 @@ async def test_an_axis_that_is_not_there_is_not_a_full_one(
     await ground.fly(5.0)
     none = dict.fromkeys("xyzr", 0x7FFF)
     ground.send("MANUAL_CONTROL", target=1, **none)
-    assert await ground.set_mode(mode) is Result.ACCEPTED
+    assert await ground.set_mode(mode) is MavResult.ACCEPTED
     for _ in range(40):
         ground.send("MANUAL_CONTROL", target=1, **none)
         await anyio.sleep(0.05)
@@ -526,8 +535,8 @@ async def test_no_number_of_a_command_is_too_much_for_it(
     for number in range(7):
         parameters = [NAN] * 7
         parameters[number] = given
-        assert await ground.ask(command, *parameters) is not Result.FAILED
-    assert await ground.ask(command, *[given] * 7) is not Result.FAILED
+        assert await ground.ask(command, *parameters) is not MavResult.FAILED
+    assert await ground.ask(command, *[given] * 7) is not MavResult.FAILED
     await anyio.sleep(1.0)
     assert not rig.motors_on
 
@@ -540,7 +549,7 @@ async def test_a_take_off_is_as_high_as_its_frame_says(
     sea_level = rig.ground_altitude if frame in (0, 5) else 0.0
     ground.send(
         "COMMAND_INT",
-        command=Command.NAV_TAKEOFF,
+        command=MavCommand.NAV_TAKEOFF,
         target_system=1,
         target_component=1,
         frame=frame,
@@ -558,7 +567,7 @@ async def test_the_altitude_of_a_circle_is_above_sea_level_whatever_its_frame_sa
     """MAVSDK names the relative frame, and means above sea level; PX4 does not read the frame."""
     await ground.fly(5.0)
     latitude, longitude = (round(one * 1e7) for one in place(10.0, 0.0))
-    fields = {"command": Command.DO_ORBIT, "target_system": 1, "target_component": 1}
+    fields = {"command": MavCommand.DO_ORBIT, "target_system": 1, "target_component": 1}
     around = {"param1": 6.0, "param2": 2.0, "x": latitude, "y": longitude}
     ground.send("COMMAND_INT", **fields, **around, frame=frame, z=rig.ground_altitude + 9.0)
     await rig.until(lambda: ground.mode is Mode.ORBIT)
@@ -567,7 +576,7 @@ async def test_the_altitude_of_a_circle_is_above_sea_level_whatever_its_frame_sa
 
 @pytest.mark.parametrize("asked", [NAN, math.inf, -math.inf])
 async def test_a_message_without_a_number_is_denied(ground: Ground, asked: float) -> None:
-    assert await ground.ask(Command.REQUEST_MESSAGE, asked) is Result.DENIED
+    assert await ground.ask(MavCommand.REQUEST_MESSAGE, asked) is MavResult.DENIED
 
 
 @pytest.mark.parametrize(
@@ -579,11 +588,13 @@ async def test_an_interval_is_one_of_microseconds(
 ) -> None:
     """-1 is never, and 0 as often as by default: 20 a second."""
     attitude = LAYOUTS["ATTITUDE"].number
-    assert await ground.ask(Command.SET_MESSAGE_INTERVAL, attitude, asked_us) is Result.ACCEPTED
+    assert (
+        await ground.ask(MavCommand.SET_MESSAGE_INTERVAL, attitude, asked_us) is MavResult.ACCEPTED
+    )
     known = len(ground.all("ATTITUDE"))
     await anyio.sleep(1.0)
     assert least <= len(ground.all("ATTITUDE")) - known <= most
-    assert await ground.ask(Command.GET_MESSAGE_INTERVAL, attitude) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.GET_MESSAGE_INTERVAL, attitude) is MavResult.ACCEPTED
     assert ground.last("MESSAGE_INTERVAL")["interval_us"] == told_us
     assert ground.last("MESSAGE_INTERVAL")["message_id"] == attitude
 
@@ -591,7 +602,7 @@ async def test_an_interval_is_one_of_microseconds(
 async def test_capabilities_are_the_version(ground: Ground) -> None:
     """MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, which older stations ask."""
     assert not ground.all("AUTOPILOT_VERSION")
-    assert await ground.ask(520, 1.0) is Result.ACCEPTED
+    assert await ground.ask(520, 1.0) is MavResult.ACCEPTED
     assert len(ground.all("AUTOPILOT_VERSION")) == 1
 
 
@@ -599,8 +610,8 @@ async def test_capabilities_are_the_version(ground: Ground) -> None:
 async def test_an_item_of_no_number_is_not_gone_on_from(ground: Ground, number: float) -> None:
     plan = [waypoint(10.0, 0.0), waypoint(20.0, 0.0)]
     assert await Exchange(ground).upload(plan) is MissionResult.ACCEPTED
-    assert await ground.ask(Command.DO_SET_MISSION_CURRENT, 1.0) is Result.ACCEPTED
-    assert await ground.ask(Command.DO_SET_MISSION_CURRENT, number) is Result.DENIED
+    assert await ground.ask(MavCommand.DO_SET_MISSION_CURRENT, 1.0) is MavResult.ACCEPTED
+    assert await ground.ask(MavCommand.DO_SET_MISSION_CURRENT, number) is MavResult.DENIED
 
 
 @pytest.mark.parametrize(
@@ -612,9 +623,13 @@ async def test_a_speed_that_is_none_is_that_of_the_parameter(
     """MPC_XY_CRUISE, 5 m/s; -1 says so by the definition, and so does what is no number."""
     await ground.fly(5.0)
     where = *place(60.0, 0.0), rig.ground_altitude + 5.0
-    assert await ground.ask(Command.DO_REPOSITION, math.inf, 1, 0, NAN, *where) is Result.DENIED
+    assert (
+        await ground.ask(MavCommand.DO_REPOSITION, math.inf, 1, 0, NAN, *where) is MavResult.DENIED
+    )
     circle = 10.0, math.inf, 0.0, NAN
-    assert await ground.ask(Command.DO_ORBIT, *circle, *where) is Result.DENIED
-    assert await ground.ask(Command.DO_REPOSITION, given, 1, 0, NAN, *where) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.DO_ORBIT, *circle, *where) is MavResult.DENIED
+    assert (
+        await ground.ask(MavCommand.DO_REPOSITION, given, 1, 0, NAN, *where) is MavResult.ACCEPTED
+    )
     await anyio.sleep(5.0)
     assert least <= rig.speed <= most

@@ -11,10 +11,15 @@ import anyio
 import pytest
 
 from m100link.apps.agent.view import VehicleView
-from m100link.apps.mavlink.translator.codec import Message
+from m100link.apps.mavlink.translator.codec import MavlinkMessage
 from m100link.apps.mavlink.translator.missions import read_fence
 from m100link.apps.mavlink.translator.modes import MODES, Mode
-from m100link.apps.mavlink.translator.numbers import Command, MissionResult, MissionType, Result
+from m100link.apps.mavlink.translator.numbers import (
+    MavCommand,
+    MavResult,
+    MissionResult,
+    MissionType,
+)
 from m100link.apps.mavlink.translator.route import Refused
 from m100link.geodesy import LocalFrame, geodesic
 from m100link.protocol.records import Position, Velocity
@@ -35,17 +40,17 @@ def item(command: int, north: float = 0.0, east: float = 0.0, z: float = 0.0, **
 
 
 def waypoint(north: float, east: float, z: float = 8.0, **more: Any) -> Item:
-    return item(Command.NAV_WAYPOINT, north, east, z, **more)
+    return item(MavCommand.NAV_WAYPOINT, north, east, z, **more)
 
 
 SQUARE = [
-    item(Command.NAV_TAKEOFF, z=6.0),
-    item(Command.DO_CHANGE_SPEED, param1=1.0, param2=4.0),
+    item(MavCommand.NAV_TAKEOFF, z=6.0),
+    item(MavCommand.DO_CHANGE_SPEED, param1=1.0, param2=4.0),
     waypoint(15.0, 0.0),
     item(2000, param1=0.0),
     waypoint(15.0, 15.0, param1=2.0),
     waypoint(0.1, 15.0),
-    item(Command.NAV_RETURN_TO_LAUNCH),
+    item(MavCommand.NAV_RETURN_TO_LAUNCH),
 ]
 
 
@@ -60,7 +65,7 @@ class Exchange:
         if self.random.random() >= self.loss:
             self.ground.send(name, target_system=1, target_component=1, **fields)
 
-    def heard(self, *names: str) -> Iterator[Message]:
+    def heard(self, *names: str) -> Iterator[MavlinkMessage]:
         fresh, self.read = self.ground.heard[self.read :], len(self.ground.heard)
         for one in fresh:
             if one.name in names and self.random.random() >= self.loss:
@@ -85,8 +90,8 @@ class Exchange:
                     else:
                         self.send("MISSION_ITEM_INT", seq=asked, mission_type=kind, **items[asked])
 
-    async def download(self, kind: int = MissionType.MISSION) -> list[Message]:
-        found: list[Message] = []
+    async def download(self, kind: int = MissionType.MISSION) -> list[MavlinkMessage]:
+        found: list[MavlinkMessage] = []
         count = -1
         with anyio.fail_after(200.0):
             while count < 0:
@@ -103,7 +108,7 @@ class Exchange:
         return found
 
 
-def same(found: Message, given: Item) -> bool:
+def same(found: MavlinkMessage, given: Item) -> bool:
     return all(
         found[name] == value or (math.isnan(value) and math.isnan(found[name]))
         for name, value in given.items()
@@ -166,7 +171,7 @@ async def test_a_second_upload_waits_for_the_first(rig: Rig, ground: Ground) -> 
 @pytest.mark.parametrize(
     ("given", "result"),
     [
-        (item(Command.DO_ORBIT, 5.0, 5.0, 5.0), MissionResult.UNSUPPORTED),
+        (item(MavCommand.DO_ORBIT, 5.0, 5.0, 5.0), MissionResult.UNSUPPORTED),
         (item(82, 5.0, 5.0, 5.0), MissionResult.UNSUPPORTED),
         (item(177, param1=0.0), MissionResult.UNSUPPORTED),
         (item(112, param1=5.0), MissionResult.UNSUPPORTED),
@@ -176,8 +181,8 @@ async def test_a_second_upload_waits_for_the_first(rig: Rig, ground: Ground) -> 
         (waypoint(5.0, 5.0, param1=1e9), MissionResult.INVALID),
         (waypoint(5.0, 5.0, x=0, y=0), MissionResult.INVALID),
         (waypoint(5.0, 5.0, x=2_000_000_000), MissionResult.INVALID),
-        (item(Command.NAV_TAKEOFF, z=5.0), MissionResult.INVALID),
-        (item(Command.DO_CHANGE_SPEED, param2=30.0), MissionResult.INVALID),
+        (item(MavCommand.NAV_TAKEOFF, z=5.0), MissionResult.INVALID),
+        (item(MavCommand.DO_CHANGE_SPEED, param2=30.0), MissionResult.INVALID),
     ],
 )
 async def test_what_is_not_flown_is_refused_with_its_item(
@@ -204,7 +209,7 @@ async def test_a_mission_is_flown_from_the_ground_to_the_ground(firmware: str) -
     async with Rig(firmware=firmware).running() as rig:
         ground = rig.ground
         assert await Exchange(ground).upload(SQUARE) is MissionResult.ACCEPTED
-        assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+        assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
         await rig.until(lambda: ground.mode is Mode.MISSION)
         assert rig.height < 0.1
         await ground.arm()
@@ -227,14 +232,14 @@ async def test_a_mission_is_flown_from_the_ground_to_the_ground(firmware: str) -
 async def test_hold_pauses_a_mission_and_it_goes_on(rig: Rig, ground: Ground) -> None:
     assert await Exchange(ground).upload(SQUARE) is MissionResult.ACCEPTED
     await ground.arm()
-    assert await ground.ask(Command.MISSION_START, 0, 0) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.MISSION_START, 0, 0) is MavResult.ACCEPTED
     await rig.until(lambda: [one["seq"] for one in ground.all("MISSION_ITEM_REACHED")] == [2])
     await anyio.sleep(1.0)
-    assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.HOLD) is MavResult.ACCEPTED
     await anyio.sleep(4.0)
     assert rig.speed < 0.1
     assert ground.last("MISSION_CURRENT")["seq"] == 4
-    assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
     await rig.until(lambda: ground.mode is Mode.RTL, within=120.0)
     assert [one["seq"] for one in ground.all("MISSION_ITEM_REACHED")] == [2, 4, 5, 6]
 
@@ -244,7 +249,7 @@ async def test_a_mission_goes_on_from_the_item_that_is_named(rig: Rig, ground: G
     await ground.fly(5.0)
     ground.send("MISSION_SET_CURRENT", seq=5, target_system=1, target_component=1)
     assert ground.last("MISSION_CURRENT")["seq"] == 5
-    assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
     await rig.until(lambda: ground.mode is Mode.RTL, within=60.0)
     assert [one["seq"] for one in ground.all("MISSION_ITEM_REACHED")] == [5, 6]
 
@@ -252,7 +257,7 @@ async def test_a_mission_goes_on_from_the_item_that_is_named(rig: Rig, ground: G
 async def test_a_mission_whose_ground_station_is_lost_holds(rig: Rig, ground: Ground) -> None:
     assert await Exchange(ground).upload(SQUARE) is MissionResult.ACCEPTED
     await ground.arm()
-    assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
     await rig.until(lambda: rig.speed > 2.0)
     ground.is_silent = True
     await anyio.sleep(7.0)
@@ -265,7 +270,7 @@ async def test_a_mission_beyond_the_envelope_is_denied_when_it_is_to_begin(
 ) -> None:
     assert await Exchange(ground).upload([waypoint(15.0, 0.1), waypoint(600.0, 0.1)]) == 0
     await ground.arm()
-    assert await ground.set_mode(Mode.MISSION) is Result.DENIED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.DENIED
     await rig.until(lambda: "the envelope ends at 150 m" in ground.texts.replace("\n", ""))
     assert rig.height < 0.1
 
@@ -273,7 +278,7 @@ async def test_a_mission_beyond_the_envelope_is_denied_when_it_is_to_begin(
 async def test_a_mission_that_flies_is_not_changed(rig: Rig, ground: Ground) -> None:
     assert await Exchange(ground).upload(SQUARE) is MissionResult.ACCEPTED
     await ground.arm()
-    assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
     await rig.until(lambda: rig.height > 3.0)
     assert await Exchange(ground).upload(SQUARE) is MissionResult.DENIED
     ground.send("MISSION_CLEAR_ALL", target_system=1)
@@ -281,10 +286,10 @@ async def test_a_mission_that_flies_is_not_changed(rig: Rig, ground: Ground) -> 
 
 
 async def test_without_a_mission_there_is_none_to_fly(rig: Rig, ground: Ground) -> None:
-    assert await ground.set_mode(Mode.MISSION) is Result.DENIED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.DENIED
     assert await Exchange(ground).upload(SQUARE) is MissionResult.ACCEPTED
     ground.send("MISSION_CLEAR_ALL", target_system=1, mission_type=255)
-    assert await ground.set_mode(Mode.MISSION) is Result.DENIED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.DENIED
 
 
 async def test_how_far_a_mission_is_has_the_numbers_of_the_definition(
@@ -300,7 +305,7 @@ async def test_how_far_a_mission_is_has_the_numbers_of_the_definition(
     assert await told() == (1, 0, 0)
     assert await Exchange(ground).upload([waypoint(5.0, 5.0), waypoint(9.0, 5.0)]) == 0
     assert await told() == (2, 0, 2)
-    assert await ground.ask(Command.DO_SET_MISSION_CURRENT, 1.0) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.DO_SET_MISSION_CURRENT, 1.0) is MavResult.ACCEPTED
     assert await told() == (4, 1, 2)
     missions = rig.vehicle._missions
     assert missions.current_message(is_flying=True)["mission_state"] == 3
@@ -326,10 +331,10 @@ async def test_nobody_flies_out_of_a_fence(rig: Rig, ground: Ground, given: list
     assert len(await Exchange(ground).download(MissionType.FENCE)) == len(given)
     await ground.fly(5.0)
     far, near = (item(0, 30.0, 0.01), item(0, 6.0, 0.01))
-    for place, result in ((far, Result.DENIED), (near, Result.ACCEPTED)):
+    for place, result in ((far, MavResult.DENIED), (near, MavResult.ACCEPTED)):
         args = (-1, 1, 0, math.nan, place["x"] / 1e7, place["y"] / 1e7)
         altitude = rig.ground_altitude + 5.0
-        assert await ground.ask(Command.DO_REPOSITION, *args, altitude) is result
+        assert await ground.ask(MavCommand.DO_REPOSITION, *args, altitude) is result
     await rig.until(lambda: "fence" in ground.texts)
 
     async def north() -> None:
@@ -342,7 +347,7 @@ async def test_nobody_flies_out_of_a_fence(rig: Rig, ground: Ground, given: list
     async with anyio.create_task_group() as group:
         group.start_soon(north)
         await anyio.sleep(0.1)
-        assert await ground.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
+        assert await ground.set_mode(Mode.OFFBOARD) is MavResult.ACCEPTED
         await anyio.sleep(15.0)
         assert rig.aircraft.position[0] < 13.0
         assert rig.speed < 0.1
@@ -358,15 +363,15 @@ async def reposition(
 ) -> int:
     place = item(0, north, east)
     args = (speed, 1, 0, math.nan, place["x"] / 1e7, place["y"] / 1e7, rig.ground_altitude + 5.0)
-    return await ground.ask(Command.DO_REPOSITION, *args)
+    return await ground.ask(MavCommand.DO_REPOSITION, *args)
 
 
 async def test_an_area_that_lies_on_the_way_is_not_flown_to(rig: Rig, ground: Ground) -> None:
     await Exchange(ground).upload([item(5004, 25.0, 0.01, param1=5.0)], MissionType.FENCE)
     await ground.fly(5.0)
-    assert await reposition(rig, ground, 45.0, 0.01) is Result.DENIED
+    assert await reposition(rig, ground, 45.0, 0.01) is MavResult.DENIED
     await rig.until(lambda: "an excluded area is on the way" in ground.texts)
-    assert await reposition(rig, ground, 45.0, 40.0) is Result.ACCEPTED, "beside it"
+    assert await reposition(rig, ground, 45.0, 40.0) is MavResult.ACCEPTED, "beside it"
 
 
 async def test_asking_again_and_again_leads_nobody_out(rig: Rig, ground: Ground) -> None:
@@ -390,11 +395,11 @@ async def test_out_of_an_excluded_area_only_the_straight_way_is_flown(
     drawn_later = [item(5004, 6.0, 0.01, param1=10.0)]  # around the aircraft, 6 m off its middle
     assert await Exchange(ground).upload(drawn_later, MissionType.FENCE) is MissionResult.ACCEPTED
     for _ in range(30):  # through all of it
-        assert await reposition(rig, ground, 40.0, 0.01) is Result.DENIED
+        assert await reposition(rig, ground, 40.0, 0.01) is MavResult.DENIED
         await anyio.sleep(0.1)
     assert math.dist(rig.aircraft.position, (0.0, 0.0)) < 0.5
     await rig.until(lambda: "it does not lead out straight" in ground.texts)
-    assert await reposition(rig, ground, -12.0, 0.01) is Result.ACCEPTED
+    assert await reposition(rig, ground, -12.0, 0.01) is MavResult.ACCEPTED
     await rig.until(lambda: rig.aircraft.position[0] < -11.0, within=30.0)
 
 
@@ -444,7 +449,7 @@ def tilt_north(ground: Ground) -> None:
     q = (math.cos(half), 0.0, math.sin(half), 0.0)
     ground.send("SET_ATTITUDE_TARGET", target_system=1, type_mask=7, q=q, thrust=0.5)
     offboard = MODES[Mode.OFFBOARD]
-    ground.command(Command.DO_SET_MODE, 1, offboard.main, offboard.sub)
+    ground.command(MavCommand.DO_SET_MODE, 1, offboard.main, offboard.sub)
 
 
 @pytest.mark.parametrize("north", [10, 100])
@@ -461,7 +466,7 @@ def fly_north(ground: Ground, speed: float) -> None:
     fields = {"coordinate_frame": 1, "type_mask": 0b0000_1101_1100_0111, "vx": speed}
     ground.send("SET_POSITION_TARGET_LOCAL_NED", target_system=1, **fields)
     offboard = MODES[Mode.OFFBOARD]
-    ground.command(Command.DO_SET_MODE, 1, offboard.main, offboard.sub)
+    ground.command(MavCommand.DO_SET_MODE, 1, offboard.main, offboard.sub)
 
 
 @pytest.mark.parametrize("lost", ["position", "GPS", "velocity"])
@@ -504,8 +509,8 @@ async def test_the_way_out_of_an_area_leads_through_no_second_one(rig: Rig, grou
     first = corners((-60, -60), (25, -60), (25, 60), (-60, 60), kind=5002)
     second = corners((26, -60), (30, -60), (30, 60), (26, 60), kind=5002)
     await upload_fence(ground, *first, *second)
-    assert await reposition(rig, ground, 80.0, 0.01, speed=10.0) is Result.DENIED
-    assert await reposition(rig, ground, 25.5, 0.01, speed=10.0) is Result.ACCEPTED
+    assert await reposition(rig, ground, 80.0, 0.01, speed=10.0) is MavResult.DENIED
+    assert await reposition(rig, ground, 25.5, 0.01, speed=10.0) is MavResult.ACCEPTED
 
 
 async def test_a_second_area_that_is_drawn_while_it_leaves_the_first_holds_it(
@@ -529,7 +534,7 @@ async def test_a_flight_to_a_place_near_the_fence_arrives(
 ) -> None:
     await upload_fence(ground, *corners((-20, -20), (60, -20), (60, 20), (-20, 20)))
     await ground.fly(5.0)
-    assert await reposition(rig, ground, 60.0 - gap, 0.01, speed) is Result.ACCEPTED
+    assert await reposition(rig, ground, 60.0 - gap, 0.01, speed) is MavResult.ACCEPTED
     assert await deepest_m(rig, 25.0) < 0.5
     assert rig.aircraft.position[0] > 60.0 - gap - 0.5, "its own end, not a hold"
     assert "hold:" not in ground.texts
@@ -543,7 +548,7 @@ async def test_a_circle_near_the_fence_is_flown_around(
     await ground.fly(5.0)
     here = LocalFrame(*TAKEOFF).to_geodetic(0.01, 0.01)
     args = (radius, speed, 0, math.nan, *here, rig.ground_altitude + 5.0)
-    assert await ground.ask(Command.DO_ORBIT, *args) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.DO_ORBIT, *args) is MavResult.ACCEPTED
     assert await deepest_m(rig, 20.0) < 0.5
     assert rig.speed > speed - 0.5
     assert "hold:" not in ground.texts
@@ -557,7 +562,9 @@ async def test_a_flight_that_does_not_stop_at_its_place_is_held_before_the_fence
     await ground.fly(5.0)
     await reposition(rig, ground, 57.0, 0.01, 10.0)
     await rig.until(lambda: rig.aircraft.position[0] > 30.0)
-    assert await reposition(rig, ground, 40.0, 18.0, 10.0) is Result.ACCEPTED  # it still flies on
+    assert (
+        await reposition(rig, ground, 40.0, 18.0, 10.0) is MavResult.ACCEPTED
+    )  # it still flies on
     assert await deepest_m(rig, 20.0) < 0.5
 
 
@@ -579,14 +586,14 @@ async def test_a_mission_that_is_to_pause_is_still_held_before_a_fence() -> None
         ground = rig.ground
         await ground.fly(8.0)
         await Exchange(ground).upload([waypoint(60.0, -10.0), waypoint(60.0, 95.0)])
-        assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+        assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
         await upload_fence(ground, item(5004, 60.0, 40.0, param1=10.0))  # it flies already
         await rig.until(lambda: rig.aircraft.position[1] > 8.0, within=60.0)
         rig.aircraft.line.to_aircraft.faults = LineFaults(loss=0.3)
         for number in range(50):  # the order to pause waits behind them
-            ground.command(Command.DO_CHANGE_SPEED, 1, 5.0 + 0.01 * (number % 10))
+            ground.command(MavCommand.DO_CHANGE_SPEED, 1, 5.0 + 0.01 * (number % 10))
             await anyio.sleep(0.005)
-        ground.command(Command.DO_SET_MODE, 1, MODES[Mode.HOLD].main, MODES[Mode.HOLD].sub)
+        ground.command(MavCommand.DO_SET_MODE, 1, MODES[Mode.HOLD].main, MODES[Mode.HOLD].sub)
         assert await deepest_m(rig, 30.0) < 0.5
 
 
@@ -595,9 +602,9 @@ async def test_a_fast_mission_is_held_before_a_fence(firmware: str) -> None:
     async with Rig(firmware=firmware).running() as rig:
         ground = rig.ground
         await ground.fly(8.0)
-        fast = item(Command.DO_CHANGE_SPEED, param1=1.0, param2=10.0)
+        fast = item(MavCommand.DO_CHANGE_SPEED, param1=1.0, param2=10.0)
         await Exchange(ground).upload([fast, waypoint(60.0, -10.0), waypoint(60.0, 75.0)])
-        assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+        assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
         await upload_fence(ground, item(5004, 60.0, 30.0, param1=6.0))
         assert await deepest_m(rig, 40.0) < 0.5
         assert "hold: an excluded area is on the way" in ground.texts
@@ -617,9 +624,9 @@ async def test_a_circle_that_leaves_the_fence_between_eight_places_is_denied(
     await upload_fence(ground, *corners(*around, place(80, 22.6), *bay, place(11, 22.4)))
     await ground.fly(5.0)
     here = LocalFrame(*TAKEOFF).to_geodetic(0.0, 0.0)
-    for radius, result in ((-10.0, Result.DENIED), (-5.0, Result.ACCEPTED)):
+    for radius, result in ((-10.0, MavResult.DENIED), (-5.0, MavResult.ACCEPTED)):
         args = (radius, 2.0, 0, math.nan, *here, rig.ground_altitude + 5.0)
-        assert await ground.ask(Command.DO_ORBIT, *args) is result
+        assert await ground.ask(MavCommand.DO_ORBIT, *args) is result
 
 
 async def test_a_mission_flies_around_an_area_but_not_through_it(rig: Rig, ground: Ground) -> None:
@@ -627,8 +634,8 @@ async def test_a_mission_flies_around_an_area_but_not_through_it(rig: Rig, groun
     await ground.fly(5.0)
     around = [waypoint(30.0, 30.0), waypoint(60.0, 0.01)]
     for route, result in (
-        ([*around, waypoint(0.01, 0.01)], Result.DENIED),  # each place is allowed
-        (around, Result.ACCEPTED),  # the straight way from here to the last place is not
+        ([*around, waypoint(0.01, 0.01)], MavResult.DENIED),  # each place is allowed
+        (around, MavResult.ACCEPTED),  # the straight way from here to the last place is not
     ):
         assert await Exchange(ground).upload(route) is MissionResult.ACCEPTED
         assert await ground.set_mode(Mode.MISSION) is result
@@ -643,7 +650,7 @@ async def test_another_ground_station_is_refused_before_its_flight_is_looked_at(
     other = Ground(rig, ("127.0.0.1", 7000), 246)
     other.beat()
     args = (-1, 1, 0, math.nan, *outside, rig.ground_altitude + 5.0)
-    assert await other.ask(Command.DO_REPOSITION, *args) is Result.TEMPORARILY_REJECTED
+    assert await other.ask(MavCommand.DO_REPOSITION, *args) is MavResult.TEMPORARILY_REJECTED
 
 
 async def test_an_area_that_is_excluded_is_not_flown_to(rig: Rig, ground: Ground) -> None:
@@ -651,7 +658,7 @@ async def test_an_area_that_is_excluded_is_not_flown_to(rig: Rig, ground: Ground
     assert await Exchange(ground).upload(given, MissionType.FENCE) == 0
     assert await Exchange(ground).upload([waypoint(20.0, 0.01), waypoint(30.0, 0.01)]) == 0
     await ground.arm()
-    assert await ground.set_mode(Mode.MISSION) is Result.DENIED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.DENIED
 
 
 @pytest.mark.parametrize(
@@ -691,20 +698,20 @@ INSIDE, OUTSIDE, CIRCLE_IN, CIRCLE_OUT = 5001, 5002, 5003, 5004
 CORNERS = [(0.0, 0.0), (40.0, 0.0), (40.0, 10.0), (20.0, 4.0), (0.0, 20.0)]
 
 
-def corner_item(command: int, north: float, east: float, param1: float) -> Message:
+def corner_item(command: int, north: float, east: float, param1: float) -> MavlinkMessage:
     latitude, longitude = FRAME.to_geodetic(north, east)
     place = {"x": round(latitude * 1e7), "y": round(longitude * 1e7)}
-    return Message("MISSION_ITEM_INT", {"command": command, "param1": param1} | place)
+    return MavlinkMessage("MISSION_ITEM_INT", {"command": command, "param1": param1} | place)
 
 
 def polygon(
     command: int = INSIDE, corners: Any = CORNERS, count: float | None = None
-) -> list[Message]:
+) -> list[MavlinkMessage]:
     many = float(len(corners)) if count is None else count
     return [corner_item(command, north, east, many) for north, east in corners]
 
 
-def is_free(items: list[Message], north: float, east: float, radius: float = 0.0) -> bool:
+def is_free(items: list[MavlinkMessage], north: float, east: float, radius: float = 0.0) -> bool:
     return not read_fence(items).refusal(*FRAME.to_geodetic(north, east), radius)
 
 
@@ -791,7 +798,7 @@ def test_what_is_flown_around_a_place_counts(radius: float, is_in: bool) -> None
     ],
 )
 def test_a_fence_that_contradicts_itself_is_refused(
-    items: list[Message], result: MissionResult
+    items: list[MavlinkMessage], result: MissionResult
 ) -> None:
     with pytest.raises(Refused) as caught:
         read_fence(items)
@@ -810,7 +817,7 @@ def test_two_polygons_follow_each_other() -> None:
 def test_a_place_that_is_none_is_refused(x: int) -> None:
     fields = {"command": CIRCLE_IN, "param1": 5.0, "x": x, "y": 0}
     with pytest.raises(Refused):
-        read_fence([Message("MISSION_ITEM_INT", fields)])
+        read_fence([MavlinkMessage("MISSION_ITEM_INT", fields)])
 
 
 @pytest.mark.parametrize(
@@ -840,7 +847,7 @@ def test_a_place_that_is_none_is_refused(x: int) -> None:
     ],
 )
 def test_how_deep_a_place_lies(
-    items: list[Message], north: float, east: float, depth: float
+    items: list[MavlinkMessage], north: float, east: float, depth: float
 ) -> None:
     found = read_fence(items).depth_m(*FRAME.to_geodetic(north, east))
     assert found == pytest.approx(depth, abs=0.05)  # places have seven digits
@@ -868,7 +875,7 @@ def test_how_deep_a_place_lies(
     ],
 )
 def test_what_lies_on_a_straight_way(
-    items: list[Message], begin: tuple[float, float], end: tuple[float, float], is_free: bool
+    items: list[MavlinkMessage], begin: tuple[float, float], end: tuple[float, float], is_free: bool
 ) -> None:
     places = FRAME.to_geodetic(*begin), FRAME.to_geodetic(*end)
     assert (not read_fence(items).on_the_way(*places)) is is_free
@@ -883,7 +890,9 @@ def test_a_way_near_the_pole_bends_away_from_its_latitude(north: float, is_met: 
     assert latitude - begin[0] == pytest.approx((north + 17.0) / 111_690, abs=5e-5)
     place = {"x": round(latitude * 1e7), "y": round(longitude * 1e7)}
     radius = 35.0 if is_met else 20.0
-    found = read_fence([Message("MISSION_ITEM_INT", {"command": 5004, "param1": radius} | place)])
+    found = read_fence(
+        [MavlinkMessage("MISSION_ITEM_INT", {"command": 5004, "param1": radius} | place)]
+    )
     assert bool(found.on_the_way(begin, end)) is is_met
 
 
@@ -895,7 +904,7 @@ def test_a_circle_anywhere_is_as_far_as_the_shortest_line(seed: int) -> None:
     radius = 10.0 ** draw.uniform(0.5, 4.5)
     x, y = (round(one * 1e7) for one in frame.to_geodetic(0.0, 0.0))
     item = {"command": draw.choice([5003, 5004]), "param1": radius, "x": x, "y": y}
-    found = read_fence([Message("MISSION_ITEM_INT", item)])
+    found = read_fence([MavlinkMessage("MISSION_ITEM_INT", item)])
     for _ in range(50):
         turn, away = draw.uniform(0.0, math.tau), radius * draw.uniform(0.5, 1.5)
         place = frame.to_geodetic(away * math.cos(turn), away * math.sin(turn))
@@ -904,12 +913,12 @@ def test_a_circle_anywhere_is_as_far_as_the_shortest_line(seed: int) -> None:
         assert found.depth_m(*place) == pytest.approx(depth, abs=0.01), (seed, place)
 
 
-def many(kind: str, command: int) -> list[Message]:
+def many(kind: str, command: int) -> list[MavlinkMessage]:
     """As many areas as an upload has, of a kind that is hard to look at."""
     here = FRAME.latitude_deg
     if kind == "one latitude":  # on the other side of the Earth
         return [
-            Message(
+            MavlinkMessage(
                 "MISSION_ITEM_INT",
                 {"command": command, "param1": 5.0, "x": round(here * 1e7), "y": 10**9 + place},
             )

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.mavlink.translator.codec import Message
+from m100link.apps.mavlink.translator.codec import MavlinkMessage
 from m100link.apps.mavlink.translator.offboard import STICKS_LIFETIME, Manual, Offboard
-from m100link.apps.mavlink.translator.parameters import Parameters
+from m100link.apps.mavlink.translator.parameters import ParameterProtocol
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import ReferenceFrame, Setpoint
 from tests.apps.mavlink.conftest import world_of
@@ -28,18 +28,18 @@ Four = tuple[float, float, float, float]
 
 def offboard(known: Known | None = None, home: Any = HERE) -> Offboard:
     world = world_of(known or Known(), home=home)
-    return Offboard(world, Parameters(world, 1))
+    return Offboard(world, ParameterProtocol(world, 1))
 
 
-def message(frame: int, says: int, **fields: float) -> Message:
+def message(frame: int, says: int, **fields: float) -> MavlinkMessage:
     """What it says is not ignored."""
     given = dict.fromkeys(("x", "y", "z", "vx", "vy", "vz", "afx", "afy", "afz"), 0.0)
     given |= {"yaw": 0.0, "yaw_rate": 0.0} | fields
     mask = {"coordinate_frame": frame, "type_mask": ALL & ~says}
-    return Message("SET_POSITION_TARGET_LOCAL_NED", mask | given)
+    return MavlinkMessage("SET_POSITION_TARGET_LOCAL_NED", mask | given)
 
 
-def flown(one: Offboard, given: Message) -> Setpoint:
+def flown(one: Offboard, given: MavlinkMessage) -> Setpoint:
     assert one.receive(given, 10.0) == ""
     found = one.setpoint(10.0)
     assert found is not None
@@ -155,7 +155,7 @@ def test_the_agents_limit_is_the_fastest() -> None:
         message(BODY_FRD, HEIGHT | SPEED, z=-5.0, vx=1.0),
     ],
 )
-def test_what_cannot_be_flown_as_it_is_said_is_refused(given: Message) -> None:
+def test_what_cannot_be_flown_as_it_is_said_is_refused(given: MavlinkMessage) -> None:
     one = offboard()
     assert one.receive(given, 10.0)
     assert one.target is None
@@ -166,10 +166,12 @@ def test_accelerations_of_nothing_are_nothing() -> None:
     assert values(flown(offboard(), message(LOCAL, SPEED | FORCES, vx=1.0)))[0] == 1.0
 
 
-def attitude(roll: float, pitch: float, yaw: float, thrust: float = 0.5, **given: Any) -> Message:
+def attitude(
+    roll: float, pitch: float, yaw: float, thrust: float = 0.5, **given: Any
+) -> MavlinkMessage:
     fields = {"type_mask": 0b111, "thrust": thrust, "q": quaternion(roll, pitch, yaw)}
     rates = dict.fromkeys(("body_roll_rate", "body_pitch_rate", "body_yaw_rate"), 0.0)
-    return Message("SET_ATTITUDE_TARGET", fields | rates | given)
+    return MavlinkMessage("SET_ATTITUDE_TARGET", fields | rates | given)
 
 
 # Right wing down and nose up are positive, as in the attitude that is told.
@@ -187,7 +189,7 @@ def attitude(roll: float, pitch: float, yaw: float, thrust: float = 0.5, **given
         (attitude(0.0, 0.0, 0.0, q=(1.9, 0.0, 0.0, 0.0)), (0.0, 0.0, 0.0, 0.0)),
     ],
 )
-def test_an_attitude_is_a_tilt_a_climb_and_a_heading(given: Message, expected: Four) -> None:
+def test_an_attitude_is_a_tilt_a_climb_and_a_heading(given: MavlinkMessage, expected: Four) -> None:
     found = flown(offboard(), given)
     assert values(found) == pytest.approx(expected, abs=1e-6)
     assert found.mode == Setpoint.tilt(roll_deg=0.0, pitch_deg=0.0, up=0.0, yaw_deg=0.0).mode
@@ -216,7 +218,7 @@ def test_a_nose_straight_up_or_down_is_the_greatest_tilt(sign: float) -> None:
         attitude(0.0, 0.0, 0.0, type_mask=0b011, body_yaw_rate=-0.2),
     ],
 )
-def test_an_attitude_that_is_none_is_refused(given: Message) -> None:
+def test_an_attitude_that_is_none_is_refused(given: MavlinkMessage) -> None:
     one = offboard()
     assert one.receive(given, 10.0)
     assert one.target is None
@@ -242,7 +244,7 @@ def test_rates_that_are_to_be_ignored_and_those_of_nothing_are_no_matter() -> No
         (attitude(0.0, 0.0, 0.0, 0.5), False),
     ],
 )
-def test_a_take_off_is_asked_for_by_what_leads_up(given: Message, is_up: bool) -> None:
+def test_a_take_off_is_asked_for_by_what_leads_up(given: MavlinkMessage, is_up: bool) -> None:
     one = offboard()
     assert one.receive(given, 10.0) == ""
     assert one.wants_up(10.0) is is_up
@@ -275,14 +277,14 @@ NONE = 0x7FFF
 
 def manual(*, is_tilt: bool, known: Known | None = None) -> Manual:
     world = world_of(known or Known())
-    return Manual(world, Parameters(world, 1), is_tilt=is_tilt)
+    return Manual(world, ParameterProtocol(world, 1), is_tilt=is_tilt)
 
 
 def flown_by_sticks(
     x: float, y: float, z: float, r: float, *, is_tilt: bool = False, known: Known | None = None
 ) -> Setpoint:
     one = manual(is_tilt=is_tilt, known=known)
-    one.receive(Message("MANUAL_CONTROL", {"x": x, "y": y, "z": z, "r": r}), 10.0)
+    one.receive(MavlinkMessage("MANUAL_CONTROL", {"x": x, "y": y, "z": z, "r": r}), 10.0)
     found = one.setpoint(10.0)
     assert found is not None
     return found
@@ -368,7 +370,7 @@ def test_sticks_that_are_told_no_more_are_let_go(is_tilt: bool) -> None:
     one = manual(is_tilt=is_tilt)
     assert one.setpoint(10.0) is None
     assert not one.is_fresh(10.0)
-    one.receive(Message("MANUAL_CONTROL", {"x": 500, "y": 0, "z": 500, "r": 0}), 10.0)
+    one.receive(MavlinkMessage("MANUAL_CONTROL", {"x": 500, "y": 0, "z": 500, "r": 0}), 10.0)
     assert one.is_fresh(10.0 + STICKS_LIFETIME)
     assert one.setpoint(10.0 + STICKS_LIFETIME) is not None
     assert not one.is_fresh(10.01 + STICKS_LIFETIME)

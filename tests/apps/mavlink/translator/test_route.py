@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 
 from m100link.apps.agent.orders import FlyTo
-from m100link.apps.mavlink.translator.codec import Message
+from m100link.apps.mavlink.translator.codec import MavlinkMessage
 from m100link.apps.mavlink.translator.modes import Mode
 from m100link.apps.mavlink.translator.numbers import MissionResult
 from m100link.apps.mavlink.translator.route import (
-    Leg,
     Refused,
     Route,
+    RoutePoint,
     Unfit,
     flies_missions,
     plan_of,
@@ -27,18 +27,20 @@ GROUND = 432.5
 X, Y = -331_234_567, 1_512_345_678
 
 
-def item(command: int, **given: Any) -> Message:
+def item(command: int, **given: Any) -> MavlinkMessage:
     fields: dict[str, Any] = {"command": command, "frame": RELATIVE_INT, "x": X, "y": Y, "z": 21.5}
     fields |= {"param1": 0.0, "param2": 0.0, "param3": 0.0, "param4": math.nan} | given
-    return Message("MISSION_ITEM_INT", fields)
+    return MavlinkMessage("MISSION_ITEM_INT", fields)
 
 
-def read(*items: Message, ground: float | None = GROUND) -> Route:
+def read(*items: MavlinkMessage, ground: float | None = GROUND) -> Route:
     return read_route(items, ground=ground, speed=3.5)
 
 
-def leg(height: float = 21.5, speed: float = 3.5, yaw: float | None = None, **more: Any) -> Leg:
-    return Leg(0, FlyTo(-33.1234567, 151.2345678, height, speed, yaw), **more)
+def leg(
+    height: float = 21.5, speed: float = 3.5, yaw: float | None = None, **more: Any
+) -> RoutePoint:
+    return RoutePoint(0, FlyTo(-33.1234567, 151.2345678, height, speed, yaw), **more)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +60,7 @@ def leg(height: float = 21.5, speed: float = 3.5, yaw: float | None = None, **mo
     ],
 )
 @pytest.mark.parametrize("command", [16, 19])
-def test_a_place_of_a_mission(command: int, given: dict[str, float], expected: Leg) -> None:
+def test_a_place_of_a_mission(command: int, given: dict[str, float], expected: RoutePoint) -> None:
     route = read(item(command, **given))
     assert route.legs == [expected]
     assert (route.height, route.then, route.left_out) == (None, Mode.HOLD, [])
@@ -92,7 +94,7 @@ def test_a_place_of_a_mission(command: int, given: dict[str, float], expected: L
     ],
 )
 def test_what_is_not_flown_as_it_is_said_refuses_the_mission(
-    items: list[Message], result: MissionResult
+    items: list[MavlinkMessage], result: MissionResult
 ) -> None:
     with pytest.raises(Refused) as caught:
         read(*items)
@@ -134,7 +136,7 @@ def test_a_whole_mission() -> None:
         (item(17), Mode.HOLD, 2),
     ],
 )
-def test_how_it_ends(end: Message, then: Mode, legs: int) -> None:
+def test_how_it_ends(end: MavlinkMessage, then: Mode, legs: int) -> None:
     route = read(item(16, z=12.0), end)
     assert (route.then, len(route.legs)) == (then, legs)
     if then is Mode.LAND:
@@ -145,8 +147,10 @@ def test_how_it_ends(end: Message, then: Mode, legs: int) -> None:
 # -- legs of a mission as a plan that the aircraft flies by itself, or why there is none -----------
 
 
-def planned(number: int, yaw: float | None = None, wait: float = 0.0, height: float = 12.0) -> Leg:
-    return Leg(number, FlyTo(47.0 + number * 1e-4, -8.5, height, 3.5, yaw), wait)
+def planned(
+    number: int, yaw: float | None = None, wait: float = 0.0, height: float = 12.0
+) -> RoutePoint:
+    return RoutePoint(number, FlyTo(47.0 + number * 1e-4, -8.5, height, 3.5, yaw), wait)
 
 
 @pytest.mark.parametrize(
@@ -190,7 +194,7 @@ def test_a_wait_is_made_of_those_that_the_wire_can_say(wait: float, parts: int) 
     ],
 )
 def test_what_the_aircraft_cannot_fly_is_told_by_its_item(
-    legs: list[Leg], yaw: float | None, why: str
+    legs: list[RoutePoint], yaw: float | None, why: str
 ) -> None:
     with pytest.raises(Unfit) as caught:
         plan_of(legs, Mode.HOLD, yaw_deg=yaw)

@@ -15,9 +15,14 @@ import pytest
 
 from m100link.apps.agent.messages import LeaseChanged, State
 from m100link.apps.agent.view import VehicleView
-from m100link.apps.mavlink.translator.codec import LAYOUTS, Message, Reading, write_frame
+from m100link.apps.mavlink.translator.codec import (
+    LAYOUTS,
+    MavlinkMessage,
+    MessageReader,
+    write_frame,
+)
 from m100link.apps.mavlink.translator.modes import Mode
-from m100link.apps.mavlink.translator.numbers import Command, Result, Severity
+from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult, Severity
 from m100link.apps.mavlink.translator.peers import MOST_PEERS, Peer
 from m100link.apps.mavlink.translator.telemetry import (
     MOST_HZ,
@@ -27,7 +32,7 @@ from m100link.apps.mavlink.translator.telemetry import (
     heartbeat,
     severity_of,
 )
-from m100link.apps.mavlink.translator.world import World
+from m100link.apps.mavlink.translator.vehicle_state import VehicleState
 from m100link.protocol.records import (
     Acceleration,
     AngularVelocity,
@@ -53,10 +58,10 @@ HERE = (30.0, -70.0, 12.34)
 """North, east and up of home, m."""
 
 
-def wire(name: str, fields: dict[str, Any]) -> Message:
+def wire(name: str, fields: dict[str, Any]) -> MavlinkMessage:
     """As a ground station reads it."""
-    frame = write_frame(Message(name, fields), system=1, sequence=1, signer=None, now=0)
-    [found] = Reading(frame, signer=None, now=0)
+    frame = write_frame(MavlinkMessage(name, fields), system=1, sequence=1, signer=None, now=0)
+    [found] = MessageReader(frame, signer=None, now=0)
     return found
 
 
@@ -399,7 +404,7 @@ class NoAircraft:
 
 def rates() -> Rates:
     nothing: Any = NoAircraft()
-    return Rates(World(nothing, session_of(nothing, number=0)))
+    return Rates(VehicleState(nothing, session_of(nothing, number=0)))
 
 
 def counted(one: Rates, *peers: Peer, begin: float = 0.0) -> Counter[tuple[str, int]]:
@@ -491,9 +496,9 @@ async def test_a_peer_that_asks_for_a_kilohertz_changes_nothing_for_another(
     await anyio.sleep(0.1)
     for name in ("ATTITUDE", "SYSTEM_TIME"):
         number = LAYOUTS[name].number
-        assert await ground.ask(Command.SET_MESSAGE_INTERVAL, number, 1000) is Result.ACCEPTED
+        assert await ground.ask(MavCommand.SET_MESSAGE_INTERVAL, number, 1000) is MavResult.ACCEPTED
     number = LAYOUTS["GLOBAL_POSITION_INT"].number
-    assert await ground.ask(Command.SET_MESSAGE_INTERVAL, number, -1) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.SET_MESSAGE_INTERVAL, number, -1) is MavResult.ACCEPTED
     ground.heard.clear()
     other.heard.clear()
     await anyio.sleep(10.0)
@@ -501,9 +506,9 @@ async def test_a_peer_that_asks_for_a_kilohertz_changes_nothing_for_another(
         assert len(one.all("ATTITUDE")) == pytest.approx(attitudes, abs=3)
         assert len(one.all("SYSTEM_TIME")) == pytest.approx(times, abs=3)
         assert len(one.all("GLOBAL_POSITION_INT")) == pytest.approx(places, abs=3)
-    assert await other.ask(Command.GET_MESSAGE_INTERVAL, number) is Result.ACCEPTED
+    assert await other.ask(MavCommand.GET_MESSAGE_INTERVAL, number) is MavResult.ACCEPTED
     assert other.last("MESSAGE_INTERVAL")["interval_us"] == 50_000
-    assert await ground.ask(Command.GET_MESSAGE_INTERVAL, number) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.GET_MESSAGE_INTERVAL, number) is MavResult.ACCEPTED
     assert ground.last("MESSAGE_INTERVAL")["interval_us"] == -1
 
 
@@ -517,7 +522,7 @@ async def test_an_interval_is_that_of_the_definitions(
     """MESSAGE_INTERVAL: -1 is disabled, 0 not available, and more the interval in µs."""
     number = LAYOUTS[name].number if name in LAYOUTS else 90
     wanted = LAYOUTS["MESSAGE_INTERVAL"].number
-    assert await ground.ask(Command.REQUEST_MESSAGE, wanted, number) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.REQUEST_MESSAGE, wanted, number) is MavResult.ACCEPTED
     assert ground.last("MESSAGE_INTERVAL")["message_id"] == number
     assert ground.last("MESSAGE_INTERVAL")["interval_us"] == expected
 
@@ -529,7 +534,7 @@ async def test_nobody_counts_as_lost_what_went_to_another(rig: Rig, ground: Grou
     other.beat()
     await anyio.sleep(0.1)
     rig.sent.clear()
-    ground.command(Command.SET_MESSAGE_INTERVAL, LAYOUTS["ATTITUDE"].number, 1000)
+    ground.command(MavCommand.SET_MESSAGE_INTERVAL, LAYOUTS["ATTITUDE"].number, 1000)
     ground.send("PARAM_REQUEST_LIST", target_system=1, target_component=1)
     await anyio.sleep(2.0)
     for one in (ground, other):

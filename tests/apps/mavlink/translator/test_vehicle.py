@@ -10,7 +10,7 @@ import pytest
 
 from m100link.apps.mavlink.translator.codec import LAYOUTS
 from m100link.apps.mavlink.translator.modes import MODES, Mode
-from m100link.apps.mavlink.translator.numbers import Command, Result
+from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
 from m100link.apps.mavlink.translator.parameters import PARAMETERS
 from m100link.apps.mavlink.translator.telemetry import STREAMS
 from m100link.protocol.records import FlightPhase, RcMode
@@ -40,30 +40,30 @@ async def test_a_message_comes_as_often_as_the_table_says(ground: Ground, name: 
 
 @pytest.mark.parametrize("name", STREAMS)
 async def test_a_message_comes_as_often_as_it_is_asked_for(ground: Ground, name: str) -> None:
-    asked = Command.SET_MESSAGE_INTERVAL, number(name)
-    assert await ground.ask(*asked, 1e6 / 8) is Result.ACCEPTED
+    asked = MavCommand.SET_MESSAGE_INTERVAL, number(name)
+    assert await ground.ask(*asked, 1e6 / 8) is MavResult.ACCEPTED
     assert await counted(ground, name) == pytest.approx(8, abs=0.6)
-    assert await ground.ask(Command.GET_MESSAGE_INTERVAL, number(name)) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.GET_MESSAGE_INTERVAL, number(name)) is MavResult.ACCEPTED
     assert ground.last("MESSAGE_INTERVAL")["interval_us"] == 125_000
-    assert await ground.ask(*asked, -1) is Result.ACCEPTED
+    assert await ground.ask(*asked, -1) is MavResult.ACCEPTED
     assert await counted(ground, name) == 0
-    assert await ground.ask(*asked, 0) is Result.ACCEPTED
+    assert await ground.ask(*asked, 0) is MavResult.ACCEPTED
     assert await counted(ground, name) == pytest.approx(STREAMS[name].hz, abs=0.6)
 
 
 async def test_nobody_gets_more_than_fifty_a_second(ground: Ground) -> None:
-    asked = Command.SET_MESSAGE_INTERVAL, number("ATTITUDE")
-    assert await ground.ask(*asked, 10.0) is Result.ACCEPTED
+    asked = MavCommand.SET_MESSAGE_INTERVAL, number("ATTITUDE")
+    assert await ground.ask(*asked, 10.0) is MavResult.ACCEPTED
     assert await counted(ground, "ATTITUDE") <= 51
 
 
 @pytest.mark.parametrize("given", [math.nan, math.inf, -math.inf])
 async def test_rates_that_are_not_numbers_are_denied(ground: Ground, given: float) -> None:
-    asked = Command.SET_MESSAGE_INTERVAL, number("ATTITUDE")
-    assert await ground.ask(*asked, given) is Result.DENIED
-    assert await ground.ask(Command.SET_MESSAGE_INTERVAL, given, 0) in (
-        Result.UNSUPPORTED,
-        Result.DENIED,
+    asked = MavCommand.SET_MESSAGE_INTERVAL, number("ATTITUDE")
+    assert await ground.ask(*asked, given) is MavResult.DENIED
+    assert await ground.ask(MavCommand.SET_MESSAGE_INTERVAL, given, 0) in (
+        MavResult.UNSUPPORTED,
+        MavResult.DENIED,
     )
 
 
@@ -71,13 +71,13 @@ async def test_rates_that_are_not_numbers_are_denied(ground: Ground, given: floa
     "name", [*STREAMS, "AUTOPILOT_VERSION", "AVAILABLE_MODES", "CURRENT_MODE", "HEARTBEAT"]
 )
 async def test_a_message_is_sent_when_it_is_asked_for(ground: Ground, name: str) -> None:
-    assert await ground.ask(Command.REQUEST_MESSAGE, number(name), 0) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.REQUEST_MESSAGE, number(name), 0) is MavResult.ACCEPTED
     assert ground.all(name)
 
 
 @pytest.mark.parametrize("asked", [280, 397, 0x7FFFFF, -1, 1e30])
 async def test_a_message_that_is_not_there_is_told(ground: Ground, asked: float) -> None:
-    assert await ground.ask(Command.REQUEST_MESSAGE, asked) is Result.UNSUPPORTED
+    assert await ground.ask(MavCommand.REQUEST_MESSAGE, asked) is MavResult.UNSUPPORTED
 
 
 async def test_what_nobody_knows_is_not_a_number(ground: Ground) -> None:
@@ -138,16 +138,16 @@ async def test_a_switch_out_of_f_is_shown_and_arming_told_why_not(rig: Rig, grou
     assert not ground.armed()
     await anyio.sleep(1.0)
     assert not ground.last("SYS_STATUS")["onboard_control_sensors_health"] & 0x10000000
-    assert await ground.ask(Command.COMPONENT_ARM_DISARM, 1) is Result.TEMPORARILY_REJECTED
+    assert await ground.ask(MavCommand.COMPONENT_ARM_DISARM, 1) is MavResult.TEMPORARILY_REJECTED
     await rig.until(lambda: "arm: " in ground.texts)
     assert not rig.client.holder.number, "what was not obtained is not kept"
 
 
 async def test_another_client_that_has_control_is_named(rig: Rig, ground: Ground) -> None:
-    rig.agent.desk.acquire("the console", rig.agent.now)
+    rig.agent.leases.acquire("the console", rig.agent.now)
     await anyio.sleep(0.1)
-    assert await ground.ask(Command.COMPONENT_ARM_DISARM, 1) is Result.TEMPORARILY_REJECTED
-    assert await ground.set_mode(Mode.LAND) is Result.TEMPORARILY_REJECTED
+    assert await ground.ask(MavCommand.COMPONENT_ARM_DISARM, 1) is MavResult.TEMPORARILY_REJECTED
+    assert await ground.set_mode(Mode.LAND) is MavResult.TEMPORARILY_REJECTED
     await rig.until(lambda: "the console has control" in ground.texts)
 
 
@@ -216,7 +216,7 @@ async def test_a_parameter_that_is_read_only_says_so(rig: Rig, ground: Ground) -
 
 
 async def test_the_modes_are_listed(ground: Ground) -> None:
-    assert await ground.ask(Command.REQUEST_MESSAGE, number("AVAILABLE_MODES"), 0) == 0
+    assert await ground.ask(MavCommand.REQUEST_MESSAGE, number("AVAILABLE_MODES"), 0) == 0
     told = ground.all("AVAILABLE_MODES")
     assert [one["mode_name"] for one in told] == [mode.value for mode in MODES]
     assert [one["mode_index"] for one in told] == list(range(1, len(MODES) + 1))
@@ -225,14 +225,14 @@ async def test_the_modes_are_listed(ground: Ground) -> None:
 
 @pytest.mark.parametrize("main", [1, 5, 7, 99])
 async def test_a_mode_that_is_not_there_is_denied(ground: Ground, main: int) -> None:
-    assert await ground.ask(Command.DO_SET_MODE, 1, main, 0) is Result.DENIED
+    assert await ground.ask(MavCommand.DO_SET_MODE, 1, main, 0) is MavResult.DENIED
 
 
 @pytest.mark.parametrize("given", [math.nan, math.inf, -1.0, 1e9])
 async def test_numbers_that_are_none_are_denied(ground: Ground, given: float) -> None:
-    assert await ground.ask(Command.DO_SET_MODE, given, given, given) is Result.DENIED
-    assert await ground.ask(Command.DO_SET_STANDARD_MODE, given) is Result.DENIED
-    assert await ground.ask(Command.COMPONENT_ARM_DISARM, given) is Result.DENIED
+    assert await ground.ask(MavCommand.DO_SET_MODE, given, given, given) is MavResult.DENIED
+    assert await ground.ask(MavCommand.DO_SET_STANDARD_MODE, given) is MavResult.DENIED
+    assert await ground.ask(MavCommand.COMPONENT_ARM_DISARM, given) is MavResult.DENIED
 
 
 async def test_pings_logs_and_files_are_answered(ground: Ground) -> None:
@@ -248,7 +248,7 @@ async def test_pings_logs_and_files_are_answered(ground: Ground) -> None:
 
 
 async def test_the_version_has_its_numbers(ground: Ground) -> None:
-    assert await ground.ask(Command.REQUEST_MESSAGE, number("AUTOPILOT_VERSION")) == 0
+    assert await ground.ask(MavCommand.REQUEST_MESSAGE, number("AUTOPILOT_VERSION")) == 0
     version = ground.last("AUTOPILOT_VERSION")
     assert version["flight_sw_version"] >= 0x01040100
     assert version["flight_custom_version"][7] < 100
@@ -258,13 +258,13 @@ async def test_a_version_is_told_from_its_last_number_on(
     ground: Ground, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("m100link.apps.mavlink.translator.vehicle.__version__", "3.17.203")
-    assert await ground.ask(Command.REQUEST_MESSAGE, number("AUTOPILOT_VERSION")) == 0
+    assert await ground.ask(MavCommand.REQUEST_MESSAGE, number("AUTOPILOT_VERSION")) == 0
     assert ground.last("AUTOPILOT_VERSION")["flight_custom_version"] == (0, 0, 0, 0, 0, 203, 17, 3)
 
 
 async def test_an_activation_that_is_refused_is_told(rig: Rig, ground: Ground) -> None:
     rig.aircraft.app.disconnect()
-    assert await ground.ask(Command.COMPONENT_ARM_DISARM, 1) is Result.TEMPORARILY_REJECTED
+    assert await ground.ask(MavCommand.COMPONENT_ARM_DISARM, 1) is MavResult.TEMPORARILY_REJECTED
     assert not ground.armed()
 
 
@@ -281,7 +281,7 @@ async def test_what_is_for_another_system_or_component_is_not_done(
     arm = {f"param{place}": 0.0 for place in range(1, 8)}
     ground.send(
         "COMMAND_LONG",
-        command=Command.COMPONENT_ARM_DISARM,
+        command=MavCommand.COMPONENT_ARM_DISARM,
         target_system=system,
         target_component=component,
         **arm,
@@ -305,7 +305,7 @@ async def test_the_sticks_of_a_station_fly_for_that_station(rig: Rig, ground: Gr
     async with anyio.create_task_group() as group:
         group.start_soon(push)
         await anyio.sleep(0.2)
-        assert await ground.set_mode(Mode.POSCTL) is Result.ACCEPTED
+        assert await ground.set_mode(Mode.POSCTL) is MavResult.ACCEPTED
     assert max(flown) > 1.0
 
 
@@ -315,6 +315,8 @@ async def test_an_interval_is_told_in_microseconds(
 ) -> None:
     """Never is -1; by default it comes 20 times a second."""
     attitude = number("ATTITUDE")
-    assert await ground.ask(Command.SET_MESSAGE_INTERVAL, attitude, asked_us) is Result.ACCEPTED
-    assert await ground.ask(Command.GET_MESSAGE_INTERVAL, attitude) is Result.ACCEPTED
+    assert (
+        await ground.ask(MavCommand.SET_MESSAGE_INTERVAL, attitude, asked_us) is MavResult.ACCEPTED
+    )
+    assert await ground.ask(MavCommand.GET_MESSAGE_INTERVAL, attitude) is MavResult.ACCEPTED
     assert ground.last("MESSAGE_INTERVAL")["interval_us"] == told_us

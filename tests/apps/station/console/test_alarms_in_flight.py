@@ -12,8 +12,8 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.orders import ChangeHeight
 from m100link.apps.station.console.view.alarms import ALARMS, AlarmName, AlarmState
 from m100link.apps.station.console.view.situation import Inputs
-from m100link.apps.station.console.view.texts import Speaker
-from m100link.apps.station.console.view.view import Memory
+from m100link.apps.station.console.view.texts import Translator
+from m100link.apps.station.console.view.view_model import Memory
 from m100link.sim.orders import perform
 from m100link.sim.virtual import VirtualAircraft
 from tests.apps.station.conftest import Rig
@@ -65,7 +65,7 @@ class Operator:
     def raised(self) -> dict[AlarmName, str]:
         """What is shown and not acknowledged, in words."""
         shown = self.memory.alarms.shown
-        return {one.name: Speaker()(one.text) for one in shown if one.state is AlarmState.RAISED}
+        return {one.name: Translator()(one.text) for one in shown if one.state is AlarmState.RAISED}
 
 
 def order(words: str) -> Callable[[Operator], Awaitable[object]]:
@@ -130,7 +130,7 @@ async def test_each_alarm_is_raised_by_its_cause_and_sounds(rig: Rig, name: Alar
     levels = {one.name: one.level for one in ALARMS}
     sounding = operator.memory.alarms.sounding
     assert sounding in {levels[one] for one in operator.raised}
-    english = Speaker()
+    english = Translator()
     said = [line.said(english) for line in operator.memory.diary.lines if line.source == "page"]
     assert f"Alarm: {operator.raised[name]}" in said
     for one in list(operator.raised):

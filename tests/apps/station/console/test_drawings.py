@@ -19,8 +19,8 @@ from m100link.apps.station.console.view.fly import live
 from m100link.apps.station.console.view.texts import (
     Language,
     LengthUnit,
-    Speaker,
     SpeedUnit,
+    Translator,
     Units,
     for_browser,
 )
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.skipif(shutil.which("node") is None, reason="node is no
 HERE = Path(__file__).parent
 STATIC = HERE.parents[3] / "m100link/apps/station/console/static"
 
-GERMAN = Speaker(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KM_H))
+GERMAN = Translator(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KM_H))
 BELOW, HEIGHT = 20.0, 300.0  # the strip of the heading; what is left of 320 pixels
 FROM, TO = (-33.12, 151.23), (-33.119, 151.232)
 """A place and another: 111.3 m to the north and 186.5 m to the east of it, on a sphere."""
@@ -45,11 +45,11 @@ def message(**changed: Any) -> dict[str, Any]:
     return live(seen(state)) | changed
 
 
-TOLD: dict[str, tuple[dict[str, Any], Speaker]] = {
-    "metric": (message(), Speaker()),
+TOLD: dict[str, tuple[dict[str, Any], Translator]] = {
+    "metric": (message(), Translator()),
     "feet": (message(), GERMAN),
-    "sinks": (message(vel=[3.57, -0.84, 3.21, -1.57]), Speaker()),
-    "nothing": ({"op": "live", "t": 1.0}, Speaker()),
+    "sinks": (message(vel=[3.57, -0.84, 3.21, -1.57]), Translator()),
+    "nothing": ({"op": "live", "t": 1.0}, Translator()),
 }
 
 
@@ -149,7 +149,7 @@ def test_sticks_have_their_sign_and_their_channel(shown: dict[str, Any]) -> None
 def test_what_is_not_told_is_crossed_out(drawn: dict[str, dict[str, Any]]) -> None:
     found = drawn["nothing"]
     assert found["stale"] == "stale"
-    words = for_browser(Speaker())["words"]
+    words = for_browser(Translator())["words"]
     assert isinstance(words, dict)
     said = [text for text, _, _ in texts(found)]
     assert said.count(words["old"]) == 2

@@ -16,10 +16,10 @@ import pytest
 from m100link.apps.agent import orders
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.messages import Event, State
-from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.station.console import kept
-from m100link.apps.station.console.kept import COLUMNS, INTERVAL, KEPT_S, History, Looks
+from m100link.apps.station.console.kept import COLUMNS, INTERVAL, KEPT_S, PlotHistory, Preferences
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.tabs import MOVE_PATIENCE, Tabs
 from m100link.protocol.records import Position
@@ -242,7 +242,7 @@ async def test_control_that_comes_when_its_page_has_gone_is_given_back(fleet: Fl
         page.tab.close()
         await asyncio.gather(*obtaining, return_exceptions=True)
         await anyio.sleep(0.3)
-        assert rig.agent.desk.holder(rig.agent.now) is None, turns
+        assert rig.agent.leases.holder(rig.agent.now) is None, turns
         assert not rig.agent.holding.has_authority, turns
 
 
@@ -309,7 +309,7 @@ class Hands:
         rig.front._channel.close("killed")
         rig.front._closed("killed")
         ours, its = memory_channels(as_bytes=True)
-        Service(rig.agent).attach(its)
+        AgentServer(rig.agent).attach(its)
         rig.front.reopen(ours)
 
     def holders(self, name: str) -> list[ControlSession]:
@@ -338,7 +338,7 @@ async def test_in_whatever_order_an_aircraft_has_one_hand_and_in_the_end_none(
     await asyncio.gather(*hands.asked)
     await anyio.sleep(MOVE_PATIENCE + 1.0)
     for name, rig in rigs.items():
-        assert rig.agent.desk.holder(rig.agent.now) is None, (seed, name)
+        assert rig.agent.leases.holder(rig.agent.now) is None, (seed, name)
         assert not rig.agent.holding.has_authority, (seed, name)
         assert len(rig.front.on_lease) == before[name], (seed, name)
 
@@ -353,8 +353,8 @@ class Desk:
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
-        self.looks = Looks()
-        self.history = History()
+        self.looks = Preferences()
+        self.history = PlotHistory()
         self.person = self.looks.person(None)
         rig.front.background.spawn(self.history.keep(rig.front), "history")
 
@@ -451,7 +451,7 @@ async def test_a_station_that_stood_still_saw_nothing(
 
 
 def test_the_oldest_persons_are_forgotten() -> None:
-    known = Looks()
+    known = Preferences()
     first = known.person(None)
     others = [known.person(None) for _ in range(kept.MOST - 1)]
     assert known.person(first) == first  # it was there lately
@@ -467,7 +467,7 @@ HEIGHT = "position.height_m"
 
 
 async def test_rows_are_taken_ten_times_a_second_and_a_stalled_line_is_a_gap(rig: Rig) -> None:
-    history = History()
+    history = PlotHistory()
     rig.front.background.spawn(history.keep(rig.front), "history")
     await anyio.sleep(5.0)
     assert history.count == pytest.approx(5.0 / INTERVAL, abs=1)
@@ -484,7 +484,7 @@ async def test_rows_are_taken_ten_times_a_second_and_a_stalled_line_is_a_gap(rig
 
 
 def test_the_oldest_rows_go() -> None:
-    history = History()
+    history = PlotHistory()
     size = round(KEPT_S / INTERVAL)
     for number in range(size + 50):
         history.add(float(number), seen(None, state=STATE))
@@ -495,7 +495,7 @@ def test_the_oldest_rows_go() -> None:
 
 
 def test_without_an_aircraft_nothing_has_a_value() -> None:
-    history = History()
+    history = PlotHistory()
     history.add(1.0, seen(None, state=STATE))
     ((_, *values),) = history.rows(COLUMNS[:-1])
     assert all(math.isnan(value) for value in values)
@@ -503,7 +503,7 @@ def test_without_an_aircraft_nothing_has_a_value() -> None:
 
 @pytest.mark.parametrize("begin", [0, 3, 7])
 def test_a_window_that_moves_on_keeps_its_points(begin: int) -> None:
-    history = History()
+    history = PlotHistory()
     for number in range(100):
         history.add(float(number), seen(None, state=STATE))
     before = [row[0] for row in history.rows([], last_s=5.0, step=10)]
@@ -515,7 +515,7 @@ def test_a_window_that_moves_on_keeps_its_points(begin: int) -> None:
 
 
 def test_what_was_seen_does_not_come_again_and_a_pause_hides_what_came_later() -> None:
-    history = History()
+    history = PlotHistory()
     for number in range(20):
         history.add(float(number), seen(None, state=STATE))
     assert [row[0] for row in history.rows([], since=18)] == [18.0, 19.0]
@@ -523,7 +523,7 @@ def test_what_was_seen_does_not_come_again_and_a_pause_hides_what_came_later() -
 
 
 def test_a_download_has_a_line_for_each_row_and_nothing_where_there_was_no_value() -> None:
-    history = History()
+    history = PlotHistory()
     history.lag = 0.0125
     for number in range(3):
         history.add(1e9 + number / 10, seen(None, state=STATE))

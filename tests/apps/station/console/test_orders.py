@@ -6,7 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from m100link.apps.station.console.orders import Orders, orders_by_socket, orders_in_process
+from m100link.apps.station.console.orders import (
+    SimulatorOrders,
+    orders_by_socket,
+    orders_in_process,
+)
 from m100link.errors import M100Error
 from m100link.sim.orders import CtlServer
 from m100link.sim.virtual import VirtualAircraft
@@ -19,7 +23,7 @@ def anyio_backend() -> str:
     return "asyncio"
 
 
-async def is_obeyed(orders: Orders, virtual: VirtualAircraft) -> None:
+async def is_obeyed(orders: SimulatorOrders, virtual: VirtualAircraft) -> None:
     assert orders.status["rc_mode"] == "F"
     await orders.give("rc-mode P", "gps 2")
     assert virtual.remote.mode.name == "P"

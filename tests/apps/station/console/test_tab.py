@@ -30,7 +30,7 @@ from m100link.apps.agent.latency import (
 from m100link.apps.agent.lease import LeaseChange, LeaseHeld
 from m100link.apps.station.console.tab import BEAT_LIFETIME, Fate, Tab, _read
 from m100link.apps.station.console.view.fly import FIELDS, live, read
-from m100link.apps.station.console.view.texts import Speaker, tr
+from m100link.apps.station.console.view.texts import Translator, tr
 from m100link.errors import GuardRefused, LossReason, NoAuthority
 from m100link.protocol.records import Attitude, RcMode, Velocity
 from tests.apps.station.conftest import Rig
@@ -245,7 +245,7 @@ async def test_a_tab_that_is_silent_loses_its_lease(rig: Rig) -> None:
     browser = await airborne(rig)
     browser.say("alive")
     await anyio.sleep(2.9)
-    assert rig.agent.desk.holder(rig.agent.now) == browser.tab.session.lease
+    assert rig.agent.leases.holder(rig.agent.now) == browser.tab.session.lease
     await rig.until(lambda: not browser.tab.session.has_lease, within=0.3)
     await rig.until(lambda: not rig.agent.holding.has_authority, within=1.0)
     browser.beat(x=-4)
@@ -390,9 +390,9 @@ def test_no_field_shows_a_zero_below_zero_or_a_whole_turn() -> None:
     fields = {field.name: field for field in FIELDS}
     half = math.radians(-0.2) / 2
     a_bit_west = Attitude(q0=math.cos(half), q1=0.0, q2=0.0, q3=math.sin(half))
-    assert Speaker()(fields["heading"].text(a_bit_west)) == "0°"
+    assert Translator()(fields["heading"].text(a_bit_west)) == "0°"
     sinking = Velocity(north_m_s=0.0, east_m_s=0.0, up_m_s=-0.02, status=None)
-    assert Speaker()(fields["climb"].text(sinking)) == "+0.0 m/s"
+    assert Translator()(fields["climb"].text(sinking)) == "+0.0 m/s"
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "1", "[" * 1000, "x" * 3000, b"\xff\xfe"])
@@ -406,7 +406,7 @@ async def test_fields_grey_out_by_their_own_age(rig: Rig) -> None:
     await anyio.sleep(1.5)
     readings = {field.name: read(field, seen(telemetry)) for field in FIELDS}
     assert not readings["height"].is_stale
-    assert Speaker()(readings["flight_status"].text) == "standby"
+    assert Translator()(readings["flight_status"].text) == "standby"
     assert readings["control_device"].note == tr("instruments.never")  # not sent by default
     rig.aircraft.stall_line()
     await anyio.sleep(1.7)

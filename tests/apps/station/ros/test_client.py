@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link.apps.station.ros.client import Client, Limits
-from m100link.apps.station.ros.graph import Call, Graph, Listener, add_rosapi
+from m100link.apps.station.ros.client import Client, ClientLimits
+from m100link.apps.station.ros.graph import Graph, GraphListener, ServiceCall, add_rosapi
 from m100link.apps.station.ros.messages import Message
 from tests.apps.station.ros.test_messages import unpack_png
 
@@ -21,10 +21,10 @@ from tests.apps.station.ros.test_messages import unpack_png
 class Bench:
     """A graph with one topic each way, one service, and one client."""
 
-    def __init__(self, limits: Limits | None = None) -> None:
+    def __init__(self, limits: ClientLimits | None = None) -> None:
         self.graph = Graph()
         self.published: list[Message] = []
-        self.calls: list[Call] = []
+        self.calls: list[ServiceCall] = []
         self.height = self.graph.add_topic("/height", "std_msgs/Float32")
         self.joy = self.graph.add_topic("/joy", "sensor_msgs/Joy")
         self.graph.add_topic(
@@ -269,7 +269,7 @@ def test_a_failed_call_says_why() -> None:
 
 
 def test_calls_without_an_answer_are_limited() -> None:
-    bench = Bench(Limits(calls=2))
+    bench = Bench(ClientLimits(calls=2))
     for _ in range(2):
         assert bench.send("call_service", service="/task") == []
     (answer,) = bench.send("call_service", service="/task")
@@ -292,7 +292,7 @@ def test_the_level_decides_which_statuses_are_sent() -> None:
 
 
 def test_a_flood_is_dropped_and_in_the_end_disconnected() -> None:
-    bench = Bench(Limits(rate=10, burst=20, faults=50))
+    bench = Bench(ClientLimits(rate=10, burst=20, faults=50))
     bench.send("advertise", topic="/steer", type="std_msgs/Float32")
     for _ in range(60):
         bench.send("publish", topic="/steer", msg={"data": 1})
@@ -307,7 +307,7 @@ def test_a_flood_is_dropped_and_in_the_end_disconnected() -> None:
 
 
 def test_a_slow_reader_loses_its_oldest_messages_and_nothing_else() -> None:
-    bench = Bench(Limits(waiting=5))
+    bench = Bench(ClientLimits(waiting=5))
     other = Client(bench.graph)
     for client in (bench.client, other):
         client.receive('{"op":"subscribe","topic":"/height"}', 0.0)
@@ -317,7 +317,7 @@ def test_a_slow_reader_loses_its_oldest_messages_and_nothing_else() -> None:
 
 
 def test_a_rare_message_is_not_pushed_out_by_a_fast_topic() -> None:
-    bench = Bench(Limits(waiting=5))
+    bench = Bench(ClientLimits(waiting=5))
     bench.send("subscribe", topic="/joy")
     bench.send("subscribe", topic="/height")
     bench.graph.publish(bench.joy, bench.joy.type.default(), 0.0)
@@ -326,7 +326,7 @@ def test_a_rare_message_is_not_pushed_out_by_a_fast_topic() -> None:
 
 
 def test_a_client_that_asks_and_never_reads_is_disconnected() -> None:
-    bench = Bench(Limits(answers=10))
+    bench = Bench(ClientLimits(answers=10))
     for _ in range(11):
         bench.client.receive("{", 0.0)
     assert bench.client.close_reason == "the client does not read"
@@ -345,7 +345,7 @@ def test_a_thousand_subscriptions_are_a_hundred() -> None:
 
 
 def test_an_oversized_frame_is_refused_before_it_is_read() -> None:
-    bench = Bench(Limits(message_size=100))
+    bench = Bench(ClientLimits(message_size=100))
     bench.client.receive("[" * 101, 0.0)
     (status,) = bench.output()
     assert "at most 100 bytes" in status["msg"]
@@ -353,7 +353,7 @@ def test_an_oversized_frame_is_refused_before_it_is_read() -> None:
 
 def test_a_client_that_leaves_leaves_nothing() -> None:
     bench = Bench()
-    left: list[Listener] = []
+    left: list[GraphListener] = []
     bench.graph.on_leave.append(lambda session, now: left.append(session))
     bench.send("subscribe", topic="/height")
     bench.send("call_service", service="/task")
@@ -381,7 +381,7 @@ def test_an_array_is_judged_by_its_size_before_an_element_is_read() -> None:
 
 
 def test_bytes_are_a_budget() -> None:
-    bench = Bench(Limits(message_size=1000, bytes_rate=1000.0))
+    bench = Bench(ClientLimits(message_size=1000, bytes_rate=1000.0))
     frame = json.dumps({"op": "status", "msg": "x" * 900})
     for _ in range(10):
         bench.client.receive(frame, 0.0)
@@ -393,7 +393,7 @@ def test_bytes_are_a_budget() -> None:
 
 
 def test_work_is_a_budget() -> None:
-    bench = Bench(Limits(work_rate=0.1, work_burst=0.2))
+    bench = Bench(ClientLimits(work_rate=0.1, work_burst=0.2))
     bench.client.charge(0.5, 0.0)
     assert bench.client.work_pause(0.0) == pytest.approx(3.0)
     bench.send("status")
@@ -404,7 +404,7 @@ def test_work_is_a_budget() -> None:
 
 
 def test_faults_are_forgotten_after_a_while() -> None:
-    bench = Bench(Limits(faults=10))
+    bench = Bench(ClientLimits(faults=10))
     for _ in range(10):
         bench.send("nonsense")
     bench.now = 1001.0

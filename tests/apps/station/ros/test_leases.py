@@ -9,7 +9,7 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.server.server import Service
+from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
 from tests.apps.station.conftest import FakeClient, Rig
 
@@ -19,7 +19,7 @@ OPEN = "/nav_open_close_request"
 
 
 def holder(rig: Rig) -> str:
-    lease = rig.agent.desk.holder(rig.agent.now)
+    lease = rig.agent.leases.holder(rig.agent.now)
     return "" if lease is None else lease.name
 
 
@@ -70,7 +70,7 @@ async def test_of_two_clients_that_share_a_token_either_ends_it_for_both(
     rig: Rig, who: str
 ) -> None:
     clients = {"first": await rig.open("first"), "second": rig.client("second")}
-    token = rig.agent.desk.holder(rig.agent.now).token  # type: ignore[union-attr]
+    token = rig.agent.leases.holder(rig.agent.now).token  # type: ignore[union-attr]
     assert (await ask(clients["second"], "renew", token=token))["success"]
     await anyio.sleep(4.0)
     assert holder(rig) == "first"
@@ -139,7 +139,7 @@ class Crowd:
         front._channel.close("killed")
         front._closed("killed")
         ours, its = memory_channels(as_bytes=True)
-        Service(self.rig.agent).attach(its)
+        AgentServer(self.rig.agent).attach(its)
         front.reopen(ours)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.messages import Topic
+from m100link.apps.agent.messages import EventTopic
 from m100link.geodesy import LocalFrame
 from m100link.protocol.commands.hotpoint import HotpointSetRate
 from m100link.protocol.commands.waypoint import WaypointPoint, WaypointStartStop
@@ -195,12 +195,12 @@ async def test_that_it_was_broken_off_is_told_for_programs(rig: Rig) -> None:
     await upload(rig, page)
     await act(rig, page, START)
     await rig.until(lambda: is_flying(rig))
-    assert all(event.topic is Topic.NONE for event in rig.front.events)
+    assert all(event.topic is EventTopic.NONE for event in rig.front.events)
     rig.aircraft.battery_percent = 15.0
 
     def broken() -> list[str]:
         events = rig.front.events
-        return [event.text for event in events if event.topic is Topic.MISSION_ABORTED]
+        return [event.text for event in events if event.topic is EventTopic.MISSION_ABORTED]
 
     # Later than the mission ends: one push that says so may be false.
     await rig.until(lambda: bool(broken()), within=10.0)

@@ -74,7 +74,7 @@ async def test_without_activation_8_says_that_something_is_missing(rig: Rig) -> 
     page.publish("/nav_open_close_request", data=1)
     await rig.until(lambda: page.values("/activation_status") == [8])
     assert page.values("/nav_open_close_status") == []
-    assert rig.agent.desk.holder(rig.agent.now) is None
+    assert rig.agent.leases.holder(rig.agent.now) is None
 
 
 async def test_open_and_close(rig: Rig) -> None:
@@ -83,7 +83,7 @@ async def test_open_and_close(rig: Rig) -> None:
     page.publish("/nav_open_close_request", data=0)
     await rig.until(lambda: page.values("/nav_open_close_status") == [2, 1])
     assert not rig.agent.holding.has_authority
-    assert rig.agent.desk.holder(rig.agent.now) is None
+    assert rig.agent.leases.holder(rig.agent.now) is None
 
 
 async def test_open_is_refused_out_of_f(rig: Rig) -> None:
@@ -483,7 +483,7 @@ async def test_a_pilot_who_gave_many_orders_can_still_stop(rig: Rig) -> None:
     pilot.publish("/sdk_request_simple_task", data=-1)
     await rig.until(lambda: any("stopped it" in e.text for e in rig.agent.journal.events))
     pilot.publish("/nav_open_close_request", data=0)
-    await rig.until(lambda: rig.agent.desk.holder(rig.agent.now) is None)
+    await rig.until(lambda: rig.agent.leases.holder(rig.agent.now) is None)
 
 
 async def test_after_stop_a_client_that_goes_on_publishing_has_to_open_control_anew(

@@ -13,8 +13,8 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link.apps.station.ros.client import Outbox, Wish
-from m100link.apps.station.ros.graph import Graph, Publication, Topic
+from m100link.apps.station.ros.client import Outbox, SubscribeOptions
+from m100link.apps.station.ros.graph import Graph, Publication, RosTopic
 
 
 class Bench:
@@ -24,10 +24,10 @@ class Bench:
         self.outbox = Outbox(waiting, lambda: None)
         for topic in self.topics:
             subscription = self.outbox.subscription(topic, topic.name)
-            subscription.wishes["1"] = Wish()
+            subscription.wishes["1"] = SubscribeOptions()
             subscription.merge()
 
-    def put(self, topic: Topic, value: float) -> None:
+    def put(self, topic: RosTopic, value: float) -> None:
         self.outbox.deliver(Publication(topic, {"data": value}), 0.0)
 
     def take(self) -> list[tuple[str, float]]:

@@ -28,9 +28,9 @@ from m100link.apps.agent.messages import (
     Ask,
     AuthorityTaken,
     Event,
-    Fault,
-    FromMobile,
-    MissionTold,
+    MissionReport,
+    MobileMessage,
+    RemoteError,
     State,
     Steer,
     Telemetry,
@@ -40,7 +40,7 @@ from m100link.apps.agent.transports import memory_channels
 from m100link.apps.station.ros.dji_sdk import DjiSdk
 from m100link.apps.station.ros.graph import Graph, add_rosout
 from m100link.apps.station.ros.leases import Clients
-from m100link.apps.station.ros.node_2015 import Node
+from m100link.apps.station.ros.node_2015 import Node2015
 from m100link.errors import AuthorityLost
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import (
@@ -90,7 +90,7 @@ class KnownRig(Rig):
         async with AgentClient(ours, "station") as self.front:
             self.agent = self.front  # type: ignore[assignment]  # clients ask it for the time alone
             clients = Clients(self.front, self.graph)
-            Node(self.front, self.graph, clients)
+            Node2015(self.front, self.graph, clients)
             DjiSdk(self.front, self.graph, clients)
             add_rosout({"m100": self.front}, self.graph)
             yield self
@@ -248,9 +248,9 @@ def told(without: tuple[type[Any], ...] = (), changed: tuple[Any, ...] = ()) -> 
         await anyio.sleep(0.1)
         assert page.answers() == [{"result": True}]
         page.subscribe(*PUBLISHED)
-        rig.known.tell(MISSION_FLIES, FromMobile(b"\x01\xfe\x80"))
-        rig.known.tell(MissionTold(2, bytes((9, 4, 7, 8, 6))), Activating(5))
-        rig.known.tell(AuthorityTaken(Fault.of(AuthorityLost("the app took it"))))
+        rig.known.tell(MISSION_FLIES, MobileMessage(b"\x01\xfe\x80"))
+        rig.known.tell(MissionReport(2, bytes((9, 4, 7, 8, 6))), Activating(5))
+        rig.known.tell(AuthorityTaken(RemoteError.of(AuthorityLost("the app took it"))))
         rig.known.tell(Event(11, 0.5, "warning", "a bird"))
         rig.known.tell_package(rig.front.now, without=without, changed=changed)
         await anyio.sleep(1.1)

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.station.web.intake import Intake, Listener
+from m100link.apps.station.web.intake import Intake, SocketListener
 from m100link.apps.station.web.limits import ConnectionLimit
 from tests.apps.cli.test_serve import certificate
 from tests.waiting import PATIENCE, until
@@ -43,11 +43,11 @@ class Echo(asyncio.Protocol):
 @contextlib.asynccontextmanager
 async def listening(
     door: ConnectionLimit, *, context: ssl.SSLContext | None = None, patience: float = 30.0
-) -> AsyncIterator[tuple[Listener, int]]:
+) -> AsyncIterator[tuple[SocketListener, int]]:
     Echo.made = 0
     with socket.create_server(("127.0.0.1", 0)) as one:
         one.setblocking(False)
-        listener = Listener(one, Intake(), door, Echo, context=context, patience=patience)
+        listener = SocketListener(one, Intake(), door, Echo, context=context, patience=patience)
         try:
             yield listener, one.getsockname()[1]
         finally:

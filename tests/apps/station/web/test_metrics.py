@@ -24,7 +24,7 @@ from prometheus_client.parser import text_string_to_metric_families as read_text
 from m100link.apps.agent.messages import LinkCounted, State
 from m100link.apps.station.config import Settings
 from m100link.apps.station.ros.client import Client
-from m100link.apps.station.run import Running
+from m100link.apps.station.run import RunningStation
 from m100link.apps.station.web.metrics import DASHBOARD, StationMetrics
 from m100link.protocol.items import ITEMS
 from m100link.protocol.records import Battery, Gimbal, Position
@@ -62,13 +62,13 @@ def got(url: str, **headers: str) -> tuple[str, str]:
             raise Refused(error.code) from None
 
 
-async def page(one: Running, path: str = "/metrics", **headers: str) -> tuple[str, str]:
+async def page(one: RunningStation, path: str = "/metrics", **headers: str) -> tuple[str, str]:
     return await asyncio.to_thread(
         got, f"http://127.0.0.1:{one.sockets.port('metrics')}{path}", **headers
     )
 
 
-async def scraped(one: Running) -> dict[str, Metric]:
+async def scraped(one: RunningStation) -> dict[str, Metric]:
     kind, text = await page(one, Accept=OPENMETRICS)
     assert kind.startswith("application/openmetrics-text")
     return {family.name: family for family in READ(text)}
@@ -83,7 +83,7 @@ def values(family: Metric, suffix: str = "") -> dict[tuple[str, ...], float]:
     }
 
 
-async def counted(one: Running) -> None:
+async def counted(one: RunningStation) -> None:
     await until(lambda: (link := one.bridge.agent.link) is not None and link.counters["acks"] > 1)
 
 

@@ -16,7 +16,7 @@ pytest.importorskip("starlette")
 
 
 from m100link.apps.station.config import Settings
-from m100link.apps.station.run import Running, running
+from m100link.apps.station.run import RunningStation, running
 from m100link.apps.station.web import intake, protocol, server
 from m100link.sim.virtual import VirtualAircraft
 from tests.sockets import connect
@@ -36,7 +36,7 @@ def anyio_backend() -> str:
 
 
 @contextlib.asynccontextmanager
-async def station(**options: Any) -> AsyncIterator[Running]:
+async def station(**options: Any) -> AsyncIterator[RunningStation]:
     virtual = VirtualAircraft(seed=5)
     async with running(Settings(sim=True, port=0, **options), virtual=virtual) as one:
         yield one

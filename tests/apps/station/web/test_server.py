@@ -22,8 +22,8 @@ from websockets.frames import Opcode
 
 from m100link.apps.agent import orders
 from m100link.apps.station.config import Settings
-from m100link.apps.station.ros.client import Client, Limits
-from m100link.apps.station.run import Running, running
+from m100link.apps.station.ros.client import Client, ClientLimits
+from m100link.apps.station.run import RunningStation, running
 from m100link.errors import PortBusy, UsageError
 from m100link.sim.virtual import VirtualAircraft
 from tests.sockets import connect
@@ -40,7 +40,7 @@ def anyio_backend() -> str:
 
 
 @contextlib.asynccontextmanager
-async def station(**options: Any) -> AsyncIterator[Running]:
+async def station(**options: Any) -> AsyncIterator[RunningStation]:
     virtual = VirtualAircraft(seed=5)
     async with running(Settings(sim=True, port=0, **options), virtual=virtual) as one:
         await until(lambda: one.agent.connection.aircraft is not None)
@@ -53,7 +53,7 @@ async def until(predicate: Callable[[], bool], within: float = PATIENCE) -> None
             await asyncio.sleep(0.005)
 
 
-def address(one: Running, query: str = "") -> str:
+def address(one: RunningStation, query: str = "") -> str:
     return f"ws://127.0.0.1:{one.sockets.port('rosbridge')}/{query}"
 
 
@@ -71,7 +71,7 @@ async def receive(client: ClientConnection, within: float = PATIENCE) -> Any:
         return json.loads(await client.recv())
 
 
-async def opened(one: Running, client: ClientConnection) -> None:
+async def opened(one: RunningStation, client: ClientConnection) -> None:
     await one.agent.ask(orders.Activate())
     await publish(client, "/nav_open_close_request", "std_msgs/Float32", data=1)
     await until(lambda: one.agent.holding.has_authority)
@@ -324,7 +324,7 @@ async def test_silent_sockets_make_room_and_the_pilot_keeps_his(
 async def test_who_keeps_the_loop_from_running_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
     async with station() as one, connect(address(one)) as calm:
         # It does not stay until the work that it caused is paid for: a quarter of an hour here.
-        monkeypatch.setattr(one.bridge, "_limits", Limits(work_rate=1e-3))
+        monkeypatch.setattr(one.bridge, "_limits", ClientLimits(work_rate=1e-3))
         async with connect(address(one), close_timeout=1) as hostile:
             await until(lambda: len(one.bridge.graph.sessions) == 2)
 

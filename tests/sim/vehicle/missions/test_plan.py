@@ -8,8 +8,8 @@ import pytest
 
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.waypoint import WaypointMission
-from m100link.sim.vehicle.missions.plan import WaypointPlan, mission_code, point_code
-from m100link.sim.vehicle.missions.route import MissionSettings, NoFlyZone, Place, Site
+from m100link.sim.vehicle.missions.plan import StoredPlan, mission_code, point_code
+from m100link.sim.vehicle.missions.route import LocalPlace, MissionSettings, NoFlyZone, Site
 from tests.sim.vehicle.missions.flights import doing, point
 
 MISSION = WaypointMission(2, 10.0, 5.0)
@@ -98,13 +98,13 @@ def check(
     *places: tuple[float, float, float],
     damping: float = 0.0,
     trace: int = 0,
-    home: Place | None = None,
+    home: LocalPlace | None = None,
     **settings: Any,
 ) -> MissionCode:
     missions = MissionSettings(**settings)
     mission = WaypointMission(len(places), 10.0, 5.0, trace_mode=trace)
     points = tuple(point(i, *place, damping=damping) for i, place in enumerate(places))
-    plan = WaypointPlan(mission, points, tuple(Place(*place) for place in places))
+    plan = StoredPlan(mission, points, tuple(LocalPlace(*place) for place in places))
     return plan.check(missions, home, Site(22.5431, 113.9589, 120.0, missions))
 
 
@@ -127,8 +127,8 @@ FAR = [(1900.0 * index, 0.0, 10.0) for index in range(17)]  # 30.4 km
         (MissionCode.LEG_TOO_LONG, check(*FAR)),
         (MissionCode.SUCCESS, check(*FAR[:16])),
         (MissionCode.LEG_TOO_LONG, check(*FAR[:9], longest_route=15_000.0)),
-        (MissionCode.SUCCESS, check(*FAR[:16], home=Place(0, 0, 0))),
-        (MissionCode.ROUTE_TOO_LONG, check(*FAR[:16], home=Place(0, 12_000, 0))),
+        (MissionCode.SUCCESS, check(*FAR[:16], home=LocalPlace(0, 0, 0))),
+        (MissionCode.ROUTE_TOO_LONG, check(*FAR[:16], home=LocalPlace(0, 12_000, 0))),
         (
             MissionCode.CROSSES_NO_FLY_ZONE,
             check((0, 0, 10), (100, 0, 10), no_fly_zones=(NoFlyZone(22.5435, 113.9589, 10.0),)),
@@ -146,8 +146,8 @@ def test_the_whole_is_checked(code: MissionCode, found: MissionCode) -> None:
 def test_the_estimate_counts_speed_stops_and_actions() -> None:
     def seconds(points: list[Any], **fields: Any) -> float:
         mission = WaypointMission(len(points), 10.0, **({"idle_speed": 5.0} | fields))
-        places = tuple(Place(100.0 * index, 0.0, 10.0) for index in range(len(points)))
-        return WaypointPlan(mission, tuple(points), places).estimate()
+        places = tuple(LocalPlace(100.0 * index, 0.0, 10.0) for index in range(len(points)))
+        return StoredPlan(mission, tuple(points), places).estimate()
 
     plain = [point(index, 100.0 * index, 0, 10) for index in range(3)]
     busy = [point(index, 0, 0, 10, **doing((0, 10_000), repeat=2)) for index in range(3)]

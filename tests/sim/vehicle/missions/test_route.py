@@ -6,16 +6,16 @@ from random import Random
 
 import pytest
 
-from m100link.sim.vehicle.missions.route import Leg, Place, distance, legs_between
+from m100link.sim.vehicle.missions.route import LocalPlace, RouteLeg, distance, legs_between
 
-CORNER = [Place(0.0, 0.0, 10.0), Place(40.0, 0.0, 10.0), Place(40.0, 30.0, 10.0)]
+CORNER = [LocalPlace(0.0, 0.0, 10.0), LocalPlace(40.0, 0.0, 10.0), LocalPlace(40.0, 30.0, 10.0)]
 
 
 def test_without_dampings_each_leg_is_a_line() -> None:
     legs = legs_between(CORNER, None)
     assert [(leg.first, leg.last, leg.length) for leg in legs] == [(0, 1, 40.0), (1, 2, 30.0)]
-    assert legs[1].at(10.0).place == Place(40.0, 10.0, 10.0)
-    assert legs[1].at(10.0).tangent == Place(0.0, 1.0, 0.0)
+    assert legs[1].at(10.0).place == LocalPlace(40.0, 10.0, 10.0)
+    assert legs[1].at(10.0).tangent == LocalPlace(0.0, 1.0, 0.0)
     assert all(leg.curves == [] for leg in legs)
 
 
@@ -25,7 +25,7 @@ def test_a_rounded_corner_of_90_degrees_has_its_damping_as_radius() -> None:
     ((start, end, radius),) = leg.curves
     assert [start, radius] == pytest.approx([35.0, 5.0])
     middle = leg.at((start + end) / 2.0)
-    centre = Place(35.0, 5.0, 10.0)
+    centre = LocalPlace(35.0, 5.0, 10.0)
     assert distance(middle.place, centre) == pytest.approx(5.0)
     assert distance(middle.place, CORNER[1]) == pytest.approx(5.0 * (math.sqrt(2.0) - 1.0))
     # The curvature points from there to the centre.
@@ -36,7 +36,7 @@ def test_a_rounded_corner_of_90_degrees_has_its_damping_as_radius() -> None:
 def test_a_curved_leg_is_smooth_and_measures_itself(seed: int) -> None:
     random = Random(seed)
     places = [
-        Place(random.uniform(-50, 50), random.uniform(-50, 50), random.uniform(5, 40))
+        LocalPlace(random.uniform(-50, 50), random.uniform(-50, 50), random.uniform(5, 40))
         for _ in range(8)
     ]
     lengths = [distance(a, b) for a, b in itertools.pairwise(places)]
@@ -57,9 +57,9 @@ def test_a_curved_leg_is_smooth_and_measures_itself(seed: int) -> None:
 @pytest.mark.parametrize("angle", [100, 135, 170, 179])
 def test_the_curves_of_neighbours_never_overlap(angle: int) -> None:
     turned = math.radians(angle)
-    places = [Place(0, 0, 0), Place(20, 0, 0)]
+    places = [LocalPlace(0, 0, 0), LocalPlace(20, 0, 0)]
     for number in (1, 2):
-        way = Place(20 * math.cos(number * turned), 20 * math.sin(number * turned), 0.0)
+        way = LocalPlace(20 * math.cos(number * turned), 20 * math.sin(number * turned), 0.0)
         places.append(places[-1].plus(way))
     legs = legs_between(places, [0.0, 10.0, 10.0, 0.0])
     assert sum(leg.length for leg in legs) <= 60.0
@@ -69,7 +69,12 @@ def test_the_curves_of_neighbours_never_overlap(angle: int) -> None:
 
 
 def test_a_corner_without_a_curve_ends_a_leg_and_a_straight_point_does_not() -> None:
-    places = [Place(0, 0, 0), Place(10, 0, 0), Place(20, 0, 0), Place(20, 10, 0)]
+    places = [
+        LocalPlace(0, 0, 0),
+        LocalPlace(10, 0, 0),
+        LocalPlace(20, 0, 0),
+        LocalPlace(20, 10, 0),
+    ]
     legs = legs_between(places, [0.0] * 4)
     assert [(leg.first, leg.last) for leg in legs] == [(0, 2), (2, 3)]
     assert legs[0].marks == [(0.0, 0), (10.0, 1), (20.0, 2)]
@@ -79,10 +84,10 @@ def test_nearest_finds_a_place_beside_the_leg() -> None:
     (leg,) = legs_between(CORNER, [0.0, 5.0, 0.0])
     for s in (3.0, 36.0, 40.0, 60.0):
         on = leg.at(s)
-        beside = on.place.plus(Place(0.0, 0.0, 1.0))
+        beside = on.place.plus(LocalPlace(0.0, 0.0, 1.0))
         assert leg.nearest(beside, s - 1.0) == pytest.approx(s, abs=0.05)
-    assert leg.nearest(Place(-9, 0, 10), 0.0) == 0.0
-    assert leg.nearest(Place(40, 99, 10), leg.length) == leg.length
+    assert leg.nearest(LocalPlace(-9, 0, 10), 0.0) == 0.0
+    assert leg.nearest(LocalPlace(40, 99, 10), leg.length) == leg.length
 
 
 def test_between_tells_the_neighbours_and_the_share() -> None:
@@ -95,8 +100,8 @@ def test_between_tells_the_neighbours_and_the_share() -> None:
 
 
 def test_a_way_of_no_length_is_a_place() -> None:
-    here = Place(1.0, 2.0, 3.0)
-    leg = Leg.straight(here, here, 0, 0)
+    here = LocalPlace(1.0, 2.0, 3.0)
+    leg = RouteLeg.straight(here, here, 0, 0)
     assert (leg.length, leg.at(0.0).place) == (0.0, here)
-    assert leg.nearest(Place(5.0, 5.0, 5.0), 0.0) == 0.0
+    assert leg.nearest(LocalPlace(5.0, 5.0, 5.0), 0.0) == 0.0
     assert leg.between(0.0) == (0, 0, 1.0)

@@ -25,7 +25,12 @@ from m100link.protocol.commands.waypoint import (
     WaypointSetIdleSpeed,
     WaypointStartStop,
 )
-from m100link.sim.vehicle.missions.plan import CIRCLE_REFUSALS, WAYPOINT_REFUSALS, Order, Stage
+from m100link.sim.vehicle.missions.plan import (
+    CIRCLE_REFUSALS,
+    WAYPOINT_REFUSALS,
+    MissionOrder,
+    MissionPhase,
+)
 from tests.sim.host import Host
 from tests.sim.vehicle.missions.flights import OK, SQUARE, host, hotpoint, point, upload
 
@@ -40,57 +45,69 @@ def flying() -> Host:
     return program
 
 
-def at_stage(stage: Stage) -> Host:
+def at_stage(stage: MissionPhase) -> Host:
     program = flying()
-    if stage is not Stage.EMPTY:
+    if stage is not MissionPhase.EMPTY:
         program.ask(WaypointMission(len(POINTS), 10.0, 5.0))
-    if stage is Stage.PLANNED:
+    if stage is MissionPhase.PLANNED:
         program.ask(POINTS[0])
-    elif stage is not Stage.EMPTY:
+    elif stage is not MissionPhase.EMPTY:
         upload(program, POINTS)
-    if stage in (Stage.FLYING, Stage.PAUSED):
+    if stage in (MissionPhase.FLYING, MissionPhase.PAUSED):
         assert program.ask(WaypointStartStop(0)) == OK
-    if stage is Stage.PAUSED:
+    if stage is MissionPhase.PAUSED:
         assert program.ask(WaypointPauseResume(0)) == OK
-    if stage is Stage.OTHER:
+    if stage is MissionPhase.OTHER:
         assert program.ask(HERE).code == OK
     program.wait(0.05)
     return program
 
 
-E, P, R, F, S = Stage.EMPTY, Stage.PLANNED, Stage.READY, Stage.FLYING, Stage.PAUSED
+E, P, R, F, S = (
+    MissionPhase.EMPTY,
+    MissionPhase.PLANNED,
+    MissionPhase.READY,
+    MissionPhase.FLYING,
+    MissionPhase.PAUSED,
+)
 ON_GROUND = (E, P, R)
-ORDERS: dict[Order, Any] = {
-    Order.UPLOAD: WaypointMission(4, 10.0, 5.0),
-    Order.ADD: POINTS[1],
-    Order.START: WaypointStartStop(0),
-    Order.STOP: WaypointStartStop(1),
-    Order.PAUSE: WaypointPauseResume(0),
-    Order.RESUME: WaypointPauseResume(1),
-    Order.DOWNLOAD: WaypointDownloadMission(),
-    Order.DOWNLOAD_POINT: WaypointDownloadPoint(0),
-    Order.SPEED: WaypointSetIdleSpeed(4.0),
+ORDERS: dict[MissionOrder, Any] = {
+    MissionOrder.UPLOAD: WaypointMission(4, 10.0, 5.0),
+    MissionOrder.ADD: POINTS[1],
+    MissionOrder.START: WaypointStartStop(0),
+    MissionOrder.STOP: WaypointStartStop(1),
+    MissionOrder.PAUSE: WaypointPauseResume(0),
+    MissionOrder.RESUME: WaypointPauseResume(1),
+    MissionOrder.DOWNLOAD: WaypointDownloadMission(),
+    MissionOrder.DOWNLOAD_POINT: WaypointDownloadPoint(0),
+    MissionOrder.SPEED: WaypointSetIdleSpeed(4.0),
 }
 # From the facts, not from the table: one row per order, EMPTY, PLANNED, READY, FLYING, PAUSED.
-WAYPOINTS: dict[Order, tuple[Code, Code, Code, Code, Code]] = {
-    Order.UPLOAD: (OK, OK, OK, Code.RUNNING, Code.RUNNING),
-    Order.ADD: (Code.NO_MISSION, OK, OK, Code.RUNNING, Code.RUNNING),
-    Order.START: (Code.NO_POINTS, Code.NO_POINTS, OK, Code.ALREADY_SO, Code.ALREADY_SO),
-    Order.STOP: (Code.NOT_STARTED, Code.NOT_STARTED, Code.NOT_STARTED, OK, OK),
-    Order.PAUSE: (Code.NOT_STARTED, Code.NOT_STARTED, Code.NOT_STARTED, OK, Code.ALREADY_SO),
-    Order.RESUME: (Code.NOT_STARTED, Code.NOT_STARTED, Code.NOT_STARTED, Code.ALREADY_SO, OK),
-    Order.DOWNLOAD: (Code.NO_MISSION, OK, OK, OK, OK),
-    Order.DOWNLOAD_POINT: (Code.NO_POINTS, OK, OK, OK, OK),
-    Order.SPEED: (Code.NO_MISSION, OK, OK, OK, OK),
+WAYPOINTS: dict[MissionOrder, tuple[Code, Code, Code, Code, Code]] = {
+    MissionOrder.UPLOAD: (OK, OK, OK, Code.RUNNING, Code.RUNNING),
+    MissionOrder.ADD: (Code.NO_MISSION, OK, OK, Code.RUNNING, Code.RUNNING),
+    MissionOrder.START: (Code.NO_POINTS, Code.NO_POINTS, OK, Code.ALREADY_SO, Code.ALREADY_SO),
+    MissionOrder.STOP: (Code.NOT_STARTED, Code.NOT_STARTED, Code.NOT_STARTED, OK, OK),
+    MissionOrder.PAUSE: (Code.NOT_STARTED, Code.NOT_STARTED, Code.NOT_STARTED, OK, Code.ALREADY_SO),
+    MissionOrder.RESUME: (
+        Code.NOT_STARTED,
+        Code.NOT_STARTED,
+        Code.NOT_STARTED,
+        Code.ALREADY_SO,
+        OK,
+    ),
+    MissionOrder.DOWNLOAD: (Code.NO_MISSION, OK, OK, OK, OK),
+    MissionOrder.DOWNLOAD_POINT: (Code.NO_POINTS, OK, OK, OK, OK),
+    MissionOrder.SPEED: (Code.NO_MISSION, OK, OK, OK, OK),
 }
-AFTERWARDS: dict[tuple[Order, Stage], Stage] = {
-    (Order.UPLOAD, E): P,
-    (Order.UPLOAD, R): P,
-    (Order.START, R): F,
-    (Order.STOP, F): E,
-    (Order.STOP, S): E,
-    (Order.PAUSE, F): S,
-    (Order.RESUME, S): F,
+AFTERWARDS: dict[tuple[MissionOrder, MissionPhase], MissionPhase] = {
+    (MissionOrder.UPLOAD, E): P,
+    (MissionOrder.UPLOAD, R): P,
+    (MissionOrder.START, R): F,
+    (MissionOrder.STOP, F): E,
+    (MissionOrder.STOP, S): E,
+    (MissionOrder.PAUSE, F): S,
+    (MissionOrder.RESUME, S): F,
 }
 
 
@@ -98,9 +115,9 @@ def code_of(answer: Any) -> Code:
     return answer if isinstance(answer, Code) else answer.code
 
 
-@pytest.mark.parametrize("order", Order)
+@pytest.mark.parametrize("order", MissionOrder)
 @pytest.mark.parametrize("number", range(5))
-def test_waypoints(order: Order, number: int) -> None:
+def test_waypoints(order: MissionOrder, number: int) -> None:
     stage = (E, P, R, F, S)[number]
     program = at_stage(stage)
     assert program.vehicle.missions.stage is stage
@@ -113,28 +130,28 @@ def test_waypoints(order: Order, number: int) -> None:
 def test_asking_for_the_speed_is_refused_where_setting_it_is() -> None:
     for stage in (E, P, R, F, S):
         asked = at_stage(stage).ask(WaypointGetIdleSpeed()).code
-        assert asked == WAYPOINTS[Order.SPEED][(E, P, R, F, S).index(stage)]
+        assert asked == WAYPOINTS[MissionOrder.SPEED][(E, P, R, F, S).index(stage)]
 
 
-CIRCLES: dict[Order, tuple[Code, Code, Code, Code]] = {  # EMPTY, OTHER, FLYING, PAUSED
-    Order.START: (OK, Code.OTHER_RUNNING, Code.RUNNING, Code.RUNNING),
-    Order.STOP: (Code.NOT_RUNNING, Code.NOT_RUNNING, OK, OK),
-    Order.PAUSE: (Code.NOT_RUNNING, Code.NOT_RUNNING, OK, Code.ALREADY_PAUSED),
-    Order.RESUME: (Code.NOT_RUNNING, Code.NOT_RUNNING, Code.NOT_PAUSED, OK),
-    Order.DOWNLOAD: (Code.NOT_RUNNING, Code.NOT_RUNNING, OK, OK),
+CIRCLES: dict[MissionOrder, tuple[Code, Code, Code, Code]] = {  # EMPTY, OTHER, FLYING, PAUSED
+    MissionOrder.START: (OK, Code.OTHER_RUNNING, Code.RUNNING, Code.RUNNING),
+    MissionOrder.STOP: (Code.NOT_RUNNING, Code.NOT_RUNNING, OK, OK),
+    MissionOrder.PAUSE: (Code.NOT_RUNNING, Code.NOT_RUNNING, OK, Code.ALREADY_PAUSED),
+    MissionOrder.RESUME: (Code.NOT_RUNNING, Code.NOT_RUNNING, Code.NOT_PAUSED, OK),
+    MissionOrder.DOWNLOAD: (Code.NOT_RUNNING, Code.NOT_RUNNING, OK, OK),
 }
-HOTPOINT: dict[Order, Any] = {
-    Order.START: HERE,
-    Order.STOP: HotpointStop(),
-    Order.PAUSE: HotpointPauseResume(0),
-    Order.RESUME: HotpointPauseResume(1),
-    Order.DOWNLOAD: HotpointDownload(),
+HOTPOINT: dict[MissionOrder, Any] = {
+    MissionOrder.START: HERE,
+    MissionOrder.STOP: HotpointStop(),
+    MissionOrder.PAUSE: HotpointPauseResume(0),
+    MissionOrder.RESUME: HotpointPauseResume(1),
+    MissionOrder.DOWNLOAD: HotpointDownload(),
 }
-FOLLOW: dict[Order, Any] = {
-    Order.START: FollowStart(HERE.latitude, HERE.longitude),
-    Order.STOP: FollowStop(),
-    Order.PAUSE: FollowPauseResume(0),
-    Order.RESUME: FollowPauseResume(1),
+FOLLOW: dict[MissionOrder, Any] = {
+    MissionOrder.START: FollowStart(HERE.latitude, HERE.longitude),
+    MissionOrder.STOP: FollowStop(),
+    MissionOrder.PAUSE: FollowPauseResume(0),
+    MissionOrder.RESUME: FollowPauseResume(1),
 }
 
 
@@ -145,15 +162,15 @@ def _waypoints(program: Host) -> None:
 
 @pytest.mark.parametrize("orders", [HOTPOINT, FOLLOW], ids=["hotpoint", "follow"])
 @pytest.mark.parametrize("number", range(4))
-def test_hotpoint_and_follow(orders: dict[Order, Any], number: int) -> None:
-    stage = (E, Stage.OTHER, F, S)[number]
+def test_hotpoint_and_follow(orders: dict[MissionOrder, Any], number: int) -> None:
+    stage = (E, MissionPhase.OTHER, F, S)[number]
     for order, command in orders.items():
         program = flying()
         if stage in (F, S):
-            assert code_of(program.ask(orders[Order.START])) == OK
+            assert code_of(program.ask(orders[MissionOrder.START])) == OK
         if stage is S:
-            assert program.ask(orders[Order.PAUSE]) == OK
-        if stage is Stage.OTHER:
+            assert program.ask(orders[MissionOrder.PAUSE]) == OK
+        if stage is MissionPhase.OTHER:
             _waypoints(program)
         expected = CIRCLES[order][number]
         assert code_of(program.ask(command)) == expected, order
@@ -162,7 +179,7 @@ def test_hotpoint_and_follow(orders: dict[Order, Any], number: int) -> None:
 
 @pytest.mark.parametrize(
     "begin_other",
-    [lambda program: program.ask(HERE), lambda program: program.ask(FOLLOW[Order.START])],
+    [lambda program: program.ask(HERE), lambda program: program.ask(FOLLOW[MissionOrder.START])],
     ids=["hotpoint", "follow"],
 )
 def test_waypoints_wait_for_a_mission_of_another_kind(

@@ -15,8 +15,8 @@ from m100link.protocol.commands.waypoint import (
     WaypointSetIdleSpeed,
 )
 from m100link.protocol.records import FlightPhase
-from m100link.sim.vehicle.missions.route import Place, legs_between
-from m100link.sim.vehicle.missions.waypoints import Phase, WaypointFlight
+from m100link.sim.vehicle.missions.route import LocalPlace, legs_between
+from m100link.sim.vehicle.missions.waypoints import WaypointExecution, WaypointPhase
 from tests.sim.host import Host
 from tests.sim.vehicle.missions.flights import (
     OK,
@@ -36,16 +36,16 @@ from tests.sim.vehicle.missions.flights import (
 POINTS = [point(index, *place) for index, place in enumerate(SQUARE)]
 
 
-def phase(program: Host) -> Phase:
+def phase(program: Host) -> WaypointPhase:
     running = program.vehicle.missions.running
-    assert isinstance(running, WaypointFlight)
+    assert isinstance(running, WaypointExecution)
     return running.phase
 
 
-def wait_for(program: Host, wanted: Phase, index: int | None = None) -> None:
+def wait_for(program: Host, wanted: WaypointPhase, index: int | None = None) -> None:
     for _ in range(6000):
         running = program.vehicle.missions.running
-        assert isinstance(running, WaypointFlight)
+        assert isinstance(running, WaypointExecution)
         if running.phase is wanted and index in (None, running.index):
             return
         program.wait(0.02)
@@ -75,7 +75,7 @@ def test_from_below_it_climbs_first_and_from_above_it_flies_straight() -> None:
         program.motion.place(-30.0, 0.0, height)
         begin(program, POINTS)
         track = []
-        while phase(program) in (Phase.CLIMB, Phase.APPROACH):
+        while phase(program) in (WaypointPhase.CLIMB, WaypointPhase.APPROACH):
             program.wait(0.05)
             track.append(where(program))
         assert farthest_beside(track, line) < 0.5
@@ -87,9 +87,9 @@ def test_curves_are_flown_within_a_fifth_of_the_damping(damping: float, wind: fl
     program = host(settings={"wind_north": wind})
     points = [point(index, *place, damping=damping) for index, place in enumerate(places)]
     begin(program, points, trace_mode=1, max_speed=12.0, idle_speed=10.0)
-    wait_for(program, Phase.FLY)
+    wait_for(program, WaypointPhase.FLY)
     track = fly(program)
-    legs = legs_between([Place(*place) for place in places], [damping] * 5)
+    legs = legs_between([LocalPlace(*place) for place in places], [damping] * 5)
     line = [tuple(leg.at(leg.length * k / 500).place) for leg in legs for k in range(501)]
     assert farthest_beside(track, line) < 0.2 * damping  # type: ignore[arg-type] # three numbers
     for place in places[1:3]:
@@ -99,9 +99,9 @@ def test_curves_are_flown_within_a_fifth_of_the_damping(damping: float, wind: fl
 def test_a_corner_without_a_curve_is_passed_within_a_metre_and_without_a_stop() -> None:
     program = host()
     begin(program, POINTS, trace_mode=1, idle_speed=8.0)
-    wait_for(program, Phase.FLY)
+    wait_for(program, WaypointPhase.FLY)
     speeds, track = [], []
-    while phase(program) is Phase.FLY:
+    while phase(program) is WaypointPhase.FLY:
         program.wait(0.05)
         track.append(where(program))
         if math.dist(track[-1], SQUARE[3]) > 3.0 < math.dist(track[-1], SQUARE[0]):
@@ -178,7 +178,7 @@ def test_going_home_from_nearby_lands_in_place() -> None:
 def test_an_endless_mission_waits_and_flies_back_by_the_stick() -> None:
     program = host()
     begin(program, POINTS, finish_action=4)
-    wait_for(program, Phase.WAIT)
+    wait_for(program, WaypointPhase.WAIT)
     told = reached(program)
     program.wait(20.0)
     assert math.dist(where(program), SQUARE[-1]) < 0.3
@@ -186,7 +186,7 @@ def test_an_endless_mission_waits_and_flies_back_by_the_stick() -> None:
     program.wait(30.0)
     assert nearest([where(program)], SQUARE[0]) < 1.0
     program.aircraft.release_sticks()
-    wait_for(program, Phase.WAIT)
+    wait_for(program, WaypointPhase.WAIT)
     assert math.dist(where(program), SQUARE[-1]) < 0.5
     assert reached(program) == told
     assert program.vehicle.missions.running is not None
@@ -202,7 +202,7 @@ LONG = [point(index, *place) for index, place in enumerate(LONG_PLACES)]
 def test_the_pitch_stick_adds_to_the_idle_speed(stick: float, speed: float) -> None:
     program = host()
     begin(program, LONG, idle_speed=4.0)
-    wait_for(program, Phase.FLY)
+    wait_for(program, WaypointPhase.FLY)
     program.aircraft.move_stick(pitch=stick)
     program.wait(7.0)
     assert program.motion.velocity_north == pytest.approx(speed, abs=0.2)
@@ -212,7 +212,7 @@ def test_back_past_zero_it_flies_the_path_backwards_without_actions() -> None:
     program = host()
     points = [point(i, *place, **doing((1, 0))) for i, place in enumerate(LONG_PLACES)]
     begin(program, points)
-    wait_for(program, Phase.FLY, 2)
+    wait_for(program, WaypointPhase.FLY, 2)
     program.wait(3.0)
     photos = program.vehicle.camera.photos
     assert photos == 2
@@ -234,7 +234,7 @@ def test_back_past_zero_it_flies_the_path_backwards_without_actions() -> None:
 def test_without_a_forward_speed_it_waits_for_the_stick(idle: float) -> None:
     program = host()
     begin(program, LONG, idle_speed=idle)
-    wait_for(program, Phase.FLY)
+    wait_for(program, WaypointPhase.FLY)
     program.wait(20.0)
     assert math.dist(where(program), (0, 0, 10)) < 0.5
     program.aircraft.move_stick(pitch=0.8)
@@ -245,7 +245,7 @@ def test_without_a_forward_speed_it_waits_for_the_stick(idle: float) -> None:
 def test_a_steep_leg_is_as_fast_as_the_aircraft_climbs() -> None:
     program = host()
     begin(program, [point(0, 0, 0, 5), point(1, 2, 0, 60)], idle_speed=10.0)
-    wait_for(program, Phase.FLY)
+    wait_for(program, WaypointPhase.FLY)
     track = fly(program)
     assert farthest_beside(track, [(0, 0, 5), (2, 0, 60)]) < 0.3
 
@@ -265,7 +265,7 @@ def test_yaw_mode_0_points_along_the_path_and_4_is_the_same() -> None:
         for each in LONG:
             assert program.ask(each).code == OK
         program.ask_raw(b"\x03\x12\x00")
-        wait_for(program, Phase.FLY, 2)
+        wait_for(program, WaypointPhase.FLY, 2)
         program.wait(5.0)
         assert heading(program) == pytest.approx(90.0, abs=2.0)
 
@@ -288,7 +288,7 @@ def test_yaw_mode_1_keeps_the_heading_of_the_start() -> None:
 def test_yaw_mode_2_obeys_the_yaw_stick() -> None:
     program = host()
     begin(program, LONG, yaw_mode=2)
-    wait_for(program, Phase.FLY)
+    wait_for(program, WaypointPhase.FLY)
     before = heading(program)
     program.wait(2.0)
     assert heading(program) == pytest.approx(before, abs=0.5)
@@ -301,9 +301,9 @@ def test_yaw_mode_3_turns_evenly_to_the_heading_of_the_next_point() -> None:
     program = host()
     points = [point(0, 0, 0, 10, yaw=0), point(1, 100, 0, 10, yaw=90)]
     begin(program, points, yaw_mode=3)
-    wait_for(program, Phase.FLY)
+    wait_for(program, WaypointPhase.FLY)
     shown = []
-    while phase(program) is Phase.FLY:
+    while phase(program) is WaypointPhase.FLY:
         program.wait(0.1)
         shown.append((program.motion.north, heading(program)))
     for north, degrees in shown:
@@ -318,9 +318,9 @@ def test_a_point_turns_in_its_direction(turn_mode: int, way: float) -> None:
         [point(0, 0, 0, 10, yaw=120, turn_mode=turn_mode), point(1, 30, 0, 10, yaw=120)],
         yaw_mode=3,
     )
-    wait_for(program, Phase.TURN)
+    wait_for(program, WaypointPhase.TURN)
     turned, before = 0.0, heading(program)
-    while phase(program) is Phase.TURN:
+    while phase(program) is WaypointPhase.TURN:
         program.wait(0.05)
         turned += math.remainder(heading(program) - before, 360.0)
         before = heading(program)
@@ -339,7 +339,7 @@ def test_the_gimbals_pitch_changes_evenly_from_point_to_point(trace: int) -> Non
         point(2, 60, 40, 10, gimbal_pitch=-20),
     ]
     begin(program, points, gimbal_pitch_mode=1, trace_mode=trace)
-    wait_for(program, Phase.FLY, 1)
+    wait_for(program, WaypointPhase.FLY, 1)
     shown = []
     while program.motion.north < 57.0:
         program.wait(0.1)
@@ -406,7 +406,7 @@ def test_fifty_points_with_actions_each_once_and_in_order() -> None:
 def test_the_speed_may_be_changed_while_paused() -> None:
     program = host()
     begin(program, LONG)
-    wait_for(program, Phase.FLY)
+    wait_for(program, WaypointPhase.FLY)
     program.ask(WaypointPauseResume(0))
     program.ask(WaypointSetIdleSpeed(9.0))
     program.ask(WaypointPauseResume(1))
@@ -415,5 +415,5 @@ def test_the_speed_may_be_changed_while_paused() -> None:
 
 
 def test_all_phases_have_a_status_that_djis_programs_know() -> None:
-    assert {each.status for each in Phase} <= set(range(7))
-    assert all(a.value != b.value for a, b in pairwise(Phase))
+    assert {each.status for each in WaypointPhase} <= set(range(7))
+    assert all(a.value != b.value for a, b in pairwise(WaypointPhase))

@@ -43,7 +43,7 @@ _MOST_M = 1e6
 
 
 @dataclass(frozen=True, slots=True)
-class Ahead:
+class ConflictMonitor:
     show: str  # which show, by its digest
     name: str  # of the aircraft
     at: float  # when the first place is, s from the beginning of the show; each half a second later
@@ -96,7 +96,7 @@ class Ahead:
         return cls(str(show), str(name), times[0], found, times[1])
 
 
-def by_track(show: str, track: TimedTrack, at: float, here: Vector) -> Ahead:
+def by_track(show: str, track: TimedTrack, at: float, here: Vector) -> ConflictMonitor:
     """Where one will be that flies its track, as far beside it as it is now."""
     wanted = track.moment(at).place
     off = [b - a for a, b in zip(wanted, here, strict=True)]
@@ -104,16 +104,16 @@ def by_track(show: str, track: TimedTrack, at: float, here: Vector) -> Ahead:
     for step in range(_STEPS + 1):
         north, east, height = track.moment(at + step * _STEP_S).place
         places.append((north + off[0], east + off[1], height + off[2]))
-    return Ahead(show, track.name, at, tuple(places), track.end)
+    return ConflictMonitor(show, track.name, at, tuple(places), track.end)
 
 
-def by_speed(show: str, name: str, at: float, here: Vector, speed: Vector) -> Ahead:
+def by_speed(show: str, name: str, at: float, here: Vector, speed: Vector) -> ConflictMonitor:
     """Where one will be that has left its track: it hovers, lands, or is flown by somebody."""
     places = []
     for step in range(_STEPS + 1):
         north, east, up = (a + b * step * _STEP_S for a, b in zip(here, speed, strict=True))
         places.append((north, east, up))
-    return Ahead(show, name, at, tuple(places), at)
+    return ConflictMonitor(show, name, at, tuple(places), at)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,11 +141,11 @@ class Neighbours:
         if not 0 <= least_m <= 1000:
             raise BadShow(f"two aircraft cannot have {least_m:g} m between them")
         self.show, self.name, self.least_m, self.count = show, name, least_m, count
-        self._heard: dict[str, tuple[Ahead, float]] = {}
+        self._heard: dict[str, tuple[ConflictMonitor, float]] = {}
         # Of silent ones that were decided about: their last word.
         self._settled: dict[str, float] = {}
 
-    def hear(self, ahead: Ahead, now: float) -> None:
+    def hear(self, ahead: ConflictMonitor, now: float) -> None:
         """One tells where it will be; those of other shows are not compared."""
         if ahead.show != self.show or ahead.name == self.name:
             return
@@ -160,7 +160,9 @@ class Neighbours:
         heard = sum(now - at <= _THERE_S for _, at in self._heard.values())
         return max(0, self.count - heard)
 
-    def near(self, own: Ahead, now: float, rest: RestOfTrack | None = None) -> Near | None:
+    def near(
+        self, own: ConflictMonitor, now: float, rest: RestOfTrack | None = None
+    ) -> Near | None:
         """The first that comes too near; None for nobody.
 
         ``now``: s, by the clock of :meth:`hear`. ``rest``: what it has to fly still; None if it
@@ -181,11 +183,11 @@ class Neighbours:
                     found.append(Near(ahead.name, at, self.least_m, silent))
         return min(found, key=lambda near: near.at, default=None)
 
-    def _is_far(self, own: Ahead, other: Ahead) -> bool:
+    def _is_far(self, own: ConflictMonitor, other: ConflictMonitor) -> bool:
         between = math.dist(own.places[0][:2], other.place(own.at)[:2])
         return between > self.least_m + own.way + other.way
 
-    def _meets(self, own: Ahead, other: Ahead) -> Near | None:
+    def _meets(self, own: ConflictMonitor, other: ConflictMonitor) -> Near | None:
         """Whether the two come too near if each flies on as it told."""
         if self._is_far(own, other):
             return None
@@ -201,7 +203,7 @@ class Neighbours:
                 return Near(other.name, at, distance)
         return None
 
-    def _stands(self, own: Ahead, other: Ahead, silent: float) -> Near | None:
+    def _stands(self, own: ConflictMonitor, other: ConflictMonitor, silent: float) -> Near | None:
         """Whether this one comes too near to where the other one may have stopped by then."""
         if self._is_far(own, other):
             return None

@@ -76,7 +76,7 @@ class Moment:
 
 
 @dataclass(frozen=True, slots=True)
-class Leg:
+class TrackSegment:
     """A track between two of its points."""
 
     begin: float  # seconds from the beginning of the show
@@ -173,7 +173,7 @@ class TimedTrack:
         return self.points[-1].at
 
     @cached_property
-    def legs(self) -> tuple[Leg, ...]:
+    def legs(self) -> tuple[TrackSegment, ...]:
         """Its pieces, in their order."""
         slopes = list(zip(*(self._slopes(axis) for axis in range(3)), strict=True))
         return tuple(
@@ -207,7 +207,7 @@ class TimedTrack:
             return Moment(self.points[0 if at <= self.begin else -1].place, (0.0, 0.0, 0.0))
         return self.leg_at(at).moment(at)
 
-    def leg_at(self, at: float) -> Leg:
+    def leg_at(self, at: float) -> TrackSegment:
         """The piece that is flown at a time from :attr:`begin` on, before :attr:`end`."""
         return self.legs[bisect_right(self._begins, at) - 1]
 
@@ -281,11 +281,13 @@ class TimedTrack:
 
 def _leg(
     before: TimedPoint, after: TimedPoint, leaving: Sequence[float], arriving: Sequence[float]
-) -> Leg:
+) -> TrackSegment:
     third = (after.at - before.at) / 3
     n0, e0, h0 = (place + slope * third for place, slope in zip(before.place, leaving, strict=True))
     n1, e1, h1 = (place - slope * third for place, slope in zip(after.place, arriving, strict=True))
-    return Leg(before.at, after.at, (before.place, (n0, e0, h0), (n1, e1, h1), after.place))
+    return TrackSegment(
+        before.at, after.at, (before.place, (n0, e0, h0), (n1, e1, h1), after.place)
+    )
 
 
 def _problems(track: TimedTrack) -> Iterator[str]:

@@ -13,13 +13,19 @@ from nicegui.events import GenericEventArguments
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.orders import Activate, TakeOff
-from m100link.apps.station.console.kept import History
-from m100link.apps.station.console.orders import Orders
+from m100link.apps.station.console.kept import PlotHistory
+from m100link.apps.station.console.orders import SimulatorOrders
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.tabs import Tabs
-from m100link.apps.station.console.view.fly import HELD, Reading
-from m100link.apps.station.console.view.texts import Kind, Settings, Speaker, Text, tr
-from m100link.apps.station.console.view.view import Memory, View
+from m100link.apps.station.console.view.fly import HELD, FieldReading
+from m100link.apps.station.console.view.texts import (
+    DisplaySettings,
+    QuantityKind,
+    Text,
+    Translator,
+    tr,
+)
+from m100link.apps.station.console.view.view_model import Memory, ViewModel
 from m100link.errors import GuardRefused, UsageError
 from m100link.protocol.records import Position
 
@@ -30,7 +36,7 @@ class Wording:
     """Says texts, and says those again that stand on the page when another language is chosen."""
 
     def __init__(self) -> None:
-        self.settings = Settings()  # what the operator chose
+        self.settings = DisplaySettings()  # what the operator chose
         self.utc_offset_min = 0  # minutes that the operator's clock is ahead of UTC
         self._followers: list[Callable[[], object]] = []
 
@@ -93,7 +99,7 @@ class Wording:
         self._followers.append(show)
         show()
 
-    def choose(self, settings: Settings) -> None:
+    def choose(self, settings: DisplaySettings) -> None:
         self.settings = settings
         for show in self._followers:
             show()
@@ -230,7 +236,7 @@ class ReadingRow:
         self._row, self._value, self._note = wording.field(name, f"instruments.{name}")
         self._is_stale = False
 
-    def show(self, reading: Reading) -> None:
+    def show(self, reading: FieldReading) -> None:
         self._value.set_text(self._wording(reading.text))
         self._note.set_text("" if reading.note is None else self._wording(reading.note))
         if reading.is_stale is not self._is_stale:
@@ -247,7 +253,7 @@ class NumberField:
         key: str,  # of its name in the catalogue, with ``{unit}`` in it where there is a kind
         props: str,
         *,
-        kind: Kind | None = None,  # what it measures; None where nobody chooses the unit
+        kind: QuantityKind | None = None,  # what it measures; None where nobody chooses the unit
         # Least and greatest value that is offered, in the unit of the protocol.
         limits: tuple[float | None, float | None] = (None, None),
         step: float = 1.0,  # of its arrows, in the operator's unit
@@ -316,7 +322,7 @@ class NumberField:
 #         def __init__(self, page: PageContext) -> None:
 #             self._text = ui.label("–").props("id=clock")
 #
-#         def update(self, view: View) -> None:
+#         def update(self, view: ViewModel) -> None:
 #             self._text.set_text(f"{view.at:.0f} s")
 #
 # - The page makes it inside the element that holds it, where it lays itself out: for the views
@@ -335,7 +341,7 @@ class NumberField:
 class Component(Protocol):
     """A component of the page, laid out inside the element in which it was made."""
 
-    def update(self, view: View) -> None:
+    def update(self, view: ViewModel) -> None:
         """Show what is."""
 
 
@@ -345,14 +351,14 @@ class PageContext:
 
     agent: AgentClient  # the agent that owns the aircraft
     tab: Tab  # who looks at the page
-    orders: Orders | None  # what the panel does to a virtual aircraft, or None
+    orders: SimulatorOrders | None  # what the panel does to a virtual aircraft, or None
     buttons: Buttons  # the buttons that give orders
     memory: Memory  # its alarms, its checklist, its events
     wording: Wording  # says everything in the operator's language and units
     dark: ui.dark_mode  # switches the dark looks of NiceGUI's own elements
     show: Callable[[str], None]  # shows another view of the page, by its name
     has_tiles: bool  # whether there are map tiles under ``/tiles/{z}/{x}/{y}.png``
-    history: History  # the last minutes of every number
+    history: PlotHistory  # the last minutes of every number
     tabs: Tabs  # who looks at this and at other aircraft
 
     async def activate(self) -> None:
@@ -371,7 +377,7 @@ class PageContext:
                 remedy="mend what it shows, or say there why you fly all the same",
             )
         if not checklist.is_green:
-            english = Speaker()
+            english = Translator()
             missing = ", ".join(
                 english(Text(f"checklist.{check.item.value}")) for check in checklist.missing
             )

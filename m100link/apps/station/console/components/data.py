@@ -18,8 +18,8 @@ from m100link.apps.station.console.view.data import (
     MIME,
     MOST,
     RANGES,
+    EventLine,
     Format,
-    Line,
     chart,
     export,
     height,
@@ -31,7 +31,7 @@ from m100link.apps.station.console.view.data import (
 )
 from m100link.apps.station.console.view.fly import FIELDS
 from m100link.apps.station.console.view.texts import Text, tr
-from m100link.apps.station.console.view.view import View
+from m100link.apps.station.console.view.view_model import ViewModel
 
 # -- every value of the telemetry ------------------------------------------------------------------
 
@@ -72,7 +72,7 @@ class TelemetryPart:
             # Seen from behind a north-facing aircraft, a little from above: east to the right.
             scene.move_camera(0, -2.6, 1.4, 0, 0, 0, duration=0)
 
-    def update(self, view: View) -> None:
+    def update(self, view: ViewModel) -> None:
         for name, row in self._rows.items():
             row.show(view.instruments.readings[name])
         attitude = view.instruments.attitude
@@ -106,7 +106,7 @@ class LinkPart:
                 box = ui.element("div").props(f"id=link-{name}").classes("w-full")
                 self._tables[name] = box, ()
 
-    def update(self, view: View) -> None:
+    def update(self, view: ViewModel) -> None:
         speak = self._wording
         for name, text in view.link.texts.items():
             self._numbers[name].set_text(speak(text))
@@ -223,7 +223,7 @@ class PlotsPart:
 
     # -- what is new -----------------------------------------------------------------------------
 
-    def update(self, view: View) -> None:
+    def update(self, view: ViewModel) -> None:
         """Send the points that the page does not have."""
         history = self._page.history
         if (self._until is not None and not self._is_whole_wanted) or not self._names:
@@ -289,7 +289,7 @@ class EventsPart:
         self._words = self._words if words is None else words
         self._said_in = None  # all of it anew
 
-    def _selected(self, lines: tuple[Line, ...]) -> list[Line]:
+    def _selected(self, lines: tuple[EventLine, ...]) -> list[EventLine]:
         speaker = self._page.wording.settings.speaker
         return select(lines, speaker, least=self._least, words=self._words)
 
@@ -299,7 +299,7 @@ class EventsPart:
         text = export(lines, how, wording.settings.speaker, wording.utc_offset_min)
         ui.download.content(text, f"m100link-events.{how.value}", MIME[how])
 
-    def update(self, view: View) -> None:
+    def update(self, view: ViewModel) -> None:
         wording = self._page.wording
         newest = view.events[-1].number if view.events else 0
         if (newest, wording.settings) == (self._last, self._said_in):
@@ -321,7 +321,7 @@ class EventsPart:
         if new:
             ui.run_javascript('document.querySelector("#events").scrollTop = 1e9')
 
-    def _place(self, line: Line) -> Any:
+    def _place(self, line: EventLine) -> Any:
         wording = self._page.wording
         time = line.time(wording.utc_offset_min).strftime("%H:%M:%S")
         text = f"{time} {_SHAPES[line.level]} {line.said(wording.settings.speaker)}"

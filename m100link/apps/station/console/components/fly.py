@@ -22,9 +22,16 @@ from m100link.apps.station.console.components.component import (
 )
 from m100link.apps.station.console.components.map import ClickPart
 from m100link.apps.station.console.tab import Tab
-from m100link.apps.station.console.view.fly import FIELDS, ITEMS, Check, Checklist, Item, ItemState
+from m100link.apps.station.console.view.fly import (
+    FIELDS,
+    ITEMS,
+    Check,
+    Checklist,
+    ChecklistItem,
+    ItemState,
+)
 from m100link.apps.station.console.view.texts import Text, tr
-from m100link.apps.station.console.view.view import View
+from m100link.apps.station.console.view.view_model import ViewModel
 from m100link.errors import M100Error
 
 
@@ -42,7 +49,7 @@ class Fly:
         with _place("steering"):
             _build_sticks(page.wording)
 
-    def update(self, view: View) -> None:
+    def update(self, view: ViewModel) -> None:
         for part in self._parts:
             part.update(view)
 
@@ -115,7 +122,7 @@ class InstrumentsPart:
             names = [one.name for one in FIELDS if one.name in _SHOWN]
             self._rows = {name: ReadingRow(name, page.wording) for name in names}
 
-    def update(self, view: View) -> None:
+    def update(self, view: ViewModel) -> None:
         for name, row in self._rows.items():
             row.show(view.instruments.readings[name])
 
@@ -216,7 +223,7 @@ class ChecklistPart:
                 add("obtain", "actions.obtain", self._take_over.obtain, kind="plain")
                 add("take_off", "actions.take_off", page.take_off)
 
-    def _build_row(self, item: Item) -> _Row:
+    def _build_row(self, item: ChecklistItem) -> _Row:
         wording = self._page.wording
         with ui.element("li").classes("check").props(f"data-check={item.value}") as box:
             shape = ui.label().classes("shape").props("aria-hidden=true")
@@ -237,7 +244,7 @@ class ChecklistPart:
         desk.say_free(now, is_free=is_free)
         page.tabs.looks.say(page.tab.person, page.tab.aircraft, page.agent, is_free=is_free)
 
-    def update(self, view: View) -> None:
+    def update(self, view: ViewModel) -> None:
         self._take_over.update()
         checklist, wording = view.checklist, self._page.wording
         for check in checklist.checks:
@@ -306,7 +313,7 @@ class ActionsPart:
             self._why_not_button = why_not.classes("see")
             why_not.on("click", lambda: page.show("check"), args=[])
 
-    def update(self, view: View) -> None:
+    def update(self, view: ViewModel) -> None:
         self._take_over.update()
         wording = self._page.wording
         self._activation.set_text(wording(view.activation))

@@ -12,15 +12,20 @@ from nicegui.events import GenericEventArguments
 
 from m100link.apps.agent.orders import OrderReplay
 from m100link.apps.station.console.components.component import ORDER, PageContext, answer, attribute
-from m100link.apps.station.console.view.alarms import Alarm, AlarmName, AlarmState
+from m100link.apps.station.console.view.alarms import ActiveAlarm, AlarmName, AlarmState
 from m100link.apps.station.console.view.header import SPEEDS, FleetRow, ReplayView
-from m100link.apps.station.console.view.situation import Level
-from m100link.apps.station.console.view.texts import Settings, Text, tr
-from m100link.apps.station.console.view.view import View
+from m100link.apps.station.console.view.situation import AlarmLevel
+from m100link.apps.station.console.view.texts import DisplaySettings, Text, tr
+from m100link.apps.station.console.view.view_model import ViewModel
 
 # -- the status line -------------------------------------------------------------------------------
 
-SHAPES = {Level.GOOD: "●", Level.NEUTRAL: "○", Level.WARNING: "▲", Level.DANGER: "◆"}
+SHAPES = {
+    AlarmLevel.GOOD: "●",
+    AlarmLevel.NEUTRAL: "○",
+    AlarmLevel.WARNING: "▲",
+    AlarmLevel.DANGER: "◆",
+}
 """Beside its colour each level has a shape: not everybody sees colours."""
 
 
@@ -56,7 +61,7 @@ class StatusPart:
         # When this view was made, on the station's clock: the page knows how old it is.
         self._beat = ui.element("i").props("id=view-beat hidden")
 
-    def update(self, view: View) -> None:
+    def update(self, view: ViewModel) -> None:
         line, said = view.status, self._page.wording
         self._text.set_text(said(line.text))
         self._remedy.set_text(said(line.remedy) if line.remedy is not None else "")
@@ -122,13 +127,13 @@ class AlarmsPart:
             english = type(self._page.wording.settings)().speaker
             self._page.agent.note(f"{self._page.tab.session.name} acknowledged: {english(text)}")
 
-    def update(self, view: View) -> None:
+    def update(self, view: ViewModel) -> None:
         shown = {alarm.name: alarm for alarm in view.alarms}
         for name, row in self._rows.items():
             self._show(row, shown.get(name))
         self._tell(view)
 
-    def _show(self, row: _Row, alarm: Alarm | None) -> None:
+    def _show(self, row: _Row, alarm: ActiveAlarm | None) -> None:
         state = "" if alarm is None else f"{alarm.level.value} {alarm.state.value}"
         if alarm is not None:
             wording = self._page.wording
@@ -143,7 +148,7 @@ class AlarmsPart:
             is_known = alarm is not None and alarm.state is AlarmState.ACKNOWLEDGED
             row.button.set_visibility(not is_known)
 
-    def _tell(self, view: View) -> None:
+    def _tell(self, view: ViewModel) -> None:
         """Hand what is new to sound and speech."""
         raised = [one for one in view.alarms if one.state is AlarmState.RAISED]
         since = {one.name: one.at for one in raised}
@@ -163,7 +168,7 @@ class AlarmsPart:
         attribute(self._sound, "data-level")(level)
 
 
-def _whole(alarm: Alarm) -> Text:
+def _whole(alarm: ActiveAlarm) -> Text:
     """What an alarm says, and whether it is over."""
     if alarm.state is AlarmState.PASSED:
         return tr("alarms.passed", alarm=alarm.text)
@@ -230,7 +235,7 @@ class ReplayPart:
         if not self._is_showing and event.value is not None:
             self._order(f"speed {event.value:g}")
 
-    def update(self, view: View) -> None:
+    def update(self, view: ViewModel) -> None:
         shown = view.replay
         self._bar.set_visibility(shown is not None)
         if shown is not None:
@@ -269,7 +274,7 @@ class FleetPart:
         self._place.set_visibility(False)  # of one aircraft there is no list
         page.wording.put(attribute(self._place), "fleet.label")
 
-    def update(self, view: View) -> None:
+    def update(self, view: ViewModel) -> None:
         """Show what is; of a fleet more may come."""
         for row in view.fleet:
             if not self._rows:
@@ -283,7 +288,7 @@ class FleetPart:
 class _ShipRow:
     def __init__(self, page: PageContext, name: str) -> None:
         self._page, self._name = page, name
-        self._shown: tuple[FleetRow, Settings] | None = None  # and what it was said in
+        self._shown: tuple[FleetRow, DisplaySettings] | None = None  # and what it was said in
         with ui.element("div").classes("ship") as self._box:
             turn = ui.element("button").props(f'type=button data-ship="{name}"')
             page.wording.put(attribute(turn, "title"), "fleet.show", name=name)

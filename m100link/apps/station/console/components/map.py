@@ -17,14 +17,14 @@ from m100link.apps.station.console.view.map import (
     Chart,
     ClickView,
     Drawing,
+    GuidedKind,
+    MapRefusal,
     Pointed,
-    Refusal,
     Shown,
-    Wish,
     click_of,
 )
-from m100link.apps.station.console.view.texts import Kind, Settings, Text
-from m100link.apps.station.console.view.view import View
+from m100link.apps.station.console.view.texts import DisplaySettings, QuantityKind, Text
+from m100link.apps.station.console.view.view_model import ViewModel
 from m100link.errors import M100Error
 from m100link.protocol.records import Position
 
@@ -70,7 +70,7 @@ class MapPart:
                     page.wording.put(attribute(tool, name), f"page.map.{what}")
         ui.label().props("id=map-home").classes("map-home")
 
-    def update(self, view: View) -> None:
+    def update(self, view: ViewModel) -> None:
         """Show plan and envelope when they are others; what moves comes by the socket."""
         chart = view.chart
         if chart != self._shown:
@@ -83,12 +83,12 @@ class MapPart:
 
 # -- click to fly ----------------------------------------------------------------------------------
 
-# What is shown of each wish.
-_SHOWN: dict[Wish, tuple[str, ...]] = {
-    Wish.PLACE: ("way", "height", "speed"),
-    Wish.CIRCLE: ("way", "height", "speed", "radius", "turns", "clockwise"),
-    Wish.HEIGHT: ("height",),
-    Wish.HEADING: ("yaw_deg",),
+# What is shown of each kind.
+_SHOWN: dict[GuidedKind, tuple[str, ...]] = {
+    GuidedKind.PLACE: ("way", "height", "speed"),
+    GuidedKind.CIRCLE: ("way", "height", "speed", "radius", "turns", "clockwise"),
+    GuidedKind.HEIGHT: ("height",),
+    GuidedKind.HEADING: ("yaw_deg",),
 }
 
 
@@ -108,7 +108,9 @@ class ClickPart:
         self._orders = 0  # given so far: only the newest one's end is told
         self._is_open = False
         self._drawn = ""
-        self._told: tuple[tuple[Refusal, ...], Settings] | None = None  # and what it was said in
+        self._told: tuple[tuple[MapRefusal, ...], DisplaySettings] | None = (
+            None  # and what it was said in
+        )
         self._fields: dict[str, ui.element] = {}
         self._numbers: dict[str, NumberField] = {}
         self._build()
@@ -126,7 +128,7 @@ class ClickPart:
             wording.put(attribute(self._card), "click.title")
             wording.label("click.hint").classes("hint")
             with ui.element("div").classes("choices").props("role=group"):
-                self._wishes = {wish: self._build_wish(wish) for wish in Wish}
+                self._kinds = {kind: self._build_kind(kind) for kind in GuidedKind}
             self._build_fields()
             self._preview = ui.label().props("id=click-preview role=status")
             self._refusals = ui.element("div").props("id=click-refusals role=alert")
@@ -140,19 +142,19 @@ class ClickPart:
         self._guided.set_visibility(False)
         self._open(is_open=False)
 
-    def _build_wish(self, wish: Wish) -> ui.element:
-        key, props = f"click.{wish.value}", f"data-wish={wish.value}"
-        return self._page.wording.button(key, props, partial(self._wish, wish), looks="")
+    def _build_kind(self, kind: GuidedKind) -> ui.element:
+        key, props = f"click.{kind.value}", f"data-wish={kind.value}"
+        return self._page.wording.button(key, props, partial(self._kind, kind), looks="")
 
     def _build_fields(self) -> None:
         with ui.element("div").classes("numbers") as self._fields["way"]:
-            far = {"kind": Kind.LENGTH, "limits": (0, 5000)}
+            far = {"kind": QuantityKind.LENGTH, "limits": (0, 5000)}
             self._distance = self._number("distance", self._by_distance, **far)
             self._bearing = self._number("bearing", self._by_distance, limits=(0, 360))
         for name, word, step, kind in (
-            ("height", "height_m", 0.5, Kind.LENGTH),
-            ("speed", "speed", 0.5, Kind.SPEED),
-            ("radius", "radius", 1.0, Kind.LENGTH),
+            ("height", "height_m", 0.5, QuantityKind.LENGTH),
+            ("speed", "speed", 0.5, QuantityKind.SPEED),
+            ("radius", "radius", 1.0, QuantityKind.LENGTH),
             ("turns", "turns", 0.25, None),
             ("yaw_deg", "yaw", 1, None),
         ):
@@ -201,16 +203,16 @@ class ClickPart:
         self._card.set_visibility(is_open)
         self._opener.set_visibility(not is_open)
         if is_open:
-            self._wish(self._pointed.wish)
+            self._kind(self._pointed.kind)
         else:
             self._pointed = replace(self._pointed, place=None)
 
-    def _wish(self, wish: Wish) -> None:
-        self._pointed, self._problem = replace(self._pointed, wish=wish), None
-        for one, choice in self._wishes.items():
-            choice.props(f"aria-pressed={'true' if one is wish else 'false'}")
+    def _kind(self, kind: GuidedKind) -> None:
+        self._pointed, self._problem = replace(self._pointed, kind=kind), None
+        for one, choice in self._kinds.items():
+            choice.props(f"aria-pressed={'true' if one is kind else 'false'}")
         for name, field in self._fields.items():
-            field.set_visibility(name in _SHOWN[wish])
+            field.set_visibility(name in _SHOWN[kind])
 
     def _clicked(self, event: events.GenericEventArguments) -> None:
         if not isinstance(event.args, dict) or event.args.get("view") != "fly":
@@ -287,7 +289,7 @@ class ClickPart:
 
     # -- what is shown ---------------------------------------------------------------------------
 
-    def update(self, view: View) -> None:
+    def update(self, view: ViewModel) -> None:
         agent = self._page.agent
         order = self._pointed.order if self._is_open else None
         has_control = self._page.tab.session.has_control
@@ -312,7 +314,7 @@ class ClickPart:
     def _said(self, text: Text | None) -> str:
         return "" if text is None else self._say(text)
 
-    def _tell(self, refusals: tuple[Refusal, ...]) -> None:
+    def _tell(self, refusals: tuple[MapRefusal, ...]) -> None:
         told = refusals, self._page.wording.settings
         if told == self._told:
             return

@@ -20,8 +20,8 @@ from m100link.apps.station.console.components.component import (
 )
 from m100link.apps.station.console.view.plan import (
     Draft,
-    History,
-    Note,
+    DraftHistory,
+    PlanNote,
     actions_of,
     checked,
     drawing,
@@ -32,8 +32,8 @@ from m100link.apps.station.console.view.plan import (
     text_of,
     upload_of,
 )
-from m100link.apps.station.console.view.texts import Kind
-from m100link.apps.station.console.view.view import View
+from m100link.apps.station.console.view.texts import QuantityKind
+from m100link.apps.station.console.view.view_model import ViewModel
 from m100link.errors import M100Error, UsageError
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.survey import line_spacing
@@ -50,7 +50,7 @@ class PlanPart:
     def __init__(self, page: PageContext) -> None:
         self._page = page
         self._say = page.wording
-        self._history = History()
+        self._history = DraftHistory()
         self._chosen: int | None = None
         self._is_area = False  # clicks make corners of the area, and not points
         self._found = checked(Draft())
@@ -142,7 +142,7 @@ class PlanPart:
     def _change(self, draft: Draft) -> None:
         self._go(self._history.done(draft))
 
-    def _go(self, history: History) -> None:
+    def _go(self, history: DraftHistory) -> None:
         self._history = history
         self._refuse("")
         if self._chosen is not None and self._chosen >= len(history.draft.points):
@@ -297,7 +297,7 @@ class PlanPart:
                             _tell(note, "span")
                     row.on("click", partial(self._choose, index), args=[])
 
-    def update(self, view: View) -> None:
+    def update(self, view: ViewModel) -> None:
         agent = self._page.agent
         uploaded = upload_of(self._found.plan, agent.plan, agent.plan_by)
         self._uploaded.set_text(self._say(uploaded))
@@ -306,7 +306,7 @@ class PlanPart:
         self._progress.set_value(view.mission.part)
 
 
-def _tell(note: Note, tag: str = "li") -> None:
+def _tell(note: PlanNote, tag: str = "li") -> None:
     with ui.element(tag).classes("note wrong" if note.is_error else "note"):
         ui.label(note.text)
 
@@ -343,7 +343,7 @@ class WaypointPart:
             self._title = ui.label().classes("title")
             with ui.element("div").classes("numbers"):
                 for name, word, step, kind in (
-                    ("height", "height", 1.0, Kind.LENGTH),
+                    ("height", "height", 1.0, QuantityKind.LENGTH),
                     ("heading_deg", "heading", 5.0, None),
                     ("gimbal_pitch_deg", "pitch", 5.0, None),
                     ("latitude_deg", "latitude", 1e-5, None),
@@ -413,12 +413,12 @@ _CHOICES: tuple[tuple[str, str, type[IntEnum]], ...] = (
     ("trace", "trace", Trace),
 )
 
-_LINES: tuple[tuple[str, float | None, float, float, Kind | None], ...] = (
-    ("height", 30.0, 2, 1, Kind.LENGTH),
+_LINES: tuple[tuple[str, float | None, float, float, QuantityKind | None], ...] = (
+    ("height", 30.0, 2, 1, QuantityKind.LENGTH),
     ("overlap", 70.0, 0, 5, None),
-    ("spacing", None, 1, 1, Kind.LENGTH),
+    ("spacing", None, 1, 1, QuantityKind.LENGTH),
     ("angle", 0.0, -180, 5, None),
-    ("photo_every", None, 2, 1, Kind.LENGTH),
+    ("photo_every", None, 2, 1, QuantityKind.LENGTH),
 )
 """Of the survey: its name, what stands there at first, the least, the step of its arrows, and what
 it measures."""
@@ -441,7 +441,7 @@ class WholePart:
                 wording,
                 "plan.speed",
                 "debounce=300 for=plan-speed",
-                kind=Kind.SPEED,
+                kind=QuantityKind.SPEED,
                 limits=(0, 15),
                 step=0.5,
                 changed=self._sped,

@@ -12,17 +12,17 @@ from nicegui import ui
 from nicegui.events import ValueChangeEventArguments
 
 from m100link.apps.station.console.components.component import PageContext, Wording, attribute
-from m100link.apps.station.console.orders import Orders
+from m100link.apps.station.console.orders import SimulatorOrders
 from m100link.apps.station.console.view.texts import (
+    DisplaySettings,
     Language,
     LengthUnit,
-    Settings,
     SpeedUnit,
     Text,
     Theme,
     for_browser,
 )
-from m100link.apps.station.console.view.view import View
+from m100link.apps.station.console.view.view_model import ViewModel
 from m100link.errors import M100Error
 from m100link.protocol.records import RcMode
 
@@ -50,10 +50,10 @@ async def load_settings(page: PageContext) -> None:
         return  # the page has gone, or hangs: it stays as it is
     if isinstance(ahead, int) and abs(ahead) <= 14 * 60:
         page.wording.utc_offset_min = ahead
-    apply_settings(page, Settings.from_text(kept))
+    apply_settings(page, DisplaySettings.from_text(kept))
 
 
-def apply_settings(page: PageContext, settings: Settings) -> None:
+def apply_settings(page: PageContext, settings: DisplaySettings) -> None:
     """Let the page look and speak as it was chosen."""
     if settings.name:
         page.tab.session.name = settings.name
@@ -130,7 +130,7 @@ class SettingsPart:
             f'import("/console/alarms.js").then((module) => module.attempt({json.dumps(tried)}))'
         )
 
-    def update(self, view: View) -> None:
+    def update(self, view: ViewModel) -> None:
         """Nothing of it comes from the aircraft."""
 
 
@@ -150,7 +150,7 @@ _Handler: TypeAlias = "Callable[[ValueChangeEventArguments[Any]], Awaitable[None
 
 
 class SimPanel:
-    def __init__(self, orders: Orders, wording: Wording) -> None:
+    def __init__(self, orders: SimulatorOrders, wording: Wording) -> None:
         self._orders, self._wording = orders, wording
         shown = orders.status
         with ui.row().classes("items-center gap-2"):

@@ -13,7 +13,7 @@ from enum import Enum
 
 from m100link.apps.agent.lease import Flown, LeaseChange
 from m100link.apps.agent.view import Hearing
-from m100link.apps.station.console.view.situation import Level, Situation
+from m100link.apps.station.console.view.situation import AlarmLevel, Situation
 from m100link.apps.station.console.view.texts import Quantity, Text, tr
 from m100link.errors import LossReason
 from m100link.protocol.records import FlightPhase
@@ -75,7 +75,7 @@ class AlarmName(Enum):
 @dataclass(frozen=True, slots=True)
 class Definition:
     name: AlarmName
-    level: Level  # how urgent it is
+    level: AlarmLevel  # how urgent it is
     text: Callable[[Situation], Text]  # what is said
     # Whether it is so: True begins it, False ends it, None leaves it as it is.
     judge: Callable[[Situation], bool | None] | None = None
@@ -212,7 +212,7 @@ def _always(key: str) -> Callable[[Situation], Text]:
     return lambda now: tr(key)
 
 
-_N, _L = AlarmName, Level
+_N, _L = AlarmName, AlarmLevel
 
 ALARMS: tuple[Definition, ...] = (
     Definition(_N.LINK_LOST, _L.DANGER, _always("alarms.link_lost"), _link_lost),
@@ -274,11 +274,11 @@ ALARMS: tuple[Definition, ...] = (
 
 
 @dataclass(frozen=True, slots=True)
-class Alarm:
+class ActiveAlarm:
     """An alarm as it stands now."""
 
     name: AlarmName
-    level: Level  # how urgent it is
+    level: AlarmLevel  # how urgent it is
     state: AlarmState  # where it stands; quiet only where it is told that it became so
     text: Text  # what it says; of one that has passed, what it said last
     at: float  # since when it stands so, on the station's clock, s
@@ -295,11 +295,11 @@ class _Watched:
     text: Text = field(default_factory=lambda: Text("alarms.none"))  # what it said last
     at: float = 0.0  # since when it stands so, s
 
-    def alarm(self) -> Alarm:
-        return Alarm(self.one.name, self.one.level, self.state, self.text, self.at)
+    def alarm(self) -> ActiveAlarm:
+        return ActiveAlarm(self.one.name, self.one.level, self.state, self.text, self.at)
 
 
-class AlarmDesk:
+class AlarmManager:
     """The alarms of one tab, which its operator acknowledges."""
 
     def __init__(self, definitions: tuple[Definition, ...] = ALARMS) -> None:
@@ -307,7 +307,7 @@ class AlarmDesk:
         self._has_looked = False
 
     @property
-    def shown(self) -> tuple[Alarm, ...]:
+    def shown(self) -> tuple[ActiveAlarm, ...]:
         """What has something to tell, the most urgent first, without what a stronger one covers."""
         return tuple(
             watched.alarm()
@@ -316,10 +316,12 @@ class AlarmDesk:
         )
 
     @property
-    def sounding(self) -> Level | None:
+    def sounding(self) -> AlarmLevel | None:
         """The most urgent level that nobody has acknowledged; None for silence."""
         levels = {one.level for one in self.shown if one.state is AlarmState.RAISED}
-        return next((level for level in (Level.DANGER, Level.WARNING) if level in levels), None)
+        return next(
+            (level for level in (AlarmLevel.DANGER, AlarmLevel.WARNING) if level in levels), None
+        )
 
     def _is_covered(self, one: Definition) -> bool:
         stronger = one.within
@@ -330,9 +332,9 @@ class AlarmDesk:
             stronger = above.one.within
         return False
 
-    def advance(self, now: Situation) -> list[Alarm]:
+    def advance(self, now: Situation) -> list[ActiveAlarm]:
         """Judge every alarm; returns what changed."""
-        changes: list[Alarm] = []
+        changes: list[ActiveAlarm] = []
         for watched in self._watched.values():
             one = watched.one
             if one.mark is not None:
@@ -342,7 +344,7 @@ class AlarmDesk:
         self._has_looked = True
         return changes
 
-    def acknowledge(self, name: AlarmName, at: float) -> list[Alarm]:
+    def acknowledge(self, name: AlarmName, at: float) -> list[ActiveAlarm]:
         """The operator knows of an alarm, and so of what it covers; returns what changed."""
         watched = self._watched[name]
         changes = self._feed(watched, AlarmInput.SEEN, at)
@@ -353,7 +355,7 @@ class AlarmDesk:
                 changes += self.acknowledge(covered, at)
         return changes
 
-    def _look_at_mark(self, watched: _Watched, mark: object, now: Situation) -> list[Alarm]:
+    def _look_at_mark(self, watched: _Watched, mark: object, now: Situation) -> list[ActiveAlarm]:
         is_new = mark is not None and mark != watched.mark
         has_ended = mark is None and watched.mark is not None
         watched.mark = mark
@@ -362,7 +364,7 @@ class AlarmDesk:
             return self._feed(watched, AlarmInput.BEGINS, now.now)
         return self._feed(watched, AlarmInput.ENDS, now.now) if has_ended else []
 
-    def _judge(self, watched: _Watched, verdict: bool | None, now: Situation) -> list[Alarm]:
+    def _judge(self, watched: _Watched, verdict: bool | None, now: Situation) -> list[ActiveAlarm]:
         one = watched.one
         if verdict is not None and verdict is not watched.is_so:
             watched.turned_at = now.now if watched.turned_at is None else watched.turned_at
@@ -379,7 +381,7 @@ class AlarmDesk:
                 watched.text = one.text(now)
         return []
 
-    def _feed(self, watched: _Watched, what: AlarmInput, at: float) -> list[Alarm]:
+    def _feed(self, watched: _Watched, what: AlarmInput, at: float) -> list[ActiveAlarm]:
         after = TRANSITIONS[watched.state].get(what)
         if after is None:
             return []

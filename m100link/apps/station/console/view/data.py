@@ -16,7 +16,7 @@ from typing import Any
 from m100link.apps.agent.messages import Event
 from m100link.apps.station.console.kept import COLUMNS, INTERVAL
 from m100link.apps.station.console.view.situation import Inputs
-from m100link.apps.station.console.view.texts import Kind, Speaker, Text, Units, tr
+from m100link.apps.station.console.view.texts import QuantityKind, Text, Translator, Units, tr
 from m100link.protocol.items import ITEMS
 from m100link.wire.frame import Discard
 
@@ -157,10 +157,10 @@ _TOP, _HEIGHT, _GAP = 28, 88, 40  # of each line's own stripe, in pixels
 _COLOURS = ("#1e88e5", "#e53935", "#43a047", "#fb8c00", "#8e24aa", "#00897b")
 
 
-def kind(name: str) -> Kind | None:
+def kind(name: str) -> QuantityKind | None:
     """What a column measures, where the operator chooses the unit."""
     sign = _sign(name)
-    return next((one for one in Kind if one.value == sign), None)
+    return next((one for one in QuantityKind if one.value == sign), None)
 
 
 def _sign(name: str) -> str:
@@ -218,7 +218,7 @@ def points(
     ]
 
 
-def chart(names: Sequence[str], speaker: Speaker) -> dict[str, Any]:
+def chart(names: Sequence[str], speaker: Translator) -> dict[str, Any]:
     """The options of an ECharts chart: a stripe for each number, one time and one cursor for all.
 
     Its points come later, by ``static/instruments.js``: only what is new goes to the page.
@@ -299,7 +299,7 @@ MIME = {Format.TEXT: "text/plain", Format.JSON: "application/json", Format.CSV: 
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class EventLine:
     number: int  # counts the lines of this page from 1
     at: float  # seconds since 1970, UTC
     level: str  # one of :data:`LEVELS`
@@ -308,7 +308,7 @@ class Line:
     # page.
     text: str | Text
 
-    def said(self, speaker: Speaker) -> str:
+    def said(self, speaker: Translator) -> str:
         """What happened, as it is shown."""
         return self.text if isinstance(self.text, str) else speaker(self.text)
 
@@ -321,7 +321,7 @@ class Diary:
     """The lines of one page, oldest first; the oldest of very many are forgotten."""
 
     def __init__(self) -> None:
-        self.lines: deque[Line] = deque(maxlen=_MAX_LINES)
+        self.lines: deque[EventLine] = deque(maxlen=_MAX_LINES)
         self._count = 0
         self._last_event = 0
 
@@ -341,12 +341,12 @@ class Diary:
 
     def _add(self, at: float, level: str, source: str, text: str | Text) -> None:
         self._count += 1
-        self.lines.append(Line(self._count, at, level, source, text))
+        self.lines.append(EventLine(self._count, at, level, source, text))
 
 
 def select(
-    lines: Iterable[Line], speaker: Speaker, *, least: str = "info", words: str = ""
-) -> list[Line]:
+    lines: Iterable[EventLine], speaker: Translator, *, least: str = "info", words: str = ""
+) -> list[EventLine]:
     """The lines of that level or above that hold every word, whatever its case."""
     wanted = words.casefold().split()
     lowest = LEVELS.index(least)
@@ -358,7 +358,9 @@ def select(
     ]
 
 
-def export(lines: Iterable[Line], how: Format, speaker: Speaker, utc_offset_min: int = 0) -> str:
+def export(
+    lines: Iterable[EventLine], how: Format, speaker: Translator, utc_offset_min: int = 0
+) -> str:
     """The lines as a file; times are those of the operator's clock, with their zone."""
     rows = [
         (line.time(utc_offset_min).isoformat(timespec="milliseconds"), line, line.said(speaker))

@@ -44,7 +44,7 @@ _MAX_LINE_TRIP = 0.3
 """Seconds to the aircraft and back; the radio of a good line takes a tenth of it."""
 
 
-class Item(Enum):
+class ChecklistItem(Enum):
     """What has to be right, in the order of mending; the value is the key of its words."""
 
     LINE = "line"
@@ -70,7 +70,7 @@ class ItemState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    item: Item  # what it is about
+    item: ChecklistItem  # what it is about
     state: ItemState  # how it stands
     seen: Text  # what telemetry says
     remedy: Text | None  # how to mend it; None where it is right
@@ -170,21 +170,21 @@ def _guards(now: Situation) -> _Finding:
     return True, seen
 
 
-_FINDERS: dict[Item, Callable[[Situation], _Finding]] = {
-    Item.LINE: _line,
-    Item.QUALITY: _quality,
-    Item.ACTIVATION: _activation,
-    Item.GROUND: _ground,
-    Item.SWITCH: _switch,
-    Item.CONTROL: _control,
-    Item.GPS: _gps,
-    Item.HOME: _home,
-    Item.BATTERY: _battery,
-    Item.GUARDS: _guards,
+_FINDERS: dict[ChecklistItem, Callable[[Situation], _Finding]] = {
+    ChecklistItem.LINE: _line,
+    ChecklistItem.QUALITY: _quality,
+    ChecklistItem.ACTIVATION: _activation,
+    ChecklistItem.GROUND: _ground,
+    ChecklistItem.SWITCH: _switch,
+    ChecklistItem.CONTROL: _control,
+    ChecklistItem.GPS: _gps,
+    ChecklistItem.HOME: _home,
+    ChecklistItem.BATTERY: _battery,
+    ChecklistItem.GUARDS: _guards,
 }
 
-ITEMS: dict[Item, bool] = dict.fromkeys(Item, False) | dict.fromkeys(
-    (Item.LINE, Item.ACTIVATION, Item.CONTROL), True
+ITEMS: dict[ChecklistItem, bool] = dict.fromkeys(ChecklistItem, False) | dict.fromkeys(
+    (ChecklistItem.LINE, ChecklistItem.ACTIVATION, ChecklistItem.CONTROL), True
 )
 """What has to be right, and whether it is refused without it."""
 
@@ -192,7 +192,7 @@ ITEMS: dict[Item, bool] = dict.fromkeys(Item, False) | dict.fromkeys(
 # -- what the operator says ------------------------------------------------------------------------
 
 
-class ChecklistDesk:
+class ChecklistModel:
     """What the operator of one tab said about this take-off; a flight ends it."""
 
     def __init__(self) -> None:
@@ -217,8 +217,8 @@ class ChecklistDesk:
         is_free = self.is_free(now.now)
         findings = {item: find(now) for item, find in _FINDERS.items()}
         key = "checklist.free.said" if is_free else "checklist.free.unsaid"
-        findings[Item.FREE] = is_free, tr(key)
-        checks = tuple(_check(item, *findings[item]) for item in Item)
+        findings[ChecklistItem.FREE] = is_free, tr(key)
+        checks = tuple(_check(item, *findings[item]) for item in ChecklistItem)
         wrong = [check for check in checks if check.state is not ItemState.RIGHT]
         is_possible = not any(check.is_needed for check in wrong)
         has_reason = len(self._reason) >= LEAST_REASON
@@ -232,7 +232,7 @@ class ChecklistDesk:
         )
 
 
-def _check(item: Item, is_right: bool | None, seen: Text) -> Check:
+def _check(item: ChecklistItem, is_right: bool | None, seen: Text) -> Check:
     remedy = None if is_right else Text(f"checklist.{item.value}.remedy")
     return Check(item, _STATES[is_right], seen, remedy, ITEMS[item])
 
@@ -291,14 +291,14 @@ def actions_of(inputs: Inputs, now: Situation, checklist: Checklist) -> frozense
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class FieldSpec:
     name: str  # identifies it in the page; ``instruments.<name>`` is what it is called
     record: type[Any]  # telemetry record that it comes from
     text: Callable[[Any], Text]  # the value, to be said
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class FieldReading:
     """A field as it is now."""
 
     text: Text  # the value, or a dash
@@ -347,42 +347,44 @@ def _charge(battery: Battery) -> Text:
     return tr("unit.percent", percent=battery.percent)
 
 
-FIELDS: tuple[Field, ...] = (
-    Field("flight_status", FlightStatus, _phase),
-    Field("battery", Battery, _charge),
-    Field("gps", Position, _gps_reading),
-    Field("height", Position, lambda p: _value(Quantity.length(p.height_m, 1))),
-    Field("altitude", Position, lambda p: _value(Quantity.length(p.altitude_m, 1))),
-    Field("latitude", Position, lambda p: _place(p.latitude_deg)),
-    Field("longitude", Position, lambda p: _place(p.longitude_deg)),
-    Field("speed", Velocity, lambda v: _value(Quantity.speed(v.ground_speed_m_s))),
-    Field("climb", Velocity, lambda v: _value(Quantity.speed(v.up_m_s, signed=True))),
-    Field("heading", Attitude, lambda a: tr("instruments.degrees", value=round(a.yaw_deg) % 360)),
-    Field("gimbal", Gimbal, _gimbal),
-    Field("mode_switch", RemoteControl, lambda rc: _value(rc.mode_switch.name)),
-    Field("control_device", ControlDevice, _device),
-    Field("time", Time, lambda t: tr("unit.seconds", seconds=t.seconds)),
+FIELDS: tuple[FieldSpec, ...] = (
+    FieldSpec("flight_status", FlightStatus, _phase),
+    FieldSpec("battery", Battery, _charge),
+    FieldSpec("gps", Position, _gps_reading),
+    FieldSpec("height", Position, lambda p: _value(Quantity.length(p.height_m, 1))),
+    FieldSpec("altitude", Position, lambda p: _value(Quantity.length(p.altitude_m, 1))),
+    FieldSpec("latitude", Position, lambda p: _place(p.latitude_deg)),
+    FieldSpec("longitude", Position, lambda p: _place(p.longitude_deg)),
+    FieldSpec("speed", Velocity, lambda v: _value(Quantity.speed(v.ground_speed_m_s))),
+    FieldSpec("climb", Velocity, lambda v: _value(Quantity.speed(v.up_m_s, signed=True))),
+    FieldSpec(
+        "heading", Attitude, lambda a: tr("instruments.degrees", value=round(a.yaw_deg) % 360)
+    ),
+    FieldSpec("gimbal", Gimbal, _gimbal),
+    FieldSpec("mode_switch", RemoteControl, lambda rc: _value(rc.mode_switch.name)),
+    FieldSpec("control_device", ControlDevice, _device),
+    FieldSpec("time", Time, lambda t: tr("unit.seconds", seconds=t.seconds)),
 )
 """The fields, in the order of the page."""
 
 
-def read(field: Field, view: VehicleView) -> Reading:
+def read(field: FieldSpec, view: VehicleView) -> FieldReading:
     """A field as it is now; without telemetry, as it is while no aircraft is connected."""
     record = view.telemetry.get(field.record) if view.telemetry is not None else None
     if record is None:
         never = None if view.telemetry is None else tr("instruments.never")
-        return Reading(tr("instruments.nothing"), is_stale=True, note=never)
+        return FieldReading(tr("instruments.nothing"), is_stale=True, note=never)
     if not is_finite(record):
-        return Reading(tr("instruments.nothing"), is_stale=True)
+        return FieldReading(tr("instruments.nothing"), is_stale=True)
     if view.is_new(field.record):
-        return Reading(field.text(record), is_stale=False)
+        return FieldReading(field.text(record), is_stale=False)
     old = tr("instruments.old", age=round(view.age(field.record) or 0.0))
-    return Reading(field.text(record), is_stale=True, note=old)
+    return FieldReading(field.text(record), is_stale=True, note=old)
 
 
 @dataclass(frozen=True, slots=True)
 class Instruments:
-    readings: dict[str, Reading]  # a reading by the name of each of :data:`FIELDS`
+    readings: dict[str, FieldReading]  # a reading by the name of each of :data:`FIELDS`
     # Roll, pitch and yaw, degrees; None when nobody knows.
     attitude: tuple[float, float, float] | None
 

@@ -9,8 +9,8 @@ from enum import Enum
 
 from m100link.apps.agent.messages import Replay
 from m100link.apps.agent.view import Hearing
-from m100link.apps.station.console.view.situation import Inputs, Level, Ship, Situation
-from m100link.apps.station.console.view.texts import Kind, Quantity, Text, problem_text, tr
+from m100link.apps.station.console.view.situation import AlarmLevel, Inputs, Ship, Situation
+from m100link.apps.station.console.view.texts import Quantity, QuantityKind, Text, problem_text, tr
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.records import Battery, Device, Position, RcMode
@@ -115,9 +115,9 @@ def _lacks_authority(now: Situation) -> bool:
     return now.has_lease and not now.has_authority
 
 
-_C, _L = Cause, Level
+_C, _L = Cause, AlarmLevel
 
-RULES: dict[Cause, tuple[Level, Callable[[Situation], bool]]] = {
+RULES: dict[Cause, tuple[AlarmLevel, Callable[[Situation], bool]]] = {
     _C.AGENT_GONE: (_L.DANGER, lambda now: now.hearing is Hearing.GONE),
     _C.AGENT_SILENT: (_L.DANGER, lambda now: now.hearing is Hearing.SILENT),
     _C.LINE_LOST: (_L.DANGER, lambda now: now.connection == "lost"),
@@ -158,7 +158,7 @@ _TASKS = {
 @dataclass(frozen=True, slots=True)
 class StatusLine:
     cause: Cause  # why it says so
-    level: Level  # how urgent it is
+    level: AlarmLevel  # how urgent it is
     text: Text  # what it says
     remedy: Text | None = None  # what to do about it; None where there is nothing to do
     # What the aircraft flies by itself or by a program; None for nothing, or unknown.
@@ -326,7 +326,7 @@ def _control(ship: Ship) -> tuple[str, Text]:
 def _ship_flies(ship: Ship, position: Position | None) -> Text:
     if position is None:
         return tr("fleet.unknown")
-    height = Quantity(position.height_m, Kind.LENGTH)
+    height = Quantity(position.height_m, QuantityKind.LENGTH)
     state = ship.vehicle.state
     by_itself = state.task or state.pattern or state.mission
     if by_itself in ("", "no mission"):

@@ -11,7 +11,7 @@ from m100link.apps.agent.orders import GuidedOrder
 from m100link.apps.agent.preview import Preview
 from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.situation import Inputs
-from m100link.apps.station.console.view.texts import Kind, Quantity, Text, reason_text, tr
+from m100link.apps.station.console.view.texts import Quantity, QuantityKind, Text, reason_text, tr
 from m100link.errors import GuardRefused, LinkError, M100Error, TelemetryStalled, UsageError
 from m100link.geodesy import LocalFrame
 
@@ -58,7 +58,7 @@ OFFERED = {
 _FARTHEST_M = 5000.0
 
 
-class Wish(Enum):
+class GuidedKind(Enum):
     """What is wanted of a point."""
 
     PLACE = "place"
@@ -71,7 +71,7 @@ class Wish(Enum):
 class Pointed:
     """What was pointed at, and how it is to be flown."""
 
-    wish: Wish = Wish.PLACE  # what is wanted
+    kind: GuidedKind = GuidedKind.PLACE  # what is wanted
     # Latitude and longitude, °; None before anything was pointed at.
     place: tuple[float, float] | None = None
     height: float = 10.0  # metres above the take-off point
@@ -85,8 +85,8 @@ class Pointed:
         """Another point; what is no place changes nothing."""
         if not abs(latitude_deg) <= 89 or not math.isfinite(longitude_deg):
             return self
-        wish = self.wish if self.wish is Wish.CIRCLE else Wish.PLACE
-        return replace(self, place=(latitude_deg, longitude_deg), wish=wish)
+        kind = self.kind if self.kind is GuidedKind.CIRCLE else GuidedKind.PLACE
+        return replace(self, place=(latitude_deg, longitude_deg), kind=kind)
 
     def by_distance(
         self, here: tuple[float, float], distance: float, bearing_deg: float
@@ -110,13 +110,13 @@ class Pointed:
     @property
     def order(self) -> GuidedOrder | None:
         """What the agent is asked for; None while there is no point."""
-        if self.wish is Wish.HEIGHT:
+        if self.kind is GuidedKind.HEIGHT:
             return orders.ChangeHeight(self.height)
-        if self.wish is Wish.HEADING:
+        if self.kind is GuidedKind.HEADING:
             return orders.ChangeHeading(self.yaw_deg)
         if self.place is None:
             return None
-        if self.wish is Wish.CIRCLE:
+        if self.kind is GuidedKind.CIRCLE:
             return orders.FlyAround(
                 *self.place,
                 height=self.height,
@@ -156,7 +156,7 @@ class Shown:
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal:
+class MapRefusal:
     """Why something is refused, and what to do about it."""
 
     reason: Text | None  # what whoever refuses saw; None where only a remedy is told
@@ -177,7 +177,7 @@ class Drawing:
 class ClickView:
     preview: Text | None  # what it would take; None while there is no point
     # Why it would be refused, or was; empty while nothing stands against it.
-    refusals: tuple[Refusal, ...]
+    refusals: tuple[MapRefusal, ...]
     may_fly: bool  # whether the button can be held
     flying: Text | None  # what flies now, with what remains; None for nothing
     pointed: Drawing  # what is drawn of the point
@@ -195,12 +195,12 @@ def click_of(
     """What stands beside the point now."""
     refusals = [] if foreseen is None else [_refusal(error) for error in foreseen.refusals]
     if foreseen is not None and not has_control:
-        refusals.insert(0, Refusal(None, tr("click.remedy.control")))
+        refusals.insert(0, MapRefusal(None, tr("click.remedy.control")))
     may_fly = foreseen is not None and not refusals
     if problem is not None and reason_text(problem) not in [one.reason for one in refusals]:
         refusals.append(_refusal(problem))
     return ClickView(
-        preview=None if foreseen is None else _preview(pointed.wish, foreseen),
+        preview=None if foreseen is None else _preview(pointed.kind, foreseen),
         refusals=tuple(refusals),
         may_fly=may_fly,
         flying=None if guided is None else _flying(guided),
@@ -210,11 +210,11 @@ def click_of(
 
 
 def _pointed(pointed: Pointed) -> Drawing:
-    if pointed.wish is Wish.HEADING:
+    if pointed.kind is GuidedKind.HEADING:
         return Drawing(yaw_deg=pointed.yaw_deg)
-    if pointed.wish is Wish.HEIGHT:
+    if pointed.kind is GuidedKind.HEIGHT:
         return Drawing()
-    return Drawing(pointed.place, pointed.radius if pointed.wish is Wish.CIRCLE else 0.0)
+    return Drawing(pointed.place, pointed.radius if pointed.kind is GuidedKind.CIRCLE else 0.0)
 
 
 def _flown(guided: orders.GuidedFlight) -> Drawing:
@@ -224,12 +224,12 @@ def _flown(guided: orders.GuidedFlight) -> Drawing:
     return Drawing(place, guided.radius, guided.yaw_deg)
 
 
-def _preview(wish: Wish, found: Preview) -> Text:
+def _preview(kind: GuidedKind, found: Preview) -> Text:
     time, battery = _time(found.seconds), max(0.1, found.battery_percent)
-    if wish is Wish.HEIGHT:
-        climb = Quantity(found.climb_m, Kind.LENGTH, 1, is_signed=True)
+    if kind is GuidedKind.HEIGHT:
+        climb = Quantity(found.climb_m, QuantityKind.LENGTH, 1, is_signed=True)
         return tr("click.climb", climb=climb, time=time, battery=battery)
-    if wish is Wish.HEADING:
+    if kind is GuidedKind.HEADING:
         return tr("click.turn", turn=round(found.turn_deg), time=time, battery=battery)
     way = Quantity.length(found.distance_m)
     return tr("click.way", way=way, time=time, battery=battery)
@@ -250,9 +250,9 @@ def _time(seconds: float) -> str:
     return f"{minutes}:{rest:02d}"
 
 
-def _refusal(error: M100Error) -> Refusal:
+def _refusal(error: M100Error) -> MapRefusal:
     """With a remedy for whoever points; those of errors are for whoever writes programs."""
-    return Refusal(reason_text(error), _remedy(error))
+    return MapRefusal(reason_text(error), _remedy(error))
 
 
 def _remedy(error: M100Error) -> Text | str:

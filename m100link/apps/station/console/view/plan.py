@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, fields, replace
 from itertools import accumulate, pairwise
 from typing import Self
 
-from m100link.apps.station.console.view.texts import Kind, Quantity, Text, Units, tr
+from m100link.apps.station.console.view.texts import Quantity, QuantityKind, Text, Units, tr
 from m100link.errors import BadPlan, UsageError
 from m100link.geodesy import distance_m
 from m100link.missions.plan import PlanEstimate, WaypointPlan
@@ -135,36 +135,36 @@ _OF_A_PLAN = [one.name for one in fields(Draft) if one.name not in ("points", "a
 
 
 @dataclass(frozen=True, slots=True)
-class History:
+class DraftHistory:
     """A draft, what it was before, and what was undone."""
 
     draft: Draft = field(default_factory=Draft)  # as it is now
     before: tuple[Draft, ...] = ()  # earlier ones, the newest last
     undone: tuple[Draft, ...] = ()  # what can be done again, the newest last
 
-    def done(self, draft: Draft) -> History:
+    def done(self, draft: Draft) -> DraftHistory:
         """Another draft; what changes nothing is not remembered."""
         if draft == self.draft:
             return self
-        return History(draft, (*self.before[1 - _MOST_UNDONE :], self.draft))
+        return DraftHistory(draft, (*self.before[1 - _MOST_UNDONE :], self.draft))
 
-    def undo(self) -> History:
+    def undo(self) -> DraftHistory:
         if not self.before:
             return self
-        return History(self.before[-1], self.before[:-1], (*self.undone, self.draft))
+        return DraftHistory(self.before[-1], self.before[:-1], (*self.undone, self.draft))
 
-    def redo(self) -> History:
+    def redo(self) -> DraftHistory:
         """What was undone last."""
         if not self.undone:
             return self
-        return History(self.undone[-1], (*self.before, self.draft), self.undone[:-1])
+        return DraftHistory(self.undone[-1], (*self.before, self.draft), self.undone[:-1])
 
 
 # -- what is said of it ----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class Note:
+class PlanNote:
     text: str
     point: int | None = None  # index of the waypoint, None for the whole
     is_error: bool = False  # whether the aircraft would refuse it; otherwise it may surprise
@@ -173,10 +173,10 @@ class Note:
 @dataclass(frozen=True, slots=True)
 class Checked:
     plan: WaypointPlan | None  # the plan; None if the aircraft would refuse it
-    notes: tuple[Note, ...]  # what is wrong, and what may surprise
+    notes: tuple[PlanNote, ...]  # what is wrong, and what may surprise
     estimate: PlanEstimate | None  # of the plan; None without one
 
-    def at(self, point: int) -> tuple[Note, ...]:
+    def at(self, point: int) -> tuple[PlanNote, ...]:
         """What is said of one waypoint."""
         return tuple(note for note in self.notes if note.point == point)
 
@@ -195,13 +195,13 @@ def checked(draft: Draft, home: Place | None = None) -> Checked:
     notes = []
     for text in plan.remarks():
         found = _OF_POINT.match(text)
-        notes.append(Note(text, None if found is None else int(found.group(1))))
+        notes.append(PlanNote(text, None if found is None else int(found.group(1))))
     return Checked(plan, tuple(notes), plan.estimate(home=home))
 
 
-def _error(problem: BadPlan) -> Note:
+def _error(problem: BadPlan) -> PlanNote:
     remedy = f" ({problem.remedy})" if problem.remedy else ""
-    return Note(f"{problem.seen}{remedy}", problem.point, is_error=True)
+    return PlanNote(f"{problem.seen}{remedy}", problem.point, is_error=True)
 
 
 def profile(points: Sequence[Waypoint]) -> list[tuple[float, float]]:
@@ -323,10 +323,13 @@ def profile_options(points: list[tuple[float, float]], units: Units) -> dict[str
 
     ``points``: way and height, m.
     """
-    data = [[round(units.convert(one, Kind.LENGTH), 1) for one in at] for at in points]
+    data = [[round(units.convert(one, QuantityKind.LENGTH), 1) for one in at] for at in points]
     axis = {
         "type": "value",
-        "axisLabel": {"formatter": f"{{value}} {units.unit(Kind.LENGTH)}", "hideOverlap": True},
+        "axisLabel": {
+            "formatter": f"{{value}} {units.unit(QuantityKind.LENGTH)}",
+            "hideOverlap": True,
+        },
     }
     return {
         "animation": False,

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import Enum
 
-from m100link.apps.agent.messages import Event, LeaseChanged, Limits, LinkCounted, Topic
+from m100link.apps.agent.messages import Event, EventTopic, GuardLimits, LeaseChanged, LinkCounted
 from m100link.apps.agent.view import Hearing, VehicleView
 from m100link.errors import LossReason, M100Error
 from m100link.geodesy import distance_m
@@ -17,7 +17,7 @@ from m100link.missions.plan import WaypointPlan
 from m100link.protocol.records import Battery, ControlDevice, Device, FlightPhase, Position, RcMode
 
 
-class Level(Enum):
+class AlarmLevel(Enum):
     """How urgent something is; the value is the class of the style sheet."""
 
     GOOD = "good"
@@ -63,7 +63,7 @@ class Situation:
     # What cannot be true in telemetry, in English; empty while nothing is known to speak against
     # it.
     contradiction: str = ""
-    limits: Limits = field(default_factory=Limits)  # what the agent's guards allow
+    limits: GuardLimits = field(default_factory=GuardLimits)  # what the agent's guards allow
     aborted: int = 0  # number of the newest event that tells of a mission broken off; 0 for none
     aborted_why: str = ""  # its text, in English
     is_virtual: bool = False  # whether the aircraft is a simulated one
@@ -94,7 +94,7 @@ def situation_of(inputs: Inputs) -> Situation:
     view = inputs.vehicle
     state, holder = view.state, view.holder
     aborted = max(
-        (event for event in inputs.events if event.topic is Topic.MISSION_ABORTED),
+        (event for event in inputs.events if event.topic is EventTopic.MISSION_ABORTED),
         key=lambda event: event.number,
         default=None,
     )
@@ -138,7 +138,7 @@ def situation_of(inputs: Inputs) -> Situation:
     )
 
 
-def _distance(place: tuple[float, float] | None, limits: Limits) -> float | None:
+def _distance(place: tuple[float, float] | None, limits: GuardLimits) -> float | None:
     if place is None or limits.latitude_deg is None or limits.longitude_deg is None:
         return None
     return distance_m(*place, limits.latitude_deg, limits.longitude_deg)

@@ -47,7 +47,7 @@ class SpeedUnit(Enum):
     KNOT = "kn"
 
 
-class Kind(Enum):
+class QuantityKind(Enum):
     """What a quantity measures; the value is its SI unit."""
 
     LENGTH = "m"
@@ -63,19 +63,19 @@ class Quantity:
     """A measured number that is shown in the operator's unit."""
 
     value: float  # in the SI unit of its kind
-    kind: Kind  # what it measures
+    kind: QuantityKind  # what it measures
     digits: int = 0  # behind the decimal point
     is_signed: bool = False  # whether a plus is shown
 
     @classmethod
     def length(cls, metres: float, digits: int = 0) -> Quantity:
         """A length or height, m."""
-        return cls(metres, Kind.LENGTH, digits)
+        return cls(metres, QuantityKind.LENGTH, digits)
 
     @classmethod
     def speed(cls, metres_per_second: float, digits: int = 1, *, signed: bool = False) -> Quantity:
         """A speed, m/s."""
-        return cls(metres_per_second, Kind.SPEED, digits, signed)
+        return cls(metres_per_second, QuantityKind.SPEED, digits, signed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,18 +85,18 @@ class Units:
     length: LengthUnit = LengthUnit.METRE  # of lengths and heights
     speed: SpeedUnit = SpeedUnit.M_S
 
-    def convert(self, value: float, kind: Kind) -> float:
+    def convert(self, value: float, kind: QuantityKind) -> float:
         """A number in SI units as a number in these."""
-        if kind is Kind.LENGTH:
+        if kind is QuantityKind.LENGTH:
             return value * _LENGTH_FACTORS[self.length]
         return value * _SPEED_FACTORS[self.speed]
 
-    def to_si(self, shown: float, kind: Kind) -> float:
+    def to_si(self, shown: float, kind: QuantityKind) -> float:
         """A number in these units as a number in SI units."""
         return shown / self.convert(1.0, kind)
 
-    def unit(self, kind: Kind) -> str:
-        return self.length.value if kind is Kind.LENGTH else self.speed.value
+    def unit(self, kind: QuantityKind) -> str:
+        return self.length.value if kind is QuantityKind.LENGTH else self.speed.value
 
     def text(self, quantity: Quantity, language: Language = Language.ENGLISH) -> str:
         """A quantity with its unit, as the language writes numbers.
@@ -158,7 +158,7 @@ def tr(key: str, **values: object) -> Text:
 
 
 @dataclass(frozen=True, slots=True)
-class Speaker:
+class Translator:
     """Says texts in one language and one set of units."""
 
     language: Language = Language.ENGLISH
@@ -167,7 +167,7 @@ class Speaker:
     def __call__(self, text: Text) -> str:
         """The text as it is shown or spoken.
 
-        >>> Speaker(Language.GERMAN)(tr("unit.seconds", seconds=1.5))
+        >>> Translator(Language.GERMAN)(tr("unit.seconds", seconds=1.5))
         '1,5 s'
         """
         entry = translations(self.language)[text.key]
@@ -180,14 +180,14 @@ class Speaker:
             return self(value)
         if isinstance(value, Quantity):
             return self.units.text(value, self.language)
-        if isinstance(value, Kind):
+        if isinstance(value, QuantityKind):
             return self.units.unit(value)
         if isinstance(value, float):
             return number(value, 1, self.language)
         return str(value)
 
 
-def for_browser(speaker: Speaker) -> dict[str, object]:
+def for_browser(speaker: Translator) -> dict[str, object]:
     """What ``static/said.js`` is told: its words, units as factor and sign, the decimal sign."""
     units = speaker.units
     return {
@@ -196,8 +196,8 @@ def for_browser(speaker: Speaker) -> dict[str, object]:
             for key, text in translations(speaker.language).items()
             if key.startswith(_BROWSER)
         },
-        "length": [units.convert(1.0, Kind.LENGTH), units.unit(Kind.LENGTH)],
-        "speed": [units.convert(1.0, Kind.SPEED), units.unit(Kind.SPEED)],
+        "length": [units.convert(1.0, QuantityKind.LENGTH), units.unit(QuantityKind.LENGTH)],
+        "speed": [units.convert(1.0, QuantityKind.SPEED), units.unit(QuantityKind.SPEED)],
         "language": speaker.language.value,
         "point": number(0.0, 1, speaker.language)[1],
     }
@@ -241,9 +241,7 @@ class Theme(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
-    """What was chosen."""
-
+class DisplaySettings:
     language: Language = Language.ENGLISH  # what is said and shown in
     length: LengthUnit = LengthUnit.METRE  # of lengths and heights
     speed: SpeedUnit = SpeedUnit.M_S
@@ -254,23 +252,21 @@ class Settings:
 
     @property
     def units(self) -> Units:
-        """The units."""
         return Units(self.length, self.speed)
 
     @property
-    def speaker(self) -> Speaker:
+    def speaker(self) -> Translator:
         """Says texts as it was chosen."""
-        return Speaker(self.language, self.units)
+        return Translator(self.language, self.units)
 
     def to_text(self) -> str:
-        """What the browser keeps."""
         chosen = {one.name: getattr(self, one.name) for one in fields(self)}
         return json.dumps(
             {name: one.value if isinstance(one, Enum) else one for name, one in chosen.items()}
         )
 
     @classmethod
-    def from_text(cls, text: object) -> Settings:
+    def from_text(cls, text: object) -> DisplaySettings:
         """What the browser kept; what cannot be read is as it is by default. Never raises."""
         if not isinstance(text, str) or len(text) > _MAX_TEXT:
             return cls()

@@ -14,7 +14,7 @@ from m100link.apps.fleet.show.plan.conflicts import (
     AHEAD_S,
     SETTLED_S,
     SILENT_S,
-    Ahead,
+    ConflictMonitor,
     Near,
     Neighbours,
     RestOfTrack,
@@ -33,7 +33,7 @@ def neighbours(least: float = 3.0) -> Neighbours:
     return Neighbours("show", "a1", least)
 
 
-def on_track(at: float, *, off: float = 0.0) -> Ahead:
+def on_track(at: float, *, off: float = 0.0) -> ConflictMonitor:
     north, east, height = NORTH.moment(at).place
     return by_track("show", NORTH, at, (north, east + off, height))
 
@@ -186,7 +186,7 @@ def test_other_shows_and_itself_are_not_compared() -> None:
 
 def test_what_is_told_comes_out_as_it_went_in() -> None:
     ahead = on_track(5.0, off=0.123)
-    read = Ahead.from_bytes(ahead.to_bytes())
+    read = ConflictMonitor.from_bytes(ahead.to_bytes())
     assert (read.show, read.name, read.at, read.down_from) == ("show", "a1", 5.0, 20.0)
     assert all(math.dist(a, b) < 0.01 for a, b in zip(read.places, ahead.places, strict=True))
     assert len(ahead.to_bytes()) < 800
@@ -213,7 +213,7 @@ def test_what_is_told_comes_out_as_it_went_in() -> None:
 )
 def test_nonsense_is_refused(data: bytes) -> None:
     with pytest.raises(BadShow, match="where an aircraft will be"):
-        Ahead.from_bytes(data)
+        ConflictMonitor.from_bytes(data)
 
 
 def test_strangers_do_not_fill_the_memory() -> None:
@@ -237,10 +237,12 @@ def test_where_one_may_stand_is_each_tenth_of_a_second_of_its_way() -> None:
 def test_a_silent_one_is_looked_for_only_as_far_as_it_can_have_come() -> None:
     """It flies from 100 s on; what comes later on its way is not where it stands now."""
     ones = neighbours()
-    other = Ahead("show", "a2", 100.0, tuple((0.0, 2.0 * n, 4.0) for n in range(21)), 999.0)
+    other = ConflictMonitor(
+        "show", "a2", 100.0, tuple((0.0, 2.0 * n, 4.0) for n in range(21)), 999.0
+    )
     ones.hear(other, 0.0)
     here = tuple((0.0, 12.0, 4.0) for _ in range(21))
-    hovers = Ahead("show", "a1", 100.0 + SILENT_S + 0.1, here, 999.0)
+    hovers = ConflictMonitor("show", "a1", 100.0 + SILENT_S + 0.1, here, 999.0)
     silent = ones.near(hovers, SILENT_S + 0.1)
     assert silent is not None
     assert silent.at == pytest.approx(102.3, abs=0.5), "from 9 m on it is nearer than 3 m"

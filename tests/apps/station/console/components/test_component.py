@@ -8,17 +8,23 @@ from pathlib import Path
 
 from m100link.apps.station.console.components import component
 from m100link.apps.station.console.components.component import Wording
-from m100link.apps.station.console.view.texts import Language, LengthUnit, Quantity, Settings, tr
-from m100link.apps.station.console.view.view import View
+from m100link.apps.station.console.view.texts import (
+    DisplaySettings,
+    Language,
+    LengthUnit,
+    Quantity,
+    tr,
+)
+from m100link.apps.station.console.view.view_model import ViewModel
 
 
 def test_what_stands_on_the_page_follows_the_settings() -> None:
     wording, shown = Wording(), [""]
     wording.put(lambda text: shown.__setitem__(0, text), "actions.land")
     assert shown == ["Land (hold)"]
-    wording.choose(Settings(language=Language.GERMAN))
+    wording.choose(DisplaySettings(language=Language.GERMAN))
     assert shown == ["Landen (halten)"]
-    wording.choose(Settings())
+    wording.choose(DisplaySettings())
     assert shown == ["Land (hold)"]
 
 
@@ -72,7 +78,7 @@ def test_components_show_each_value_of_the_view_and_no_other() -> None:
         and isinstance(node.value, ast.Name)
         and node.value.id == "view"
     }
-    values = {one.name for one in fields(View)}
+    values = {one.name for one in fields(ViewModel)}
     assert shown <= values, f"View of console/view/view.py has no {sorted(shown - values)}"
     unshown = values - shown
     assert not unshown, f"no component shows {sorted(unshown)} of View"

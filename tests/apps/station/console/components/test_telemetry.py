@@ -15,7 +15,7 @@ pytest.importorskip("nicegui")
 from m100link.apps.station.console.components.data import TelemetryPart
 from m100link.apps.station.console.view.fly import instruments_of
 from m100link.apps.station.console.view.situation import Inputs
-from m100link.apps.station.console.view.texts import Speaker
+from m100link.apps.station.console.view.texts import Translator
 from m100link.telemetry.state import AircraftState
 from tests import known
 
@@ -30,7 +30,7 @@ def test_the_model_points_where_the_aircraft_does() -> None:
     state.update(known.sample())
     turned: list[tuple[float, float, float]] = []
     part = object.__new__(TelemetryPart)
-    part._wording = cast(Any, Speaker())
+    part._wording = cast(Any, Translator())
     label: Any = SimpleNamespace(set_text=lambda text: None, classes=lambda **_: None)
     part._rows, part._age, part._frame = {}, label, label
     part._model = cast(Any, SimpleNamespace(rotate=lambda *angles: turned.append(angles)))

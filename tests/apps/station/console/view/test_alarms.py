@@ -9,22 +9,22 @@ from typing import Any
 import pytest
 
 from m100link.apps.agent.lease import Flown, LeaseChange
-from m100link.apps.agent.messages import LeaseChanged, Limits
+from m100link.apps.agent.messages import GuardLimits, LeaseChanged
 from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.alarms import (
     ALARMS,
     TRANSITIONS,
-    Alarm,
-    AlarmDesk,
+    ActiveAlarm,
     AlarmInput,
+    AlarmManager,
     AlarmName,
     AlarmState,
 )
 from m100link.apps.station.console.view.situation import (
-    Level,
+    AlarmLevel,
     Situation,
 )
-from m100link.apps.station.console.view.texts import Speaker
+from m100link.apps.station.console.view.texts import Translator
 from m100link.errors import LossReason
 from m100link.protocol.records import FlightPhase
 
@@ -42,7 +42,7 @@ FINE = Situation(
     gps=5,
     height=10.0,
     distance=5.0,
-    limits=Limits(50.0, 150.0, 10.0, 20),
+    limits=GuardLimits(50.0, 150.0, 10.0, 20),
 )
 
 BY_HAND = {
@@ -71,9 +71,9 @@ class Flight:
     """A flight of which the desk is told four times a second."""
 
     def __init__(self, **known: Any) -> None:
-        self.desk = AlarmDesk()
+        self.desk = AlarmManager()
         self.now = replace(FINE, now=0.0)
-        self.changes: list[Alarm] = []
+        self.changes: list[ActiveAlarm] = []
         self.fly(1.0)
         self.change(**known)
 
@@ -94,7 +94,7 @@ class Flight:
         self.changes += self.desk.acknowledge(name, self.now.now)
 
     @property
-    def sounds(self) -> Level | None:
+    def sounds(self) -> AlarmLevel | None:
         return self.desk.sounding
 
     @property
@@ -102,7 +102,7 @@ class Flight:
         return {one.name: one.state for one in self.desk.shown}
 
     def text(self, name: AlarmName) -> str:
-        return next(Speaker()(one.text) for one in self.desk.shown if one.name is name)
+        return next(Translator()(one.text) for one in self.desk.shown if one.name is name)
 
 
 def lease_lost(number: int = 7) -> LeaseChanged:
@@ -239,7 +239,7 @@ def test_what_is_acknowledged_is_silent_and_something_new_is_not() -> None:
     flight.see(N.GPS)
     silence = flight.sounds
     flight.change(height=47.0)
-    assert (silence, flight.sounds) == (None, Level.WARNING)
+    assert (silence, flight.sounds) == (None, AlarmLevel.WARNING)
 
 
 def test_a_value_at_the_edge_rings_once() -> None:
@@ -276,7 +276,7 @@ def test_an_agent_that_is_not_heard_is_a_lost_line(hearing: Hearing) -> None:
 
 
 def test_a_line_that_is_opened_for_the_first_time_is_no_alarm() -> None:
-    desk = AlarmDesk()
+    desk = AlarmManager()
     assert desk.advance(Situation(connection="connecting")) == []
 
 
@@ -294,7 +294,7 @@ def test_a_landing_with_an_empty_battery_says_so() -> None:
     flight.fly(1.0)
     assert "the battery is nearly empty" in flight.text(N.LANDS_ITSELF)
     assert flight.desk.shown[0].name is N.LANDS_ITSELF
-    assert flight.sounds is Level.DANGER
+    assert flight.sounds is AlarmLevel.DANGER
 
 
 def test_of_the_battery_only_the_strongest_is_shown() -> None:
@@ -314,7 +314,7 @@ def test_of_the_battery_only_the_strongest_is_shown() -> None:
         {"phase": FlightPhase.STANDBY, "battery": 9},
         {"has_authority": False, "height": 200.0},
         {"phase": FlightPhase.STANDBY, "height": 49.0},
-        {"limits": Limits(), "height": 200.0, "battery": 30},
+        {"limits": GuardLimits(), "height": 200.0, "battery": 30},
     ],
 )
 def test_what_is_no_danger_there_is_no_alarm(known: dict[str, Any]) -> None:
@@ -398,13 +398,13 @@ def test_what_only_happens_is_over_when_it_was_seen_and_begins_again() -> None:
 
 
 def test_who_comes_later_is_not_told_what_happened_before() -> None:
-    desk = AlarmDesk()
+    desk = AlarmManager()
     assert desk.advance(replace(FINE, aborted=3)) == []
     assert desk.shown == ()
 
 
 def test_what_is_so_when_somebody_comes_is_told() -> None:
-    desk = AlarmDesk()
+    desk = AlarmManager()
     assert [change.name for change in desk.advance(replace(FINE, battery=9))] == [
         N.BATTERY_CRITICAL,
         N.BATTERY_FLOOR,
@@ -426,4 +426,4 @@ def test_the_alarms_stand_in_the_order_of_urgency_and_each_has_one_way_to_begin(
     assert [name for name, _, _ in definitions()] == list(AlarmName)
     assert all(judged is not marked for _, judged, marked in definitions())
     levels = [one.level for one in ALARMS]
-    assert levels == sorted(levels, key=[Level.DANGER, Level.WARNING].index)
+    assert levels == sorted(levels, key=[AlarmLevel.DANGER, AlarmLevel.WARNING].index)

@@ -11,7 +11,7 @@ from itertools import pairwise
 import anyio
 import pytest
 
-from m100link.apps.agent.messages import Event, Fault, LeaseChanged, LinkCounted, State
+from m100link.apps.agent.messages import Event, LeaseChanged, LinkCounted, RemoteError, State
 from m100link.apps.station.console.kept import COLUMNS, INTERVAL
 from m100link.apps.station.console.view.data import (
     FIRST_CHOICE,
@@ -37,8 +37,8 @@ from m100link.apps.station.console.view.texts import (
     METRIC,
     Language,
     LengthUnit,
-    Speaker,
     SpeedUnit,
+    Translator,
     Units,
     tr,
     translations,
@@ -51,11 +51,13 @@ from tests.known import seen
 
 pytestmark = pytest.mark.anyio
 
-SAY = Speaker()
+SAY = Translator()
 
 
 def test_without_an_aircraft_nothing_is_counted() -> None:
-    state = State(0.0, "lost", connection_fault=Fault.of(LinkLost("the cable is out")), discards=4)
+    state = State(
+        0.0, "lost", connection_fault=RemoteError.of(LinkLost("the cable is out")), discards=4
+    )
     link = link_of(Inputs(vehicle=seen(None, state=state)))
     assert SAY(link.texts["connection"]) == "lost"
     assert SAY(link.texts["discards"]) == "–"
@@ -140,11 +142,11 @@ async def test_the_agent_counts_and_items_arrive(rig: Rig) -> None:
     ],
 )
 def test_a_number_is_called_by_what_it_is_and_its_unit(name: str, shown: str) -> None:
-    assert Speaker()(label(name)) == shown
+    assert Translator()(label(name)) == shown
 
 
 def test_lengths_and_speeds_are_drawn_in_the_units_that_were_chosen() -> None:
-    speaker = Speaker(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KM_H))
+    speaker = Translator(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KM_H))
     names = "position.height_m", "velocity.up_m_s", "acceleration.up_m_s2"
     assert [speaker(label(name)) for name in names] == [
         "Position: Höhe, ft",
@@ -158,13 +160,13 @@ def test_lengths_and_speeds_are_drawn_in_the_units_that_were_chosen() -> None:
 
 @pytest.mark.parametrize("language", Language)
 def test_every_number_has_a_name_of_its_own(language: Language) -> None:
-    speaker = Speaker(language)
+    speaker = Translator(language)
     assert len({speaker(label(name)) for name in COLUMNS}) == len(COLUMNS)
 
 
 def test_every_number_with_a_unit_in_its_name_shows_it() -> None:
     endings = ("_m", "_deg", "_s", "_ms", "_rad", "_hz", "_s2", "percent")
-    said = [Speaker()(label(name)) for name in COLUMNS if name.endswith(endings)]
+    said = [Translator()(label(name)) for name in COLUMNS if name.endswith(endings)]
     assert [text for text in said if ", " not in text] == []
 
 
@@ -182,7 +184,7 @@ def test_no_value_is_null_for_the_page_and_not_a_number() -> None:
 
 @pytest.mark.parametrize("count", [0, 1, MOST])
 def test_each_number_has_a_stripe_of_its_own_and_one_cursor_reads_all(count: int) -> None:
-    options = chart(COLUMNS[:count], Speaker())
+    options = chart(COLUMNS[:count], Translator())
     assert len(options["grid"]) == len(options["series"]) == len(options["yAxis"]) == count
     assert options["axisPointer"]["link"] == [{"xAxisIndex": "all"}]
     assert sum(one["axisLabel"]["show"] for one in options["xAxis"]) == min(count, 1)
@@ -200,7 +202,7 @@ def test_a_line_has_no_more_points_than_are_seen(seconds: int) -> None:
 # -- the list of events ----------------------------------------------------------------------------
 
 WALL = 1_800_000_000.0  # 2027-01-15 08:00 UTC
-ENGLISH, GERMAN = Speaker(), Speaker(Language.GERMAN)
+ENGLISH, GERMAN = Translator(), Translator(Language.GERMAN)
 
 
 def diary() -> Diary:
@@ -288,7 +290,7 @@ def test_what_strangers_wrote_is_no_formula(name: str) -> None:
 
 def test_every_format_has_a_type_and_every_level_words() -> None:
     assert set(MIME) == set(Format)
-    assert {Speaker()(tr(f"events.level.{level}")) for level in LEVELS} == {
+    assert {Translator()(tr(f"events.level.{level}")) for level in LEVELS} == {
         "all",
         "warnings",
         "errors",

@@ -8,7 +8,7 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.messages import LeaseChanged, Limits, State
+from m100link.apps.agent.messages import GuardLimits, LeaseChanged, State
 from m100link.apps.agent.orders import GuidedFlight
 from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.fly import (
@@ -23,9 +23,9 @@ from m100link.apps.station.console.view.fly import (
     MISSIONS,
     Check,
     Checklist,
-    ChecklistDesk,
-    Field,
-    Item,
+    ChecklistItem,
+    ChecklistModel,
+    FieldSpec,
     ItemState,
     actions_of,
     instruments_of,
@@ -39,8 +39,8 @@ from m100link.apps.station.console.view.situation import (
 from m100link.apps.station.console.view.texts import (
     Language,
     LengthUnit,
-    Speaker,
     SpeedUnit,
+    Translator,
     Units,
     translations,
 )
@@ -71,24 +71,24 @@ READY = Situation(
     battery=90,
     gps=5,
     place=(22.5, 113.9),
-    limits=Limits(50.0, 150.0, 10.0, 20),
+    limits=GuardLimits(50.0, 150.0, 10.0, 20),
 )
 
 
 def looked(**known: Any) -> Checklist:
     """The list of an operator who looked around."""
-    desk = ChecklistDesk()
+    desk = ChecklistModel()
     desk.say_free(READY.now, is_free=True)
     return desk.look(replace(READY, **known))
 
 
-def check(checklist: Checklist, item: Item) -> Check:
+def check(checklist: Checklist, item: ChecklistItem) -> Check:
     return next(one for one in checklist.checks if one.item is item)
 
 
 def test_when_everything_is_right_take_off_is_offered() -> None:
     checklist = looked()
-    assert [one.item for one in checklist.checks] == list(Item)
+    assert [one.item for one in checklist.checks] == list(ChecklistItem)
     assert checklist.missing == ()
     assert checklist.is_green
     assert checklist.may_take_off
@@ -97,62 +97,62 @@ def test_when_everything_is_right_take_off_is_offered() -> None:
 
 R, W, U = ItemState.RIGHT, ItemState.WRONG, ItemState.UNKNOWN
 
-CASES: list[tuple[Item, dict[str, Any], ItemState, str]] = [
-    (Item.LINE, {"connection": "lost"}, W, "not connected"),
-    (Item.LINE, {"hearing": Hearing.SILENT}, W, "not connected"),
-    (Item.LINE, {"telemetry_at": None}, W, "not connected"),
-    (Item.LINE, {"telemetry_at": 98.0}, W, "the aircraft is silent"),
-    (Item.QUALITY, {"round_trip": None}, U, "unknown"),
-    (Item.QUALITY, {"page_trip": None}, U, "unknown"),
-    (Item.QUALITY, {"round_trip": 0.5}, W, "500 ms to the aircraft, 10 ms to this page"),
-    (Item.QUALITY, {"page_trip": 0.6}, W, "30 ms to the aircraft, 600 ms to this page"),
-    (Item.ACTIVATION, {"is_activated": False}, W, "not activated"),
-    (Item.GROUND, {"phase": FlightPhase.IN_AIR}, W, "it flies already"),
-    (Item.GROUND, {"phase": None}, U, "unknown"),
-    (Item.SWITCH, {"switch": RcMode.P}, W, "in P"),
-    (Item.SWITCH, {"switch": None}, U, "unknown"),
-    (Item.CONTROL, {"has_authority": False}, W, "not obtained"),
-    (Item.CONTROL, {"has_lease": False, "holder": "Anna"}, W, "Anna has control"),
-    (Item.GPS, {"gps": 2}, W, "2 of 5"),
-    (Item.GPS, {"gps": None}, U, "unknown"),
-    (Item.HOME, {"place": None}, U, "unknown"),
-    (Item.BATTERY, {"battery": ENOUGH_BATTERY}, W, "30 %"),
-    (Item.BATTERY, {"battery": None}, U, "unknown"),
-    (Item.GUARDS, {"limits": Limits()}, W, "not all are on"),
-    (Item.GUARDS, {"limits": Limits(50.0, None, 10.0, 20)}, W, "not all are on"),
+CASES: list[tuple[ChecklistItem, dict[str, Any], ItemState, str]] = [
+    (ChecklistItem.LINE, {"connection": "lost"}, W, "not connected"),
+    (ChecklistItem.LINE, {"hearing": Hearing.SILENT}, W, "not connected"),
+    (ChecklistItem.LINE, {"telemetry_at": None}, W, "not connected"),
+    (ChecklistItem.LINE, {"telemetry_at": 98.0}, W, "the aircraft is silent"),
+    (ChecklistItem.QUALITY, {"round_trip": None}, U, "unknown"),
+    (ChecklistItem.QUALITY, {"page_trip": None}, U, "unknown"),
+    (ChecklistItem.QUALITY, {"round_trip": 0.5}, W, "500 ms to the aircraft, 10 ms to this page"),
+    (ChecklistItem.QUALITY, {"page_trip": 0.6}, W, "30 ms to the aircraft, 600 ms to this page"),
+    (ChecklistItem.ACTIVATION, {"is_activated": False}, W, "not activated"),
+    (ChecklistItem.GROUND, {"phase": FlightPhase.IN_AIR}, W, "it flies already"),
+    (ChecklistItem.GROUND, {"phase": None}, U, "unknown"),
+    (ChecklistItem.SWITCH, {"switch": RcMode.P}, W, "in P"),
+    (ChecklistItem.SWITCH, {"switch": None}, U, "unknown"),
+    (ChecklistItem.CONTROL, {"has_authority": False}, W, "not obtained"),
+    (ChecklistItem.CONTROL, {"has_lease": False, "holder": "Anna"}, W, "Anna has control"),
+    (ChecklistItem.GPS, {"gps": 2}, W, "2 of 5"),
+    (ChecklistItem.GPS, {"gps": None}, U, "unknown"),
+    (ChecklistItem.HOME, {"place": None}, U, "unknown"),
+    (ChecklistItem.BATTERY, {"battery": ENOUGH_BATTERY}, W, "30 %"),
+    (ChecklistItem.BATTERY, {"battery": None}, U, "unknown"),
+    (ChecklistItem.GUARDS, {"limits": GuardLimits()}, W, "not all are on"),
+    (ChecklistItem.GUARDS, {"limits": GuardLimits(50.0, None, 10.0, 20)}, W, "not all are on"),
 ]
 
 
 @pytest.mark.parametrize(("item", "known", "state", "seen"), CASES)
 def test_what_is_not_right_says_what_was_seen_and_how_to_mend_it(
-    item: Item, known: dict[str, Any], state: ItemState, seen: str
+    item: ChecklistItem, known: dict[str, Any], state: ItemState, seen: str
 ) -> None:
     checklist = looked(**known)
     one = check(checklist, item)
-    assert (one.state, Speaker()(one.seen)) == (state, seen)
+    assert (one.state, Translator()(one.seen)) == (state, seen)
     assert one.remedy is not None
-    assert Speaker()(one.remedy)
+    assert Translator()(one.remedy)
     assert one in checklist.missing
     assert not checklist.is_green
     assert not checklist.may_take_off
 
 
 def test_every_item_has_a_name_a_remedy_and_a_case() -> None:
-    for item in Item:
+    for item in ChecklistItem:
         assert f"checklist.{item.value}" in translations()
         assert f"checklist.{item.value}.remedy" in translations()
-    assert {item for item, *_ in CASES} == set(Item) - {Item.FREE}
+    assert {item for item, *_ in CASES} == set(ChecklistItem) - {ChecklistItem.FREE}
 
 
 @pytest.mark.parametrize(("item", "known", "state", "seen"), CASES)
 def test_a_reason_offers_take_off_unless_the_aircraft_would_refuse(
-    item: Item, known: dict[str, Any], state: ItemState, seen: str
+    item: ChecklistItem, known: dict[str, Any], state: ItemState, seen: str
 ) -> None:
-    desk = ChecklistDesk()
+    desk = ChecklistModel()
     desk.say_free(READY.now, is_free=True)
     desk.say_why("a test of the floor")
     checklist = desk.look(replace(READY, **known))
-    needs = {Item.LINE, Item.ACTIVATION, Item.CONTROL}
+    needs = {ChecklistItem.LINE, ChecklistItem.ACTIVATION, ChecklistItem.CONTROL}
     # In the air no reason holds: it was said for another take-off.
     assert checklist.may_take_off == (
         item not in needs and known.get("phase") is not FlightPhase.IN_AIR
@@ -164,13 +164,13 @@ def test_a_reason_offers_take_off_unless_the_aircraft_would_refuse(
     ("reason", "counts"), [("", False), ("  a ", False), ("hm", False), ("fog", True)]
 )
 def test_a_reason_is_more_than_a_key_that_was_hit(reason: str, counts: bool) -> None:
-    desk = ChecklistDesk()
+    desk = ChecklistModel()
     desk.say_why(reason)
     assert desk.look(READY).may_take_off is counts
 
 
 def test_a_reason_is_one_line_and_short() -> None:
-    desk = ChecklistDesk()
+    desk = ChecklistModel()
     desk.say_why("so\nit\tis " * 100)
     reason = desk.look(READY).reason
     assert reason.startswith("so it is so")
@@ -178,8 +178,8 @@ def test_a_reason_is_one_line_and_short() -> None:
 
 
 def test_that_the_place_is_free_is_said_by_the_operator_and_holds_for_a_while() -> None:
-    desk = ChecklistDesk()
-    assert check(desk.look(READY), Item.FREE).state is W
+    desk = ChecklistModel()
+    assert check(desk.look(READY), ChecklistItem.FREE).state is W
     desk.say_free(READY.now, is_free=True)
     later = replace(READY, now=READY.now + FREE_FOR_S, telemetry_at=READY.now + FREE_FOR_S)
     assert desk.look(later).is_green
@@ -190,7 +190,7 @@ def test_that_the_place_is_free_is_said_by_the_operator_and_holds_for_a_while() 
 
 
 def test_a_flight_ends_what_was_said() -> None:
-    desk = ChecklistDesk()
+    desk = ChecklistModel()
     desk.say_free(READY.now, is_free=True)
     desk.say_why("a test")
     desk.look(replace(READY, phase=FlightPhase.TAKING_OFF))
@@ -199,7 +199,7 @@ def test_a_flight_ends_what_was_said() -> None:
 
 
 def test_an_item_that_did_not_come_for_a_moment_ends_nothing() -> None:
-    desk = ChecklistDesk()
+    desk = ChecklistModel()
     desk.say_free(READY.now, is_free=True)
     desk.look(replace(READY, phase=None))
     assert desk.look(READY).may_take_off
@@ -217,7 +217,7 @@ KEPT = {"release", "mission_upload"}
 
 def look(inputs: Inputs, *, has_reason: bool) -> Checklist:
     """The list of an operator who has a reason for everything, or none."""
-    desk = ChecklistDesk()
+    desk = ChecklistModel()
     desk.say_why("a test" * has_reason)
     ready = replace(
         situation_of(inputs),
@@ -341,7 +341,7 @@ async def test_heights_and_speeds_are_in_the_units_and_the_language_that_were_ch
 ) -> None:
     await anyio.sleep(1.5)
     readings = instruments_of(Inputs(vehicle=seen(rig.front.telemetry))).readings
-    said = Speaker(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KM_H))
+    said = Translator(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KM_H))
     assert said(readings["height"].text) == "0,0 ft"
     assert said(readings["speed"].text) == "0,0 km/h"
     assert said(readings["climb"].text) == "+0,0 km/h"
@@ -350,7 +350,7 @@ async def test_heights_and_speeds_are_in_the_units_and_the_language_that_were_ch
 
 
 @pytest.mark.parametrize("field", FIELDS, ids=lambda field: field.name)
-def test_every_field_has_a_name(field: Field) -> None:
+def test_every_field_has_a_name(field: FieldSpec) -> None:
     assert f"instruments.{field.name}" in translations()
 
 
@@ -359,4 +359,4 @@ def test_every_phase_and_every_device_has_words() -> None:
     phases = [fields["flight_status"](FlightStatus(phase)) for phase in FlightPhase]
     devices = [fields["control_device"](ControlDevice(device, None)) for device in Device]
     assert all(text.key in translations() for text in (*phases, *devices))
-    assert Speaker()(fields["flight_status"](FlightStatus(9))) == "9?"
+    assert Translator()(fields["flight_status"](FlightStatus(9))) == "9?"

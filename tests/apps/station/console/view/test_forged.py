@@ -26,8 +26,8 @@ from m100link.apps.agent.messages import (
     LinkCounted,
     Message,
     MessageError,
-    MissionTold,
-    PlanTold,
+    MissionReport,
+    PlanChanged,
     State,
     SteerRefused,
     Telemetry,
@@ -35,8 +35,8 @@ from m100link.apps.agent.messages import (
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.station.console.view.fly import live
 from m100link.apps.station.console.view.situation import Inputs, Ship
-from m100link.apps.station.console.view.texts import Language, Speaker, Text
-from m100link.apps.station.console.view.view import Memory, View, view_of
+from m100link.apps.station.console.view.texts import Language, Text, Translator
+from m100link.apps.station.console.view.view_model import Memory, ViewModel, view_of
 from m100link.sim.clock import virtual_clock_loop
 from tests.known import seen
 
@@ -44,7 +44,7 @@ pytestmark = pytest.mark.anyio
 
 KINDS = (
     *(State, State, State, Event, LinkCounted, LeaseChanged, Activating, AuthorityTaken),
-    *(MissionTold, PlanTold, SteerRefused, Telemetry, Telemetry),
+    *(MissionReport, PlanChanged, SteerRefused, Telemetry, Telemetry),
 )
 FLOATS = (0.0, -1.0, 1e300, -1e300, 1e-300, 1e17, -1e17, 1e9, 12345.6)
 INTEGERS = (0, 1, -1, 2, 7, 99, 255, 1 << 31, 1 << 62, -(1 << 63), (1 << 63) - 1)
@@ -144,7 +144,7 @@ def spoken(part: object) -> None:
     """Say all that there is to be said in a view."""
     if isinstance(part, Text):
         for language in Language:
-            Speaker(language)(part)
+            Translator(language)(part)
     elif dataclasses.is_dataclass(part) and not isinstance(part, type):
         for field in dataclasses.fields(part):
             spoken(getattr(part, field.name))
@@ -155,7 +155,7 @@ def spoken(part: object) -> None:
             spoken(one)
 
 
-def look(client: AgentClient, memory: Memory) -> View:
+def look(client: AgentClient, memory: Memory) -> ViewModel:
     """Everything that a page does with what it knows."""
     view = view_of(inputs_of(client), memory)
     spoken(view)

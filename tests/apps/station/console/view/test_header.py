@@ -13,7 +13,7 @@ import anyio
 import pytest
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.messages import Fault, LeaseChanged, Replay, State
+from m100link.apps.agent.messages import LeaseChanged, RemoteError, Replay, State
 from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.header import (
     RULES,
@@ -26,20 +26,20 @@ from m100link.apps.station.console.view.header import (
     summary,
 )
 from m100link.apps.station.console.view.situation import (
+    AlarmLevel,
     Inputs,
-    Level,
     Ship,
     Situation,
 )
 from m100link.apps.station.console.view.texts import (
     Language,
     LengthUnit,
-    Speaker,
     SpeedUnit,
+    Translator,
     Units,
     translations,
 )
-from m100link.apps.station.console.view.view import view_of
+from m100link.apps.station.console.view.view_model import view_of
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
@@ -53,7 +53,7 @@ from tests.known import CONNECTED, seen
 
 pytestmark = pytest.mark.anyio
 
-SAY = Speaker()
+SAY = Translator()
 
 
 @pytest.fixture
@@ -144,7 +144,7 @@ def test_how_far_it_is_without_a_plan(mission: str, index: int, said: str) -> No
 def test_a_plan_in_one_line_in_the_units_that_were_chosen() -> None:
     assert SAY(summary(None)) == "no plan"
     plan = WaypointPlan([Waypoint(52.1, 4.31, height=20), Waypoint(52.101, 4.31, height=30)])
-    german = Speaker(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KNOT))
+    german = Translator(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KNOT))
     assert german(summary(plan)) == "2 Wegpunkte, 367 ft mit 9,7 kn, Höhe 66 ft bis 98 ft"
 
 
@@ -300,7 +300,7 @@ def test_a_silence_is_counted_from_when_something_was_heard_last() -> None:
 
 
 def test_names_and_reasons_are_said() -> None:
-    english = Speaker()
+    english = Translator()
 
     def said(**known: Any) -> str:
         return english(status_line(replace(FREE, **known)).text)
@@ -328,7 +328,7 @@ def test_names_and_reasons_are_said() -> None:
 def test_what_flies_is_said(known: dict[str, Any], text: str) -> None:
     flies = status_line(replace(FREE, **known)).flies
     assert flies is not None
-    assert Speaker()(flies) == text
+    assert Translator()(flies) == text
 
 
 def test_nothing_flies_when_nothing_is_known_to() -> None:
@@ -338,11 +338,11 @@ def test_nothing_flies_when_nothing_is_known_to() -> None:
 @pytest.mark.parametrize("cause", Cause)
 def test_every_cause_has_words_a_level_and_says_what_to_do(cause: Cause) -> None:
     line = status_line(replace(FREE, **ALONE[cause]))
-    for speaker in (Speaker(),):
+    for speaker in (Translator(),):
         assert speaker(line.text)
         assert line.remedy is None or speaker(line.remedy)
     assert (line.remedy is None) == (cause in (C.PENDING, C.GIVING_BACK, C.YOURS))
-    assert line.level is not Level.GOOD or cause in (C.YOURS, C.MISSION)
+    assert line.level is not AlarmLevel.GOOD or cause in (C.YOURS, C.MISSION)
 
 
 def test_a_virtual_aircraft_is_said_to_be_one_whatever_else_is_told() -> None:
@@ -360,13 +360,15 @@ def test_a_virtual_aircraft_is_said_to_be_one_whatever_else_is_told() -> None:
             f"Activation: {ActivationCode.NEW_DEVICE.meaning}",
         ),
         (
-            State(at=0.0, is_activated=True, activation_fault=Fault("LinkError", "no answer")),
+            State(
+                at=0.0, is_activated=True, activation_fault=RemoteError("LinkError", "no answer")
+            ),
             "Activation: no answer",
         ),
     ],
 )
 def test_how_far_activation_is(state: State, text: str) -> None:
-    assert Speaker()(activation_of(Inputs(vehicle=seen(None, state=state)))) == text
+    assert Translator()(activation_of(Inputs(vehicle=seen(None, state=state)))) == text
 
 
 # -- what the page says of a recorded flight -------------------------------------------------------
@@ -407,7 +409,7 @@ def test_one_that_stands_says_why(changes: dict[str, bool], note: str | None) ->
     shown = replay_of(replace(TOLD, **changes))  # type: ignore[arg-type] # each is a bool
     assert shown is not None
     assert not shown.is_running
-    assert (None if shown.note is None else Speaker()(shown.note)) == note
+    assert (None if shown.note is None else Translator()(shown.note)) == note
 
 
 def test_nothing_is_offered_and_the_line_says_that_nothing_flies() -> None:
@@ -464,20 +466,20 @@ def test_of_one_aircraft_there_is_no_list() -> None:
 )
 def test_who_has_it_is_said_in_words_and_by_a_kind(one: Ship, kind: str, said: str) -> None:
     row, other = fleet_of([one, OTHER])
-    assert (row.kind, Speaker()(row.control)) == (kind, said)
-    assert Speaker(Language.GERMAN)(row.control)
+    assert (row.kind, Translator()(row.control)) == (kind, said)
+    assert Translator(Language.GERMAN)(row.control)
     assert (row.is_shown, other.is_shown) == (True, False)
 
 
 async def test_nobody_flies_what_stands_on_the_ground(telemetry: AircraftState) -> None:
     row, _ = fleet_of([ship(telemetry), OTHER])
-    assert (row.kind, Speaker()(row.control)) == ("free", "nobody has it")
+    assert (row.kind, Translator()(row.control)) == ("free", "nobody has it")
 
 
 async def test_values_are_shown_while_they_are_new(telemetry: AircraftState) -> None:
     flying = ship(telemetry, state=replace(CONNECTED, mission="waypoint"))
     rows = fleet_of([ship(telemetry), flying, ship(telemetry, is_gone=True)])
-    said = [(Speaker()(row.flies), Speaker()(row.battery)) for row in rows]
+    said = [(Translator()(row.flies), Translator()(row.battery)) for row in rows]
     assert said[0][0].endswith(" m")
     assert said[0][1].endswith(" %")
     assert said[1][0] == f"{said[0][0]}, waypoint"

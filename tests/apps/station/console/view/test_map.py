@@ -6,19 +6,19 @@ import math
 
 import pytest
 
-from m100link.apps.agent.messages import Limits, State
+from m100link.apps.agent.messages import GuardLimits, State
 from m100link.apps.agent.orders import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedFlight
 from m100link.apps.agent.preview import Preview
 from m100link.apps.station.console.view.map import (
     Drawing,
+    GuidedKind,
     Pointed,
     Shown,
-    Wish,
     chart_of,
     click_of,
 )
 from m100link.apps.station.console.view.situation import Inputs
-from m100link.apps.station.console.view.texts import Language, Speaker, Text
+from m100link.apps.station.console.view.texts import Language, Text, Translator
 from m100link.errors import GuardRefused, LinkError, M100Error, NotObserved, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import WaypointPlan
@@ -26,12 +26,12 @@ from m100link.missions.waypoint import Waypoint
 from tests.known import seen
 
 HERE = 52.1, 4.31
-SAY = Speaker()
+SAY = Translator()
 
 
 def said(text: Text | None, language: Language = Language.ENGLISH) -> str:
     assert text is not None
-    return Speaker(language)(text)
+    return Translator(language)(text)
 
 
 FORESEEN = Preview(distance_m=83.2, climb_m=5.0, turn_deg=90.0, seconds=75.0, battery_percent=7.4)
@@ -66,17 +66,17 @@ def test_a_hold_confirms_what_the_preview_showed_when_it_began() -> None:
 
 
 def test_around_it_up_and_round() -> None:
-    circle = Pointed(Wish.CIRCLE, radius=20.0, turns=2.0, clockwise=False).at(*HERE)
+    circle = Pointed(GuidedKind.CIRCLE, radius=20.0, turns=2.0, clockwise=False).at(*HERE)
     assert circle.order == FlyAround(
         *HERE, height=10.0, radius=20.0, speed=5.0, turns=2.0, clockwise=False
     )
-    assert Pointed(Wish.HEIGHT).changed("height", 30).order == ChangeHeight(30.0)
-    assert Pointed(Wish.HEADING).changed("yaw_deg", -90).order == ChangeHeading(270.0)
+    assert Pointed(GuidedKind.HEIGHT).changed("height", 30).order == ChangeHeight(30.0)
+    assert Pointed(GuidedKind.HEADING).changed("yaw_deg", -90).order == ChangeHeading(270.0)
 
 
 def test_pointing_again_is_a_flight_there_but_a_circle_stays_one() -> None:
-    assert Pointed(Wish.HEIGHT).at(*HERE).wish is Wish.PLACE
-    assert Pointed(Wish.CIRCLE).at(*HERE).wish is Wish.CIRCLE
+    assert Pointed(GuidedKind.HEIGHT).at(*HERE).kind is GuidedKind.PLACE
+    assert Pointed(GuidedKind.CIRCLE).at(*HERE).kind is GuidedKind.CIRCLE
 
 
 @pytest.mark.parametrize(
@@ -108,9 +108,9 @@ def test_the_preview_is_said_in_the_words_and_units_of_the_operator() -> None:
     assert view.may_fly
     assert view.refusals == ()
     assert view.pointed == Drawing(HERE)
-    climb = click_of(Pointed(Wish.HEIGHT), FORESEEN, None, has_control=True)
+    climb = click_of(Pointed(GuidedKind.HEIGHT), FORESEEN, None, has_control=True)
     assert said(climb.preview).startswith("+5.0 m, about")
-    turn = click_of(Pointed(Wish.HEADING, yaw_deg=90.0), FORESEEN, None, has_control=True)
+    turn = click_of(Pointed(GuidedKind.HEADING, yaw_deg=90.0), FORESEEN, None, has_control=True)
     assert said(turn.preview).startswith("90°, about")
     assert turn.pointed == Drawing(yaw_deg=90.0)
 
@@ -178,7 +178,7 @@ def test_what_flies_is_said_to_everybody(guided: GuidedFlight, told: str) -> Non
 
 # -- what stands on the map ------------------------------------------------------------------------
 
-LIMITS = Limits(max_radius_m=150.0, latitude_deg=22.5, longitude_deg=113.9)
+LIMITS = GuardLimits(max_radius_m=150.0, latitude_deg=22.5, longitude_deg=113.9)
 
 
 def test_the_envelope_lies_around_where_control_was_obtained() -> None:
@@ -187,7 +187,7 @@ def test_the_envelope_lies_around_where_control_was_obtained() -> None:
     assert chart_of(Inputs(vehicle=seen(None, state=state, heard_at=-9.0))).fence is None
     assert (
         chart_of(
-            Inputs(vehicle=seen(None, state=State(0.0, limits=Limits(max_radius_m=150.0))))
+            Inputs(vehicle=seen(None, state=State(0.0, limits=GuardLimits(max_radius_m=150.0))))
         ).fence
         is None
     )

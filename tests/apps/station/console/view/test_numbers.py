@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.agent.messages import LeaseChanged, Limits, LinkCounted, State
-from m100link.apps.station.console.kept import LINE_COLUMNS, History
+from m100link.apps.agent.messages import GuardLimits, LeaseChanged, LinkCounted, State
+from m100link.apps.station.console.kept import LINE_COLUMNS, PlotHistory
 from m100link.apps.station.console.view.data import LINK_ITEMS, label, link_of, points
 from m100link.apps.station.console.view.fly import instruments_of, live, seen_from_afar
 from m100link.apps.station.console.view.header import FleetRow, fleet_of, progress, summary
@@ -25,8 +25,8 @@ from m100link.apps.station.console.view.situation import Inputs, Ship, situation
 from m100link.apps.station.console.view.texts import (
     Language,
     LengthUnit,
-    Speaker,
     SpeedUnit,
+    Translator,
     Units,
     translations,
 )
@@ -46,9 +46,9 @@ from tests import known
 from tests.known import seen
 from tests.known_columns import COLUMNS, are
 
-METRIC = Speaker()
-GERMAN = Speaker(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KM_H))
-KNOTS = Speaker(Language.ENGLISH, Units(LengthUnit.METRE, SpeedUnit.KNOT))
+METRIC = Translator()
+GERMAN = Translator(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KM_H))
+KNOTS = Translator(Language.ENGLISH, Units(LengthUnit.METRE, SpeedUnit.KNOT))
 
 
 def heard(*changed: Any, age: float = 0.25) -> AircraftState:
@@ -228,7 +228,7 @@ def test_a_row_of_the_fleet() -> None:
 
 def test_what_is_known_of_the_situation() -> None:
     # 0.003 degrees of latitude are 333.6 m on a sphere of 6371 km.
-    limits = Limits(latitude_deg=-33.1204567, longitude_deg=151.2345678)
+    limits = GuardLimits(latitude_deg=-33.1204567, longitude_deg=151.2345678)
     state = State(0.0, "connected", round_trip=0.0375, mission_index=4, limits=limits)
     now = situation_of(Inputs(vehicle=seen(heard(), 5.25, state=state), page_trip=0.0125))
     assert (now.telemetry_at, now.telemetry_age) == (5.0, 0.25)
@@ -347,8 +347,8 @@ LINE = {
 }
 
 
-def kept() -> History:
-    history = History()
+def kept() -> PlotHistory:
+    history = PlotHistory()
     history.lag = 0.0125
     state = State(0.0, "connected", round_trip=0.0375, discards=31, late_acks=8, dropped_writes=6)
     history.add(1_795_420_802.25, seen(heard(), state=state))
@@ -387,7 +387,7 @@ UNITS = {
 def test_each_curve_is_called_by_its_unit(name: str) -> None:
     unit = UNITS.get(name)
     feet, knots = {"m": "ft"}, {"m/s": "kn"}
-    imperial = Speaker(Language.ENGLISH, Units(LengthUnit.FOOT, SpeedUnit.KNOT))
+    imperial = Translator(Language.ENGLISH, Units(LengthUnit.FOOT, SpeedUnit.KNOT))
     for speaker, told in ((METRIC, unit), (imperial, (feet | knots).get(unit or "", unit))):
         said = speaker(label(name))
         found = said.rpartition(", ")[2] if ", " in said else None
@@ -444,6 +444,6 @@ def test_what_is_no_number_is_told_as_unknown(kind: int, place: int, bad: float)
 
 
 def _rows(state: AircraftState) -> list[tuple[float, ...]]:
-    history = History()
+    history = PlotHistory()
     history.add(1.0, seen(state))
     return history.rows(list(COLUMNS))

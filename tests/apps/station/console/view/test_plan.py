@@ -21,7 +21,7 @@ from m100link import (
 )
 from m100link.apps.station.console.view.plan import (
     Draft,
-    History,
+    DraftHistory,
     actions_of,
     checked,
     drawing,
@@ -32,7 +32,7 @@ from m100link.apps.station.console.view.plan import (
     text_of,
     upload_of,
 )
-from m100link.apps.station.console.view.texts import METRIC, Language, LengthUnit, Speaker, Units
+from m100link.apps.station.console.view.texts import METRIC, Language, LengthUnit, Translator, Units
 from m100link.geodesy import LocalFrame
 from m100link.missions.waypoint import StartVideo, StopVideo
 
@@ -74,7 +74,7 @@ def test_a_point_that_is_not_there_changes_nothing(index: int) -> None:
 
 
 def test_every_change_can_be_undone_and_done_again() -> None:
-    history = History()
+    history = DraftHistory()
     for north in range(5):
         history = history.done(history.draft.added(at(20 * north), 20.0))
     assert history.done(history.draft) is history
@@ -92,7 +92,7 @@ def test_every_change_can_be_undone_and_done_again() -> None:
 
 
 def test_a_long_history_is_bounded() -> None:
-    history = History()
+    history = DraftHistory()
     for speed in range(1, 300):
         history = history.done(replace(history.draft, speed=speed / 100))
     assert len(history.before) == 100
@@ -185,18 +185,18 @@ def test_a_draft_takes_whatever_number_and_the_checks_say_it() -> None:
 
 # -- what the Plan view says of a draft, and of what is uploaded -----------------------------------
 
-SAY = Speaker()
+SAY = Translator()
 DRAFT = Draft().added((52.1, 4.31), 20.0).added((52.101, 4.31), 30.0)
 
 
-def said(draft: Draft, speaker: Speaker = SAY) -> str:
+def said(draft: Draft, speaker: Translator = SAY) -> str:
     return speaker(summary_of(draft, checked(draft)))
 
 
 def test_a_draft_in_one_line() -> None:
     assert said(Draft()) == "No points yet"
     assert said(DRAFT) == "2 waypoints, 112 m, 20 m to 30 m; 0:26 min, 3 % of a battery"
-    feet = Speaker(Language.GERMAN, Units(LengthUnit.FOOT))
+    feet = Translator(Language.GERMAN, Units(LengthUnit.FOOT))
     assert said(DRAFT, feet).startswith("2 Wegpunkte, 367 ft, 66 ft bis 98 ft; 0:26 min")
     assert said(replace(DRAFT, speed=0.0)).endswith("as fast as the pilot's stick")
     assert "would refuse" in said(DRAFT.changed(0, height=900.0))

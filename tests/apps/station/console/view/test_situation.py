@@ -7,7 +7,7 @@ from dataclasses import replace
 import anyio
 import pytest
 
-from m100link.apps.agent.messages import Event, LeaseChanged, Limits, State, Topic
+from m100link.apps.agent.messages import Event, EventTopic, GuardLimits, LeaseChanged, State
 from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.situation import (
     Inputs,
@@ -91,7 +91,7 @@ def test_what_the_tab_knows_is_handed_on() -> None:
     now = situation_of(
         Inputs(
             vehicle=seen(
-                None, state=State(at=0.0, mission_index=-1, limits=Limits(1.0)), holder=end
+                None, state=State(at=0.0, mission_index=-1, limits=GuardLimits(1.0)), holder=end
             ),
             lease_end=end,
             loss=LossReason.APP,
@@ -100,13 +100,13 @@ def test_what_the_tab_knows_is_handed_on() -> None:
         )
     )
     assert (now.holder, now.lease_end, now.loss, now.page_trip) == ("Anna", end, "app", 0.2)
-    assert (now.is_virtual, now.mission_index, now.limits) == (True, None, Limits(1.0))
+    assert (now.is_virtual, now.mission_index, now.limits) == (True, None, GuardLimits(1.0))
 
 
 def test_the_newest_mission_that_was_broken_off_counts() -> None:
     events = (
-        Event(4, 0.0, "error", "first", Topic.MISSION_ABORTED),
-        Event(9, 0.0, "error", "second", Topic.MISSION_ABORTED),
+        Event(4, 0.0, "error", "first", EventTopic.MISSION_ABORTED),
+        Event(9, 0.0, "error", "second", EventTopic.MISSION_ABORTED),
         Event(12, 0.0, "info", "something else"),
     )
     now = situation_of(Inputs(vehicle=seen(None, state=State(at=0.0)), events=events))

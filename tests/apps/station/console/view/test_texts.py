@@ -19,14 +19,14 @@ from m100link import errors
 from m100link.apps.agent.lease import LeaseHeld, LeaseRefused
 from m100link.apps.station.console.tab import Fate
 from m100link.apps.station.console.view.texts import (
-    Kind,
+    DisplaySettings,
     Language,
     LengthUnit,
     Quantity,
-    Settings,
-    Speaker,
+    QuantityKind,
     SpeedUnit,
     Theme,
+    Translator,
     Units,
     for_browser,
     number,
@@ -92,7 +92,7 @@ def test_every_text_that_is_said_is_in_the_files_and_filled_as_it_wants() -> Non
 
 
 def test_a_speaker_fills_in_numbers_quantities_and_other_texts() -> None:
-    english, german = Speaker(), Speaker(Language.GERMAN, Units(LengthUnit.FOOT))
+    english, german = Translator(), Translator(Language.GERMAN, Units(LengthUnit.FOOT))
     near = tr("alarms.guard_near.height", value=Quantity.length(46.2), limit=Quantity.length(50.0))
     assert english(near) == "Near the limit: 46 m high of 50 m"
     assert german(near) == "Nahe der Grenze: 152 ft hoch von 164 ft"
@@ -104,12 +104,12 @@ def test_a_speaker_fills_in_numbers_quantities_and_other_texts() -> None:
 
 def test_what_strangers_wrote_is_not_taken_for_braces() -> None:
     taken = tr("alarms.lease_taken.taken", name="{0.__class__} {name}")
-    assert Speaker()(taken) == "{0.__class__} {name} took control from you"
+    assert Translator()(taken) == "{0.__class__} {name} took control from you"
 
 
 def test_the_page_is_told_its_words_its_units_and_its_decimal_sign() -> None:
     told: dict[str, Any] = for_browser(
-        Speaker(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KM_H))
+        Translator(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KM_H))
     )
     assert told["speed"] == [3.6, "km/h"]
     assert told["length"] == [pytest.approx(3.2808, abs=1e-4), "ft"]
@@ -117,7 +117,7 @@ def test_the_page_is_told_its_words_its_units_and_its_decimal_sign() -> None:
 
 
 def test_what_the_page_asks_for_is_what_it_is_told() -> None:
-    told: dict[str, Any] = for_browser(Speaker())
+    told: dict[str, Any] = for_browser(Translator())
     asked = {f"fate_{fate}" for fate in Fate}  # by their names, in steer.js
     for path in (CONSOLE / "static").glob("*.js"):
         for line in path.read_text(encoding="utf-8").splitlines():
@@ -185,14 +185,17 @@ def test_every_unit_converts_and_has_a_sign() -> None:
     for length in LengthUnit:
         for speed in SpeedUnit:
             units = Units(length, speed)
-            assert units.convert(1.0, Kind.LENGTH) > 0
-            assert units.convert(1.0, Kind.SPEED) > 0
-            assert (units.unit(Kind.LENGTH), units.unit(Kind.SPEED)) == (length.value, speed.value)
+            assert units.convert(1.0, QuantityKind.LENGTH) > 0
+            assert units.convert(1.0, QuantityKind.SPEED) > 0
+            assert (units.unit(QuantityKind.LENGTH), units.unit(QuantityKind.SPEED)) == (
+                length.value,
+                speed.value,
+            )
 
 
 # -- errors in the language of whoever looks -------------------------------------------------------
 
-ENGLISH, GERMAN = Speaker(), Speaker(Language.GERMAN)
+ENGLISH, GERMAN = Translator(), Translator(Language.GERMAN)
 
 CLASSES = [
     one
@@ -241,8 +244,8 @@ def test_whatever_was_chosen_comes_back() -> None:
     for language, length, speed, theme, sound, speech in product(
         Language, LengthUnit, SpeedUnit, Theme, (False, True), (False, True)
     ):
-        chosen = Settings(language, length, speed, theme, sound, speech, "Anna")
-        assert Settings.from_text(chosen.to_text()) == chosen
+        chosen = DisplaySettings(language, length, speed, theme, sound, speech, "Anna")
+        assert DisplaySettings.from_text(chosen.to_text()) == chosen
         assert chosen.speaker.language is language
         assert chosen.units == Units(length, speed)
 
@@ -262,12 +265,12 @@ def test_whatever_was_chosen_comes_back() -> None:
     ],
 )
 def test_what_cannot_be_read_is_as_by_default(kept: object) -> None:
-    assert Settings.from_text(kept) == Settings()
+    assert DisplaySettings.from_text(kept) == DisplaySettings()
 
 
 def test_what_can_be_read_is_kept_beside_what_cannot() -> None:
     kept = '{"language": "de", "length": "mile", "sound": false, "name": "' + "x" * 100 + '"}'
-    assert Settings.from_text(kept) == Settings(
+    assert DisplaySettings.from_text(kept) == DisplaySettings(
         language=Language.GERMAN, sound=False, name="x" * 64
     )
 
@@ -279,6 +282,9 @@ _JSON = st.recursive(
 )
 
 
-@given(st.text() | st.dictionaries(st.sampled_from([*Settings.__slots__]), _JSON).map(json.dumps))
+@given(
+    st.text()
+    | st.dictionaries(st.sampled_from([*DisplaySettings.__slots__]), _JSON).map(json.dumps)
+)
 def test_nonsense_raises_nothing(kept: str) -> None:
-    assert isinstance(Settings.from_text(kept), Settings)
+    assert isinstance(DisplaySettings.from_text(kept), DisplaySettings)

@@ -10,8 +10,8 @@ import pytest
 
 from m100link.apps.agent.control_session import ControlInput
 from m100link.apps.agent.messages import LeaseChanged, State
-from m100link.apps.mavlink.translator.modes import Mode, Phase
-from m100link.apps.mavlink.translator.world import World
+from m100link.apps.mavlink.translator.modes import Mode, VehiclePhase
+from m100link.apps.mavlink.translator.vehicle_state import VehicleState
 from m100link.protocol.records import (
     Attitude,
     Battery,
@@ -27,14 +27,14 @@ GROUND, AIR = FlightStatus(1), FlightStatus(3)
 P, A, F = (RemoteControl(0, 0, 0, 0, mode, None) for mode in (-8000, 0, 8000))
 
 
-def world(*values: Any, **state: Any) -> World:
+def world(*values: Any, **state: Any) -> VehicleState:
     """By name: holder, authority, lease; anything else is of the agent's state."""
     known: Any = Known(*values)
     if state.pop("no_switch", False):
         known.without(RemoteControl)
     known.holder = LeaseChanged(state.pop("holder", 0), "somebody")
     known.has_authority = state.pop("authority", False)
-    found = World(known, session_of(known, number=state.pop("lease", 0)))
+    found = VehicleState(known, session_of(known, number=state.pop("lease", 0)))
     known.state = replace(known.state, **state)
     return found
 
@@ -42,41 +42,41 @@ def world(*values: Any, **state: Any) -> World:
 @pytest.mark.parametrize(
     ("one", "phase", "mode"),
     [
-        (world(GROUND, F), Phase.DISARMED, Mode.HOLD),
-        (world(GROUND, P), Phase.DISARMED, Mode.POSCTL),
-        (world(GROUND, A), Phase.DISARMED, Mode.ALTCTL),
-        (world(GROUND, no_switch=True), Phase.DISARMED, Mode.HOLD),
-        (world(AIR, F), Phase.FREE, Mode.POSCTL),
-        (world(AIR, P), Phase.PILOT, Mode.POSCTL),
-        (world(AIR, A), Phase.PILOT, Mode.ALTCTL),
-        (world(AIR, no_switch=True), Phase.PILOT, Mode.POSCTL),
-        (world(AIR, F, mission="hotpoint"), Phase.FREE, Mode.MISSION),
-        (world(AIR, P, mission="hotpoint"), Phase.PILOT, Mode.POSCTL),
-        (world(AIR, F, mission="no kind"), Phase.FREE, Mode.POSCTL),
-        (world(AIR, F, mission="follow mission"), Phase.FREE, Mode.MISSION),
-        (world(GROUND, F, holder=3, lease=3, authority=True), Phase.ARMED, Mode.HOLD),
-        (world(AIR, F, holder=3, lease=3, authority=True), Phase.AIRBORNE, Mode.POSCTL),
-        (world(AIR, F, holder=3, lease=3), Phase.FREE, Mode.POSCTL),
-        (world(AIR, F, holder=3, lease=2, authority=True), Phase.OTHER, Mode.POSCTL),
-        (world(GROUND, F, holder=3), Phase.OTHER, Mode.POSCTL),
+        (world(GROUND, F), VehiclePhase.DISARMED, Mode.HOLD),
+        (world(GROUND, P), VehiclePhase.DISARMED, Mode.POSCTL),
+        (world(GROUND, A), VehiclePhase.DISARMED, Mode.ALTCTL),
+        (world(GROUND, no_switch=True), VehiclePhase.DISARMED, Mode.HOLD),
+        (world(AIR, F), VehiclePhase.FREE, Mode.POSCTL),
+        (world(AIR, P), VehiclePhase.PILOT, Mode.POSCTL),
+        (world(AIR, A), VehiclePhase.PILOT, Mode.ALTCTL),
+        (world(AIR, no_switch=True), VehiclePhase.PILOT, Mode.POSCTL),
+        (world(AIR, F, mission="hotpoint"), VehiclePhase.FREE, Mode.MISSION),
+        (world(AIR, P, mission="hotpoint"), VehiclePhase.PILOT, Mode.POSCTL),
+        (world(AIR, F, mission="no kind"), VehiclePhase.FREE, Mode.POSCTL),
+        (world(AIR, F, mission="follow mission"), VehiclePhase.FREE, Mode.MISSION),
+        (world(GROUND, F, holder=3, lease=3, authority=True), VehiclePhase.ARMED, Mode.HOLD),
+        (world(AIR, F, holder=3, lease=3, authority=True), VehiclePhase.AIRBORNE, Mode.POSCTL),
+        (world(AIR, F, holder=3, lease=3), VehiclePhase.FREE, Mode.POSCTL),
+        (world(AIR, F, holder=3, lease=2, authority=True), VehiclePhase.OTHER, Mode.POSCTL),
+        (world(GROUND, F, holder=3), VehiclePhase.OTHER, Mode.POSCTL),
         *(
-            (world(AIR, F, holder=3, authority=True, task=task), Phase.OTHER, mode)
+            (world(AIR, F, holder=3, authority=True, task=task), VehiclePhase.OTHER, mode)
             for task, mode in (
                 ("land", Mode.LAND),
                 ("take off", Mode.TAKEOFF),
                 ("go home", Mode.RTL),
             )
         ),
-        (world(AIR, F, holder=3, task="land"), Phase.OTHER, Mode.POSCTL),
+        (world(AIR, F, holder=3, task="land"), VehiclePhase.OTHER, Mode.POSCTL),
         (
             world(AIR, F, holder=3, authority=True, mission="waypoint mission"),
-            Phase.OTHER,
+            VehiclePhase.OTHER,
             Mode.MISSION,
         ),
     ],
 )
 def test_where_the_flight_stands_and_what_is_shown_of_it(
-    one: World, phase: Phase, mode: Mode
+    one: VehicleState, phase: VehiclePhase, mode: Mode
 ) -> None:
     assert one.phase is phase
     assert one.mode_of_others() is mode
@@ -88,7 +88,7 @@ def test_control_that_came_back_before_somebody_looked_was_lost() -> None:
     one.session.feed(ControlInput.AUTHORITY_TAKEN)
     phases = [one.phase]
     one.session.heard()
-    assert [*phases, one.phase] == [Phase.FREE, Phase.AIRBORNE]
+    assert [*phases, one.phase] == [VehiclePhase.FREE, VehiclePhase.AIRBORNE]
 
 
 def test_nothing_begins_before_the_deck_was_told_that_control_is_held() -> None:
@@ -97,7 +97,7 @@ def test_nothing_begins_before_the_deck_was_told_that_control_is_held() -> None:
     one.session.feed(ControlInput.OBTAIN)
     phases = [one.phase]
     one.session.feed(ControlInput.OBEYED)
-    assert [*phases, one.phase] == [Phase.DISARMED, Phase.ARMED]
+    assert [*phases, one.phase] == [VehiclePhase.DISARMED, VehiclePhase.ARMED]
 
 
 def test_a_lease_that_the_bridge_gives_back_is_nobody_elses() -> None:
@@ -106,14 +106,14 @@ def test_a_lease_that_the_bridge_gives_back_is_nobody_elses() -> None:
     phases = [one.phase]
     known: Any = one.known
     known.holder = LeaseChanged(4, "somebody")
-    assert [*phases, one.phase] == [Phase.FREE, Phase.OTHER]
+    assert [*phases, one.phase] == [VehiclePhase.FREE, VehiclePhase.OTHER]
 
 
 def test_who_has_control_is_named_where_a_wish_is_refused() -> None:
-    assert world(AIR, P).explain(Phase.PILOT) == "the pilot flies: the mode switch is in P"
-    unknown = world(AIR, no_switch=True).explain(Phase.PILOT)
+    assert world(AIR, P).explain(VehiclePhase.PILOT) == "the pilot flies: the mode switch is in P"
+    unknown = world(AIR, no_switch=True).explain(VehiclePhase.PILOT)
     assert unknown == "the pilot flies: the mode switch is unknown"
-    assert world(AIR, holder=3).explain(Phase.OTHER) == "somebody has control"
+    assert world(AIR, holder=3).explain(VehiclePhase.OTHER) == "somebody has control"
 
 
 @pytest.mark.parametrize(
@@ -123,12 +123,12 @@ def test_an_aircraft_that_says_nothing_is_away(age: float | None, is_heard: bool
     known = Known(GROUND, F)
     known.newest_age = age
     assert world_of(known).known.view.is_heard is is_heard
-    assert (world_of(known).phase is Phase.AWAY) is not is_heard
+    assert (world_of(known).phase is VehiclePhase.AWAY) is not is_heard
     known.newest_age, known.is_connected = 0.0, False
-    assert world_of(known).phase is Phase.AWAY
+    assert world_of(known).phase is VehiclePhase.AWAY
     assert world_of(known).known.view.get(Attitude) is None
     known.is_connected, known.telemetry = True, None
-    assert world_of(known).phase is Phase.AWAY
+    assert world_of(known).phase is VehiclePhase.AWAY
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_an_aircraft_that_says_nothing_is_away(age: float | None, is_heard: bool
         (world(GROUND, holder=2), False),
     ],
 )
-def test_motors_that_may_turn_count_as_armed(one: World, is_armed: bool) -> None:
+def test_motors_that_may_turn_count_as_armed(one: VehicleState, is_armed: bool) -> None:
     assert one.is_armed is is_armed
     one.may_take_off = True
     assert one.is_armed, "a take-off that was called off may be flown all the same"

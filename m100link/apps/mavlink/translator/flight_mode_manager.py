@@ -1,8 +1,8 @@
-"""Who flies, and what: wishes of ground stations become orders to the agent, one at a time.
+"""Who flies, and what: mode requests of ground stations become orders to the agent, one at a time.
 
-What becomes of a wish stands in the tables of :mod:`m100link.apps.mavlink.translator.modes`. No
-I/O: orders are collected in :attr:`Deck.orders`, the crew carries them out and says how each ended,
-and the time is an argument.
+The tables of :mod:`m100link.apps.mavlink.translator.modes` decide about each mode request. There is
+no I/O here: :attr:`FlightModeManager.orders` collects orders, the order executor carries them out
+and reports how each ended, and the time is an argument.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ from m100link.apps.mavlink.translator.modes import (
     DISARM_VERDICTS,
     RUNNING,
     VERDICTS,
+    FlightSource,
     Mode,
-    Phase,
-    Running,
-    Step,
-    Verdict,
+    ModeTransition,
+    ModeVerdict,
+    VehiclePhase,
 )
-from m100link.apps.mavlink.translator.numbers import Result, Severity
+from m100link.apps.mavlink.translator.numbers import MavResult, Severity
 from m100link.apps.mavlink.translator.offboard import Manual, Offboard
 from m100link.apps.mavlink.translator.orders import (
-    Arm,
-    CallOff,
-    Disarm,
-    Do,
+    CancelTakeOff,
     Drop,
-    Flight,
-    GoHome,
-    Halt,
-    Land,
-    Order,
-    TakeOff,
-    Wish,
+    FlightSequence,
+    HoldPosition,
+    LandInPlace,
+    MissionCommand,
+    ModeRequest,
+    ObtainControl,
+    ReleaseControl,
+    ReturnToLaunch,
+    TakeOffAndClimb,
+    VehicleOrder,
 )
 from m100link.apps.mavlink.translator.peers import Peer
-from m100link.apps.mavlink.translator.world import World
+from m100link.apps.mavlink.translator.vehicle_state import VehicleState
 from m100link.errors import GuardRefused, M100Error, NoAuthority, TaskRefused
 from m100link.protocol.setpoint import Setpoint
 
@@ -49,118 +49,124 @@ IDLE_S = 10.0  # seconds armed on the ground without a take-off after which it i
 _TO_THE_GROUND = (Mode.LAND, Mode.RTL)
 _ENDS = (Mode.HOLD, *_TO_THE_GROUND)
 _CALLED_OFF = "the take-off is being called off: what takes off all the same is landed"
-_REFUSED = {Verdict.DENY: Result.DENIED, Verdict.REJECT: Result.TEMPORARILY_REJECTED}
-_CONTROLLED = (Phase.ARMED, Phase.AIRBORNE)
+_REFUSED = {ModeVerdict.DENY: MavResult.DENIED, ModeVerdict.REJECT: MavResult.TEMPORARILY_REJECTED}
+_CONTROLLED = (VehiclePhase.ARMED, VehiclePhase.AIRBORNE)
 
 
-class Deck:
-    """The flight deck of one aircraft."""
+class FlightModeManager:
+    """The flight manager of one aircraft."""
 
     def __init__(
         self,
-        world: World,  # what is known of it
+        world: VehicleState,  # what is known of it
         tell: Callable[[Severity, str], None],  # takes what people have to know: severity and text
         streams: Mapping[Mode, Offboard | Manual],  # where setpoints come from, by mode
     ) -> None:
         self._world = world
         self._tell = tell
         self._streams = streams
-        # What the crew has to carry out, oldest first.
-        self.orders: list[Order | Setpoint | Do | Drop] = []
+        # What the executor has to carry out, oldest first.
+        self.orders: list[VehicleOrder | Setpoint | MissionCommand | Drop] = []
         # Who armed the aircraft, or moved it first after that one was lost.
         self.operator: Peer | None = None
         self.steering: Peer | None = None  # whose setpoints came last
-        self.running = Running.NOTHING
+        self.running = FlightSource.NOTHING
         # The request for authority that is wanted, and has no answer yet.
-        self._arming: Arm | None = None
+        self._arming: ObtainControl | None = None
         # Called with whether and why not, when a request for authority has ended.
         self.on_armed: Callable[[M100Error | None], None] = lambda _: None
         # What the aircraft was asked for last, while it is in force.
         self._mode = Mode.HOLD
         # The order under way; what ends later than the one that replaced it means nothing.
-        self._current: Order | None = None
+        self._current: VehicleOrder | None = None
         # Begins when the autopilot's take-off is over.
-        self._waiting: Wish | None = None
+        self._waiting: ModeRequest | None = None
         # Begins when the aircraft is armed, until a time.
-        self._remembered: tuple[Wish, float] | None = None
+        self._remembered: tuple[ModeRequest, float] | None = None
         self._idle_since: float | None = None
 
     # -- where it stands -------------------------------------------------------------------------
 
     @property
-    def phase(self) -> Phase:
+    def phase(self) -> VehiclePhase:
         """Where the flight stands; a take-off that was ordered counts as flown."""
         phase = self._world.phase
-        if phase is Phase.ARMED and isinstance(self._current, Disarm | CallOff):
-            return Phase.DISARMED  # it was asked for, and holds before it is carried out
-        is_flying = self.running not in (Running.NOTHING, Running.STREAM)
-        return Phase.AIRBORNE if phase is Phase.ARMED and is_flying else phase
+        if phase is VehiclePhase.ARMED and isinstance(
+            self._current, ReleaseControl | CancelTakeOff
+        ):
+            return VehiclePhase.DISARMED  # it was asked for, and holds before it is carried out
+        is_flying = self.running not in (FlightSource.NOTHING, FlightSource.STREAM)
+        return VehiclePhase.AIRBORNE if phase is VehiclePhase.ARMED and is_flying else phase
 
     @property
     def mode(self) -> Mode:
         phase = self.phase
-        if phase is Phase.AIRBORNE and self._is_flown_by_a_stranger:
+        if phase is VehiclePhase.AIRBORNE and self._is_flown_by_a_stranger:
             return Mode.MISSION
         if phase in _CONTROLLED or self._is_interrupting:
             return Mode.HOLD if self._mode is Mode.GOTO else self._mode
-        if self._remembered is not None and phase in (Phase.DISARMED, Phase.FREE):
+        if self._remembered is not None and phase in (VehiclePhase.DISARMED, VehiclePhase.FREE):
             return self._remembered[0].mode
         return self._world.mode_of_others()
 
     @property
-    def flight(self) -> Flight | None:
+    def flight(self) -> FlightSequence | None:
         """The flight under way, if what is under way is one."""
-        return self._current if isinstance(self._current, Flight) else None
+        return self._current if isinstance(self._current, FlightSequence) else None
 
     @property
     def is_flown_by_aircraft(self) -> bool:
         """Whether the aircraft has a mission that it flies by itself, or has paused, for us."""
-        return self.running in (Running.MISSION, Running.PAUSED)
+        return self.running in (FlightSource.MISSION, FlightSource.PAUSED)
 
     @property
     def _is_flown_by_a_stranger(self) -> bool:
         """Whether it tells of a mission where nothing of ours flies: a stop was not heard, say."""
-        return self.running is Running.NOTHING and self._world.flies_mission
+        return self.running is FlightSource.NOTHING and self._world.flies_mission
 
     @property
     def _is_interrupting(self) -> bool:
         order = self._current
-        is_ending = isinstance(order, Land | GoHome | Halt) and order.is_interrupting
-        return is_ending or isinstance(order, CallOff)
+        is_ending = (
+            isinstance(order, LandInPlace | ReturnToLaunch | HoldPosition) and order.is_interrupting
+        )
+        return is_ending or isinstance(order, CancelTakeOff)
 
     @property
     def _can_be_called_off(self) -> bool:
         """Whether a take-off was ordered, and the motors stand as far as anybody knows."""
-        return self.running is Running.TAKE_OFF and self._world.phase is Phase.ARMED
+        return self.running is FlightSource.TAKE_OFF and self._world.phase is VehiclePhase.ARMED
 
     def explain(self) -> str:
-        """Why a wish is refused in this phase."""
+        """Why a mode request is refused in this phase."""
         return self._world.explain(self.phase)
 
-    # -- wishes ----------------------------------------------------------------------------------
+    # -- mode requests ---------------------------------------------------------------------------
 
-    def wish(self, wish: Wish, now: float) -> Result:
+    def request_mode(self, request: ModeRequest, now: float) -> MavResult:
         """Somebody wants a mode. Refusals are told to everybody, with the reason."""
-        what, verdict = wish.mode.value, VERDICTS[self.phase][wish.mode]
-        if wish.mode not in _ENDS and self.is_others(wish.peer, what):
-            return Result.TEMPORARILY_REJECTED
+        what, verdict = request.mode.value, VERDICTS[self.phase][request.mode]
+        if request.mode not in _ENDS and self.is_others(request.peer, what):
+            return MavResult.TEMPORARILY_REJECTED
         if verdict in _REFUSED:
             return self._refuse(what, self.explain(), _REFUSED[verdict])
-        if verdict is Verdict.NOTHING:
+        if verdict is ModeVerdict.NOTHING:
             self._settle()
-        elif verdict is Verdict.START:
-            return self._start(wish, now)
-        elif isinstance(self._current, CallOff) and verdict is Verdict.OBTAIN:
-            if wish.mode is not Mode.LAND:  # which is what comes of it
+        elif verdict is ModeVerdict.START:
+            return self._start(request, now)
+        elif isinstance(self._current, CancelTakeOff) and verdict is ModeVerdict.OBTAIN:
+            if request.mode is not Mode.LAND:  # which is what comes of it
                 return self._refuse(what, _CALLED_OFF)
         else:
-            self._remembered = wish, now + REMEMBERED_S
-            self._take_operator(wish.peer)
-            if verdict is Verdict.OBTAIN:
-                self._arm(wish.peer)
-        return Result.ACCEPTED
+            self._remembered = request, now + REMEMBERED_S
+            self._take_operator(request.peer)
+            if verdict is ModeVerdict.OBTAIN:
+                self._arm(request.peer)
+        return MavResult.ACCEPTED
 
-    def _refuse(self, what: str, why: str, result: Result = Result.TEMPORARILY_REJECTED) -> Result:
+    def _refuse(
+        self, what: str, why: str, result: MavResult = MavResult.TEMPORARILY_REJECTED
+    ) -> MavResult:
         self._tell(Severity.WARNING, f"{what}: {why}")
         return result
 
@@ -183,8 +189,8 @@ class Deck:
     def _settle(self) -> None:
         """Nothing is wanted on the ground."""
         self._remembered = self._waiting = None
-        if self.running is Running.STREAM:
-            self.running = Running.NOTHING
+        if self.running is FlightSource.STREAM:
+            self.running = FlightSource.NOTHING
         self._mode = Mode.HOLD
 
     def _call_off(self, mode: Mode, why: str) -> None:
@@ -192,107 +198,109 @@ class Deck:
         self._tell(Severity.WARNING, f"the take-off is called off: {why}")
         self._settle()
         self._mode, self.operator = mode, None
-        self._current, self.running = CallOff(), Running.NOTHING
+        self._current, self.running = CancelTakeOff(), FlightSource.NOTHING
         self.orders.append(self._current)
 
-    def _start(self, wish: Wish, now: float) -> Result:
-        if wish.mode in _TO_THE_GROUND and self._can_be_called_off:
-            self._call_off(wish.mode, f"{wish.mode.value} was asked for")
-            return Result.ACCEPTED
-        step = RUNNING[self.running][wish.mode]
-        is_later = step is Step.WAIT and self._waiting is not None
+    def _start(self, request: ModeRequest, now: float) -> MavResult:
+        if request.mode in _TO_THE_GROUND and self._can_be_called_off:
+            self._call_off(request.mode, f"{request.mode.value} was asked for")
+            return MavResult.ACCEPTED
+        step = RUNNING[self.running][request.mode]
+        is_later = step is ModeTransition.WAIT and self._waiting is not None
         if is_later and self._waiting is not None and self._waiting.mode in _TO_THE_GROUND:
-            step = step if wish.mode in _TO_THE_GROUND else Step.REFUSE
-        if step is Step.REFUSE:
+            step = step if request.mode in _TO_THE_GROUND else ModeTransition.REFUSE
+        if step is ModeTransition.REFUSE:
             flies = self._waiting.mode if is_later and self._waiting else self._mode
-            return self._refuse(wish.mode.value, f"{flies.value} goes on")
-        self._take_operator(wish.peer)
-        if step is Step.WAIT:
-            self._waiting, self._mode = wish, wish.mode
-            self._tell(Severity.NOTICE, f"{wish.mode.value}: when the take-off is over")
-        elif step is Step.INTERRUPT and isinstance(wish.order, Land | GoHome | Halt):
-            self._begin(replace(wish, order=replace(wish.order, is_interrupting=True)))
-        elif step is Step.PAUSE and self.flight is not None:
-            self._mode, self.running = wish.mode, Running.PAUSED
-            self.orders.append(Do(PauseMission(), self.flight))
-        elif step is Step.RESUME and self.flight is not None and not wish.is_anew:
-            self._mode, self.running = wish.mode, Running.MISSION
-            self.orders.append(Do(ResumeMission(), self.flight))
-        elif step is not Step.KEEP or wish.is_anew:
-            self._begin(wish)
-        return Result.ACCEPTED
+            return self._refuse(request.mode.value, f"{flies.value} goes on")
+        self._take_operator(request.peer)
+        if step is ModeTransition.WAIT:
+            self._waiting, self._mode = request, request.mode
+            self._tell(Severity.NOTICE, f"{request.mode.value}: when the take-off is over")
+        elif step is ModeTransition.INTERRUPT and isinstance(
+            request.order, LandInPlace | ReturnToLaunch | HoldPosition
+        ):
+            self._begin(replace(request, order=replace(request.order, is_interrupting=True)))
+        elif step is ModeTransition.PAUSE and self.flight is not None:
+            self._mode, self.running = request.mode, FlightSource.PAUSED
+            self.orders.append(MissionCommand(PauseMission(), self.flight))
+        elif step is ModeTransition.RESUME and self.flight is not None and not request.is_anew:
+            self._mode, self.running = request.mode, FlightSource.MISSION
+            self.orders.append(MissionCommand(ResumeMission(), self.flight))
+        elif step is not ModeTransition.KEEP or request.is_anew:
+            self._begin(request)
+        return MavResult.ACCEPTED
 
-    def _begin(self, wish: Wish) -> None:
-        self._waiting, self._mode, self._idle_since = None, wish.mode, None
-        order = wish.order
+    def _begin(self, request: ModeRequest) -> None:
+        self._waiting, self._mode, self._idle_since = None, request.mode, None
+        order = request.order
         if order is None:
             # A mission of whoever is gone ignores setpoints, too.
-            flies = self.running is Running.FLIGHT or self.is_flown_by_aircraft
+            flies = self.running is FlightSource.FLIGHT or self.is_flown_by_aircraft
             if flies or self._is_flown_by_a_stranger:
-                self.orders.append(Halt(why=f"{wish.mode.value} was asked for"))
-            self._current, self.running = None, Running.STREAM
+                self.orders.append(HoldPosition(why=f"{request.mode.value} was asked for"))
+            self._current, self.running = None, FlightSource.STREAM
             return
         self._current, self.running = order, order.running
-        if isinstance(order, Flight):
+        if isinstance(order, FlightSequence):
             if order.takes_off:
-                self.running = Running.TAKE_OFF
+                self.running = FlightSource.TAKE_OFF
             if order.why:
                 self._tell(Severity.NOTICE, f"mission: flown from here, {order.why}")
         self.orders.append(order)
 
     # -- arming ----------------------------------------------------------------------------------
 
-    def arm(self, peer: Peer, now: float) -> Result | None:
+    def arm(self, peer: Peer, now: float) -> MavResult | None:
         """Obtain authority; None while that takes time, and :attr:`on_armed` is called then."""
         if self.is_others(peer, "arm"):
-            return Result.TEMPORARILY_REJECTED
+            return MavResult.TEMPORARILY_REJECTED
         verdict = ARM_VERDICTS[self.phase]
-        if verdict is Verdict.REJECT:
+        if verdict is ModeVerdict.REJECT:
             return self._refuse("arm", self.explain())
-        if verdict is Verdict.START and isinstance(self._current, CallOff):
+        if verdict is ModeVerdict.START and isinstance(self._current, CancelTakeOff):
             return self._refuse("arm", _CALLED_OFF)
         self._take_operator(peer)
-        if verdict is Verdict.NOTHING:
-            return Result.ACCEPTED
+        if verdict is ModeVerdict.NOTHING:
+            return MavResult.ACCEPTED
         self._arm(peer)
         return None
 
     def _arm(self, peer: Peer | None) -> None:
         if self._arming is None:
-            self._arming = Arm(peer.name if peer is not None else "MAVLink")
+            self._arming = ObtainControl(peer.name if peer is not None else "MAVLink")
             self._idle_since = None
             self.orders.append(self._arming)
 
-    def disarm(self, peer: Peer) -> Result:
+    def disarm(self, peer: Peer) -> MavResult:
         """Give authority back, on the ground."""
         if self.is_others(peer, "disarm"):
-            return Result.TEMPORARILY_REJECTED
-        # A take-off that was ordered counts as flown for all wishes but this one: whoever stands
-        # beside motors that stand still is obeyed.
+            return MavResult.TEMPORARILY_REJECTED
+        # An ordered take-off counts as flown for all other requests. For this one it does not: a
+        # person may stand beside motors that do not turn yet.
         verdict = DISARM_VERDICTS[self._world.phase]
-        if verdict is Verdict.REJECT:
+        if verdict is ModeVerdict.REJECT:
             return self._refuse("disarm", self.explain())
-        if verdict is Verdict.DENY:
+        if verdict is ModeVerdict.DENY:
             why = "not in the air, the M100 cannot stop motors there"
-            return self._refuse("disarm", why, Result.DENIED)
-        if isinstance(self._current, CallOff):
+            return self._refuse("disarm", why, MavResult.DENIED)
+        if isinstance(self._current, CancelTakeOff):
             # It gives control back, and looks whether the aircraft stays on the ground.
             self._settle()
         elif self._can_be_called_off:
             self._call_off(Mode.HOLD, "disarmed")
-        elif verdict is Verdict.START or self._arming is not None:
+        elif verdict is ModeVerdict.START or self._arming is not None:
             self._disarm()
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
     def _disarm(self) -> None:
         self._settle()
         self._arming = None
-        self._current, self.running, self.operator = Disarm(), Running.NOTHING, None
+        self._current, self.running, self.operator = ReleaseControl(), FlightSource.NOTHING, None
         self.orders.append(self._current)
 
-    # -- what the crew says ----------------------------------------------------------------------
+    # -- reports of the executor ---------------------------------------------------------------
 
-    def armed(self, order: Arm, error: M100Error | None, now: float) -> None:
+    def armed(self, order: ObtainControl, error: M100Error | None, now: float) -> None:
         """A request for authority has ended."""
         wanted, self._arming = self._arming, None
         if wanted is None:
@@ -305,60 +313,70 @@ class Deck:
             self._tell(Severity.ERROR, f"arm: {error.seen}")
             self.operator = None
         else:
-            self._mode, self._current, self.running = Mode.HOLD, None, Running.NOTHING
+            self._mode, self._current, self.running = Mode.HOLD, None, FlightSource.NOTHING
             if remembered is not None and now < remembered[1]:
-                self.wish(remembered[0], now)
-            elif self._world.flies_mission and self.phase is Phase.AIRBORNE:
+                self.request_mode(remembered[0], now)
+            elif self._world.flies_mission and self.phase is VehiclePhase.AIRBORNE:
                 self.hold("hold: the mission that was flown when it was armed is stopped")
         self.on_armed(error)
 
-    def took_off(self, order: Order, now: float) -> None:
+    def took_off(self, order: VehicleOrder, now: float) -> None:
         """The autopilot's take-off is over; the rest of the order can be replaced."""
-        if order is self._current and self.running is Running.TAKE_OFF:
-            self.running = Running.FLIGHT
+        if order is self._current and self.running is FlightSource.TAKE_OFF:
+            self.running = FlightSource.FLIGHT
             if self._waiting is not None:
                 self._begin(self._waiting)
 
-    def mission_begun(self, flight: Flight) -> bool:
+    def mission_begun(self, flight: FlightSequence) -> bool:
         """The aircraft flies the mission of a flight; False where nobody wants that any more."""
-        if flight is not self._current or self.running is not Running.FLIGHT:
+        if flight is not self._current or self.running is not FlightSource.FLIGHT:
             return False
-        self.running = Running.MISSION
+        self.running = FlightSource.MISSION
         return True
 
-    def mission_flown(self, flight: Flight) -> None:
+    def mission_flown(self, flight: FlightSequence) -> None:
         """The aircraft was at the last place of the mission, and goes home or lands by its plan."""
         if flight is not self._current or not self.is_flown_by_aircraft or flight.then is None:
             return
-        is_paused = self.running is Running.PAUSED
+        is_paused = self.running is FlightSource.PAUSED
         self.running = flight.then.running
-        self._mode = Mode.LAND if isinstance(flight.then, Land) else Mode.RTL
+        self._mode = Mode.LAND if isinstance(flight.then, LandInPlace) else Mode.RTL
         if is_paused:  # it was there before the pause: what it flies now knows none
             self.interrupt("hold: the mission is over")
 
-    def ended(self, order: Order, error: M100Error | None, now: float) -> None:
+    def ended(self, order: VehicleOrder, error: M100Error | None, now: float) -> None:
         """An order has ended; what was replaced meanwhile means nothing."""
         if order is not self._current:
-            if error is not None and isinstance(order, Halt) and self.running is Running.STREAM:
+            if (
+                error is not None
+                and isinstance(order, HoldPosition)
+                and self.running is FlightSource.STREAM
+            ):
                 self.hold(f"hold: {error.seen}")  # a mission that may fly on ignores setpoints
             return
         if error is not None:
             self._tell(Severity.ERROR, f"{self._mode.value}: {error.seen}")
-        is_refused = isinstance(error, TaskRefused) and self.phase is Phase.AIRBORNE
-        if is_refused and isinstance(order, Land | GoHome) and not order.is_interrupting:
+        is_refused = isinstance(error, TaskRefused) and self.phase is VehiclePhase.AIRBORNE
+        if (
+            is_refused
+            and isinstance(order, LandInPlace | ReturnToLaunch)
+            and not order.is_interrupting
+        ):
             # Something flies that nobody here was told of: the end of a mission, say.
-            self._begin(Wish(self._mode, replace(order, is_interrupting=True)))
+            self._begin(ModeRequest(self._mode, replace(order, is_interrupting=True)))
             return
         waiting, self._waiting = self._waiting, None
-        self._current, self.running, self._idle_since = None, Running.NOTHING, None
+        self._current, self.running, self._idle_since = None, FlightSource.NOTHING, None
         self._mode = Mode.HOLD
-        lands = isinstance(order, Flight) and order.plan is not None and order.then is not None
-        if error is None and (lands or isinstance(order, Land | GoHome)):
+        lands = (
+            isinstance(order, FlightSequence) and order.plan is not None and order.then is not None
+        )
+        if error is None and (lands or isinstance(order, LandInPlace | ReturnToLaunch)):
             self._disarm()
-        elif waiting is None and error is None and isinstance(order, Flight) and order.then:
-            mode = Mode.LAND if isinstance(order.then, Land) else Mode.RTL
-            self._begin(Wish(mode, order.then))
-        elif waiting is not None and self._world.phase is Phase.AIRBORNE:
+        elif waiting is None and error is None and isinstance(order, FlightSequence) and order.then:
+            mode = Mode.LAND if isinstance(order.then, LandInPlace) else Mode.RTL
+            self._begin(ModeRequest(mode, order.then))
+        elif waiting is not None and self._world.phase is VehiclePhase.AIRBORNE:
             self._begin(waiting)
 
     # -- time passes -----------------------------------------------------------------------------
@@ -370,21 +388,25 @@ class Deck:
             self._tell(Severity.NOTICE, f"{self._remembered[0].mode.value}: nobody armed in time")
             self._remembered = None
         if phase in _CONTROLLED:
-            if self.running is Running.STREAM:
+            if self.running is FlightSource.STREAM:
                 self._stream(phase, now)
             self._look_idle(phase, now)
         elif not (self._is_interrupting or self._arming is not None):
             self._forget()
-            if phase in (Phase.DISARMED, Phase.OTHER) and self._remembered is None:
+            if phase in (VehiclePhase.DISARMED, VehiclePhase.OTHER) and self._remembered is None:
                 self.operator = None
-            is_disarming = isinstance(self._current, Disarm)
-            if phase is Phase.DISARMED and self._world.session.has_lease and not is_disarming:
+            is_disarming = isinstance(self._current, ReleaseControl)
+            if (
+                phase is VehiclePhase.DISARMED
+                and self._world.session.has_lease
+                and not is_disarming
+            ):
                 self._disarm()
 
     def _forget(self) -> None:
         """What was wanted before control was lost is not wanted by whoever flies now."""
-        self._waiting, self._mode, self.running = None, Mode.HOLD, Running.NOTHING
-        if self._current is not None and not isinstance(self._current, Disarm):
+        self._waiting, self._mode, self.running = None, Mode.HOLD, FlightSource.NOTHING
+        if self._current is not None and not isinstance(self._current, ReleaseControl):
             self._current = None
             self.orders.append(Drop())
 
@@ -393,19 +415,19 @@ class Deck:
 
         A landing or a way home goes on; STOP ends them by giving control back.
         """
-        if self.running not in (Running.NOTHING, Running.LAND, Running.GO_HOME):
+        if self.running not in (FlightSource.NOTHING, FlightSource.LAND, FlightSource.GO_HOME):
             self.hold(f"{self._mode.value}: {why}")
 
-    def _look_idle(self, phase: Phase, now: float) -> None:
-        if phase is Phase.AIRBORNE or self.running is Running.STREAM:
+    def _look_idle(self, phase: VehiclePhase, now: float) -> None:
+        if phase is VehiclePhase.AIRBORNE or self.running is FlightSource.STREAM:
             self._idle_since = None
         elif self._idle_since is None:
             self._idle_since = now
-        elif now - self._idle_since >= IDLE_S and not isinstance(self._current, Disarm):
+        elif now - self._idle_since >= IDLE_S and not isinstance(self._current, ReleaseControl):
             self._tell(Severity.NOTICE, f"disarmed: no take-off in {IDLE_S:g} s")
             self._disarm()
 
-    def _stream(self, phase: Phase, now: float) -> None:
+    def _stream(self, phase: VehiclePhase, now: float) -> None:
         stream = self._streams[self._mode]
         try:
             # Nobody is flown by setpoints that another one sent before.
@@ -415,13 +437,13 @@ class Deck:
             return
         if setpoint is None:
             self.hold(f"{self._mode.value}: no setpoint any more")
-        elif phase is Phase.AIRBORNE:
+        elif phase is VehiclePhase.AIRBORNE:
             self.orders.append(setpoint)
         elif stream.wants_up(now):
             # Motors stand still: the aircraft ignores movement until it was told to take off.
-            wish = Wish(self._mode, None)
-            self._begin(Wish(self._mode, TakeOff()))
-            self._waiting = wish
+            request = ModeRequest(self._mode, None)
+            self._begin(ModeRequest(self._mode, TakeOffAndClimb()))
+            self._waiting = request
 
     def has_setpoint(self, mode: Mode, peer: Peer, now: float) -> bool:
         """Whether somebody's setpoints can be flown in a mode of setpoints."""
@@ -430,29 +452,29 @@ class Deck:
     def interrupt(self, why: str) -> None:
         """Hover, whatever the aircraft flies by itself: authority goes back, which ends it."""
         self._tell(Severity.WARNING, why)
-        self._begin(Wish(Mode.HOLD, Halt(is_interrupting=True, why=why)))
+        self._begin(ModeRequest(Mode.HOLD, HoldPosition(is_interrupting=True, why=why)))
 
     def hold(self, why: str) -> None:
         """The bridge itself wants a hover, and says why."""
         self._tell(Severity.WARNING, why)
-        if self.phase is Phase.ARMED:
+        if self.phase is VehiclePhase.ARMED:
             self._settle()
-        elif self.running is Running.TAKE_OFF:
-            self._waiting, self._mode = Wish(Mode.HOLD, Halt(why=why)), Mode.HOLD
+        elif self.running is FlightSource.TAKE_OFF:
+            self._waiting, self._mode = ModeRequest(Mode.HOLD, HoldPosition(why=why)), Mode.HOLD
         else:
-            self._begin(Wish(Mode.HOLD, Halt(why=why)))
+            self._begin(ModeRequest(Mode.HOLD, HoldPosition(why=why)))
 
     @property
     def flies_mission(self) -> bool:
         """Whether the mission is flown now."""
-        return self._mode is Mode.MISSION and self.phase is Phase.AIRBORNE
+        return self._mode is Mode.MISSION and self.phase is VehiclePhase.AIRBORNE
 
     def steer_refused(self, error: M100Error) -> None:
         """The agent did not fly a setpoint: what the guards refuse ends with its reason.
 
         After a STOP of somebody else the stream is over; it begins anew with its mode.
         """
-        if self.running is not Running.STREAM:
+        if self.running is not FlightSource.STREAM:
             return
         if isinstance(error, GuardRefused) and error.guard != "stopped":
             self._tell(Severity.WARNING, f"{self._mode.value}: {error.seen}")
@@ -469,10 +491,15 @@ class Deck:
             return
         if self._can_be_called_off:
             self._call_off(Mode.HOLD, f"{lost.name} is lost")
-        elif phase is Phase.ARMED or (phase is Phase.DISARMED and self._arming is not None):
+        elif phase is VehiclePhase.ARMED or (
+            phase is VehiclePhase.DISARMED and self._arming is not None
+        ):
             self._tell(Severity.WARNING, f"{lost.name} is lost: disarmed")
             self._disarm()
-        elif phase is Phase.AIRBORNE and self.running not in (Running.LAND, Running.GO_HOME):
+        elif phase is VehiclePhase.AIRBORNE and self.running not in (
+            FlightSource.LAND,
+            FlightSource.GO_HOME,
+        ):
             is_down = self._waiting is not None and self._waiting.mode in _TO_THE_GROUND
             if not is_down:
                 self.hold(f"{lost.name} is lost: hold")

@@ -18,7 +18,7 @@ from m100link.errors import (
 )
 from m100link.flight.guards import known
 from m100link.flight.mission_state import MissionKind
-from m100link.flight.missions.context import Deck
+from m100link.flight.missions.context import MissionContext
 from m100link.flight.missions.events import (
     ORDERS,
     STOPPED_CODES,
@@ -27,7 +27,7 @@ from m100link.flight.missions.events import (
     RunState,
     mission_refused,
 )
-from m100link.flight.missions.run import MissionRun, order
+from m100link.flight.missions.mission_session import MissionSession, order
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Command
 from m100link.protocol.records import FlightPhase, FlightStatus
@@ -46,21 +46,21 @@ _TOLD_BY_S = 1.0  # after its start, by when the pushes tell of a mission
 _SETTLED_BY_S = 0.6  # until when pushes that contradict each other are waited for at most
 
 
-class MissionKeeper:
+class MissionGuard:
     """Knows the mission of its control block, and that of somebody else in the pushes."""
 
     def __init__(self, commander: Commander) -> None:
         self.left_in_flight = ""  # the name of a mission that could, or should, not be stopped
         self._commander = commander
         self._watch = commander.missions
-        self._run: MissionRun | None = None  # the newest that this block entered
+        self._run: MissionSession | None = None  # the newest that this block entered
         self._detached: MissionKind | None = None  # somebody else's, left in flight by name
         # From then on what flies is to end; what is told of first long after is another one.
         self._stop_asked_at = -math.inf
 
     # -- one at a time ---------------------------------------------------------------------------
 
-    def claim(self, run: MissionRun) -> None:
+    def claim(self, run: MissionSession) -> None:
         """A mission is to be uploaded or started; ``MissionRunning`` while another one flies."""
         self.require_none(f"a {run.name}")
         if self._run is not None and self._run.state is RunState.READY:
@@ -70,13 +70,13 @@ class MissionKeeper:
             )
         self._run = run
 
-    def give_back(self, run: MissionRun) -> None:
+    def give_back(self, run: MissionSession) -> None:
         """It could not be begun; one that may be flying all the same stays ours."""
         if self._run is run and not run.is_in_the_air:
             self._run = None
 
     @property
-    def _ours(self) -> MissionRun | None:
+    def _ours(self) -> MissionSession | None:
         """The mission that flies, if it is one that this block answers for."""
         return self._run if self._run is not None and self._run.is_in_the_air else None
 
@@ -329,8 +329,8 @@ class MissionFlight(ABC):
 
     _FIRST: ClassVar[type[Command]]  # sent to begin it: firmware without it knows no such mission
 
-    def __init__(self, deck: Deck, keeper: MissionKeeper, run: MissionRun) -> None:
-        self._deck = deck
+    def __init__(self, context: MissionContext, keeper: MissionGuard, run: MissionSession) -> None:
+        self._context = context
         self._keeper = keeper
         self._run = run
 
@@ -340,10 +340,10 @@ class MissionFlight(ABC):
 
     async def __aenter__(self) -> Self:
         run = self._run
-        with self._deck.block.waiting(run.name):
+        with self._context.block.waiting(run.name):
             try:
-                self._deck.commander.requests.require_support(self._FIRST)
-                self._deck.block.require_flying(f"a {run.name}")
+                self._context.commander.requests.require_support(self._FIRST)
+                self._context.block.require_flying(f"a {run.name}")
                 if run.state is not RunState.READY:
                     raise UsageError("this mission was entered before; ask for a new one")
                 self._keeper.claim(run)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from m100link.apps.agent.messages import Event, State
 from m100link.apps.station.console.view.alarms import AlarmName, AlarmState
 from m100link.apps.station.console.view.situation import Inputs
-from m100link.apps.station.console.view.texts import Speaker, tr
-from m100link.apps.station.console.view.view import Memory, view_of
+from m100link.apps.station.console.view.texts import Translator, tr
+from m100link.apps.station.console.view.view_model import Memory, view_of
 from tests.known import seen
 
 
@@ -52,7 +52,7 @@ OPEN = State(at=0.0, connection="connected")
 
 
 def told(memory: Memory) -> list[tuple[float, str, str, str]]:
-    english = Speaker()
+    english = Translator()
     return [(one.at, one.level, one.source, one.said(english)) for one in memory.diary.lines]
 
 
@@ -64,7 +64,7 @@ def test_the_life_of_an_alarm_is_in_the_list_of_events() -> None:
     assert said is not None
     memory.look(Inputs(vehicle=seen(None, 3.0, state=OPEN), wall=1003.0))
     words = "The line to the aircraft is lost: have the pilot take over"
-    assert Speaker()(said) == words
+    assert Translator()(said) == words
     assert told(memory) == [
         (1002.0, "error", "page", f"Alarm: {words}"),
         (1002.0, "info", "page", f"Acknowledged: {words}"),

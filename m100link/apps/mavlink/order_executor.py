@@ -1,4 +1,4 @@
-"""Carries out what the deck orders, by asking the agent: one order at a time, the newest wins."""
+"""Carries out orders of the flight mode manager: one at a time, the newest wins."""
 
 from __future__ import annotations
 
@@ -10,37 +10,37 @@ from typing import Any
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.messages import MissionTold
+from m100link.apps.agent.messages import MissionReport
 from m100link.apps.agent.orders import ChangeHeight, GuidedOrder
 from m100link.apps.agent.preview import preview_plan
-from m100link.apps.mavlink.translator.deck import Deck
-from m100link.apps.mavlink.translator.missions import Missions
-from m100link.apps.mavlink.translator.modes import Mode, Running
+from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
+from m100link.apps.mavlink.translator.missions import MissionProtocol
+from m100link.apps.mavlink.translator.modes import FlightSource, Mode
 from m100link.apps.mavlink.translator.numbers import Severity
 from m100link.apps.mavlink.translator.orders import (
-    Arm,
-    CallOff,
-    Disarm,
-    Do,
+    CancelTakeOff,
     Drop,
-    Flight,
-    GoHome,
-    Halt,
-    Land,
-    Order,
-    TakeOff,
-    Wish,
+    FlightSequence,
+    HoldPosition,
+    LandInPlace,
+    MissionCommand,
+    ModeRequest,
+    ObtainControl,
+    ReleaseControl,
+    ReturnToLaunch,
+    TakeOffAndClimb,
+    VehicleOrder,
 )
 from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.route import (
-    Leg,
     Refused,
     Route,
+    RoutePoint,
     Unfit,
     flies_missions,
     plan_of,
 )
-from m100link.apps.mavlink.translator.world import World
+from m100link.apps.mavlink.translator.vehicle_state import VehicleState
 from m100link.errors import (
     AckTimeout,
     M100Error,
@@ -59,20 +59,20 @@ _LASTS_S = 0.25  # a setpoint on its own: the bridge renews it many times in tha
 _CLOSE_M = 0.3  # a climb of less than this after the take-off is not asked for
 
 
-class Crew:
+class OrderExecutor:
     """Asks the agent of one aircraft."""
 
     def __init__(
         self,
         agent: AgentClient,
-        world: World,  # what is known of the aircraft, with the control over it
-        deck: Deck,
+        world: VehicleState,  # what is known of the aircraft, with the control over it
+        manager: FlightModeManager,
         flights: MissionFlights,  # told how far a flight is
     ) -> None:
         self._agent = agent
         self._world = world
         self._session = world.session
-        self._deck = deck
+        self._manager = manager
         self._flights = flights
         # The order under way; a new one ends it.
         self._work: asyncio.Task[None] | None = None
@@ -81,27 +81,27 @@ class Crew:
         # What is told to a mission goes out in the order in which it was wanted.
         self._telling = asyncio.Lock()
         self._doing: dict[type[Any], Callable[[Any, Lease | None], Awaitable[None]]] = {
-            Arm: self._arm,
-            Disarm: self._disarm,
-            CallOff: self._call_off,
-            TakeOff: self._take_off,
-            Land: self._land,
-            GoHome: self._go_home,
-            Halt: self._halt,
-            Flight: self._fly,
+            ObtainControl: self._arm,
+            ReleaseControl: self._disarm,
+            CancelTakeOff: self._call_off,
+            TakeOffAndClimb: self._take_off,
+            LandInPlace: self._land,
+            ReturnToLaunch: self._go_home,
+            HoldPosition: self._halt,
+            FlightSequence: self._fly,
         }
 
     def advance(self) -> None:
         """Carry out what was ordered, and keep the lease."""
-        wanted, self._deck.orders = self._deck.orders, []
+        wanted, self._manager.orders = self._manager.orders, []
         for order in wanted:
             if isinstance(order, Setpoint):
                 self._steer(order)
-            elif isinstance(order, Do):
+            elif isinstance(order, MissionCommand):
                 self._agent.background.spawn(self._tell(order), order.order.label)
             elif isinstance(order, Drop):
                 self._drop()
-            elif isinstance(order, Arm):
+            elif isinstance(order, ObtainControl):
                 self._agent.background.spawn(self._carry_out(order), "arming")
             else:
                 self._replace(order)
@@ -111,7 +111,7 @@ class Crew:
 
     def _steer(self, setpoint: Setpoint) -> None:
         if not self._owes_a_stop:  # a mission ignores setpoints: none before its stop is heard
-            with suppress(NoAuthority):  # the agent fell silent since the deck looked
+            with suppress(NoAuthority):  # the agent fell silent since the manager looked
                 self._session.steer(setpoint, _LASTS_S)
 
     def _drop(self) -> None:
@@ -121,21 +121,21 @@ class Crew:
         if self._work is not None:
             self._work.cancel()
 
-    async def _tell(self, errand: Do) -> None:
+    async def _tell(self, command: MissionCommand) -> None:
         async with self._telling:
-            if not self._flights.is_due(errand):
+            if not self._flights.is_due(command):
                 return
             try:
-                await self._session.ask(errand.order)
+                await self._session.ask(command.order)
             except M100Error as error:
-                self._flights.failed(errand, error)
+                self._flights.failed(command, error)
 
-    def _replace(self, order: Order) -> None:
+    def _replace(self, order: VehicleOrder) -> None:
         if self._work is not None:
             self._work.cancel()
         self._work = self._agent.background.spawn(self._carry_out(order), type(order).__name__)
 
-    async def _carry_out(self, order: Order) -> None:
+    async def _carry_out(self, order: VehicleOrder) -> None:
         error: M100Error | None = NoAuthority("it was broken off")
         try:
             # All of it under the lease of its beginning: it does not go on under a later one.
@@ -144,14 +144,14 @@ class Crew:
         except M100Error as met:
             error = met
         finally:
-            if isinstance(order, Arm):
-                self._deck.armed(order, error, self._agent.now)
+            if isinstance(order, ObtainControl):
+                self._manager.armed(order, error, self._agent.now)
             else:
-                self._deck.ended(order, error, self._agent.now)
+                self._manager.ended(order, error, self._agent.now)
 
     # -- control authority -----------------------------------------------------------------------
 
-    async def _arm(self, order: Arm, _: object) -> None:
+    async def _arm(self, order: ObtainControl, _: object) -> None:
         self._session.name = order.name
         await self._session.obtain()
 
@@ -159,7 +159,7 @@ class Crew:
         await self._session.give_back()
         self._owes_a_stop = False  # the agent stops the mission of a lease that ends
 
-    async def _call_off(self, order: CallOff, lease: Lease | None) -> None:
+    async def _call_off(self, order: CancelTakeOff, lease: Lease | None) -> None:
         self._world.may_take_off = True
         try:
             await self._agent.ask(orders.Release(), lease)
@@ -208,35 +208,35 @@ class Crew:
             await self._agent.ask(orders.StopMission(), lease)
         self._owes_a_stop = False
 
-    async def _take_off(self, order: TakeOff, lease: Lease | None) -> None:
+    async def _take_off(self, order: TakeOffAndClimb, lease: Lease | None) -> None:
         await self._agent.ask(orders.TakeOff(), lease)
-        self._deck.took_off(order, self._agent.now)
+        self._manager.took_off(order, self._agent.now)
         height = self._world.height
         if order.height is None or (height is not None and abs(height - order.height) < _CLOSE_M):
             return
         await self._agent.ask(ChangeHeight(order.height), lease)
 
-    async def _land(self, order: Land, lease: Lease | None) -> None:
+    async def _land(self, order: LandInPlace, lease: Lease | None) -> None:
         with suppress(AckTimeout, MissionRefused):
             # Told by the agent; and a landing breaks off what a stop did not end.
             await self._make_way(lease, order.is_interrupting)
         self._session.begin_anew("landing")
         await self._agent.ask(orders.Land(), lease)
 
-    async def _go_home(self, order: GoHome, lease: Lease | None) -> None:
+    async def _go_home(self, order: ReturnToLaunch, lease: Lease | None) -> None:
         await self._make_way(lease, order.is_interrupting)
         self._session.begin_anew("going home")
         await self._agent.ask(orders.GoHome(), lease)
 
-    async def _halt(self, order: Halt, lease: Lease | None) -> None:
+    async def _halt(self, order: HoldPosition, lease: Lease | None) -> None:
         await self._make_way(lease, order.is_interrupting)
         self._session.begin_anew(order.why or "hold")
 
-    async def _fly(self, order: Flight, lease: Lease | None) -> None:
+    async def _fly(self, order: FlightSequence, lease: Lease | None) -> None:
         await self._make_way(lease)
         if order.takes_off:
             await self._agent.ask(orders.TakeOff(), lease)
-            self._deck.took_off(order, self._agent.now)
+            self._manager.took_off(order, self._agent.now)
         for number, leg in enumerate(order.legs[: order.by_agent]):
             self._flights.leg(order, number, False)
             await self._agent.ask(leg, lease)
@@ -246,7 +246,9 @@ class Crew:
         if order.plan is not None:
             await self._fly_plan(order, order.plan, lease)
 
-    async def _fly_plan(self, order: Flight, plan: WaypointPlan, lease: Lease | None) -> None:
+    async def _fly_plan(
+        self, order: FlightSequence, plan: WaypointPlan, lease: Lease | None
+    ) -> None:
         """Let the aircraft fly it by itself; done when that is over."""
         agent = self._agent
         upload = orders.UploadPlan.of(plan)
@@ -271,7 +273,10 @@ class Crew:
 
 _FINISHED, _REACHED = 1, 2
 _AFTER_ACTIONS = 6  # status of the push "reached"; before them it is 4
-_WAYS_DOWN: dict[Mode, Land | GoHome] = {Mode.LAND: Land(), Mode.RTL: GoHome()}
+_WAYS_DOWN: dict[Mode, LandInPlace | ReturnToLaunch] = {
+    Mode.LAND: LandInPlace(),
+    Mode.RTL: ReturnToLaunch(),
+}
 
 
 class MissionFlights:
@@ -279,22 +284,22 @@ class MissionFlights:
 
     def __init__(
         self,
-        world: World,  # what is known of the aircraft
-        deck: Deck,  # what decides, and gets the orders
-        missions: Missions,  # the mission that was uploaded
+        world: VehicleState,  # what is known of the aircraft
+        manager: FlightModeManager,  # what decides, and gets the orders
+        missions: MissionProtocol,  # the mission that was uploaded
         tell: Callable[[Severity, str], None],  # takes what people have to know
     ) -> None:
         self._world = world
-        self._deck = deck
+        self._manager = manager
         self._missions = missions
         self._tell = tell
         self.flown: GuidedOrder | None = None  # the leg of a flight that is under way
         # Waypoints of the plan that flies which are done, counted from the first.
         self._done = 0
 
-    # -- the wish --------------------------------------------------------------------------------
+    # -- mode requests ---------------------------------------------------------------------------
 
-    def wish(self, peer: Peer, first: int | None) -> Wish | None:
+    def mission_request(self, peer: Peer, first: int | None) -> ModeRequest | None:
         """What flies the mission on, from an item on if one is named; None without a mission.
 
         Raises:
@@ -312,10 +317,12 @@ class MissionFlights:
         elif missions.is_over:
             missions.restart()
         flight = self._flight(route)
-        flies = self._deck.flight
-        return Wish(Mode.MISSION, flight, peer, flies is None or flies.edition != flight.edition)
+        flies = self._manager.flight
+        return ModeRequest(
+            Mode.MISSION, flight, peer, flies is None or flies.edition != flight.edition
+        )
 
-    def _flight(self, route: Route) -> Flight:
+    def _flight(self, route: Route) -> FlightSequence:
         missions = self._missions
         legs = [leg for leg in route.legs if leg.item >= missions.current]
         plan, why = self._plan(legs, route.then)
@@ -327,7 +334,7 @@ class MissionFlights:
             # Up first, in place: what stands between the ground and the first leg is not known.
             height = legs[0].order.height if route.height is None else route.height
             flown, waits, climb = [ChangeHeight(height), *flown], [0.0, *waits], [None]
-        return Flight(
+        return FlightSequence(
             tuple(flown),
             tuple(waits),
             takes_off,
@@ -338,7 +345,7 @@ class MissionFlights:
             why=why,
         )
 
-    def _plan(self, legs: list[Leg], then: Mode) -> tuple[WaypointPlan | None, str]:
+    def _plan(self, legs: list[RoutePoint], then: Mode) -> tuple[WaypointPlan | None, str]:
         """What the aircraft flies by itself; None with the reason where it does not."""
         view = self._world.known.view
         firmware = view.state.firmware
@@ -355,9 +362,9 @@ class MissionFlights:
 
     # -- progress --------------------------------------------------------------------------------
 
-    def leg(self, flight: Flight, number: int, is_done: bool) -> None:
+    def leg(self, flight: FlightSequence, number: int, is_done: bool) -> None:
         """A leg of a flight begins, or is done."""
-        if self._deck.flight is not flight:
+        if self._manager.flight is not flight:
             return
         self.flown = None if is_done else flight.legs[number]
         if not flight.items:
@@ -372,43 +379,43 @@ class MissionFlights:
         if number == len(flight.items) - 1:
             self._missions.over()
 
-    def begun(self, flight: Flight) -> None:
+    def begun(self, flight: FlightSequence) -> None:
         """The aircraft has begun to fly the mission by itself."""
         self._done = 0
-        if self._deck.mission_begun(flight):
+        if self._manager.mission_begun(flight):
             self._tell(Severity.NOTICE, "mission: the aircraft flies it by itself")
             self.leg(flight, flight.by_agent, False)
 
-    def is_due(self, errand: Do) -> bool:
+    def is_due(self, command: MissionCommand) -> bool:
         """Whether something that is told to a mission on its way is still wanted."""
-        if errand.flight is None:
-            return self._deck.is_flown_by_aircraft
-        is_pause = isinstance(errand.order, orders.PauseMission)
-        wanted = Running.PAUSED if is_pause else Running.MISSION
-        return errand.flight is self._deck.flight and self._deck.running is wanted
+        if command.flight is None:
+            return self._manager.is_flown_by_aircraft
+        is_pause = isinstance(command.order, orders.PauseMission)
+        wanted = FlightSource.PAUSED if is_pause else FlightSource.MISSION
+        return command.flight is self._manager.flight and self._manager.running is wanted
 
-    def failed(self, errand: Do, error: M100Error) -> None:
+    def failed(self, command: MissionCommand, error: M100Error) -> None:
         """It was not taken: nobody knows what an aircraft flies that does not pause or go on."""
-        if self.is_due(errand):
+        if self.is_due(command):
             self._tell(Severity.ERROR, f"mission: {error.seen}")
-            if errand.flight is not None:
-                self._deck.interrupt("hold: the mission is stopped")
+            if command.flight is not None:
+                self._manager.interrupt("hold: the mission is stopped")
 
-    def told(self, told: MissionTold) -> None:
+    def told(self, told: MissionReport) -> None:
         """The aircraft told of the mission that it flies for us."""
-        flight = self._deck.flight
-        if flight is None or flight.plan is None or not self._deck.is_flown_by_aircraft:
+        flight = self._manager.flight
+        if flight is None or flight.plan is None or not self._manager.is_flown_by_aircraft:
             return
         last = len(flight.plan.waypoints)
         if told.event == _FINISHED:
             self._pass(flight, last)
-            self._deck.mission_flown(flight)
+            self._manager.mission_flown(flight)
         elif told.event == _REACHED and told.data[0] < last:
             index, status = told.data[:2]
             waits = flight.waits[flight.by_agent + index] > 0.0
             self._pass(flight, index if waits and status != _AFTER_ACTIONS else index + 1)
 
-    def _pass(self, flight: Flight, count: int) -> None:
+    def _pass(self, flight: FlightSequence, count: int) -> None:
         """So many waypoints are done: whose push was lost is told with the next one."""
         for index in range(self._done, count):
             self._done = index + 1
@@ -418,4 +425,4 @@ class MissionFlights:
                 self.leg(flight, number + 1, False)
                 speed = flight.speed_of(number + 1)
                 if speed != flight.speed_of(number):
-                    self._deck.orders.append(Do(orders.SetMissionSpeed(speed)))
+                    self._manager.orders.append(MissionCommand(orders.SetMissionSpeed(speed)))

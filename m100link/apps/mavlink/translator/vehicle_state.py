@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
-from m100link.apps.mavlink.translator.modes import REMEDIES, Mode, Phase
+from m100link.apps.mavlink.translator.modes import REMEDIES, Mode, VehiclePhase
 from m100link.geodesy import LocalFrame
 from m100link.protocol.records import Attitude, Position, RcMode
 
@@ -29,7 +29,7 @@ class Home:
     altitude_m: float  # barometric altitude, as the wire has it
 
 
-class World:
+class VehicleState:
     """One aircraft as it is now."""
 
     def __init__(self, known: AgentClient, session: ControlSession) -> None:
@@ -99,24 +99,24 @@ class World:
         return not is_standing or view.has_authority
 
     @property
-    def phase(self) -> Phase:
+    def phase(self) -> VehiclePhase:
         view = self.known.view
         if not view.is_heard:
-            return Phase.AWAY
+            return VehiclePhase.AWAY
         on_ground = view.is_on_ground
         if self.session.is_obeyed:
-            return Phase.ARMED if on_ground else Phase.AIRBORNE
+            return VehiclePhase.ARMED if on_ground else VehiclePhase.AIRBORNE
         if self.session.is_others:
-            return Phase.OTHER
+            return VehiclePhase.OTHER
         if on_ground:
-            return Phase.DISARMED
-        return Phase.FREE if view.switch is RcMode.F else Phase.PILOT
+            return VehiclePhase.DISARMED
+        return VehiclePhase.FREE if view.switch is RcMode.F else VehiclePhase.PILOT
 
-    def explain(self, phase: Phase) -> str:
-        """Why a wish is refused in a phase."""
-        if phase is Phase.OTHER:
+    def explain(self, phase: VehiclePhase) -> str:
+        """Why a mode request is refused in a phase."""
+        if phase is VehiclePhase.OTHER:
             return f"{self.known.view.holder.name} has control"
-        if phase is Phase.PILOT:
+        if phase is VehiclePhase.PILOT:
             switch = self.known.view.switch
             place = "unknown" if switch is None else f"in {switch.name}"
             return f"the pilot flies: the mode switch is {place}"
@@ -131,15 +131,15 @@ class World:
     def mode_of_others(self) -> Mode:
         """What flies when the bridge does not."""
         view, phase = self.known.view, self.phase
-        if phase is Phase.OTHER and view.has_authority:
+        if phase is VehiclePhase.OTHER and view.has_authority:
             if view.state.task in _TASKS:
                 return _TASKS[view.state.task]
             if self.flies_mission:
                 return Mode.MISSION
             return Mode.HOLD if view.state.guided is not None else Mode.POSCTL
-        if phase is Phase.FREE and self.flies_mission:
+        if phase is VehiclePhase.FREE and self.flies_mission:
             return Mode.MISSION  # of a program that is gone, or a phone
         switch = view.switch
-        if phase in (Phase.DISARMED, Phase.ARMED) and switch in (None, RcMode.F):
+        if phase in (VehiclePhase.DISARMED, VehiclePhase.ARMED) and switch in (None, RcMode.F):
             return Mode.HOLD
         return Mode.POSCTL if switch is None else _BY_SWITCH[switch]

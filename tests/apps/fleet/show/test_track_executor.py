@@ -19,9 +19,9 @@ from m100link.apps.fleet.payloads import (
     StartShow,
     TakePlace,
 )
-from m100link.apps.fleet.show.performer import ALLOWED, ATTENDED_S, Leave, Performer
 from m100link.apps.fleet.show.plan.steering import MOST_EARLY_S, LeftShow, ShowRefused, Why
 from m100link.apps.fleet.show.plan.track import BadShow
+from m100link.apps.fleet.show.track_executor import ALLOWED, ATTENDED_S, Leave, TrackExecutor
 from m100link.errors import AuthorityLost, M100Error, NoAuthority, TelemetryStalled, UsageError
 from m100link.protocol.records import Attitude, Velocity
 from m100link.sim.vehicle.settings import AircraftSettings
@@ -44,9 +44,9 @@ class Stand:
 
     def __init__(self, one: OnBoard, rig: Rig) -> None:
         self.one, self.rig = one, rig
-        self.performer = Performer(one.client, "a1")
+        self.performer = TrackExecutor(one.client, "a1")
 
-    async def to(self, stage: ShowStage, *, leave: Leave = "hover") -> Performer:
+    async def to(self, stage: ShowStage, *, leave: Leave = "hover") -> TrackExecutor:
         """Bring it to a stage as a conductor would."""
         performer = self.performer
         if stage is EMPTY:
@@ -69,7 +69,7 @@ class Stand:
             await self.rig.until(lambda: performer.stage is OVER)
         return performer
 
-    async def blown_off(self, performer: Performer) -> None:
+    async def blown_off(self, performer: TrackExecutor) -> None:
         """Out of its tube of 1.5 m; a jump of 3 m is a place that cannot be true."""
         self.one.aircraft.vehicle.flight.dynamics.east += 2.0
         await self.rig.until(lambda: performer.stage is LEFT)
@@ -91,7 +91,7 @@ async def stand(rig: Rig) -> Stand:
     return Stand(one, rig)
 
 
-def order(performer: Performer, what: type[ShowOrder], now: float) -> None:
+def order(performer: TrackExecutor, what: type[ShowOrder], now: float) -> None:
     if what is LoadTrack:
         performer.load(FLOWN.to_bytes(), "hover")
     elif what is TakePlace:
@@ -369,7 +369,7 @@ async def test_what_is_no_number_is_neither_flown_by_nor_told_to_the_others() ->
         on_authority_taken=[],
         agents_before=0,
     )
-    performer = Performer(client, "a1")
+    performer = TrackExecutor(client, "a1")
     with pytest.raises(TelemetryStalled, match="nose"):
         performer._heading()
     performer.track, performer.stage, performer._start_at = FLOWN, LEFT, 0.0

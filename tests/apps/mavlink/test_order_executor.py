@@ -11,7 +11,7 @@ import pytest
 
 from m100link.apps.agent import view
 from m100link.apps.mavlink.translator.modes import Mode
-from m100link.apps.mavlink.translator.numbers import Command, MissionType, Result
+from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult, MissionType
 from m100link.sim.line import LineFaults
 from m100link.sim.vehicle.missions.route import MissionSettings
 from m100link.sim.vehicle.settings import AircraftSettings
@@ -46,7 +46,7 @@ async def begin(rig: Rig, ground: Ground, items: list[Item]) -> None:
     """Upload, take off, and wait until the aircraft flies it by itself, fast."""
     assert await Exchange(ground).upload(items) == 0
     await ground.arm()
-    assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
     await rig.until(lambda: flies_itself(rig) and rig.speed > 3.0)
     assert ground.mode is Mode.MISSION
 
@@ -75,7 +75,7 @@ async def test_the_aircraft_flies_it_and_says_so(rig: Rig, ground: Ground) -> No
 
 
 async def test_it_lands_where_the_mission_says(rig: Rig, ground: Ground) -> None:
-    await begin(rig, ground, [*FAR[:2], item(Command.NAV_LAND, 44.0, 44.0)])
+    await begin(rig, ground, [*FAR[:2], item(MavCommand.NAV_LAND, 44.0, 44.0)])
     await rig.until(lambda: ground.mode is Mode.LAND, within=120.0)
     await rig.until(lambda: not ground.armed(), within=60.0)
     assert rig.aircraft.position[:2] == pytest.approx((44.0, 44.0), abs=1.5)
@@ -87,7 +87,7 @@ async def test_it_hovers_behind_a_mission_without_an_end(rig: Rig, ground: Groun
     assert reached(ground) == [0, 1, 2]
     assert not flies_itself(rig)
     await assert_hovers(rig)
-    assert await ground.set_mode(Mode.LAND) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.LAND) is MavResult.ACCEPTED
     await rig.until(lambda: not ground.armed())
 
 
@@ -101,13 +101,13 @@ async def test_an_item_is_reached_when_its_time_is_over(rig: Rig, ground: Ground
 
 
 async def test_speeds_of_items_are_flown(rig: Rig, ground: Ground) -> None:
-    slower = item(Command.DO_CHANGE_SPEED, param1=1.0, param2=2.0)
+    slower = item(MavCommand.DO_CHANGE_SPEED, param1=1.0, param2=2.0)
     await begin(rig, ground, [FAR[0], slower, *FAR[1:]])
     await rig.until(lambda: rig.speed > 4.0)
     await rig.until(lambda: reached(ground) == [0])
     await anyio.sleep(6.0)
     assert rig.speed == pytest.approx(2.0, abs=0.3)
-    assert await ground.ask(Command.DO_CHANGE_SPEED, 1, 6.0) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.DO_CHANGE_SPEED, 1, 6.0) is MavResult.ACCEPTED
     await anyio.sleep(3.0)
     assert rig.speed == pytest.approx(6.0, abs=0.5)
 
@@ -132,12 +132,12 @@ async def test_headings_of_items_are_flown_the_short_way(rig: Rig, ground: Groun
 async def test_hold_pauses_it_and_mission_resumes_it(rig: Rig, ground: Ground) -> None:
     await begin(rig, ground, FAR)
     uploads = rig.agent.journal.events[-1].number
-    assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.HOLD) is MavResult.ACCEPTED
     await rig.until(lambda: ground.mode is Mode.HOLD)
     await assert_hovers(rig)
     assert mission(rig)["is_paused"]
-    assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
-    assert await ground.ask(Command.MISSION_START, 0, 0) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.HOLD) is MavResult.ACCEPTED
+    assert await ground.ask(MavCommand.MISSION_START, 0, 0) is MavResult.ACCEPTED
     await rig.until(lambda: rig.speed > 3.0)
     assert not mission(rig)["is_paused"]
     assert ground.mode is Mode.MISSION
@@ -150,10 +150,10 @@ async def test_hold_pauses_it_and_mission_resumes_it(rig: Rig, ground: Ground) -
 async def test_who_presses_hold_and_mission_fast_gets_the_last(rig: Rig, ground: Ground) -> None:
     await begin(rig, ground, FAR)
     for mode in (Mode.HOLD, Mode.MISSION, Mode.HOLD, Mode.MISSION, Mode.HOLD):
-        assert await ground.set_mode(mode) is Result.ACCEPTED
+        assert await ground.set_mode(mode) is MavResult.ACCEPTED
     await assert_hovers(rig)
     for mode in (Mode.MISSION, Mode.HOLD, Mode.MISSION):
-        assert await ground.set_mode(mode) is Result.ACCEPTED
+        assert await ground.set_mode(mode) is MavResult.ACCEPTED
     await rig.until(lambda: rig.speed > 3.0)
 
 
@@ -161,12 +161,12 @@ async def test_who_presses_hold_and_mission_fast_gets_the_last(rig: Rig, ground:
 async def test_hold_while_it_begins_is_a_hover(rig: Rig, ground: Ground, wait: float) -> None:
     assert await Exchange(ground).upload(FAR) == 0
     await ground.fly(8.0)
-    assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
     await anyio.sleep(wait)
-    assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.HOLD) is MavResult.ACCEPTED
     await assert_hovers(rig)
     assert ground.mode is Mode.HOLD
-    assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
     await rig.until(lambda: reached(ground) == [0, 1, 2], within=120.0)
 
 
@@ -176,11 +176,11 @@ async def test_another_item_is_flown_to_when_it_is_named(
 ) -> None:
     await begin(rig, ground, FAR)
     if is_paused:
-        assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
-    assert await ground.ask(Command.DO_SET_MISSION_CURRENT, 1) is Result.ACCEPTED
+        assert await ground.set_mode(Mode.HOLD) is MavResult.ACCEPTED
+    assert await ground.ask(MavCommand.DO_SET_MISSION_CURRENT, 1) is MavResult.ACCEPTED
     if is_paused:
         await assert_hovers(rig)
-        assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+        assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
     await rig.until(lambda: reached(ground) == [1, 2], within=120.0)
 
 
@@ -188,9 +188,9 @@ async def test_a_mission_that_was_changed_while_it_was_paused_begins(
     rig: Rig, ground: Ground
 ) -> None:
     await begin(rig, ground, FAR)
-    assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.HOLD) is MavResult.ACCEPTED
     assert await Exchange(ground).upload([waypoint(10.0, -20.0), waypoint(10.0, -30.0)]) == 0
-    assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
     await rig.until(lambda: reached(ground) == [0, 1], within=60.0)
     assert rig.aircraft.position[:2] == pytest.approx((10.0, -30.0), abs=1.5)
 
@@ -199,9 +199,9 @@ async def test_a_mission_that_was_cleared_while_it_was_paused_is_not_flown(
     rig: Rig, ground: Ground
 ) -> None:
     await begin(rig, ground, FAR)
-    assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.HOLD) is MavResult.ACCEPTED
     ground.send("MISSION_CLEAR_ALL", target_system=1)
-    assert await ground.set_mode(Mode.MISSION) is Result.DENIED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.DENIED
     await assert_hovers(rig)
 
 
@@ -214,65 +214,65 @@ def setpoint(ground: Ground, east: float) -> None:
 
 
 @pytest.mark.parametrize("is_paused", [False, True])
-@pytest.mark.parametrize("wish", [Mode.LAND, Mode.RTL, Mode.OFFBOARD, Mode.GOTO, Mode.ORBIT])
+@pytest.mark.parametrize("wanted", [Mode.LAND, Mode.RTL, Mode.OFFBOARD, Mode.GOTO, Mode.ORBIT])
 async def test_its_stop_comes_before_whatever_is_wanted(
-    rig: Rig, ground: Ground, wish: Mode, is_paused: bool
+    rig: Rig, ground: Ground, wanted: Mode, is_paused: bool
 ) -> None:
     await begin(rig, ground, FAR)
     if is_paused:
-        assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
+        assert await ground.set_mode(Mode.HOLD) is MavResult.ACCEPTED
         await anyio.sleep(3.0)
     before = rig.aircraft.position
-    if wish is Mode.OFFBOARD:
+    if wanted is Mode.OFFBOARD:
         setpoint(ground, -2.0)
-        assert await ground.set_mode(wish) is Result.ACCEPTED
+        assert await ground.set_mode(wanted) is MavResult.ACCEPTED
         for _ in range(120):
             setpoint(ground, -2.0)
             await anyio.sleep(0.05)
         assert rig.aircraft.vehicle.flight.dynamics.velocity_east == pytest.approx(-2.0, abs=0.3)
         assert ground.mode is Mode.OFFBOARD
-    elif wish is Mode.GOTO:
+    elif wanted is Mode.GOTO:
         args = (-1, 1, 0, math.nan, math.nan, math.nan, rig.ground_altitude + 20.0)
-        assert await ground.ask(Command.DO_REPOSITION, *args) is Result.ACCEPTED
+        assert await ground.ask(MavCommand.DO_REPOSITION, *args) is MavResult.ACCEPTED
         await rig.until(lambda: abs(rig.height - 20.0) < 0.5)
         assert math.dist(before, rig.aircraft.position) < 15.0
-    elif wish is Mode.ORBIT:
-        assert await ground.ask(Command.DO_ORBIT, 10.0, 3.0) is Result.ACCEPTED
+    elif wanted is Mode.ORBIT:
+        assert await ground.ask(MavCommand.DO_ORBIT, 10.0, 3.0) is MavResult.ACCEPTED
         await anyio.sleep(12.0)
         assert ground.mode is Mode.ORBIT
         assert rig.speed > 1.5
     else:
-        assert await ground.set_mode(wish) is Result.ACCEPTED
-        await rig.until(lambda: ground.mode is wish)
+        assert await ground.set_mode(wanted) is MavResult.ACCEPTED
+        await rig.until(lambda: ground.mode is wanted)
         await rig.until(lambda: not ground.armed(), within=90.0)
         assert not rig.motors_on
     assert not flies_itself(rig)
     assert reached(ground) == []
 
 
-@pytest.mark.parametrize("then", [Command.NAV_RETURN_TO_LAUNCH, Command.NAV_LAND])
-async def test_hold_ends_the_way_down_behind_it(rig: Rig, ground: Ground, then: Command) -> None:
+@pytest.mark.parametrize("then", [MavCommand.NAV_RETURN_TO_LAUNCH, MavCommand.NAV_LAND])
+async def test_hold_ends_the_way_down_behind_it(rig: Rig, ground: Ground, then: MavCommand) -> None:
     await begin(rig, ground, [*FAR, item(then)])
-    wanted = Mode.LAND if then is Command.NAV_LAND else Mode.RTL
+    wanted = Mode.LAND if then is MavCommand.NAV_LAND else Mode.RTL
     await rig.until(lambda: ground.mode is wanted, within=120.0)
     await anyio.sleep(1.0)
-    assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.HOLD) is MavResult.ACCEPTED
     await assert_hovers(rig)
     assert ground.mode is Mode.HOLD
     assert ground.armed()
 
 
-@pytest.mark.parametrize("wish", [Mode.HOLD, Mode.LAND])
+@pytest.mark.parametrize("wanted", [Mode.HOLD, Mode.LAND])
 @pytest.mark.parametrize("wait", [0.0, 0.05, 0.1, 0.15, 0.2, 0.3])
 async def test_what_is_wanted_at_the_end_of_it_is_flown(
-    rig: Rig, ground: Ground, wish: Mode, wait: float
+    rig: Rig, ground: Ground, wanted: Mode, wait: float
 ) -> None:
     """The aircraft turns home while nobody was told of that yet."""
-    await begin(rig, ground, [*FAR, item(Command.NAV_RETURN_TO_LAUNCH)])
+    await begin(rig, ground, [*FAR, item(MavCommand.NAV_RETURN_TO_LAUNCH)])
     await rig.until(lambda: rig.aircraft.vehicle.missions.arrivals[-1:] == [2], within=120.0)
     await anyio.sleep(0.3 + wait)
-    assert await ground.set_mode(wish) is Result.ACCEPTED
-    if wish is Mode.LAND:
+    assert await ground.set_mode(wanted) is MavResult.ACCEPTED
+    if wanted is Mode.LAND:
         await rig.until(lambda: not ground.armed(), within=60.0)
         assert math.hypot(*rig.aircraft.position) > 50.0
     else:
@@ -293,10 +293,10 @@ async def test_an_agent_that_was_not_heard_for_a_while_flies_on_nothing(
 
 
 async def test_land_ends_the_way_home_behind_it(rig: Rig, ground: Ground) -> None:
-    await begin(rig, ground, [*FAR, item(Command.NAV_RETURN_TO_LAUNCH)])
+    await begin(rig, ground, [*FAR, item(MavCommand.NAV_RETURN_TO_LAUNCH)])
     await rig.until(lambda: ground.mode is Mode.RTL, within=120.0)
     await anyio.sleep(1.0)
-    assert await ground.set_mode(Mode.LAND) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.LAND) is MavResult.ACCEPTED
     await rig.until(lambda: not ground.armed(), within=60.0)
     assert math.hypot(*rig.aircraft.position[:2]) > 40.0
 
@@ -304,16 +304,16 @@ async def test_land_ends_the_way_home_behind_it(rig: Rig, ground: Ground) -> Non
 async def test_it_is_landed_where_the_line_loses_half_of_all(rig: Rig, ground: Ground) -> None:
     await begin(rig, ground, FAR)
     rig.aircraft.line.to_aircraft.faults = LineFaults(loss=0.5)
-    assert await ground.set_mode(Mode.LAND) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.LAND) is MavResult.ACCEPTED
     await rig.until(lambda: not rig.motors_on, within=60.0)
 
 
 async def test_a_fence_holds_it(rig: Rig, ground: Ground) -> None:
     fence = [item(5003, 0.1, 0.0, param1=30.0)]
     await begin(rig, ground, FAR)
-    assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.HOLD) is MavResult.ACCEPTED
     assert await Exchange(ground).upload(fence, MissionType.FENCE) == 0
-    assert await ground.set_mode(Mode.MISSION) is Result.DENIED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.DENIED
     await rig.until(lambda: "outside of the fence" in ground.texts)
     await assert_hovers(rig)
 
@@ -327,7 +327,7 @@ async def test_a_ground_station_that_is_lost_stops_it(
 ) -> None:
     await begin(rig, ground, FAR)
     if is_paused:
-        assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
+        assert await ground.set_mode(Mode.HOLD) is MavResult.ACCEPTED
     ground.is_silent = True
     other = Ground(rig, ("127.0.0.1", 7000), 246)
     other.beat()
@@ -335,14 +335,14 @@ async def test_a_ground_station_that_is_lost_stops_it(
     assert not flies_itself(rig)
     assert other.mode is Mode.HOLD
     assert "is lost: hold" in other.texts
-    assert await other.set_mode(Mode.MISSION) is Result.ACCEPTED
+    assert await other.set_mode(Mode.MISSION) is MavResult.ACCEPTED
     await rig.until(lambda: reached(other) == [0, 1, 2], within=120.0)
 
 
 async def test_the_way_home_behind_it_goes_on_when_the_ground_station_is_lost(
     rig: Rig, ground: Ground
 ) -> None:
-    await begin(rig, ground, [*FAR, item(Command.NAV_RETURN_TO_LAUNCH)])
+    await begin(rig, ground, [*FAR, item(MavCommand.NAV_RETURN_TO_LAUNCH)])
     await rig.until(lambda: ground.mode is Mode.RTL, within=120.0)
     ground.is_silent = True
     await rig.until(lambda: not rig.motors_on, within=90.0)
@@ -372,7 +372,7 @@ async def test_a_mission_that_waits_for_the_pilot_is_not_resumed_by_his_return()
         rig.aircraft.vehicle.remote.set_mode("F")
         await assert_hovers(rig, after=6.0)
         setpoint(ground, -2.0)
-        assert await ground.set_mode(Mode.OFFBOARD) is Result.ACCEPTED
+        assert await ground.set_mode(Mode.OFFBOARD) is MavResult.ACCEPTED
         for _ in range(80):
             setpoint(ground, -2.0)
             await anyio.sleep(0.05)
@@ -384,8 +384,8 @@ async def test_a_mission_that_waits_for_the_pilot_is_not_resumed_by_his_return()
 async def test_another_client_of_the_station_ends_it(rig: Rig, ground: Ground, how: str) -> None:
     await begin(rig, ground, FAR)
     if how == "takes over":
-        offer = rig.agent.desk.ask_take_over("the console", rig.agent.now)
-        rig.agent.desk.confirm(offer.token, rig.agent.now)
+        offer = rig.agent.leases.ask_take_over("the console", rig.agent.now)
+        rig.agent.leases.confirm(offer.token, rig.agent.now)
     elif how == "stop":
         await rig.agent.stop()
     else:
@@ -416,15 +416,15 @@ async def test_it_flies_on_without_its_cable_and_the_next_hold_ends_it(
     await rig.until(lambda: len(ground.all("HEARTBEAT")) > known)
     assert flies_itself(rig)
     assert "Mission" in ground.mode.value
-    assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.HOLD) is MavResult.ACCEPTED
     await rig.until(lambda: not flies_itself(rig), within=10.0)
     await assert_hovers(rig)
     assert ground.mode is Mode.HOLD
 
 
-@pytest.mark.parametrize("wish", ["arm", Mode.LAND, Mode.RTL])
+@pytest.mark.parametrize("wanted", ["arm", Mode.LAND, Mode.RTL])
 async def test_a_mission_of_somebody_who_is_gone_is_stopped_first(
-    rig: Rig, ground: Ground, wish: Mode | str
+    rig: Rig, ground: Ground, wanted: Mode | str
 ) -> None:
     await begin(rig, ground, FAR)
     rig.aircraft.unplug()
@@ -433,12 +433,12 @@ async def test_a_mission_of_somebody_who_is_gone_is_stopped_first(
     known = len(ground.all("HEARTBEAT"))
     await rig.until(lambda: len(ground.all("HEARTBEAT")) > known)
     assert ground.mode is Mode.MISSION
-    if isinstance(wish, str):
+    if isinstance(wanted, str):
         await ground.arm()
         await rig.until(lambda: not flies_itself(rig), within=10.0)
         await assert_hovers(rig)
     else:
-        assert await ground.set_mode(wish) is Result.ACCEPTED
+        assert await ground.set_mode(wanted) is MavResult.ACCEPTED
         await rig.until(lambda: not rig.motors_on, within=90.0)
     assert not flies_itself(rig)
 
@@ -460,11 +460,11 @@ async def test_what_a_plan_cannot_say_is_flown_from_here_and_told(
 ) -> None:
     assert await Exchange(ground).upload(items) == 0
     await ground.arm()
-    assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
     await rig.until(lambda: rig.speed > 2.0)
     assert not flies_itself(rig)
     assert f"flown from here, {why}" in ground.texts.replace("\n", "")
-    assert await ground.set_mode(Mode.HOLD) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.HOLD) is MavResult.ACCEPTED
     await assert_hovers(rig)
 
 
@@ -474,7 +474,7 @@ async def test_a_mission_that_the_aircraft_refuses_is_a_hover_with_its_reason(
     rig.aircraft.battery_percent = 29.5  # the aircraft wants 30, the agent what it takes and 20
     assert await Exchange(ground).upload(SQUARE) == 0
     await ground.arm()
-    assert await ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
     await rig.until(lambda: "Mission: the start of the waypoint mission" in ground.texts)
     await assert_hovers(rig)
 
@@ -486,7 +486,7 @@ async def test_a_battery_that_does_not_last_refuses_it_on_the_ground(
     await anyio.sleep(2.0)
     assert await Exchange(ground).upload(SQUARE) == 0
     await ground.arm()
-    assert await ground.set_mode(Mode.MISSION) is Result.DENIED
+    assert await ground.set_mode(Mode.MISSION) is MavResult.DENIED
     await rig.until(lambda: "of a battery" in ground.texts.replace("\n", ""))
     assert rig.height < 0.1
 
@@ -496,7 +496,7 @@ async def test_older_firmware_has_its_missions_flown_from_here(firmware: str) ->
     async with Rig(firmware=firmware).running() as rig:
         assert await Exchange(rig.ground).upload(FAR) == 0
         await rig.ground.arm()
-        assert await rig.ground.set_mode(Mode.MISSION) is Result.ACCEPTED
+        assert await rig.ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
         await rig.until(lambda: rig.speed > 3.0)
         told = rig.ground.texts.replace("\n", "")
         assert f"flown from here, firmware {firmware} has no missions" in told

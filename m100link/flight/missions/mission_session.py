@@ -22,7 +22,7 @@ from m100link.flight.cancellation import Errand
 from m100link.flight.guards import known
 from m100link.flight.lifecycle import StopCause
 from m100link.flight.mission_state import DENIED_S, MissionKind
-from m100link.flight.missions.context import Deck, Over, Track
+from m100link.flight.missions.context import MissionContext, MissionTracker, Over
 from m100link.flight.missions.events import (
     DONE_CODES,
     IN_THE_AIR,
@@ -62,7 +62,7 @@ _HEARD_OUT_S = 0.6  # until when contradicting pushes are waited for at most
 _MAY_FLY_A_MISSION = (FlightPhase.TAKING_OFF, FlightPhase.IN_AIR)
 
 
-class Ending:
+class MissionEnding:
     """The end of one mission."""
 
     def __init__(self, commander: Commander, kind: MissionKind) -> None:
@@ -156,27 +156,32 @@ AUTHORITY_CODES = frozenset(
 """Somebody else has the aircraft: missions are broken off by that (facts M10)."""
 
 
-class MissionRun:
+class MissionSession:
     """One mission, from before its start to its end."""
 
     def __init__(
-        self, deck: Deck, kind: MissionKind, track: Track, *, flies_without_rc: bool = False
+        self,
+        context: MissionContext,
+        kind: MissionKind,
+        track: MissionTracker,
+        *,
+        flies_without_rc: bool = False,
     ) -> None:
-        self._deck = deck  # what it stands on
+        self._context = context  # what it stands on
         self.kind = kind  # which kind of mission
         # Whether it was told to fly on when the RC is lost.
         self.flies_without_rc = flies_without_rc
         self._orders = ORDERS[kind]
         self._track = track  # reads what the aircraft says of it
-        self._clock = deck.commander.link.loop.time
+        self._clock = context.commander.link.loop.time
         self.state = RunState.READY  # where it is in its life
         self.events = Events()
         self._is_told = False  # the program was told why it was broken off
         # When the start was sent, on the event loop's clock; minus infinity before.
         self.started_at = -math.inf
         # When it was told to be over, and whether pushes contradict.
-        self.ending = Ending(deck.commander, kind)
-        self._ground = Ground(deck.commander)
+        self.ending = MissionEnding(context.commander, kind)
+        self._ground = Ground(context.commander)
         self._pushed_at = 0.0  # when a push told of this mission last, or it was started
         self._is_pushed = False  # whether one ever did
         # What the pushes said while a stop was under way, for the case that nobody answers it.
@@ -220,7 +225,7 @@ class MissionRun:
 
     def listen(self) -> None:
         """Take the pushes from here on."""
-        self._deck.commander.missions.listener = self._on_push
+        self._context.commander.missions.listener = self._on_push
 
     async def start(self, request: Request[Any], code_of: Callable[[Any], int]) -> Any:
         """Send what lets it fly, and return the answer.
@@ -231,7 +236,7 @@ class MissionRun:
         self.listen()
         self.feed(RunInput.START)
         self.started_at = self._pushed_at = self._clock()
-        requests = self._deck.commander.requests
+        requests = self._context.commander.requests
         try:
             answer = await requests.execute(
                 request, timeout=_START_S, tries=3, refusal=MissionRefused
@@ -262,8 +267,8 @@ class MissionRun:
     async def order(self, what: Ordered) -> None:
         """Hover, or go on; it raises as :meth:`MissionFlight.pause`."""
         self.require_in_the_air(f"its {what}")
-        with self._deck.block.waiting(self.name):
-            await order(self._deck.commander, self.kind, what)
+        with self._context.block.waiting(self.name):
+            await order(self._context.commander, self.kind, what)
         if self.feed(RunInput.PAUSED if what == "pause" else RunInput.RESUMED):
             self.events.add(Paused() if what == "pause" else Resumed())
 
@@ -273,7 +278,7 @@ class MissionRun:
         Raises ``MissionAborted``: it was broken off. Raises ``UsageError``: it has not begun, or it
         is over. Raises ``NoAuthority, M100Error``: what ended the control block.
         """
-        self._deck.block.require_flying(f"{what} ({self.name})")
+        self._context.block.require_flying(f"{what} ({self.name})")
         if self.is_in_the_air:
             return
         if self.events.failure is not None:
@@ -316,7 +321,7 @@ class MissionRun:
             await self._stopping.ended()
 
     async def _send_stop(self) -> None:
-        requests = self._deck.commander.requests
+        requests = self._context.commander.requests
         try:
             code = await requests.execute(
                 self._orders.stop, timeout=0.5, tries=2, refusal=MissionRefused
@@ -373,9 +378,9 @@ class MissionRun:
         Raises ``MissionAborted``: it was broken off, and nobody told the program. Raises
         ``AckTimeout, MissionRefused, LinkError``: it may be flying on.
         """
-        if self._deck.block.is_open:
+        if self._context.block.is_open:
             await self.ending.heard_out()
-        if self.owes_a_stop and self._deck.block.is_open:
+        if self.owes_a_stop and self._context.block.is_open:
             try:
                 await self.stop()
             except M100Error as failure:
@@ -398,7 +403,7 @@ class MissionRun:
         Raises ``StopAsyncIteration``: there is none any more. Raises ``MissionAborted``: it was
         broken off. Raises ``M100Error``: what ended the control block.
         """
-        with self._deck.block.waiting(self.name):
+        with self._context.block.waiting(self.name):
             event = await self.events.take()
             failure = self.events.failure
             if event is None:
@@ -418,7 +423,7 @@ class MissionRun:
         if self.state is RunState.READY and not isinstance(getattr(push, "event", None), Uploaded):
             return  # of a mission before
         self._apply(self._track.take(push))
-        if self._deck.commander.missions.state.kind is self.kind:
+        if self._context.commander.missions.state.kind is self.kind:
             self._pushed_at, self._is_pushed = self._clock(), True
 
     def _apply(self, news: Sequence[MissionEvent | Over]) -> None:
@@ -475,7 +480,7 @@ class MissionRun:
 
     def _let_go(self) -> None:
         """Watch it no more."""
-        watch = self._deck.commander.missions
+        watch = self._context.commander.missions
         if watch.listener == self._on_push:
             watch.listener = None
         if self._watching is not None and self._watching is not asyncio.current_task():
@@ -488,11 +493,11 @@ class MissionRun:
         try:
             await self._look_again_and_again()
         except M100Error as error:
-            self._deck.block.end(StopCause.GUARD_REFUSED, error)
+            self._context.block.end(StopCause.GUARD_REFUSED, error)
         except Exception as error:
             failure = M100Error(f"nobody watches the {self.name} any more: {error!r}")
             failure.__cause__ = error
-            self._deck.block.end(StopCause.GUARD_REFUSED, failure)
+            self._context.block.end(StopCause.GUARD_REFUSED, failure)
             _logger.error("nobody watches the %s any more", self.name, exc_info=error)
 
     async def _look_again_and_again(self) -> None:
@@ -504,7 +509,7 @@ class MissionRun:
             self._look()
             if now >= next_progress_at - _LOOK_S / 2:
                 next_progress_at += _PROGRESS_S
-                state = self._deck.commander.state
+                state = self._context.commander.state
                 self.events.add(self._track.progress(now - self.started_at, state))
             if now - self._pushed_at < _QUIET_S:
                 continue
@@ -526,13 +531,13 @@ class MissionRun:
             if self._ground.is_told():
                 self._end(RunInput.FINISHED)
         elif self.is_in_the_air and self.state not in (RunState.STOPPING, RunState.UNSTOPPED):
-            self._deck.guards.check_mission(self.name)
+            self._context.guards.check_mission(self.name)
 
     async def ask(self) -> None:
         """Ask the aircraft whether it still flies it, where there is a question for that."""
         if self._track.poll is None or self.state is RunState.RETURNING:
             return
-        requests = self._deck.commander.requests
+        requests = self._context.commander.requests
         try:
             answer = await requests.execute(self._track.poll, timeout=0.3, tries=2)
         except (AckTimeout, BadAck, CommandRefused, KeyRejected) as error:

@@ -18,9 +18,9 @@ from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.latency import DRIFT
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.messages import Event, Topic
+from m100link.apps.agent.messages import Event, EventTopic
 from m100link.apps.agent.orders import ChangeHeight, FlyTo
-from m100link.apps.fleet.expiry import OrderAges
+from m100link.apps.fleet.expiry import OrderExpiry
 from m100link.apps.fleet.payloads import (
     LeaveShow,
     LoadTrack,
@@ -30,7 +30,7 @@ from m100link.apps.fleet.payloads import (
     TakePlace,
 )
 from m100link.apps.fleet.show.plan.conflicts import (
-    Ahead,
+    ConflictMonitor,
     Neighbours,
     RestOfTrack,
     by_speed,
@@ -71,7 +71,7 @@ _BUSY = (ShowStage.PLACING, ShowStage.READY, ShowStage.FLYING)
 _IN_SHOW = (ShowStage.LOADED, *_BUSY)
 
 
-class Performer:
+class TrackExecutor:
     def __init__(self, client: AgentClient, name: str) -> None:
         self._client = client
         self._name = name
@@ -82,7 +82,7 @@ class Performer:
         # The others of the show; None when it was loaded without a word about them.
         self.neighbours: Neighbours | None = None
         # Which orders come too late: nobody waits for them, or it was stopped since.
-        self.ages = OrderAges()
+        self.ages = OrderExpiry()
         # Who conducts, by a word that is another one each time; empty when none was told.
         self.run = ""
         self._rest: RestOfTrack | None = None
@@ -109,7 +109,7 @@ class Performer:
     # -- who else wants the aircraft -------------------------------------------------------------
 
     def _hear(self, event: Event) -> None:
-        if event.topic in (Topic.STOPPED, Topic.HALTED):
+        if event.topic in (EventTopic.STOPPED, EventTopic.HALTED):
             # An order to take off may be on its way here, of somebody who has not seen it.
             self.ages.revoke(self._client.now)
             self.give_way(NoAuthority(f"{self._name} was stopped: {event.text}"))
@@ -222,7 +222,7 @@ class Performer:
         self.stage = ShowStage.LEFT
         self._control.let_go()
 
-    def ahead(self) -> Ahead | None:
+    def ahead(self) -> ConflictMonitor | None:
         """Where it will be, for the others of its show; None when there is nothing to tell."""
         track, show, start_at = self.track, self.neighbours, self._start_at
         if track is None or show is None or start_at is None:

@@ -7,11 +7,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from m100link.apps.station.console.view.alarms import Alarm, AlarmDesk, AlarmName, AlarmState
-from m100link.apps.station.console.view.data import Diary, Line, LinkView, link_of
+from m100link.apps.station.console.view.alarms import (
+    ActiveAlarm,
+    AlarmManager,
+    AlarmName,
+    AlarmState,
+)
+from m100link.apps.station.console.view.data import Diary, EventLine, LinkView, link_of
 from m100link.apps.station.console.view.fly import (
     Checklist,
-    ChecklistDesk,
+    ChecklistModel,
     Instruments,
     actions_of,
     instruments_of,
@@ -28,35 +33,37 @@ from m100link.apps.station.console.view.header import (
     status_line,
 )
 from m100link.apps.station.console.view.map import Chart, chart_of
-from m100link.apps.station.console.view.situation import Inputs, Level, Situation, situation_of
+from m100link.apps.station.console.view.situation import AlarmLevel, Inputs, Situation, situation_of
 from m100link.apps.station.console.view.texts import Text, problem_text, tr
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class ViewModel:
     at: float  # time on the agent's clock, s
     situation: Situation  # what is known, as plain values
     status: StatusLine  # the status line
     activation: Text  # how far activation is
     problem: Text | None  # what was refused last; None for nothing
-    alarms: tuple[Alarm, ...]  # what is alarming, the most urgent first
-    sounding: Level | None  # the most urgent level that nobody has acknowledged; None for silence
+    alarms: tuple[ActiveAlarm, ...]  # what is alarming, the most urgent first
+    sounding: (
+        AlarmLevel | None
+    )  # the most urgent level that nobody has acknowledged; None for silence
     checklist: Checklist  # what is right before take-off
     instruments: Instruments  # values of the telemetry, each with its age
     chart: Chart  # what stands on the map besides what moves
     actions: frozenset[str]  # names of the buttons that can be pressed
     mission: MissionView
     link: LinkView  # the link in numbers
-    events: tuple[Line, ...]  # what happened, oldest first
+    events: tuple[EventLine, ...]  # what happened, oldest first
     fleet: tuple[FleetRow, ...]  # a row for each aircraft, when there are several
     replay: ReplayView | None  # where the replay is; None for an aircraft
 
 
-def view_of(inputs: Inputs, memory: Memory | None = None) -> View:
+def view_of(inputs: Inputs, memory: Memory | None = None) -> ViewModel:
     """The view of what is known; ``memory`` is that of the page, and learns."""
     memory = memory if memory is not None else Memory()
     alarms, checklist = memory.look(inputs)
-    return View(
+    return ViewModel(
         at=inputs.vehicle.now,
         situation=memory.situation,
         status=status_line(memory.situation),
@@ -84,20 +91,20 @@ _TOLD = {
     AlarmState.PASSED: "alarms.event.passed",
     AlarmState.QUIET: "alarms.event.quiet",
 }
-_LEVELS = {Level.DANGER: "error", Level.WARNING: "warning"}
+_LEVELS = {AlarmLevel.DANGER: "error", AlarmLevel.WARNING: "warning"}
 
 
 class Memory:
     """One page's alarms, what its operator said before take-off, and its list of events."""
 
     def __init__(self) -> None:
-        self.alarms = AlarmDesk()  # the operator of the page acknowledges them
-        self.checklist = ChecklistDesk()  # what the operator said about this take-off
+        self.alarms = AlarmManager()  # the operator of the page acknowledges them
+        self.checklist = ChecklistModel()  # what the operator said about this take-off
         self.diary = Diary()  # the station's events, and what happened to the alarms here
         self.situation = Situation()  # what was known when it looked last
         self._ahead = 0.0  # the wall's clock of the agent's
 
-    def look(self, inputs: Inputs) -> tuple[tuple[Alarm, ...], Checklist]:
+    def look(self, inputs: Inputs) -> tuple[tuple[ActiveAlarm, ...], Checklist]:
         """Judge everything by what is known now; returns the alarms and the checklist."""
         now = self.situation = situation_of(inputs)
         self._ahead = inputs.wall - inputs.vehicle.now
@@ -111,7 +118,7 @@ class Memory:
         self._write(self.alarms.acknowledge(name, self.situation.now))
         return said
 
-    def _write(self, changes: list[Alarm]) -> None:
+    def _write(self, changes: list[ActiveAlarm]) -> None:
         for change in changes:
             is_news = change.state in (AlarmState.RAISED, AlarmState.PASSED)
             self.diary.write(

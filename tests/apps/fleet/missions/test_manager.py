@@ -12,7 +12,7 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.orders import UploadPlan
 from m100link.apps.fleet.control import FleetControl
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.lost_link import LostAction, LostPlan
+from m100link.apps.fleet.lost_link import LostAction, LostLinkPlan
 from m100link.apps.fleet.payloads import MissionCard, MissionInput, MissionStage, Outcome, after
 from m100link.errors import GuardRefused, M100Error, MissionRunning, StaleLease, UsageError
 from tests.apps.bus.memory import Weather
@@ -224,7 +224,7 @@ async def test_a_start_that_waited_behind_a_stop_does_not_fly(rig: Rig) -> None:
 async def test_when_the_pilot_is_lost_it_does_what_lost_says(
     rig: Rig, action: LostAction, height: float
 ) -> None:
-    one = await on_board(rig, lost=LostPlan(action, 4.0))
+    one = await on_board(rig, lost=LostLinkPlan(action, 4.0))
     pilot = await rig.pilot()
     with pytest.raises(M100Error):
         async with pilot["a1"].control() as control:
@@ -354,7 +354,7 @@ def test_each_pair(stage: MissionStage, happens: MissionInput) -> None:
 async def test_the_next_agent_ends_the_mission_and_does_what_lost_says(
     rig: Rig, action: LostAction
 ) -> None:
-    plan = LostPlan(action, 4.0)
+    plan = LostLinkPlan(action, 4.0)
     one = await on_board(rig, lost=plan)
     pilot = await rig.pilot()
     with pytest.raises(M100Error):

@@ -13,7 +13,7 @@ from functools import partial
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease
-from m100link.apps.agent.messages import Fault, LeaseChanged, MissionTold, fault_of
+from m100link.apps.agent.messages import LeaseChanged, MissionReport, RemoteError, fault_of
 from m100link.apps.agent.orders import StartMission, UploadPlan
 from m100link.apps.fleet.payloads import MissionCard, MissionInput, MissionStage, after
 from m100link.errors import M100Error, UsageError
@@ -28,7 +28,7 @@ _ARRIVED = 4
 _MOST_REACHED = 1024
 
 
-class Missions:
+class MissionManager:
     def __init__(self, client: AgentClient) -> None:
         self._client = client
         self.stage = MissionStage.NONE  # how far the mission is
@@ -40,7 +40,7 @@ class Missions:
         self._begun_at: float | None = None
         self._ended_at: float | None = None
         self._is_paused = self._is_finished = False
-        self._fault: Fault | None = None
+        self._fault: RemoteError | None = None
         client.on_mission_told.append(self._told)
         client.on_lease.append(self._lease_changed)
 
@@ -129,7 +129,7 @@ class Missions:
 
     # -- what happens ----------------------------------------------------------------------------
 
-    def _told(self, told: MissionTold) -> None:
+    def _told(self, told: MissionReport) -> None:
         if told.event == _REACHED and told.data[1:2] == bytes([_ARRIVED]):
             self._reached += told.data[:1]
             del self._reached[:-_MOST_REACHED]
