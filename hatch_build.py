@@ -37,6 +37,9 @@ class Manual(BuildHookInterface[Any]):
             subprocess.run([sys.executable, *command, str(source), f"{made}/text"], check=True)
             source, suffix = Path(made) / "text", ".txt"
         for folder in FOLDERS:
+            index = Path(self.root) / "docs" / folder / "index.md"  # `m100link docs` lists by it
+            if index.exists():
+                build_data["force_include"][str(index)] = f"{PLACE}/{folder}/index.md"
             for page in sorted((source / folder).glob(f"*{suffix}")):
                 if page.stem != "index":
                     build_data["force_include"][str(page)] = f"{PLACE}/{folder}/{page.name}"

@@ -17,6 +17,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
+from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -35,8 +36,8 @@ from m100link.apps.station.config import resolve
 from m100link.errors import M100Error, UsageError
 
 _FOLDERS = ("tutorial", "howto", "explanation", "reference")
-_WIDEST = 100
-"""Longer lines are hard to read."""
+_CONTENTS = re.compile(r"^# (.+)|^## (.+)|\(([\w-]+)\.md\)", re.MULTILINE)  # of an index
+_WIDEST = 100  # longer lines are hard to read
 
 
 @dataclass(frozen=True)
@@ -44,14 +45,11 @@ class _Page:
     """A page of the manual."""
 
     path: Path
+    heading: str = ""  # what the index of its folder lists it under
 
     @property
     def topic(self) -> str:
         return self.path.stem
-
-    @property
-    def folder(self) -> str:
-        return self.path.parent.name
 
     @property
     def text(self) -> str:
@@ -65,37 +63,38 @@ class _Page:
         """The page as it is read, in lines of this width."""
         if self.path.suffix == ".txt":
             return self.text
-        console = Console(
-            file=io.StringIO(), width=width, force_terminal=in_colour, no_color=not in_colour
-        )
+        to = io.StringIO()
+        console = Console(file=to, width=width, force_terminal=in_colour, no_color=not in_colour)
         console.print(Markdown(_plain(self.text, self.path.parents[1]), hyperlinks=False))
-        assert isinstance(console.file, io.StringIO)
-        return "\n".join(line.rstrip() for line in console.file.getvalue().splitlines()) + "\n"
+        return "\n".join(line.rstrip() for line in to.getvalue().splitlines()) + "\n"
 
 
 def _pages() -> list[_Page]:
-    """All of them, in the order in which one reads."""
+    """All of them, in the order of the index of each folder."""
     package = Path(m100link.__file__).parent
     root = next(
         (one for one in (package / "manual", package.parent / "docs") if one.is_dir()), package
     )
-    return [
-        _Page(path)
-        for folder in _FOLDERS
-        for path in sorted((root / folder).glob("*.*"))
-        if path.suffix in (".md", ".txt") and path.stem != "index"
-    ]
-
-
-def _topics() -> list[str]:
-    return [page.topic for page in _pages()]
+    pages = []
+    for folder in _FOLDERS:
+        paths = sorted((root / folder).glob("*.*"))
+        found = {path.stem: path for path in paths if path.suffix in (".md", ".txt")}
+        index = found.pop("index", None)
+        kind = heading = folder.capitalize()
+        for title, section, topic in _CONTENTS.findall(index.read_text("utf-8") if index else ""):
+            kind = title or kind
+            heading = f"{kind}: {section}" if section else heading
+            if topic in found:
+                pages.append(_Page(found.pop(topic), heading))
+        pages += [_Page(path, kind) for path in found.values()]
+    return pages
 
 
 def docs(
     topic: Annotated[
         str | None,
         Parameter(help="Which page, or the code of an error (M100-LINK-LOST); without one, a list"),
-        offered(_topics),
+        offered(lambda: [page.topic for page in _pages()]),
     ] = None,
     /,
     *,
@@ -146,25 +145,20 @@ def _list(pages: list[_Page]) -> int:
         for page in pages:
             sys.stdout.write(f"{page.topic}\t{page.title}\n")
         return ExitCode.OK
-    table = Table(box=None, show_header=False, pad_edge=False)
-    for folder in _FOLDERS:
-        table.add_row(Text(folder.capitalize(), style="bold"), "")
-        for page in pages:
-            if page.folder == folder:
-                table.add_row(f"  {page.topic}", Text(page.title))
-    out.print(table)
+    for heading, below in groupby(pages, lambda page: page.heading):
+        out.print(f"\n{heading}", style="bold", markup=False)
+        for page in below:
+            out.print(f"  {page.topic:<22}{page.title}", markup=False)
     out.print("\nm100link docs TOPIC shows a page, m100link docs --find WORD looks into all.")
     return ExitCode.OK
 
 
 def _find(pages: list[_Page], topic: str | None, word: str) -> int:
     looked_into = pages if topic is None else [_page_of(pages, topic)]
-    found = False
-    for page in looked_into:
-        for line in page.text.splitlines():
-            if word.lower() in line.lower():
-                found = True
-                out.print(f"{page.topic}: {line.strip()}", markup=False, soft_wrap=True)
+    lines = [(page.topic, line) for page in looked_into for line in page.text.splitlines()]
+    found = [f"{topic}: {line.strip()}" for topic, line in lines if word.lower() in line.lower()]
+    for line in found:
+        out.print(line, markup=False, soft_wrap=True)
     if not found:
         err.print(f"no line {'of it' if topic else 'of the manual'} has {word!r}", markup=False)
     return ExitCode.OK if found else ExitCode.FAILED

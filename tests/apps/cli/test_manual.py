@@ -35,6 +35,26 @@ def test_every_page_has_a_topic_of_its_own(cli: CommandLine) -> None:
     assert all(title for _, title in rows)
 
 
+def test_pages_are_listed_as_the_index_of_their_folder_lists_them(cli: CommandLine) -> None:
+    listed = [line.split("\t")[0] for line in cli("docs").out.splitlines()]
+    for folder in ("howto", "reference", "explanation"):
+        index = (ROOT / "docs" / folder / "index.md").read_text(encoding="utf-8")
+        order = re.findall(r"\]\(([\w-]+)\.md\)", index)
+        sidebar = re.findall(r"^([\w-]+)$", index[index.index(":hidden:") :], re.MULTILINE)
+        written = {path.stem for path in (ROOT / "docs" / folder).glob("*.md")} - {"index"}
+        assert order == sidebar == [topic for topic in listed if topic in written]
+
+
+def test_a_terminal_shows_pages_under_headings(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    lines = cli("docs").out.splitlines()
+    below = lines.index("How-to guides: Set up the aircraft")
+    assert lines[below + 1].split(maxsplit=1) == ["connect-hardware", "Connect the hardware"]
+    assert lines.count("Tutorial") == 1
+
+
 @pytest.mark.parametrize("asked", ["safety", "explanation/safety.md", "Safety"])
 def test_a_page_is_printed(cli: CommandLine, asked: str) -> None:
     outcome = cli("docs", asked)
@@ -48,7 +68,7 @@ def test_nothing_is_left_of_what_only_the_builder_understands() -> None:
     pages = [_Page(path) for path in sorted((ROOT / "docs").glob("*/*.md"))]
     assert len(pages) > 40
     for page in pages:
-        if page.folder == "project" or page.topic == "index":
+        if page.path.parent.name == "project" or page.topic == "index":
             continue
         text = _plain(page.text, page.path.parents[1])
         assert not re.search(r"^```\{|\{[\w:]+\}`|^\.\. |\]\([\w./-]*\.md", text, re.MULTILINE), (
