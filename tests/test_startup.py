@@ -234,8 +234,7 @@ def test_what_is_below_a_room_that_moved_is_loaded_once_and_warns() -> None:
     ("module", "old", "now"),
     [
         ("m100link.apps.agent.lease", "LeaseDesk", "LeaseManager"),
-        ("m100link.apps.agent.messages", "PlanTold", "PlanChanged"),
-        ("m100link.log.story", "Story", "FlightSummary"),
+        ("m100link.apps.agent.messages", "FromMobile", "MobileMessage"),
     ],
 )
 def test_a_documented_class_has_its_old_name_too(module: str, old: str, now: str) -> None:

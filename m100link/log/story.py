@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-from m100link.errors.usage import renamed
 from m100link.geodesy import LocalFrame
 from m100link.log.channels import COMMAND, EVENT, LINK
 from m100link.log.reading import FlightLog, Message
@@ -587,7 +586,3 @@ def _spans(names: list[tuple[float, str]], end_s: float) -> list[Span]:
             spans[-1] = spans[-1]._replace(end_s=at)
         spans.append(Span(name, at, end_s))
     return spans
-
-
-if not TYPE_CHECKING:
-    __getattr__ = renamed(__name__, Story="FlightSummary")

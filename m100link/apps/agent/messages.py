@@ -437,13 +437,5 @@ def agent_lost(reason: str) -> LinkLost:
 
 if not TYPE_CHECKING:
     __getattr__ = renamed(
-        __name__,
-        Fault="RemoteError",
-        FromMobile="MobileMessage",
-        Limits="GuardLimits",
-        MissionTold="MissionReport",
-        Note="JournalNote",
-        Outcome="OrderOutcome",
-        PlanTold="PlanChanged",
-        Topic="EventTopic",
+        __name__, FromMobile="MobileMessage", Note="JournalNote", Outcome="OrderOutcome"
     )
