@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _logger = logging.getLogger(__name__)
 
 
-_REPEAT_S = 0.1  # a rate holds for 0.5 s; DJI's sample repeats it at 10 Hz (facts G2)
+_REPEAT_S = 0.1  # a rate holds for 0.5 s; DJI's sample repeats it at 10 Hz
 _FIRST_VALUE_S = 1.5  # an item that is sent at all, at 1 Hz or more, has come by then
 _TOLERANCE_DEG = 1.5
 _MARGIN_S = 3.0  # the gimbal turns at 400 degrees per second at most, whatever it was told
@@ -98,7 +98,7 @@ class AircraftGimbal:
             await aircraft.gimbal.set_angles(pitch=-45, yaw=0, seconds=1.5)
 
         Args:
-            yaw: -320 to 320 degrees, clockwise from north (facts K5: fixed to the ground, whatever
+            yaw: -320 to 320 degrees, clockwise from north (errata 52: fixed to the ground, whatever
                 the app's gimbal mode).
             pitch: -90 (straight down) to 30 degrees.
             roll: -35 to 35 degrees.
@@ -189,7 +189,7 @@ class AircraftGimbal:
             pitch: Degrees per second, upwards.
             roll: Degrees per second.
             seconds: Repeat for so long, then stop. Without it one command is sent, which holds for
-                half a second (facts G2).
+                half a second (inferred).
 
         Raises:
             UsageError: A rate beyond its limit, or a time that is not one; nothing was sent.

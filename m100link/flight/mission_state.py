@@ -1,7 +1,7 @@
 """Which mission flies the aircraft, as its pushes tell: whoever started it.
 
 Missions live in the flight controller. One that a phone started, or a program that is gone, is
-told of by the same pushes as one of ours (facts M9, M15).
+in the same pushes as one of ours (seen on an M100).
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 __all__ = ["MissionKind", "MissionState"]
 
 BELIEVED_S = 3.0
-"""Seconds for which a push that names a mission is believed; they come at about 10 Hz (facts K23,
-inferred)."""
+"""Seconds for which a push that names a mission is believed; they come at about 10 Hz
+(inferred)."""
 
 DENIED_S = 0.25
 """Seconds in which two pushes come. As long a mission that was told of may fly, whatever the newest
@@ -41,7 +41,7 @@ class MissionKind(Enum):
 
     @property
     def is_mission(self) -> bool:
-        """Whether setpoints are ignored while it flies (facts M8)."""
+        """Whether setpoints are ignored while it flies."""
         return self in (MissionKind.WAYPOINT, MissionKind.HOTPOINT, MissionKind.FOLLOW)
 
 
@@ -53,7 +53,7 @@ class MissionState:
         kind: What flies the aircraft.
         index: Waypoint that it flies to, counted from 0; None for other missions.
         status: Status value of a waypoint mission (0 on the way to the first point, 1 flying, 2
-            turning, 3 to 5 action, 6 reached; facts W20, inferred) or of a hotpoint (0 on the way,
+            turning, 3 to 5 action, 6 reached; inferred) or of a hotpoint (0 on the way,
             1 circling, 2 paused); None for others.
         since: Since when pushes tell of this kind, with gaps of at most 3 s, on the event loop's
             clock; None when none of late did.

@@ -304,7 +304,7 @@ class _Watch:
 
 
 SETTINGS_INTERVAL_S = 2.2
-"""Between two settings; faster than every 2 s they lock the aircraft (facts V2, DJI's header). The
+"""Between two settings; faster than every 2 s they lock the aircraft (DJI's header). The
 rest is for frames that are late: a second one may catch up with the first."""
 
 _ROUNDING_S = 1e-3  # timers are that exact
@@ -422,8 +422,8 @@ class Motors:
 
         Only for programs that take off by setpoints of their own: a setpoint with thrust, height or
         a climb rate lifts it from there. ``take_off()`` starts the motors itself, and **fails while
-        they run** (facts K7). With nothing commanded they stop by themselves after about 20 s; when
-        the block ends on the ground they are stopped. Firmware 3.1.
+        they run** (seen on an M100). With nothing commanded they stop by themselves after about
+        20 s; when the block ends on the ground they are stopped. Firmware 3.1.
 
         Raises:
             NoAuthority: Authority is not held.
@@ -440,7 +440,7 @@ class Motors:
     async def disarm(self) -> None:
         """Stop the motors on the ground; landing stops them by itself.
 
-        **In the air nothing is sent**: the aircraft would refuse it (facts A2), and this does not
+        **In the air nothing is sent**: the aircraft would refuse it, and this does not
         rely on that.
 
         Raises:

@@ -60,7 +60,7 @@ _PERIOD_S = 0.1
 _NEUTRAL_S = 0.3
 _AIRCRAFT_WAITS_S = 0.9  # after a second without channels the aircraft has ended it
 _SHOWN_S = 1.2
-_GESTURE_S = 2.3  # the aircraft wants 2 s (facts V4)
+_GESTURE_S = 2.3  # the aircraft wants 2 s (our estimate)
 
 _HOPELESS = frozenset(cause for cause, plan in STOP_PLANS.items() if not plan.release)
 """Where it is not switched off here: nobody hears it, or the guardian does it."""
@@ -80,7 +80,7 @@ class VirtualRc:
 
     Leaving, in whatever way, centres the sticks and switches it off; that takes up to 2.2 s,
     because settings that come faster than every 2 s lock the aircraft. A program that dies leaves
-    the sticks where they were for up to a second (facts V4); then the pilot's own remote control
+    the sticks where they were for up to a second; then the pilot's own remote control
     flies, unless ``fall_back=False`` was named: then the aircraft acts as if its remote control
     were lost, and goes home.
 

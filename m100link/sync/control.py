@@ -696,8 +696,8 @@ class Control:
 
         Only for programs that take off by setpoints of their own: a setpoint with thrust, height or
         a climb rate lifts it from there. ``take_off()`` starts the motors itself, and **fails while
-        they run** (facts K7). With nothing commanded they stop by themselves after about 20 s; when
-        the block ends on the ground they are stopped. Firmware 3.1.
+        they run** (seen on an M100). With nothing commanded they stop by themselves after about
+        20 s; when the block ends on the ground they are stopped. Firmware 3.1.
 
         Raises:
             NoAuthority: Authority is not held.
@@ -711,7 +711,7 @@ class Control:
     def disarm(self) -> None:
         """Stop the motors on the ground; landing stops them by itself.
 
-        **In the air nothing is sent**: the aircraft would refuse it (facts A2), and this does not
+        **In the air nothing is sent**: the aircraft would refuse it, and this does not
         rely on that.
 
         Raises:

@@ -40,7 +40,7 @@ class AircraftGimbal:
             aircraft.gimbal.set_angles(pitch=-45, yaw=0, seconds=1.5)
 
         Args:
-            yaw: -320 to 320 degrees, clockwise from north (facts K5: fixed to the ground, whatever
+            yaw: -320 to 320 degrees, clockwise from north (errata 52: fixed to the ground, whatever
                 the app's gimbal mode).
             pitch: -90 (straight down) to 30 degrees.
             roll: -35 to 35 degrees.
@@ -84,7 +84,7 @@ class AircraftGimbal:
             pitch: Degrees per second, upwards.
             roll: Degrees per second.
             seconds: Repeat for so long, then stop. Without it one command is sent, which holds for
-                half a second (facts G2).
+                half a second (inferred).
 
         Raises:
             UsageError: A rate beyond its limit, or a time that is not one; nothing was sent.

@@ -27,7 +27,7 @@ def anyio_backend() -> object:
 
 @pytest.fixture
 async def flown() -> AsyncIterator[Rig]:
-    async with rig(firmware="3.1", activated=False) as made:  # K3: works before activation
+    async with rig(firmware="3.1", activated=False) as made:  # DJI's start-up does it
         yield made
 
 

@@ -92,7 +92,7 @@ def test_rates_command_of_3_1_code_0() -> None:
 
 
 def test_r1_5_keeps_a_rate_and_the_next_package_has_the_others() -> None:
-    """K2, K3: bytes without an item mean nothing, and it works before activation."""
+    """As DJI's programs do: bytes without an item mean nothing; it works before activation."""
     host = Host(firmware="3.1")
     host.wait(0.1)
     asked_at = host.now

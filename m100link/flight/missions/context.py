@@ -108,7 +108,7 @@ async def require_airborne(
 ) -> bool:
     """Wait for what the guards compare, and see that the aircraft flies, or may take off.
 
-    A mission that is started on the ground may take off by itself (facts W9): nobody is to be
+    A mission that is started on the ground may take off by itself (DJI's sample): nobody is to be
     surprised by that.
 
     Returns whether it stands on the ground. Raises ``UsageError``: it stands on the ground, and
@@ -213,7 +213,7 @@ def check_way(
 # so that a program is told of each waypoint once and in order.
 
 
-_BEFORE_ACTIONS, _AFTER_ACTIONS = 4, 6  # status of the event "reached" (facts W19)
+_BEFORE_ACTIONS, _AFTER_ACTIONS = 4, 6  # status of the event "reached"; DJI's comment
 
 
 def ended_by(told: object) -> News:
@@ -310,7 +310,7 @@ class WaypointTracker(MissionTracker):
         self._reached = self._acted = -1
 
     def _finish(self) -> Iterator[MissionEvent | Over]:
-        """The event "finished". It may come at the end of each run (facts W18, inferred).
+        """The event "finished". It may come at the end of each run (inferred).
 
         One run too many believed would leave an aircraft in flight that nobody stops: so it counts
         on the last waypoint, when no run is to come by our own count; otherwise the status tells.
@@ -339,7 +339,7 @@ class WaypointTracker(MissionTracker):
         yield Over()
 
     def polled(self, answer: WaypointMissionAnswer) -> News:
-        """What the aircraft has stored: nothing, when the mission has ended (facts K14)."""
+        """What the aircraft has stored: nothing, when the mission has ended (seen on an M100)."""
         is_gone = answer.code in (MissionCode.NO_MISSION, MissionCode.NOT_STARTED)
         if is_gone or (answer.code is MissionCode.SUCCESS and answer.mission.count == 0):
             return [*self._finished(), Over()]

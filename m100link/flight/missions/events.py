@@ -211,8 +211,8 @@ class Events:
 
 # -- the life of one mission as a table of states and inputs ---------------------------------------
 # A mission lives in the flight controller: it flies on when the program dies, and setpoints are
-# ignored while it runs (facts M8, M9). So from the moment before its start leaves until its end is
-# known, whoever ends the program's block owes the aircraft a stop.
+# ignored while it runs (seen on an M100). So from the moment before its start leaves until its end
+# is known, whatever ends the program's block owes the aircraft a stop.
 
 
 class RunState(Enum):

@@ -94,7 +94,7 @@ class CircleHeading(IntEnum):
 
 
 def largest_rate(radius: float) -> float:
-    """The largest angular rate on a circle, °/s: 30, and no faster than 10 m/s (facts H4)."""
+    """The largest angular rate on a circle, °/s: 30, and 10 m/s at most (DJI's libraries)."""
     return min(_MOST_DEG_S, math.degrees(_MOST_M_S / radius))
 
 
@@ -307,7 +307,7 @@ class HotpointFlight(MissionFlight):
         wait: bool,
         timeout: float,
     ) -> None:
-        """Send it once, or again and again until a push or the download shows it (facts K15)."""
+        """Send it once, or again and again until a push or the download shows it (errata 58)."""
         self._run.require_in_the_air("its change")
         requests, clock = self._context.commander.requests, self._context.commander.link.loop.time
         give_up_at = clock() + timeout
@@ -358,10 +358,10 @@ def _require_rate(rate: float, radius: float) -> None:
 # -- following a target that moves, at the distance that it had when this began --------------------
 
 
-_INTERVAL_S = 0.1  # targets are sent at 10 Hz at most (facts F3)
-_LOWEST_M = 5.0  # what the aircraft refuses to follow below (facts F2, inferred number)
+_INTERVAL_S = 0.1  # targets are sent at 10 Hz at most
+_LOWEST_M = 5.0  # what the aircraft refuses to follow below (inferred number)
 _JUMP_M = 200.0
-"""A target that is so far from the one before is ignored by the aircraft (facts F3, inferred)."""
+"""A target that is so far from the one before is ignored by the aircraft (inferred)."""
 
 
 class Target(NamedTuple):

@@ -100,10 +100,10 @@ class MissionGuard:
         return None if kind is None else self._watch.told_since(kind)
 
     def require_none(self, what: str, *, is_landing: bool = False) -> None:
-        """Raise while a mission flies: the aircraft would ignore what is asked for (facts M8).
+        """Raise while a mission flies: the aircraft would ignore what is asked for.
 
-        ``is_landing``: it lands, here or at home, and so breaks off what a stop did not end (facts
-        M10, inferred). Raises ``MissionRunning``: with what to do about it.
+        ``is_landing``: it lands, here or at home, and so breaks off what a stop did not end
+        (inferred). Raises ``MissionRunning``: with what to do about it.
         """
         name = self.flying
         if not name or (is_landing and self._is_told_to_stop):
@@ -202,7 +202,7 @@ class MissionGuard:
     def is_detached(self) -> bool:
         """Whether a mission was left in flight by name, and nothing tells that it has ended.
 
-        Giving authority back, or landing, would break it off (facts M10, inferred).
+        Giving authority back, or landing, would break it off (inferred).
         """
         run = self._run
         was_ours = run is not None and run.state is RunState.DETACHED

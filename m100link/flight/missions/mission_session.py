@@ -153,7 +153,7 @@ async def order(commander: Commander, kind: MissionKind, what: Ordered) -> None:
 AUTHORITY_CODES = frozenset(
     {MissionCode.RC_NOT_IN_F, MissionCode.AUTHORITY_NEEDED, MissionCode.IOC_ON}
 )
-"""Somebody else has the aircraft: missions are broken off by that (facts M10)."""
+"""Somebody else has the aircraft: missions are broken off by that (inferred)."""
 
 
 class MissionSession:

@@ -186,7 +186,7 @@ class WaypointFlight(MissionFlight):
         return answer.idle_speed
 
 
-# -- reading back the plan that the aircraft has stored (facts W21) --------------------------------
+# -- reading back the plan that the aircraft has stored --------------------------------------------
 
 
 _WHEN = "download it while it flies: the aircraft forgets a mission at its end"

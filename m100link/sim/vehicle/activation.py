@@ -176,7 +176,7 @@ class ActivationState:
     The first request of an app that this aircraft does not know is answered 3 while the server is
     asked through the mobile app; the next one, ``server_delay`` or more later, is answered 0. An
     app that the server does not know is answered 3 at first as well, as DJI's own test of it
-    expects (facts-later-commands 4), then 6. An app that was allowed once is remembered, over
+    expects, then 6. An app that was allowed once is remembered, over
     power-off too, and needs neither phone nor Internet again.
     """
 

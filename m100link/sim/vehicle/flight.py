@@ -190,7 +190,7 @@ class FlightController:
         code = self.tasks.start(task_sequence, task, has_authority and self._can(task))
         if code == TaskStartCode.STARTED:
             if task is Task.TAKE_OFF and self.dynamics.motors_on:
-                # An owner saw it: accepted, announced, and it stays where it is (facts K7).
+                # An owner saw it: accepted, announced, and it stays where it is.
                 self.tasks.end(succeeded=False)
             elif task is Task.TAKE_OFF:
                 self.take_off()

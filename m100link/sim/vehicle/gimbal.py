@@ -30,8 +30,8 @@ class GimbalMount:
     """Angles that follow commands at a limited rate.
 
     Free, its yaw stays fixed to the ground while the aircraft turns below it, until the stop of the
-    axis takes it along. Following, it turns with the nose. (Facts K5: an owner of a Matrice 100 saw
-    it fixed to the ground whatever mode the app had chosen.)
+    axis takes it along. Following, it turns with the nose. (Errata 52: the owner of an aircraft
+    saw it fixed to the ground whatever mode the app had chosen.)
 
     ``yaw``: relative to the nose, degrees, clockwise; -320 to 320, so it may have gone round.
     ``roll``: degrees, held level against the ground. ``pitch``: degrees, -90 looks straight down.

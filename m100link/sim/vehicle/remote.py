@@ -17,7 +17,7 @@ GEAR_DOWN = -4_545
 _FULL = 10_000
 _DEAD_ZONE = 0.05
 _CORNER = 0.95
-_CORNER_S = 2.0  # for how long the sticks are held there (facts V4)
+_CORNER_S = 2.0  # for how long the sticks are held there; our estimate
 
 
 class Sticks(NamedTuple):
@@ -56,7 +56,7 @@ class VirtualRemote:
     leaving F ends it, too.
 
     Two requests within two seconds lock the autopilot in a loop of checks in which even the mode
-    switch does nothing (facts V2, DJI's header): nobody steers any more until a restart.
+    switch does nothing (DJI's header): nobody steers any more until a restart.
 
     ``is_on``: switched on by the last request. ``is_locked``: whether requests came too fast.
     """

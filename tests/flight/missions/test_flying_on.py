@@ -122,7 +122,7 @@ async def test_one_that_is_pushed_on_after_its_end_is_stopped_with_the_block() -
 
 
 async def test_one_that_outlives_a_pause_by_the_pilot_is_stopped_with_the_block() -> None:
-    """That a lost authority ends it is inferred (facts M10); its stop was refused meanwhile."""
+    """That a lost authority ends it is inferred; its stop was refused meanwhile."""
     async with foreign() as (there, aircraft):
         async with aircraft.control(on_pause="wait") as control:
             async with control.waypoint_mission(SLOW):

@@ -205,7 +205,7 @@ async def test_whoever_takes_the_aircraft_ends_it(taken_by: str) -> None:
 async def test_an_aircraft_that_flies_its_mission_on_without_authority_is_stopped(
     is_pushing: bool,
 ) -> None:
-    """What a lost authority does to a mission is inferred (facts M10)."""
+    """What a lost authority does to a mission is inferred."""
     async with foreign() as (there, aircraft):
         task = await begun(there, aircraft)
         there.missions.break_off = lambda reason: None  # type: ignore[method-assign] # it does not

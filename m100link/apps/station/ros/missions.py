@@ -202,10 +202,8 @@ class MissionTopics:
         await self._clients.order(call, orders.ResetHotpointHeading())
         return _done((0x03, 0x25))
 
-    async def _change(
-        self, call: ServiceCall, make: Callable[[float], Order], value: float
-    ) -> None:
-        """Sent; nobody acknowledges it (facts K15)."""
+    async def _change(self, call: ServiceCall, make: Callable[[float], Order], value: float) -> None:
+        """Sent; nobody acknowledges it (errata 58)."""
         if not math.isfinite(value):
             raise UsageError("that is not a number")
         await self._clients.order(call, make(value))
@@ -289,5 +287,5 @@ def _padded(values: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _signed(value: int) -> int:
-    """The definition says unsigned, the wire signed: angles are negative (facts K11)."""
+    """The definition says unsigned, the wire signed: angles are negative."""
     return value - 0x10000 if value >= 0x8000 else value

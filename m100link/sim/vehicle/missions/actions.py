@@ -140,7 +140,7 @@ _BUSY: dict[Maneuver, MissionCode] = {
 
 @dataclass(slots=True)
 class Conditions:
-    """Judges the state of the aircraft, in the order of facts M3 to M7."""
+    """Judges the state of the aircraft; the codes are DJI's, their order is ours."""
 
     flight: FlightController
     settings: AircraftSettings

@@ -8,8 +8,8 @@
     news(now)                       what the onboard device is told, oldest first
 
 A mission lives here and not with who ordered it: it goes on when the program ends or the line
-breaks (facts M9). It ends when the flight controller does something else, whoever wanted that
-(M10): :meth:`MissionComputer.advance` notices.
+breaks (DJI's samples leave after the start). It ends when the flight controller does something
+else, whatever wanted that (inferred): :meth:`MissionComputer.advance` notices.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A waypoint mission as it was uploaded, and the checks that it has to pass.
 
 What is wrong with one command alone is found at once, what is wrong with the whole when the last
-point arrives (facts W2 to W6): its ack carries the code.
+point arrives (DJI's test of the hardware): its ack carries the code.
 """
 
 from __future__ import annotations
@@ -288,7 +288,7 @@ WAYPOINT_REFUSALS: dict[tuple[MissionOrder, MissionPhase], MissionCode] = {
     (MissionOrder.DOWNLOAD_POINT, MissionPhase.EMPTY): MissionCode.NO_POINTS,
     (MissionOrder.SPEED, MissionPhase.EMPTY): MissionCode.NO_MISSION,
 }
-"""Waypoints (facts W8, W12, W21 to W23)."""
+"""Waypoints: the codes are DJI's; most that none of its tests shows are our reading."""
 
 _IDLE = (MissionPhase.EMPTY, MissionPhase.OTHER)
 
@@ -302,4 +302,4 @@ CIRCLE_REFUSALS: dict[tuple[MissionOrder, MissionPhase], MissionCode] = {
     (MissionOrder.PAUSE, MissionPhase.PAUSED): MissionCode.ALREADY_PAUSED,
     (MissionOrder.RESUME, MissionPhase.FLYING): MissionCode.NOT_PAUSED,
 }
-"""Hotpoint (facts M1, H8) and, with the same codes, follow."""
+"""Hotpoint and, with the same codes, follow (DJI's list of codes; errata 59)."""

@@ -49,7 +49,7 @@ class WaypointPhase(Enum):
 
     @property
     def status(self) -> int:
-        """Byte 2 of the status push (facts W20, ours)."""
+        """Byte 2 of the status push (docs/explanation/simulator-limits.md)."""
         return self.value[1]
 
 

@@ -1,4 +1,4 @@
-"""Codes of a start that come from the state of the aircraft (facts M3 to M7, W8)."""
+"""Codes of a start that come from the state of the aircraft: DJI's, in an order of ours."""
 
 from __future__ import annotations
 

@@ -82,20 +82,15 @@ ORDERS: dict[MissionOrder, Any] = {
     MissionOrder.DOWNLOAD_POINT: WaypointDownloadPoint(0),
     MissionOrder.SPEED: WaypointSetIdleSpeed(4.0),
 }
-# From the facts, not from the table: one row per order, EMPTY, PLANNED, READY, FLYING, PAUSED.
+# From DJI's list of codes, not from our table.
+# One row per order: EMPTY, PLANNED, READY, FLYING, PAUSED.
 WAYPOINTS: dict[MissionOrder, tuple[Code, Code, Code, Code, Code]] = {
     MissionOrder.UPLOAD: (OK, OK, OK, Code.RUNNING, Code.RUNNING),
     MissionOrder.ADD: (Code.NO_MISSION, OK, OK, Code.RUNNING, Code.RUNNING),
     MissionOrder.START: (Code.NO_POINTS, Code.NO_POINTS, OK, Code.ALREADY_SO, Code.ALREADY_SO),
     MissionOrder.STOP: (Code.NOT_STARTED, Code.NOT_STARTED, Code.NOT_STARTED, OK, OK),
     MissionOrder.PAUSE: (Code.NOT_STARTED, Code.NOT_STARTED, Code.NOT_STARTED, OK, Code.ALREADY_SO),
-    MissionOrder.RESUME: (
-        Code.NOT_STARTED,
-        Code.NOT_STARTED,
-        Code.NOT_STARTED,
-        Code.ALREADY_SO,
-        OK,
-    ),
+    MissionOrder.RESUME: (Code.NOT_STARTED, Code.NOT_STARTED, Code.NOT_STARTED, Code.ALREADY_SO, OK),
     MissionOrder.DOWNLOAD: (Code.NO_MISSION, OK, OK, OK, OK),
     MissionOrder.DOWNLOAD_POINT: (Code.NO_POINTS, OK, OK, OK, OK),
     MissionOrder.SPEED: (Code.NO_MISSION, OK, OK, OK, OK),
