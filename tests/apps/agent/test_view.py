@@ -49,7 +49,7 @@ from tests.known import CONNECTED, Known, KnownAgent, position, sample, seen
 
 AGES_S = dict.fromkeys(BY_RECORD, 1.2) | {FlightStatus: 2.5, Battery: 5.0}
 """An item at 1 Hz is known all the time; of the status one package may be lost, of the charge four.
-As docs/explanation/safety.md has them for the guards."""
+As docs/reference/guards.md has them for the guards."""
 
 NOBODY = LeaseChanged(0, "")
 
