@@ -48,7 +48,7 @@ class Message(NamedTuple):
     """One message of a log.
 
     Attributes:
-        topic: What it is about, see ``docs: howto/flight-logs``.
+        topic: What it is about, see ``docs: reference/log``.
         at: The event loop's clock when it was written, s.
         utc: The same as POSIX time, s.
         data: Its bytes; JSON, except on the raw topics.
