@@ -39,13 +39,13 @@ TOO_LONG = 35  # words of a sentence
 
 # These may only fall. Lower them when you made them too large.
 MOST = {
-    "whoever": 251,
-    "headless": 1042,
-    "is told": 174,
+    "whoever": 245,
+    "headless": 1013,
+    "is told": 166,
     "of before": 14,
-    "of then": 9,
+    "of then": 7,
     "outside": 0,
-    "long sentences": 46,
+    "long sentences": 43,
     "shared class names": 87,
 }
 
