@@ -53,14 +53,19 @@ MOST = {
 @cache
 def texts() -> dict[str, str]:
     """All that is read, once: by its path."""
-    paths = [ROOT / page for page in PAGES]
+    paths = [Path(page) for page in PAGES]
     for folder in FOLDERS:
         paths += [
-            path
+            path.relative_to(ROOT)
             for path in (ROOT / folder).rglob("*.*")
-            if path.suffix in (".md", ".py", ".toml") and not {"_build", "_ext"} & set(path.parts)
+            if path.suffix in (".md", ".py", ".toml")
         ]
-    return {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8") for path in sorted(paths)}
+    built = {"_build", "_ext", "manual"}  # what is made of these files, and how
+    return {
+        str(path): (ROOT / path).read_text(encoding="utf-8")
+        for path in sorted(paths)
+        if not built & set(path.parts)
+    }
 
 
 def prose(page: str) -> str:
