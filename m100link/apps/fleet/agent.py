@@ -54,14 +54,14 @@ HOLD_S = 0.5
 _ID = re.compile(r"[0-9a-f]{32}")
 _CARD_S = 1.0
 _NAMESAKE_S = 2.0
-_SHORT = 2048
+_READ_AT_ONCE_BYTES = 2048
 """Bytes of an order that is read at once: with its signature STOP has 300."""
-_MOST_LONG = 16
+_MAX_LONG_ORDERS = 16
 _MOST_WAITING = 16
 """Questions about its mission; of a flood the oldest are dropped."""
 _AS_GOOD_AS_NEW_S = 0.05
 """Seconds in which all who ask that hear the same: whoever flies must not wait for who asks."""
-_LONG_S = 0.02
+_LONG_ORDER_PAUSE_S = 0.02
 
 T = TypeVar("T")
 
@@ -280,9 +280,9 @@ class FleetAgent:
     # -- orders ----------------------------------------------------------------------------------
 
     def _on_order(self, question: Question) -> None:
-        if len(question.payload) <= _SHORT:
+        if len(question.payload) <= _READ_AT_ONCE_BYTES:
             self.client.background.spawn(self._answer_order(question), "order of the fleet")
-        elif len(self._long) < _MOST_LONG:
+        elif len(self._long) < _MAX_LONG_ORDERS:
             self._long.append(question)
             self._has_long.set()
         else:
@@ -296,7 +296,7 @@ class FleetAgent:
             if not self._long:
                 self._has_long.clear()
             self.client.background.spawn(self._answer_order(question), "order of the fleet")
-            await asyncio.sleep(_LONG_S)
+            await asyncio.sleep(_LONG_ORDER_PAUSE_S)
 
     async def _answer_order(self, question: Question) -> None:
         # The key of this aircraft, whatever pattern was asked: of several answers under one key
@@ -410,7 +410,7 @@ class FleetAgent:
     # -- setpoints -------------------------------------------------------------------------------
 
     def _on_setpoint(self, key: str, payload: bytes) -> None:
-        if len(payload) > _SHORT:
+        if len(payload) > _READ_AT_ONCE_BYTES:
             self.dropped[Dropped.DAMAGED] += 1
             return
         try:
