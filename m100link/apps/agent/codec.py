@@ -14,7 +14,9 @@ import struct
 import types
 from collections.abc import Callable, Container, Iterable, Mapping
 from enum import Enum
+from functools import partial
 from itertools import product
+from operator import attrgetter
 from typing import Any, get_args, get_origin, get_type_hints
 
 from m100link.apps.agent.messages import (
@@ -52,48 +54,31 @@ MAX_ENTRIES = 32
 MAX_PIECES = 99
 """Most pieces of a list, which are the waypoints of the longest plan."""
 
-_MAX_INTEGER = 1 << 53
-"""A double holds every integer up to here: other readers of JSON round those above."""
+_PLAIN: dict[type[Any], tuple[float, float, str]] = {
+    # A double holds every integer up to here: other readers of JSON round those above.
+    int: (-(1 << 53), (1 << 53) - 1, "an integer below 2⁵³"),
+    float: (-1e300, 1e300, "a finite number"),
+    bool: (False, True, "true or false"),
+    str: (0, MAX_TEXT, f"a text of at most {MAX_TEXT} characters"),
+}
+"""What JSON writes by itself: the least and the greatest value, of a text its length."""
 
-_Codec = tuple[Callable[[Any], Any], Callable[[Any], Any]]
+_Codec = tuple[Callable[[Any], Any] | None, frozenset[type[Any]], Callable[[Any], Any]]
+"""What writes a value that JSON cannot, the types that are read as they come, what reads others."""
+
+write_json = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
 
 class InvalidValue(ValueError):
     """A value that does not fit its field; the text does not repeat it."""
 
 
-def _same(value: Any) -> Any:
-    return value
-
-
-def _read_int(value: Any) -> int:
-    if type(value) is not int or not -_MAX_INTEGER <= value < _MAX_INTEGER:
-        raise InvalidValue("not an integer below 2⁵³")
-    return value
-
-
-def _read_float(value: Any) -> float:
-    if type(value) not in (int, float) or not -1e300 <= value <= 1e300:
-        raise InvalidValue("not a finite number")
-    return float(value)
-
-
-def _finite(value: float) -> float:
-    if not math.isfinite(value):
-        raise InvalidValue("not a finite number")
-    return value
-
-
-def _read_bool(value: Any) -> bool:
-    if type(value) is not bool:
-        raise InvalidValue("neither true nor false")
-    return value
-
-
-def _read_text(value: Any) -> str:
-    if type(value) is not str or len(value) > MAX_TEXT:
-        raise InvalidValue(f"not a text of at most {MAX_TEXT} characters")
-    return value
+def _read_plain(kind: type[Any], value: Any) -> Any:
+    least, most, what = _PLAIN[kind]
+    is_one = type(value) in ((int, float) if kind is float else (kind,))
+    if not is_one or not least <= (len(value) if kind is str else value) <= most:
+        raise InvalidValue(f"not {what}")
+    return kind(value)
 
 
 def _write_text(value: str) -> str:
@@ -113,17 +98,14 @@ def _read_bytes(value: Any) -> bytes:
         except (binascii.Error, ValueError):
             data = None
         # Bits behind the last byte are ignored by some readers, and refused by others.
-        if data is not None and len(data) <= MAX_BYTES and _write_bytes(data) == value:
+        if data is not None and len(data) <= MAX_BYTES and base64.b64encode(data).decode() == value:
             return data
     raise InvalidValue(f"not base64 of at most {MAX_BYTES} bytes")
 
 
 def _read_scalar(value: Any) -> str | int | float | bool | None:
-    if value is None or type(value) is bool:
-        return value
-    if type(value) is str:
-        return _read_text(value)
-    return _read_int(value) if type(value) is int else _read_float(value)
+    kind = type(value) if type(value) in _PLAIN else float
+    return None if value is None else _read_plain(kind, value)
 
 
 def _write_details(value: Mapping[str, Any]) -> dict[str, Any]:
@@ -140,7 +122,7 @@ def _write_details(value: Mapping[str, Any]) -> dict[str, Any]:
 def _read_details(value: Any) -> Mapping[str, Any]:
     if type(value) is not dict or len(value) > MAX_ENTRIES:
         raise InvalidValue(f"not a mapping of at most {MAX_ENTRIES} entries")
-    return {_read_text(name): _read_scalar(one) for name, one in value.items()}
+    return {_read_plain(str, name): _read_scalar(one) for name, one in value.items()}
 
 
 def _write_pieces(value: tuple[bytes, ...]) -> list[str]:
@@ -155,23 +137,6 @@ def _read_pieces(value: Any) -> tuple[bytes, ...]:
     return tuple(_read_bytes(one) for one in value)
 
 
-_PLAIN: dict[Any, _Codec] = {
-    int: (_same, _read_int),
-    float: (_finite, _read_float),
-    bool: (_same, _read_bool),
-    str: (_write_text, _read_text),
-    bytes: (_write_bytes, _read_bytes),
-}
-
-
-def _optional(codec: _Codec) -> _Codec:
-    write, read = codec
-    return (
-        lambda value: None if value is None else write(value),
-        lambda value: None if value is None else read(value),
-    )
-
-
 def _choice(kind: type[Enum]) -> _Codec:
     def read(value: Any) -> Enum:
         if type(value) in (str, int):
@@ -181,27 +146,30 @@ def _choice(kind: type[Enum]) -> _Codec:
                 pass
         raise InvalidValue(f"not a {kind.__name__}")
 
-    return lambda value: value.value, read
+    return attrgetter("value"), frozenset(), read
 
 
 def _codec(kind: Any, name: str) -> _Codec:
     if kind in _PLAIN:
-        return _PLAIN[kind]
+        return None, frozenset({kind}), partial(_read_plain, kind)
+    if kind is bytes:
+        return _write_bytes, frozenset(), _read_bytes
     parts = [one for one in get_args(kind) or [kind] if one is not type(None)]
     if Order in parts or (isinstance(kind, types.UnionType) and len(parts) > 1):
         kinds = Kinds([one for one in parts if one is not Order] + [*ORDERS.values()])
-        return kinds.write, kinds.read
+        return kinds.write, frozenset(), kinds.read
     if isinstance(kind, types.UnionType):
-        return _optional(_codec(parts[0], name))
+        write, plain, read = _codec(parts[0], name)
+        return write, plain | {type(None)}, read
     if kind == tuple[bytes, ...]:
-        return _write_pieces, _read_pieces
+        return _write_pieces, frozenset(), _read_pieces
     if isinstance(kind, type) and issubclass(kind, Enum):
         return _choice(kind)
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         nested = Fields(kind)
-        return nested.write, nested.read
+        return nested.write, frozenset(), nested.read
     if get_origin(kind) is Mapping:
-        return _write_details, _read_details
+        return _write_details, frozenset(), _read_details
     raise TypeError(f"{name}: a message cannot carry {kind}")
 
 
@@ -219,9 +187,17 @@ class Fields:
         """The fields as JSON takes them.
 
         Raises:
-            InvalidValue: A number is not finite, or bytes are too long. Texts are cut.
+            InvalidValue: Bytes are too long. Texts are cut.
         """
-        return {name: write(getattr(value, name)) for name, (write, _) in self._codecs.items()}
+        found = {}
+        for name, (write, _, _) in self._codecs.items():
+            one = getattr(value, name)
+            if write is not None and one is not None:
+                one = write(one)
+            elif type(one) is str and len(one) > MAX_TEXT:
+                one = _write_text(one)
+            found[name] = one
+        return found
 
     def read(self, value: Any) -> Any:
         """The object of these fields; all of them, and no others.
@@ -232,9 +208,15 @@ class Fields:
         if type(value) is not dict or value.keys() != self._codecs.keys():
             raise InvalidValue(f"{self._kind.__name__} has the fields {', '.join(self._codecs)}")
         found = {}
-        for name, (_, read) in self._codecs.items():
+        for name, (_, plain, read) in self._codecs.items():
+            one = value[name]
             try:
-                found[name] = read(value[name])
+                # Most are as they have to be: no call for each of them.
+                is_plain = type(one) in plain
+                if is_plain and one is not None:
+                    least, most, _ = _PLAIN[type(one)]
+                    is_plain = least <= (len(one) if type(one) is str else one) <= most
+                found[name] = one if is_plain else read(one)
             except InvalidValue as error:
                 raise InvalidValue(f"{name}: {error}") from None
         return self._kind(**found)
@@ -356,8 +338,8 @@ def encode(message: Message) -> bytes:
     try:
         if pack is not None:
             return pack(message)
-        text = json.dumps(_KINDS.write(message), separators=(",", ":"))
-    except (InvalidValue, struct.error) as error:
+        text = write_json(_KINDS.write(message))
+    except (ValueError, struct.error) as error:
         raise MessageError(f"{kind.__name__} cannot be sent: {error}") from None
     data = text.encode("ascii")
     if len(data) > MAX_SIZE:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 import hmac
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -21,7 +20,7 @@ from typing import Any, ClassVar
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.codec import Fields, InvalidValue, decode, encode, parsed
+from m100link.apps.agent.codec import Fields, InvalidValue, decode, encode, parsed, write_json
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused
 from m100link.apps.agent.messages import Message, MessageError, RemoteError, Steer, fault_of
 from m100link.apps.agent.orders import Right
@@ -421,10 +420,9 @@ def to_json(value: Any) -> bytes:
     """A value as JSON; MessageError where it cannot be written."""
     kind: Any = type(value)
     try:
-        text = json.dumps(_fields(kind).write(value), separators=(",", ":"))
-    except InvalidValue as error:
+        return write_json(_fields(kind).write(value)).encode()
+    except ValueError as error:
         raise MessageError(f"{kind.__name__} cannot be sent: {error}") from None
-    return text.encode()
 
 
 def value_of(kind: Any, found: object) -> Any:
