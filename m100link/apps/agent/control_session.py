@@ -151,6 +151,8 @@ class ControlSession:
         self.lease_end: LeaseChanged | None = None
         #: Who or what took authority; None while it is held, and without a lease.
         self.loss: LossReason | None = None
+        #: Digest of the plan that this pilot uploaded last, and starts; empty for none.
+        self.uploaded = ""
         #: Called with each new state.
         self.on_change: Callable[[ControlState], None] = ignore
         #: Called with why a setpoint of this pilot was not flown.
@@ -490,7 +492,10 @@ class ControlSession:
         if (lease := self.lease) is None and order.needs is orders.Needs.LEASE:
             raise self._no_control()
         self._used_at = self._agent.now
-        return await self._agent.ask(order, lease, accepted)
+        outcome = await self._agent.ask(order, lease, accepted)
+        if isinstance(order, orders.UploadPlan):
+            self.uploaded = order.digest
+        return outcome
 
     def steer(self, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
         """Fly this for its lifetime, s. A refusal comes to ``on_refused``, after this returned.

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from m100link.apps.agent.orders import AskVersion, Order
+from m100link.apps.agent.orders import AskVersion, Order, UploadPlan
 from m100link.apps.cli.common import err, out, run_async
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
@@ -221,23 +221,27 @@ def upload(
 
 
 @missions.command
-def start(name: str, /, *, take_off: Flag = False, options: FleetOptions = NO_OPTIONS) -> int:
-    """Let the plan fly that is on board; it goes on while `fleet lease` runs.
+def start(
+    name: str,
+    plan: File,
+    /,
+    *,
+    file: FileOptions | None = None,
+    take_off: Flag = False,
+    options: FleetOptions = NO_OPTIONS,
+) -> int:
+    """Let a plan fly that `upload` brought on board; it goes on while `fleet lease` runs.
 
     Args:
         name: Which aircraft.
+        plan: The file that was uploaded: another plan on board does not fly.
         take_off: Take off first, from the ground.
     """
+    found = read_plan(plan, file)
 
-    async def do(orders: MissionOrders, aircraft: FleetAircraft) -> str:
-        card = await aircraft.mission()
-        if not card.digest:
-            raise UsageError(
-                f"there is no plan on board {name}",
-                remedy=f"m100link fleet mission upload {name} FILE",
-            )
-        await orders.start(card.digest, take_off=take_off)
-        return f"the mission of {card.points} waypoints flies"
+    async def do(orders: MissionOrders, _: FleetAircraft) -> str:
+        await orders.start(UploadPlan.of(found).digest, take_off=take_off)
+        return f"the mission of {len(found.waypoints)} waypoints flies"
 
     return _ordering(name, options, _START, do)
 

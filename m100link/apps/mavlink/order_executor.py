@@ -255,7 +255,7 @@ class OrderExecutor:
         await agent.ask(upload, lease)
         self._owes_a_stop = True
         try:
-            start = orders.StartMission(until_over=True, digest=upload.digest)
+            start = orders.StartMission(upload.digest, until_over=True)
             await agent.ask(start, lease, lambda: self._flights.begun(order))
         except M100Error:
             self._owes_a_stop = False  # the agent has stopped it, or told what came of that

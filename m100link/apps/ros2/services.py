@@ -53,7 +53,6 @@ class MissionServices:
 
     def __init__(self, control: RosControl) -> None:
         self._control = control
-        self._digest = ""  # of what was uploaded last: that flies, or nothing
 
     def calls(self) -> dict[str, Call]:
         """The services, by the names of the table."""
@@ -70,14 +69,13 @@ class MissionServices:
 
     async def _upload(self, request: Mapping[str, Any]) -> None:
         self._control.session.held()
-        plan = orders.UploadPlan.of(plan_of(request))
-        await self._control.do(plan)
-        self._digest = plan.digest
+        await self._control.do(orders.UploadPlan.of(plan_of(request)))
 
     async def _start(self, request: Mapping[str, Any]) -> None:
-        self._control.session.held()
+        session = self._control.session
+        session.held()
         self._control.require_free("a mission")
-        await self._control.do(orders.StartMission(request["take_off"], digest=self._digest))
+        await self._control.do(orders.StartMission(session.uploaded, request["take_off"]))
 
 
 def plan_of(request: Mapping[str, Any]) -> WaypointPlan:

@@ -67,8 +67,9 @@ async def airborne(rig: Rig) -> None:
 
 async def mission(rig: Rig, plan: WaypointPlan, *, begun: Callable[[], None] | None = None) -> None:
     """Upload a plan and let it fly; until it is over where somebody wants to know its begin."""
-    await rig.agent.ask(orders.UploadPlan.of(plan), rig.token)
-    start = orders.StartMission(until_over=begun is not None)
+    upload = orders.UploadPlan.of(plan)
+    await rig.agent.ask(upload, rig.token)
+    start = orders.StartMission(upload.digest, until_over=begun is not None)
     await rig.agent.ask(start, rig.token, begun or ignore)
 
 

@@ -13,6 +13,7 @@ import time
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -195,21 +196,27 @@ def test_whatever_ends_the_command_ends_the_mission(
 
 @needs_zenoh
 @pytest.mark.pty
-def test_steps_go_under_the_lease_that_another_shell_holds(site: Site, plan: Path) -> None:
+def test_steps_go_under_the_lease_that_another_shell_holds(
+    site: Site, plan: Path, tmp_path: Path
+) -> None:
     assert site.ask("mission", "upload", "a1", str(plan))[0] == 2
     holder = site.start("lease", "a1", "--json")
     assert holder.stdout is not None
     assert holder.stdout.readline()
-    assert site.ask("mission", "start", "a1")[0] == 2
+    assert site.ask("mission", "start", "a1", str(plan))[0] == 2
     assert site.ask("mission", "upload", "a1", str(plan))[0] == 0
-    assert site.ask("mission", "start", "a1", "--take-off")[0] == 0
+    other = tmp_path / "other.json"
+    other.write_text(replace(WaypointPlan.parse(plan.read_text()), speed=1.0).to_json())
+    assert site.ask("mission", "start", "a1", str(other), "--take-off")[0] == 2
+    assert site.ask("mission", "progress", "a1")[1][-1]["stage"] == "uploaded"
+    assert site.ask("mission", "start", "a1", str(plan), "--take-off")[0] == 0
     assert until(site, lambda card: card["stage"] == "flying")["by"]
     assert site.ask("mission", "stop", "a1")[0] == 0
     over = until(site, lambda card: card["stage"] == "over")
     assert over["fault"]["kind"] == "NotObserved"
     holder.send_signal(signal.SIGINT)
     assert holder.wait(PATIENCE) == 0
-    assert site.ask("mission", "start", "a1")[0] == 2
+    assert site.ask("mission", "start", "a1", str(plan))[0] == 2
 
 
 @needs_zenoh

@@ -802,7 +802,7 @@ def test_a_number_that_stands_for_nothing_is_not_uploaded(changed: dict[str, Any
 @pytest.mark.parametrize("take_off", [True, False])
 def test_a_mission_takes_off_when_it_is_asked_to(take_off: bool) -> None:
     [ask] = ordered(("~/mission/start", {"take_off": take_off}))
-    assert ask.order == orders.StartMission(take_off=take_off)
+    assert ask.order == orders.StartMission("", take_off)
 
 
 def flown(name: str, goal: dict[str, Any], seconds: float = 0.5) -> list[Any]:

@@ -407,7 +407,7 @@ async def _start_mission(call: OrderContext, order: orders.StartMission) -> None
         raise UsageError(
             "no plan was uploaded under this lease", remedy="upload it again, then start"
         )
-    if order.digest not in ("", uploaded.digest):
+    if order.digest != uploaded.digest:
         raise UsageError(
             "the plan that is to start is not the one on board; nothing was started",
             cause="another one was uploaded since",

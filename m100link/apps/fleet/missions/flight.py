@@ -96,7 +96,7 @@ class MissionOrders:
         Raises:
             M100Error: As :meth:`m100link.Control.waypoint_mission`, and :class:`FleetError`.
         """
-        await self._ask(orders.StartMission(take_off, digest=digest))
+        await self._ask(orders.StartMission(digest, take_off))
 
     async def pause(self) -> None:
         """Let it hover in the mission."""

@@ -88,7 +88,7 @@ class MissionManager:
                 "a plan is being uploaded; nothing was started", remedy="start it then"
             )
         async with self._telling:
-            if not self._digest or order.digest not in ("", self._digest):
+            if not self._digest or order.digest != self._digest:
                 raise UsageError(
                     "the plan that is to start is not the one on board; nothing was started",
                     cause="another one was uploaded since, or the lease under which it came ended",
@@ -96,7 +96,7 @@ class MissionManager:
                 )
             self.stage = after(self.stage, MissionInput.ASKED)
             self._clear()
-            whole = replace(order, until_over=True, digest=self._digest)
+            whole = replace(order, until_over=True)
             work = partial(self._fly, lease, whole)
             flying = await self._client.background.begin(work, "mission of a fleet")
         if order.until_over:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
@@ -102,7 +103,10 @@ class MissionTopics:
         return _done(WaypointMission.ADDRESS)
 
     async def _act(self, call: ServiceCall) -> Message:
-        return await self._acted(call, orders.StartMission, (0x12, 0x12, 0x13, 0x13))
+        return await self._acted(call, partial(self._plan, call), (0x12, 0x12, 0x13, 0x13))
+
+    def _plan(self, call: ServiceCall) -> Order:
+        return orders.StartMission(self._clients.session(call.session).uploaded)
 
     async def _act_circle(self, call: ServiceCall) -> Message:
         def start() -> Order:
@@ -123,7 +127,7 @@ class MissionTopics:
     async def _start(self, call: ServiceCall) -> Message:
         """Start what that client uploaded last: this service does not say which kind."""
         if self._graph.known(call.session).get(_LATEST) is not orders.StartHotpoint:
-            return await self._clients.order(call, orders.StartMission())
+            return await self._clients.order(call, self._plan(call))
         return await self._clients.order(call, orders.StartHotpoint(self._circle(call)[1]))
 
     async def _pause(self, call: ServiceCall) -> Message:

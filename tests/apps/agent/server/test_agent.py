@@ -73,7 +73,7 @@ async def test_without_the_lease_nothing_moves(rig: Rig, token: str) -> None:
         rig.agent.ask(orders.PointGimbal(GimbalAngle(yaw_deg=10.0)), token),
         rig.agent.ask(orders.UseCamera(orders.CameraUse.PHOTO), token),
         rig.agent.ask(orders.UploadPlan.of(PLAN), token),
-        rig.agent.ask(orders.StartMission(), token),
+        rig.agent.ask(orders.StartMission(""), token),
         rig.agent.ask(orders.StartHotpoint(HOTPOINT), token),
         rig.agent.ask(orders.SetHotpointRadius(20.0), token),
         rig.agent.ask(orders.FlyPattern(0), token),

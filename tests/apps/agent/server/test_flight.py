@@ -235,8 +235,9 @@ async def test_stop_ends_a_take_off_that_a_mission_or_a_program_began(
     async with Rig(firmware="3.1").running() as rig:
         await rig.agent.ask(orders.Obtain(), rig.token)
         if by == "mission":
-            await rig.agent.ask(orders.UploadPlan.of(away(rig, 60, 80)), rig.token)
-            start = rig.agent.ask(orders.StartMission(take_off=True), rig.token)
+            upload = orders.UploadPlan.of(away(rig, 60, 80))
+            await rig.agent.ask(upload, rig.token)
+            start = rig.agent.ask(orders.StartMission(upload.digest, take_off=True), rig.token)
             rig.agent.background.spawn(start, "mission")
         else:
             await rig.agent.ask(orders.FlyPattern(2), rig.token)

@@ -589,8 +589,8 @@ async def test_a_plan_is_started_under_the_lease_that_it_came_under_and_no_other
     rig: Rig, flies: Flies, take_off: bool, until: bool
 ) -> None:
     """What somebody else left behind is not flown."""
-    start = orders.StartMission(take_off, until)
     first, second = map(orders.UploadPlan.of, PLANS)
+    start = orders.StartMission(first.digest, take_off, until)
     with pytest.raises(UsageError, match="under this lease"):
         await rig.agent.ask(start, rig.token)
     await rig.agent.ask(first, rig.token)
@@ -598,8 +598,9 @@ async def test_a_plan_is_started_under_the_lease_that_it_came_under_and_no_other
     how = ("take_off", take_off), ("begun", begun if until else None)
     assert flies.calls == [("start_mission", first.plan(), *how)]
     await rig.agent.ask(second, rig.token)
-    with pytest.raises(UsageError, match="not the one on board"):
-        await rig.agent.ask(replace(start, digest=first.digest), rig.token)
+    for digest in (first.digest, ""):
+        with pytest.raises(UsageError, match="not the one on board"):
+            await rig.agent.ask(replace(start, digest=digest), rig.token)
     await rig.agent.ask(replace(start, digest=second.digest), rig.token, begun)
     assert flies.calls[1:] == [("start_mission", second.plan(), *how)]
     rig.renewing.cancel()
@@ -622,7 +623,7 @@ async def test_a_plan_that_cannot_be_flown_voids_the_one_before(rig: Rig, flies:
         with pytest.raises(UsageError):
             await rig.agent.ask(bad, rig.token)
         with pytest.raises(UsageError, match="no plan was uploaded"):
-            await rig.agent.ask(orders.StartMission(), rig.token)
+            await rig.agent.ask(orders.StartMission(whole.digest), rig.token)
     assert flies.calls == []
 
 
@@ -640,9 +641,10 @@ async def begin(flown: Flown, front: Front, fence: int) -> None:
     elif flown is Flown.MISSION:
         far = ahead(rig, 80.0)
         points = [Waypoint(far.latitude_deg, far.longitude_deg + lon, 10) for lon in (0.0, 3e-4)]
-        front.send(Ask(20, orders.UploadPlan.of(WaypointPlan(points, speed=4)), fence))
+        upload = orders.UploadPlan.of(WaypointPlan(points, speed=4))
+        front.send(Ask(20, upload, fence))
         await front.outcome(20)
-        front.send(Ask(30, orders.StartMission(), fence))
+        front.send(Ask(30, orders.StartMission(upload.digest), fence))
         await front.outcome(30)
     await anyio.sleep(1.0)
 

@@ -107,7 +107,7 @@ async def test_without_the_lease_nothing_goes_up_and_nothing_starts(rig: Rig) ->
         await asker.ask(UploadPlan.of(away(one, 20, 60)))
     async with pilot["a1"].control() as control:
         digest = await control.missions.upload(away(one, 20, 60))
-        start = orders.StartMission(take_off=True, digest=digest)
+        start = orders.StartMission(digest, take_off=True)
         with pytest.raises(StaleLease):
             await asker.ask(start)
         with pytest.raises(StaleLease):  # a stranger who knows the number of the lease
@@ -128,13 +128,13 @@ async def test_a_start_that_is_repeated_starts_once_and_one_that_is_late_not_at_
     async with pilot["a1"].control() as control:
         await flying(rig, one, control)
         lease = control._held()
-        start = orders.StartMission(take_off=True)
+        start = orders.StartMission(one.fleet_agent.missions._digest, take_off=True)
         with pytest.raises(GuardRefused, match="nobody waits for it"):
             await asker.ask(
                 start, fence=lease.number, token=lease.token, clock=one.client.now - 6.0
             )
         with pytest.raises(MissionRunning):
-            await control.missions.start("", take_off=True)
+            await control.missions.start(start.digest, take_off=True)
         with pytest.raises(MissionRunning):
             await control.missions.upload(away(one, 20, 60))
         begins = [event.text for event in one.client.events if "begins" in event.text]
@@ -150,10 +150,10 @@ async def test_an_agent_that_begins_anew_does_not_start_it_a_second_time(rig: Ri
     pilot = await rig.pilot()
     async with pilot["a2"].control() as control:
         lease = control._held()
-        await control.missions.upload(away(one, 20, 60))
+        digest = await control.missions.upload(away(one, 20, 60))
         try:
             await pilot["a2"].asker.ask(
-                orders.StartMission(take_off=True),
+                orders.StartMission(digest, take_off=True),
                 fence=lease.number,
                 token=lease.token,
                 clock=second.client.now,

@@ -89,7 +89,7 @@ async def fly_up(operator: Operator) -> None:
 async def fly_a_mission(operator: Operator) -> None:
     tab = operator.browser.tab
     await tab.session.ask(orders.UploadPlan.of(plan_of(operator.rig)))
-    await tab.session.ask(orders.StartMission())
+    await tab.session.ask(orders.StartMission(tab.session.uploaded))
     await operator.watch(lambda: operator.rig.front.state.mission_index >= 0)
 
 

@@ -6,11 +6,14 @@ import math
 import re
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
+from dataclasses import replace
 from typing import Any
 
 import anyio
 import pytest
 
+from m100link.apps.agent import orders
+from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import EventTopic
 from m100link.geodesy import LocalFrame
 from m100link.protocol.commands.hotpoint import HotpointSetRate
@@ -223,6 +226,25 @@ async def test_nobody_flies_what_somebody_else_left(rig: Rig) -> None:
     failed = await act(rig, second, START)
     assert "no plan was uploaded under this lease" in failed["values"]
     assert starts(rig) == 0
+
+
+@pytest.mark.parametrize("service", ["mission_start", "mission_waypoint_action"])
+async def test_a_plan_that_another_front_uploaded_meanwhile_is_not_flown(
+    rig: Rig, service: str
+) -> None:
+    page = await rig.airborne()
+    more = {"action": START} if "action" in service else {}
+    assert (await upload(rig, page))["result"] is True
+    mine = rig.front.plan
+    assert mine is not None
+    lease = Lease("another front of its pilot", "", rig.front.holder.number)
+    await rig.front.ask(orders.UploadPlan.of(replace(mine, speed=1.0)), lease)
+    failed = await answer(rig, page, service, **more)
+    assert "not the one on board; nothing was started" in failed["values"]
+    assert starts(rig) == 0
+    assert (await upload(rig, page))["result"] is True
+    assert (await answer(rig, page, service, **more))["result"] is True
+    assert starts(rig) == 1
 
 
 async def test_on_the_ground_it_is_not_started(rig: Rig) -> None:

@@ -124,8 +124,8 @@ class PlanPart:
             self._plan = ui.label().props("id=plan")
             with ui.element("div").classes("acts"):
                 add("mission_upload", "plan.upload", self._upload)
+                add("mission_start", "plan.start", self._start)
                 for name, order in (
-                    ("start", orders.StartMission()),
                     ("pause", orders.PauseMission()),
                     ("resume", orders.ResumeMission()),
                     ("stop", orders.StopMission()),
@@ -253,6 +253,10 @@ class PlanPart:
 
     async def _upload(self) -> None:
         await self._order(orders.UploadPlan.of(self._draft.plan()))
+
+    async def _start(self) -> None:
+        """What this pilot uploaded flies, and nothing that somebody else uploaded since."""
+        await self._order(orders.StartMission(self._page.tab.session.uploaded))
 
     async def _order(self, order: orders.Order) -> None:
         await self._page.tab.session.ask(order)

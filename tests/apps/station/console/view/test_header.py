@@ -79,7 +79,8 @@ async def test_a_plan_from_a_file_is_flown(newer: Rig, as_qgroundcontrol: bool) 
     upload = orders.UploadPlan.of(WaypointPlan.parse(text))
     assert await tab.attempt(lambda: tab.session.ask(upload)), browser.problem
     assert SAY(summary(newer.front.plan)) == "3 waypoints, 30 m at 4.0 m/s, height 8 m to 8 m"
-    assert await tab.attempt(lambda: tab.session.ask(orders.StartMission())), browser.problem
+    start = orders.StartMission(upload.digest)
+    assert await tab.attempt(lambda: tab.session.ask(start)), browser.problem
 
     async def see() -> list[str]:
         seen: list[str] = []
@@ -110,7 +111,7 @@ async def test_pause_resume_and_stop(newer: Rig) -> None:
     browser = await airborne(newer)
     tab = browser.tab
     await tab.session.ask(orders.UploadPlan.of(plan_of(newer)))
-    await keep_alive(browser, tab.session.ask(orders.StartMission()))
+    await keep_alive(browser, tab.session.ask(orders.StartMission(tab.session.uploaded)))
     for action in (orders.PauseMission(), orders.ResumeMission(), orders.StopMission()):
         await keep_alive(browser, anyio.sleep(1.5))
         assert await tab.attempt(partial(tab.session.ask, action)), browser.problem
@@ -121,7 +122,8 @@ async def test_pause_resume_and_stop(newer: Rig) -> None:
 async def test_a_plan_of_somebody_without_control_is_refused(newer: Rig) -> None:
     await airborne(newer)
     other = Browser(newer, "other").tab
-    for order in (orders.UploadPlan.of(plan_of(newer)), orders.StartMission()):
+    upload = orders.UploadPlan.of(plan_of(newer))
+    for order in (upload, orders.StartMission(upload.digest)):
         assert not await other.attempt(partial(other.session.ask, order))
         assert "tab has control" in str(other.refusal)
 
