@@ -73,6 +73,12 @@ async def mission(rig: Rig, plan: WaypointPlan, *, begun: Callable[[], None] | N
     await rig.agent.ask(start, rig.token, begun or ignore)
 
 
+def guided(rig: Rig) -> object:
+    """Where somebody has pointed and the aircraft flies to, or None."""
+    flying = rig.agent.holding.flying
+    return flying and flying.guiding.order
+
+
 @pytest.fixture
 async def rig() -> AsyncIterator[Rig]:
     async with Rig().running() as one:

@@ -532,7 +532,7 @@ class World:
         flight = self.rig.aircraft.vehicle.flight
         if flight.tasks.is_executing or flight.phase.name in ("LANDING", "FINISHING_LANDING"):
             return True  # the autopilot flies
-        if self.rig.agent.holding.guided_order is not None:
+        if (flying := self.rig.agent.holding.flying) and flying.guiding.order:
             return self.has_goal
         return (self.console_steers or any(self.streaming)) and not self.is_stopped
 

@@ -20,7 +20,6 @@ from m100link.aircraft.activation import ActivationProgress
 from m100link.apps.agent.background import TaskSet
 from m100link.apps.agent.lease import Flown
 from m100link.apps.agent.messages import EventTopic, GuardLimits, Journal
-from m100link.apps.agent.orders import GuidedOrder
 from m100link.apps.agent.server.flight import ActiveFlight, limits_of
 from m100link.apps.agent.server.mission import MissionListener, look_at
 from m100link.errors import (
@@ -177,11 +176,6 @@ class AuthorityManager:
     def limits(self) -> GuardLimits:
         """What the guards allow; without control, what they would."""
         return limits_of(self._guards, None) if self.flying is None else self.flying.limits
-
-    @property
-    def guided_order(self) -> GuidedOrder | None:
-        """Where somebody has pointed and the aircraft flies to, or None."""
-        return self.flying.guiding.order if self.flying is not None else None
 
     def require(self) -> ActiveFlight:
         """What flies. Raises NoAuthority: authority is not held."""

@@ -311,10 +311,10 @@ def limits_of(guards: Guards, origin: tuple[float, float] | None) -> GuardLimits
     height, radius, speed = (
         (None, None, None)
         if envelope is None
-        else (
+        else [
             limit if math.isfinite(limit) else None
             for limit in (envelope.max_height_m, envelope.max_radius_m, envelope.max_speed_m_s)
-        )
+        ]
     )
     latitude, longitude = origin if origin is not None else (None, None)
     return GuardLimits(height, radius, speed, guards.battery_floor_percent, latitude, longitude)

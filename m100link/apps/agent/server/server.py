@@ -28,6 +28,7 @@ from m100link.apps.agent.messages import (
     MobileMessage,
     OrderOutcome,
     RemoteError,
+    Replay,
     Stage,
     State,
     Steer,
@@ -159,29 +160,27 @@ class AgentServer:
         """Tell the state if it has changed: always before what is told because of it."""
         agent = self._agent
         holding, connection = agent.holding, agent.connection
+        aircraft, flying = connection.aircraft, holding.flying
         told = (
             connection.state,
             connection.error,
-            connection.aircraft is not None and connection.aircraft.is_activated,
+            aircraft and aircraft.is_activated,
             agent.activation.code,
             agent.activation.error,
             holding.state,
             holding.has_authority,
-            holding.task,
-            holding.pattern,
-            holding.guided_order,
-            connection.aircraft.mission if connection.aircraft is not None else None,
-            self._replay_told(),
+            flying and (flying.task, flying.pattern, flying.guiding.order),
+            aircraft and aircraft.mission,
+            agent.replay and self._replay_told(agent.replay.told()),
         )
         if told != self._told:
             self._told = told
             if self._fronts:
                 self._tell(self._state())
 
-    def _replay_told(self) -> object:
+    def _replay_told(self, told: Replay | None) -> object:
         """What people change of a replay; its place changes by itself."""
-        told = None if self._agent.replay is None else self._agent.replay.told()
-        return None if told is None else (told.rate, told.is_paused, told.clock - told.position_s)
+        return told and (told.rate, told.is_paused, told.clock - told.position_s)
 
     def _state(self) -> State:
         agent = self._agent

@@ -16,7 +16,7 @@ from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.commands.gimbal import GimbalAngle
 from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.setpoint import Setpoint
-from tests.apps.agent.conftest import Rig, airborne
+from tests.apps.agent.conftest import Rig, airborne, guided
 
 pytestmark = pytest.mark.anyio
 
@@ -304,9 +304,9 @@ async def test_a_lease_that_nobody_renews_ends_and_what_flies_by_it(rig: Rig) ->
     await airborne(rig)
     rig.renewing.cancel()
     flight = rig.agent.background.spawn(rig.agent.ask(ChangeHeight(50.0), rig.token), "flight")
-    await rig.until(lambda: rig.holding.guided_order is not None)
+    await rig.until(lambda: guided(rig) is not None)
     await rig.until(lambda: rig.agent.leases.holder(rig.agent.now) is None, within=5.0)
-    await rig.until(lambda: rig.holding.guided_order is None, within=0.5)
+    await rig.until(lambda: guided(rig) is None, within=0.5)
     await rig.until(flight.done, within=1.0)
     await rig.until(lambda: not rig.holding.has_authority, within=5.0)
 

@@ -29,7 +29,7 @@ from m100link.flight.control import Control
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import AtEnd, Waypoint, WaypointPlan
 from m100link.protocol.setpoint import Setpoint
-from tests.apps.agent.conftest import Rig, airborne, mission
+from tests.apps.agent.conftest import Rig, airborne, guided, mission
 from tests.apps.agent.examples import example
 
 pytestmark = pytest.mark.anyio
@@ -275,13 +275,13 @@ async def test_a_guided_flight_begins_is_told_and_ends_for_a_program(rig: Rig) -
     flight = rig.agent.background.spawn(flying.guide(order, lambda: began.append("now")), "flight")
     await rig.until(lambda: began == ["now"])
     await anyio.sleep(0.5)
-    flown: object = rig.holding.guided_order
+    flown: object = guided(rig)
     assert flown is order
     assert flying.flown is Flown.GUIDED
     rig.holding.require().start_pattern("east", go_east)
     await anyio.sleep(0.5)
     assert flight.done()
-    assert (rig.holding.guided_order, rig.holding.pattern, east(rig)) == (None, "east", 1.0)
+    assert (guided(rig), rig.holding.pattern, east(rig)) == (None, "east", 1.0)
     height = rig.aircraft.height
     await anyio.sleep(2.0)
     assert rig.aircraft.height == pytest.approx(height, abs=0.3)
@@ -326,7 +326,7 @@ class Pointing:
     async def under_way(self, order: GuidedOrder, seconds: float = 3.0) -> Any:
         flight = self.begin(order)
         await anyio.sleep(seconds)
-        assert self.rig.holding.guided_order is order
+        assert guided(self.rig) is order
         assert self.speed > 0.5
         return flight
 
@@ -341,7 +341,7 @@ class Pointing:
         return math.hypot(n - self.start[0] - north, e - self.start[1] - east)
 
     async def assert_hovers(self, *, within: float = 3.0) -> None:
-        assert self.rig.holding.guided_order is None
+        assert guided(self.rig) is None
         await anyio.sleep(within)
         assert self.speed < 0.1
         place = self.rig.aircraft.position
@@ -400,7 +400,7 @@ async def test_what_remains_is_told(pointing: Pointing) -> None:
     assert found.seconds is not None
     assert found.distance_m == pytest.approx(pointing.off(60, 0), abs=0.5)
     began = pointing.rig.agent.now
-    await pointing.rig.until(lambda: pointing.rig.holding.guided_order is None)
+    await pointing.rig.until(lambda: guided(pointing.rig) is None)
     assert pointing.rig.agent.now - began == pytest.approx(found.seconds, rel=0.25)
     assert flying.guiding.told() is None
 
@@ -517,7 +517,7 @@ async def test_the_stick_ends_it_and_letting_go_of_it_does_not(pointing: Pointin
     rig = pointing.rig
     rig.agent.steer(rig.token, NORTH.neutral())
     await anyio.sleep(0.2)
-    assert rig.holding.guided_order is not None
+    assert guided(rig) is not None
     for _ in range(20):
         rig.agent.steer(rig.token, NORTH, 0.3)
         await anyio.sleep(0.05)
@@ -563,7 +563,7 @@ async def test_a_landing_that_is_asked_for_meanwhile_lands(pointing: Pointing) -
     await pointing.rig.agent.ask(orders.Land(), pointing.rig.token)
     assert isinstance(await flight, NotObserved)
     assert pointing.rig.aircraft.height == pytest.approx(0.0, abs=0.1)
-    assert pointing.rig.holding.guided_order is None
+    assert guided(pointing.rig) is None
 
 
 async def test_during_a_task_it_is_refused(pointing: Pointing) -> None:

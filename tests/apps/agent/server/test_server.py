@@ -41,7 +41,7 @@ from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
 from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.sample import Sample
-from tests.apps.agent.conftest import Rig
+from tests.apps.agent.conftest import Rig, guided
 
 pytestmark = pytest.mark.anyio
 
@@ -468,7 +468,7 @@ async def test_a_flight_to_a_place_ends_with_its_front(
                 task.cancel()
     else:
         watcher.send(Ask(0, orders.Halt("another console")))
-    await rig.until(lambda: rig.holding.guided_order is None, within=4.0)
+    await rig.until(lambda: guided(rig) is None, within=4.0)
     await anyio.sleep(3.0)
     assert speed_of(rig) < 0.1
     assert watcher.all(State)[-1].guided is None
@@ -484,7 +484,7 @@ async def test_a_halt_that_is_heard_together_with_a_flight_ends_it(
     front.send(Ask(8, orders.Halt(), fence))
     await anyio.sleep(5.0)
     assert speed_of(rig) < 0.1
-    assert rig.holding.guided_order is None
+    assert guided(rig) is None
 
 
 async def test_a_flight_that_is_heard_together_with_a_halt_before_it_is_flown(
