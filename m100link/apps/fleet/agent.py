@@ -305,7 +305,7 @@ class FleetAgent:
         key = self._keys.lease if is_lease else self._keys.command
         try:
             order: OrderMessage = unpack(OrderMessage, question.payload)
-            is_repeated = self._book.heard(order.id, order.digest())
+            is_repeated = self._book.heard(order.id, order.digest)
             if not is_repeated:
                 self._begin(order)
         except M100Error as error:
@@ -326,11 +326,10 @@ class FleetAgent:
             if self._verify is None:
                 raise
             # Signatures let an order through once: the same again hears the same.
-            self._book.begin(order.id, order.digest(), self.client.now)
-            refused = replace(self._reply(order.id, error), order=order.digest())
-            self._book.end(refused, self.client.now)
+            self._book.begin(order.id, order.digest, self.client.now)
+            self._end(order, error)
             return
-        self._book.begin(order.id, order.digest(), self.client.now)
+        self._book.begin(order.id, order.digest, self.client.now)
         work = self._carry_out(order, asked)
         self._running[order.id] = self.client.background.spawn(work, "order of the fleet")
 
@@ -339,8 +338,8 @@ class FleetAgent:
         now = self.client.now
         if asked.moves:
             self.namesakes.require_none(now)
-        if self._may_have_begun(order, asked):
-            return  # whatever it comes under now, it may have been done
+        if self._may_have_begun(order, asked):  # whatever it comes under now
+            raise _begun_before()
         if asked.is_kept:
             # Looked at before a stranger's words are worth a disk's time.
             if self._orders.lease_for(order, asked) is not None:
@@ -356,25 +355,25 @@ class FleetAgent:
         return bool(is_of_before) or self._book.was_begun_before(order.id)
 
     async def _carry_out(self, order: OrderMessage, asked: orders.Order) -> None:
-        failed = OutcomeUnknown("the agent failed while it did this", remedy="see its log")
-        reply = self._reply(order.id, failed)
         try:
-            if self._may_have_begun(order, asked):
-                reply = self._reply(order.id, _begun_before())
-                return
             if asked.is_kept:
                 await self._ledger.begin(order.id)
                 self._ages.check(order.clock, self.client.now)
-            reply = self._reply(order.id, None, await self._orders.carry_out(order, asked))
+            self._end(order, None, await self._orders.carry_out(order, asked))
         except M100Error as error:
-            reply = self._reply(order.id, error)
+            self._end(order, error)
+        except BaseException:
+            failed = "the agent failed while it did this"
+            self._end(order, OutcomeUnknown(failed, remedy="see its log"))
+            raise
         finally:
-            self._book.end(replace(reply, order=order.digest()), self.client.now)
             del self._running[order.id]
 
-    def _reply(
-        self, identity: str, error: M100Error | None, done: Done | None = None
-    ) -> OrderReply:
+    def _end(self, order: OrderMessage, error: M100Error | None, done: Done | None = None) -> None:
+        reply = replace(self._reply(order.id, error, done), order=order.digest)
+        self._book.end(reply, self.client.now)
+
+    def _reply(self, identity: str, error: M100Error | None, done: Done | None = None) -> OrderReply:
         done = done or Done()
         told = {one.name: getattr(done, one.name) for one in fields(done)}
         return OrderReply.done(identity, self._keys.name, self.boot, error, **told)

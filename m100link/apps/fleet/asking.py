@@ -284,7 +284,7 @@ class Asker:
         """
         came = list(answers)
         try:
-            found = believed(came, self.keys, order.id, self._sessions, order.digest())
+            found = believed(came, self.keys, order.id, self._sessions, order.digest)
         except OutcomeUnknown:
             self.doubtful_clocks = clocks_told(came, self.keys.name)
             raise

@@ -284,6 +284,7 @@ class OrderMessage:
         """What the signature is over. The proof is in it: nobody takes it away on the way."""
         return _SIGNED + self.proof + self.document
 
+    @cached_property
     def digest(self) -> bytes:
         """What a reply names the order by, 16 bytes: an id is heard by all, and said again."""
         return hashlib.sha256(self.document).digest()[:16]

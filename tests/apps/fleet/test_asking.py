@@ -214,7 +214,7 @@ class Forgetful:
             return OrderReply(identity, "a1", "boot", Progress.NEVER)
         order, until = self.heard[identity]
         progress = Progress.RUNNING if now < until else Progress.DONE
-        return OrderReply(identity, "a1", "boot", progress, Outcome.OK, order=order.digest())
+        return OrderReply(identity, "a1", "boot", progress, Outcome.OK, order=order.digest)
 
 
 @pytest.mark.parametrize("seed", range(60))

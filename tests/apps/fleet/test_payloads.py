@@ -234,7 +234,7 @@ def test_another_writer_writes_as_it_likes_and_its_bytes_are_what_is_signed(
     assert order == signed_order().sealed(signature=order.signature)
     assert pack(order) == payload
     gate().check(order, 1.8e9)
-    assert order.digest() != signed_order().digest(), "a reply names the bytes that came"
+    assert order.digest != signed_order().digest, "a reply names the bytes that came"
 
 
 def gate() -> Gate:

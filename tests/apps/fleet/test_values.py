@@ -260,7 +260,7 @@ DOCUMENT = (
 
 def test_an_order_is_what_the_page_says() -> None:
     assert pack(ORDER) == b"\x03" + bytes(64) + bytes(16) + DOCUMENT
-    assert ORDER.digest() == hashlib.sha256(DOCUMENT).digest()[:16]
+    assert ORDER.digest == hashlib.sha256(DOCUMENT).digest()[:16]
     proof = hmac.new(b"secret", DOCUMENT, hashlib.sha256).digest()[:16]
     payload = pack(ORDER.under("secret"))
     assert payload == b"\x03" + bytes(64) + proof + DOCUMENT
@@ -276,7 +276,7 @@ def test_a_reply_is_what_the_page_says() -> None:
     fault = RemoteError("GuardRefused", "too low", "the floor", "climb")
     reply = OrderReply(
         *("0b" * 16, "kite", "5c0f8b1e", Progress.DONE, Outcome.REFUSED, fault, "words", 4),
-        *("offer", b"key", 83.25, True, ORDER.digest()),
+        *("offer", b"key", 83.25, True, ORDER.digest),
         show=ShowCard(ShowStage.READY, "ab", 0.25, ""),
     )
     assert json.loads(pack(reply)[1:]) == {
@@ -287,7 +287,7 @@ def test_a_reply_is_what_the_page_says() -> None:
             **{"remedy": "climb", "details": {}},
         },
         **{"text": "words", "number": 4, "offer": "offer", "key": "a2V5", "clock": 83.25},
-        **{"is_repeated": True, "order": base64.b64encode(ORDER.digest()).decode()},
+        **{"is_repeated": True, "order": base64.b64encode(ORDER.digest).decode()},
         "show": {"stage": "ready", "digest": "ab", "farthest_m": 0.25, "why": ""},
     }
 

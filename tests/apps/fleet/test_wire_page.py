@@ -152,7 +152,7 @@ def test_the_example_of_the_page_is_an_order_that_is_proved_and_signed() -> None
     assert order.order == orders.TakeOff()
     assert order.proves("5e" * 32)
     KEY.public_key().verify(order.signature, b"m100link order 3\n" + order.proof + document)
-    assert f"`{order.digest().hex()}`" in text
+    assert f"`{order.digest.hex()}`" in text
     assert pack(order) == payload
 
 

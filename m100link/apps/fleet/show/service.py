@@ -132,7 +132,7 @@ class ShowService:
         identity, fault = "", None
         try:
             order: OrderMessage = unpack(OrderMessage, question.payload)
-            identity, digest = order.id, order.digest()
+            identity, digest = order.id, order.digest
             if digest not in self._known:  # by its id somebody else's would be taken for it
                 asked = admit(order, self._keys, ShowOrder, self._verify)
                 try:
