@@ -451,8 +451,8 @@ class Control:
             NotObserved: Neither success nor failure showed in time.
             AckTimeout: Nobody knows whether it began.
         """
-        self._block.require_flying(task_name(Task.TAKE_OFF))
-        self._keeper.require_none(task_name(Task.TAKE_OFF))
+        self._block.require_flying(what := task_name(Task.TAKE_OFF))
+        self._keeper.require_none(what)
         await self._guards.admit_take_off()
         await self._run(Task.TAKE_OFF, timeout, progress)
 
@@ -473,13 +473,13 @@ class Control:
         await self._run(Task.GO_HOME, timeout, progress)
 
     async def _run(self, task: Task, timeout: float | None, progress: TaskListener | None) -> None:
-        self._block.require_flying(task_name(task))
-        self._make_way(task_name(task), is_landing=task is not Task.TAKE_OFF)
+        self._block.require_flying(what := task_name(task))
+        self._make_way(what, is_landing=task is not Task.TAKE_OFF)
         before, self._unended_task = self._unended_task, task
         self._steering.running_task = task
         watch = self._block.taking_off() if task is Task.TAKE_OFF else nullcontext()
         try:
-            with watch, self._block.waiting(task_name(task)):
+            with watch, self._block.waiting(what):
                 await run_task(self._commander, task, timeout=timeout, progress=progress)
             self._unended_task = None
         except TaskFailed:

@@ -233,14 +233,12 @@ class GuardKeeper:
             needed.append(Position)
         clock = asyncio.get_running_loop().time
         deadline = clock() + FIRST_VALUES_S
-
-        def is_waiting() -> bool:
-            return clock() < deadline and any(known(self._state, item) is None for item in needed)
-
-        while is_waiting():  # noqa: ASYNC110 (75 times at most)
+        while unknown := [item for item in needed if known(self._state, item) is None]:
+            if clock() >= deadline:
+                break
             await asyncio.sleep(_TAKE_OFF_POLL_S)
         self._check_battery(what, on_ground=True)
-        if Position in needed and known(self._state, Position) is None:
+        if Position in unknown:
             guard = "gps" if self.guards.gps else "envelope"
             raise self._unknown(what, Position, guard=guard, limit=None)
 

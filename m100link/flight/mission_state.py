@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ class MissionWatch:
             index=told.get("index"),
             status=told.get("status"),
             since=self.told_since(self._kind),
-            is_running=self._kind.is_mission and is_fresh,
+            is_running=is_fresh and self._kind.is_mission,
         )
 
     @property
@@ -115,14 +116,14 @@ class MissionWatch:
         Of one that flies one push after the other tells, of none one after the other: where they
         do not agree, the kind that is told of for the longest time stands first.
         """
-        now, newest = self._clock(), self.state
+        now = self._clock()
+        newest = self._kind if now - self.received_at <= BELIEVED_S else None
         told = [
             (since, kind)
             for kind, (since, until) in self._told.items()
-            if kind.is_mission
-            and (now - until <= DENIED_S or (kind is newest.kind and newest.is_running))
+            if kind.is_mission and (now - until <= DENIED_S or kind is newest)
         ]
-        return tuple(kind for _, kind in sorted(told, key=lambda item: item[0]))
+        return tuple([kind for _, kind in sorted(told, key=itemgetter(0))])
 
     def on_status(self, push: MissionStatus, now: float) -> None:
         """A status push came (0x02/0x03)."""

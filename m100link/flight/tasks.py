@@ -275,12 +275,11 @@ class _Watch:
 
     def _hovers(self) -> bool:
         status = known(self._state, FlightStatus)
-        position = known(self._state, Position)
-        velocity = self._state.velocity
+        if status is None or status.status != FlightPhase.IN_AIR:
+            return False
+        position, velocity = known(self._state, Position), self._state.velocity
         return (
-            status is not None
-            and status.status == FlightPhase.IN_AIR
-            and position is not None
+            position is not None
             and position.height_m >= _TAKEN_OFF_HEIGHT_M
             and (velocity is None or abs(velocity.up_m_s) < _SETTLED_M_S)
         )
@@ -288,7 +287,7 @@ class _Watch:
     def _report(self, elapsed: float) -> None:
         if self._progress is None:
             return
-        status, position = self._state.flight_status, self._state.position
+        status, position = self._state.get(FlightStatus), self._state.get(Position)
         self._progress(
             TaskProgress(
                 self._task,

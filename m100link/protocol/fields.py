@@ -78,7 +78,7 @@ class Number(NamedTuple):
         # The numbers of numpy are among these two, and a text is not.
         if not isinstance(value, Integral if self.format in _INTEGERS else Real):
             return False
-        low, high = self.bounds
+        low, high = _bounds(self)
         return low <= float(value) <= high or value in self.besides  # nothing compares with NaN
 
     @property
