@@ -123,7 +123,7 @@ class MissionWatch:
             for kind, (since, until) in self._told.items()
             if kind.is_mission and (now - until <= DENIED_S or kind is newest)
         ]
-        return tuple([kind for _, kind in sorted(told, key=itemgetter(0))])
+        return tuple(map(itemgetter(1), sorted(told, key=itemgetter(0))))
 
     def on_status(self, push: MissionStatus, now: float) -> None:
         """A status push came (0x02/0x03)."""

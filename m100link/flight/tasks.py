@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from dataclasses import dataclass, field
 from itertools import cycle, islice
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from m100link.errors import (
     AckTimeout,
@@ -116,16 +116,15 @@ def describe_situation(situation: dict[str, object]) -> str:
     return ", ".join(f"{name} {value}" for name, value in seen.items()) or "no telemetry"
 
 
-async def run_task(
+def run_task(
     commander: Commander,
     task: Task,
     *,
     timeout: float | None = None,
     progress: TaskListener | None = None,
-) -> None:
+) -> Coroutine[Any, Any, None]:
     """Begin a task and wait until it is done; it raises as :meth:`Control.take_off`."""
-    sequence = await _begin(commander, task)
-    await _Watch(commander, task, sequence, progress).run(timeout or TIMEOUTS_S[task])
+    return _Watch(commander, task, progress).run(timeout or TIMEOUTS_S[task])
 
 
 async def _begin(commander: Commander, task: Task) -> int:
@@ -189,19 +188,19 @@ class _Watch:
         self,
         commander: Commander,
         task: Task,
-        sequence: int,
         progress: TaskListener | None,
     ) -> None:
         self._commander = commander
         self._state = commander.state
         self._task = task
-        self._sequence = sequence
+        self._sequence = 0
         self._progress = progress
         self._result: TaskResultCode | None = None
         self._unanswered = 0
         self._observed_since: float | None = None
 
     async def run(self, timeout: float) -> None:
+        self._sequence = await _begin(self._commander, self._task)
         clock = asyncio.get_running_loop().time
         began_at = clock()
         next_query_at = began_at + _QUERY_INTERVAL_S

@@ -129,7 +129,7 @@ class Link(asyncio.Protocol):
     @property
     def cipher(self) -> Cipher | None:
         """Encrypts and decrypts in both directions; None until there is a key."""
-        return self._endpoint.cipher
+        return self._endpoint.decoder.cipher  # asked with each package of telemetry
 
     @cipher.setter
     def cipher(self, cipher: Cipher | None) -> None:

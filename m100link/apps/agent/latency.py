@@ -154,7 +154,7 @@ class ClockEstimate:
 
         It never goes back: no order was made before the one before it.
         """
-        if self.offset(now) is None:
+        if self._there.fastest(now) == math.inf:
             return 0.0
         self._told = max(self._told, now - self._here.fastest(now))
         return self._told

@@ -85,9 +85,10 @@ class Asker:
         self.doubtful_clocks: list[float] = []
 
     async def is_there(self) -> bool:
-        if not self._known():
-            tokens = await self.bus.tokens(self.keys.live, timeout=self.patience)
-            self._found = frozenset(map(session_in, tokens))
+        if self._known():
+            return True
+        tokens = await self.bus.tokens(self.keys.live, timeout=self.patience)
+        self._found = frozenset(map(session_in, tokens))
         return bool(self._sessions)
 
     @property
@@ -456,7 +457,8 @@ def believed(
             remedy="end one of them, and look at both aircraft",
         )
     # One agent gives one answer. When it was given, and whether it had been before, may differ.
-    if len({repr(replace(one, clock=0.0, is_repeated=False)) for one in replies}) > 1:
+    said = (repr(replace(one, clock=0.0, is_repeated=False)) for one in replies)
+    if len(replies) > 1 and len(set(said)) > 1:
         raise OutcomeUnknown(
             f"two answers of {keys.name} to one order disagree",
             cause="a stranger answers in its name",

@@ -73,7 +73,7 @@ class Identity:
 
     def allowed(self, right: Right) -> tuple[str, ...]:
         """With which aircraft it may do this, as the file names them."""
-        found = (pattern for one in Right if one >= right for pattern in self.patterns[one])
+        found = [pattern for one in Right if one >= right for pattern in self.patterns[one]]
         return tuple(dict.fromkeys(found))
 
 
