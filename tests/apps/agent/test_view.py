@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ast
+import asyncio
 import math
 import pathlib
 import random
 import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import FrozenInstanceError, replace
 from itertools import product
 from types import FrameType
@@ -23,6 +25,7 @@ from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import VERSION, Hello, LeaseChanged, State
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.agent.view import Hearing
+from m100link.apps.fleet.signing import signing, verifying
 from m100link.apps.mavlink.translator.codec import MavlinkMessage, write_frame
 from m100link.apps.mavlink.translator.modes import MODES, Mode
 from m100link.apps.mavlink.translator.numbers import MavCommand
@@ -41,6 +44,8 @@ from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.virtual import VirtualAircraft
 from m100link.telemetry.integrity import Integrity, IntegrityState
 from m100link.telemetry.state import AircraftState
+from tests.apps.fleet import conftest as fleet
+from tests.apps.fleet.test_signing import ANNA, RIGHTS
 from tests.apps.mavlink import conftest as mavlink
 from tests.apps.ros2 import conftest as ros2
 from tests.apps.station import conftest as station
@@ -330,21 +335,39 @@ async def test_what_is_kept_for_a_step_is_never_behind_what_arrived(seed: int) -
 ROOT = str(pathlib.Path(m100link.__file__).parent)
 
 
-def calls(work: Callable[[], object]) -> Counter[str]:
+def is_of_aircraft(frame: FrameType | None) -> bool:
+    """Whether the virtual aircraft does that, which reads frames by the library, too."""
+    while frame is not None:
+        place = frame.f_code.co_filename
+        if "/sim/" in place and not place.endswith("clock.py"):
+            return True
+        frame = frame.f_back
+    return False
+
+
+@contextmanager
+def counting() -> Iterator[Counter[str]]:
     """How often each function of the library is called; the virtual aircraft is none of it."""
     counted: Counter[str] = Counter()
 
     def count(frame: FrameType, event: str, _: object) -> None:
         place = frame.f_code.co_filename
-        if event == "call" and place.startswith(ROOT) and "/sim/" not in place:
+        is_library = place.startswith(ROOT) and "/sim/" not in place
+        if event == "call" and is_library and not is_of_aircraft(frame.f_back):
             counted[frame.f_code.co_qualname] += 1
 
     before = sys.getprofile()
     sys.setprofile(count)
     try:
-        work()
+        yield counted
     finally:
         sys.setprofile(before)
+
+
+def calls(work: Callable[[], object]) -> Counter[str]:
+    """The same of one step."""
+    with counting() as counted:
+        work()
     return counted
 
 
@@ -401,6 +424,54 @@ async def test_a_key_of_the_console_is_a_few_calls() -> None:
         counted = calls(lambda: browser.tab.receive(text))
     assert counted["AgentClient.steer"] == 1
     is_asked_once(counted, 150)
+
+
+SLOT_S = 0.5  # until an agent answers that an order runs
+
+
+@pytest.mark.anyio
+async def test_a_take_off_of_a_fleet_is_a_few_calls(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Signed under a lease, over the network, to the line, and back with the first answer.
+
+    What happens all the time is subtracted: that of as long an interval a second before. The
+    aircraft is asked for its version every two seconds, in neither of both.
+    """
+    rig = fleet.Rig()
+    async with rig.stack:
+        verify = verifying(RIGHTS, ["a1"], rig.utc)
+        await rig.aircraft("a1", as_bytes=False, verify=verify)
+        anna = await rig.pilot("anna", sign=signing(ANNA))
+        async with anna["a1"].control() as control:
+            await anyio.sleep(1.003)  # not at the moments of others
+            asked_again, ask = asyncio.Event(), anna.bus.ask
+
+            def asks(key: str, payload: bytes = b"", *, timeout: float) -> Any:
+                if "/status/" in key:
+                    asked_again.set()
+                    sys.setprofile(None)
+                return ask(key, payload, timeout=timeout)
+
+            monkeypatch.setattr(anna.bus, "ask", asks)
+            before = Counter({"Requests.query_version": 0})
+            while not before["Requests.query_version"]:
+                with counting() as before:
+                    await anyio.sleep(SLOT_S)
+            with counting() as idle:
+                await anyio.sleep(SLOT_S)
+            await anyio.sleep(SLOT_S)
+            began_at = anyio.current_time()
+            with counting() as counted:
+                order = asyncio.create_task(control.take_off())
+                await asked_again.wait()
+            assert anyio.current_time() - began_at == pytest.approx(SLOT_S, abs=1e-3)
+            order.cancel()
+    counted.subtract(idle)
+    assert counted["Requests.query_version"] == idle["Requests.query_version"] == 0
+    assert counted["Gate.check"] == counted["FleetAgent._carry_out"] == 1
+    assert counted["Sender.request"] == 1, "one frame on the line"
+    assert counted["Order.document"] == 1, "written once, and signed and sent as it was written"
+    assert counted["Service._state"] == 1
+    assert counted.total() <= 480, counted.most_common(12)
 
 
 # -- nobody else decides ---------------------------------------------------------------------------

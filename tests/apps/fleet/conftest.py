@@ -44,7 +44,7 @@ class OnBoard:
         self._is_killed = False
 
     @asynccontextmanager
-    async def running(self, **options: Any) -> AsyncIterator[OnBoard]:
+    async def running(self, *, as_bytes: bool = True, **options: Any) -> AsyncIterator[OnBoard]:
         self._driver = driver = Driver(self.aircraft)
         connect = by_driver(driver)
 
@@ -63,7 +63,7 @@ class OnBoard:
                 )
             )
             self.service = AgentServer(self.agent)
-            ours, its = self.channels = memory_channels(as_bytes=True)
+            ours, its = self.channels = memory_channels(as_bytes=as_bytes)
             self.service.attach(its)
             self.client = await stack.enter_async_context(AgentClient(ours, "fleet"))
             self.fleet_agent = FleetAgent(
