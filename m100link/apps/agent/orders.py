@@ -265,7 +265,7 @@ class UploadPlan(Order, moves=False, is_kept=False, age=Age.ANY):
 class StartMission(Order):
     """Let the plan fly that was uploaded under the same lease; accepted when it has begun."""
 
-    digest: str  #: of the plan: another one, which somebody uploaded meanwhile, does not fly
+    digest: str  #: of the plan; another one, which somebody uploaded meanwhile, does not fly
     take_off: bool = False  #: take off before it
     until_over: bool = False  #: done when it is over, not when it has begun
 
