@@ -373,7 +373,9 @@ class FleetAgent:
         reply = replace(self._reply(order.id, error, done), order=order.digest)
         self._book.end(reply, self.client.now)
 
-    def _reply(self, identity: str, error: M100Error | None, done: Done | None = None) -> OrderReply:
+    def _reply(
+        self, identity: str, error: M100Error | None, done: Done | None = None
+    ) -> OrderReply:
         done = done or Done()
         told = {one.name: getattr(done, one.name) for one in fields(done)}
         return OrderReply.done(identity, self._keys.name, self.boot, error, **told)

@@ -206,7 +206,9 @@ class MissionTopics:
         await self._clients.order(call, orders.ResetHotpointHeading())
         return _done((0x03, 0x25))
 
-    async def _change(self, call: ServiceCall, make: Callable[[float], Order], value: float) -> None:
+    async def _change(
+        self, call: ServiceCall, make: Callable[[float], Order], value: float
+    ) -> None:
         """Sent; nobody acknowledges it (errata 58)."""
         if not math.isfinite(value):
             raise UsageError("that is not a number")
