@@ -456,10 +456,12 @@ VERB = Recipe(
             named="greeting",
         ),
         Part(
-            "its name in the row of its module",
+            "its row with its module and two examples",
             (
                 Edit(
-                    "m100link/apps/cli/app.py", "_MODULES = (\n", '    ("greeting", ("greet",)),\n'
+                    "m100link/apps/cli/app.py",
+                    '    "Fly": (\n',
+                    '        ("greet", "greeting", "", "--help"),\n',
                 ),
             ),
             noticed_by=("-m", "m100link", "greet"),

@@ -7,9 +7,9 @@ import re
 import signal
 import sys
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
-from cyclopts import App, CycloptsError, CycloptsPanel, UnusedCliTokensError
+from cyclopts import App, CycloptsError, CycloptsPanel, Group, Parameter, UnusedCliTokensError
 
 import m100link
 from m100link.apps.cli import end_at_once
@@ -27,33 +27,141 @@ if TYPE_CHECKING:
     from importlib.abc import InspectLoader
     from importlib.machinery import ModuleSpec
 
-# Modules and verbs, in the order of the manual. A module is loaded when its verb is used.
-_MODULES = (
-    ("demo", ("demo",)),
-    ("connection", ("info", "link", "doctor", "ports", "udev", "activate")),
-    ("telemetry", ("monitor", "echo", "hz", "plot")),
-    ("flight", ("takeoff", "land", "home", "fly", "release", "gimbal", "camera", "rates")),
-    ("plan", ("plan",)),
-    ("mission", ("mission",)),
-    ("log", ("record",)),
-    ("replay", ("replay",)),
-    ("log", ("log",)),
-    ("decode", ("decode",)),
-    ("manual", ("config", "completion", "docs")),
-    ("sim", ("sim",)),
-    ("serve", ("serve", "mavlink", "ros2")),
-    ("fleet_verbs", ("fleet",)),
-    ("serve", ("console",)),
-)
-_WITH_VERBS = ("plan", "mission", "log", "sim", "fleet")
-"""These have verbs of their own: their place is the application of the module."""
+_AREA = "52.1,4.31 52.1,4.312 52.101,4.312 --height 30 --spacing 20"
+_FRAME = "aa230000000000000400757f0103480000803f000000000000003f0000204163c2ab89"
+
+# The groups of the help, and their verbs in the order of a user's day: the verb, its module, and
+# two examples of what follows it. A module is loaded when its verb is used; a verb of a verb has
+# none here.
+_VERBS = {
+    "Fly": (
+        ("takeoff", "flight", "sim://", "lab-m100 --yes"),
+        ("fly", "flight", "lab-m100 5 0 1.5", "/dev/ttyUSB0 -5 0 2 --max-radius 20 --yes"),
+        ("home", "flight", "lab-m100", "/dev/ttyUSB0 --yes"),
+        ("land", "flight", "lab-m100", "/dev/ttyUSB0"),
+        ("release", "flight", "sim://", "lab-m100"),
+        ("gimbal", "flight", "sim://", "lab-m100 --pitch -30 --yaw 10"),
+        ("camera", "flight", "sim://?firmware=3.1 photo", "lab-m100 start-video"),
+    ),
+    "Watch": (
+        ("info", "connection", "sim://", "/dev/ttyUSB0 --duration 5"),
+        ("monitor", "telemetry", "sim:// --duration 5", "lab-m100"),
+        ("echo", "telemetry", "sim:// position --count 3", "lab-m100 attitude --csv --duration 60"),
+        ("plot", "telemetry", "sim:// position.height_m", "flight.csv attitude.yaw_deg"),
+        ("hz", "telemetry", "sim:// --duration 2", "lab-m100"),
+        ("rates", "flight", "sim://?firmware=3.1", "lab-m100 attitude=50 battery=1"),
+        ("link", "connection", "sim:// --duration 2", "/dev/ttyUSB0 --rate 20"),
+    ),
+    "Missions": (
+        ("plan", "plan:app", "", ""),
+        ("plan survey", "", f"survey.json {_AREA}", f"survey.plan {_AREA} --photo-every 10"),
+        ("plan check", "", "survey.json", "field.plan --leave-out geoFence --home 52.1,4.31"),
+        ("plan show", "", "survey.json", "survey.json --hover-minutes 15"),
+        ("plan convert", "", "field.plan survey.json", "survey.json - --to plan"),
+        ("mission", "mission:app", "", ""),
+        ("mission fly", "", "survey.json lab-m100", "survey.json /dev/ttyUSB0 --take-off --yes"),
+        ("mission pause", "", "lab-m100", "/dev/ttyUSB0"),
+        ("mission resume", "", "lab-m100", "/dev/ttyUSB0 --yes"),
+        ("mission stop", "", "lab-m100", "/dev/ttyUSB0"),
+        ("mission download", "", "lab-m100", "lab-m100 -o stored.plan"),
+    ),
+    "Serve": (
+        ("console", "serve", "--sim", "lab-m100 --no-open-browser"),
+        ("serve", "serve", "--sim", "left=/dev/ttyUSB0 right=/dev/ttyUSB1"),
+        ("mavlink", "serve", "sim://", "lab-m100 --to udp://127.0.0.1:14540"),
+        ("ros2", "serve", "sim://", "lab-m100 --namespace /drones --dji-names"),
+        ("fleet", "fleet_verbs:app", "", ""),
+        ("fleet list", "", "", "--connect tcp/192.168.1.5:7447 --json"),
+        ("fleet takeoff", "", "a1 a2", "--all"),
+        ("fleet goto", "", "a1 52.1 4.31 10", "a1 -33.9 18.4 10 --speed 3"),
+        ("fleet land", "", "a1", "--all"),
+        ("fleet stop", "", "a1", "--all"),
+        ("fleet router", "", "", "--listen tls/0.0.0.0:7447 --pki pki --rights rights.toml"),
+        ("fleet agent", "", "sim:// --count 3", "lab-m100 --name a1 --lost land"),
+        ("fleet console", "", "", "a1 a2 --no-open-browser"),
+        ("fleet monitor", "", "", "--duration 10 --json"),
+        ("fleet watch", "", "a1", "a1 --duration 10"),
+        ("fleet lease", "", "a1", "a1 --take-over"),
+        ("fleet mission fly", "", "a1 survey.json", "a1 survey.json --take-off --yes"),
+        ("fleet mission upload", "", "a1 survey.json", "a1 field.plan --leave-out geoFence"),
+        ("fleet mission start", "", "a1", "a1 --take-off"),
+        ("fleet mission pause", "", "a1", "a1 --json"),
+        ("fleet mission resume", "", "a1", "a1 --json"),
+        ("fleet mission stop", "", "a1", "a1 --json"),
+        ("fleet mission progress", "", "a1", "a1 --json"),
+        ("fleet show check", "", "show.json", "show.json --max-height 30"),
+        ("fleet show preview", "", "show.json", "show.json show.svg"),
+        ("fleet show fly", "", "show.json", "show.json --leave hover --yes"),
+        ("fleet log list", "", "a1", "--all"),
+        ("fleet log fetch", "", "a1", "--all --last --to logs"),
+        ("fleet pki init", "", "pki", "pki --json"),
+        ("fleet pki issue", "", "pilot anna --folder pki", "router router --folder pki --host gcs"),
+        ("fleet pki revoke", "", "anna --folder pki", "anna bert --folder pki --json"),
+        ("fleet pki list", "", "--folder pki", "--folder pki --json"),
+        ("fleet pki push", "", "a1 --folder pki", "--all --identity anna --pki pki"),
+        ("fleet acl check", "", "rights.toml", "rights.toml --who anna --pki pki"),
+        ("fleet acl zenoh", "", "rights.toml router.json", "rights.toml - --pki pki"),
+    ),
+    "Logs": (
+        ("record", "log", "sim:// -o flight.mcap --duration 2", "lab-m100"),
+        ("replay", "replay", "flight.mcap", "flight.mcap --from 60 --speed 4"),
+        ("log", "log:app", "", ""),
+        ("log info", "", "flight.mcap", "flight.mcap --json"),
+        ("log plot", "", "flight.mcap", "flight.mcap -o flight.png"),
+        ("log events", "", "flight.mcap", "other.mcap"),
+        ("log compare", "", "first.mcap second.mcap", "first.mcap second.mcap --json"),
+        ("log csv", "", "flight.mcap", "flight.mcap position velocity -o flight.csv"),
+        ("log parquet", "", "flight.mcap", "flight.mcap position -o position.parquet"),
+        ("log frames", "", "flight.mcap", "flight.mcap --key-file m100.key --json"),
+        ("log wireshark", "", "flight.mcap --install", "flight.mcap --key-file m100.key"),
+        ("log ros2", "", "flight.mcap", "flight.mcap -o bag.mcap"),
+        ("log layout", "", "", "-o layout.json"),
+        ("log recover", "", "flight.mcap", "flight.mcap -o whole.mcap"),
+        ("decode", "decode", _FRAME, f"{_FRAME} --table"),
+    ),
+    "Virtual aircraft": (
+        ("demo", "demo", "--speed max", "--side 20 --firmware 3.1"),
+        ("sim", "sim:app", "--link m100", "--tcp 7000 --firmware 3.1 --wind-north 5"),
+        ("sim ctl", "", "rc-mode P", "battery 12"),
+    ),
+    "Set up": (
+        ("ports", "connection", "", "--json"),
+        ("udev", "connection", "/dev/ttyUSB0", "--install"),
+        ("doctor", "connection", "sim://", "/dev/ttyUSB0 --report doctor.json"),
+        ("activate", "connection", "sim://", "lab-m100 --app-id 1022384 --key-file m100.key"),
+        ("config", "manual", "", "lab-m100"),
+        ("completion", "manual", "bash", "--install"),
+        ("docs", "manual", "safety", "--find propellers"),
+    ),
+}
+
+_GROUPS = {title: Group(title, sort_key=place) for place, title in enumerate(_VERBS)}
+_GROUP_OF = {verb: _GROUPS[title] for title, rows in _VERBS.items() for verb, *_ in rows}
 
 VERBS = {
-    verb: f"m100link.apps.cli.{module}:{'app' if verb in _WITH_VERBS else verb}"
-    for module, verbs in _MODULES
-    for verb in verbs
+    verb: f"m100link.apps.cli.{place if ':' in place else f'{place}:{verb}'}"
+    for rows in _VERBS.values()
+    for verb, place, *_ in rows
+    if place
 }
 """Where each verb is."""
+
+EXAMPLES = {
+    verb: tuple(f"m100link {verb} {words}".rstrip() for words in examples)
+    for rows in _VERBS.values()
+    for verb, _, *examples in rows
+    if any(examples)
+}
+"""Two command lines of each verb, except of those that only have verbs of their own."""
+
+_FIRST = ("m100link demo", "m100link console --sim", "m100link takeoff --help")
+
+# Forms of options that did nothing: scripts that have them still run.
+_NO_OPS = re.compile(
+    "--empty-[a-z0-9-]+|--no-(activated|authority|by-serial|cold|csv|deaf|follow-yaw-reversed|force"
+    "|gimbal-follows|hotpoint-acks|install|inverted|json|mute|never-logged-in|radio|rates|relative"
+    "|show-config|single-process|yes)"
+)
 
 # Options by former name, for scripts that were written with it: the help has today's only.
 _FORMER = {
@@ -64,18 +172,54 @@ _FORMER = {
 }
 
 
+def _shown(default: Any) -> Any:
+    """A default as the help shows it; None for an option that is off or not given."""
+    if default is None or default is False or default == ():
+        return None
+    return " ".join(default) if isinstance(default, tuple) else str(default)
+
+
+# An option that is off by default needs no negative form.
+_DEFAULT = Parameter(negative_bool=(), negative_iterable=(), show_default=_shown)
+
+
+class _Commands(App):
+    """The verbs. The help of each ends with examples."""
+
+    def help_print(
+        self,
+        tokens: Annotated[Any, Parameter(show=False)] = None,
+        *,
+        console: Annotated[Any, Parameter(parse=False)] = None,
+    ) -> None:
+        """As the base class prints it, and the examples."""
+        super().help_print(tokens, console=console)
+        chain, apps, _ = self.parse_commands(tokens)
+        console = console or apps[-1].console
+        below = " ".join((*chain, ""))
+        shown = EXAMPLES.get(below.strip()) or [
+            examples[0] for verb, examples in EXAMPLES.items() if verb.startswith(below)
+        ]
+        lines = "".join(f"\n  {line}" for line in (shown[:2] if chain else _FIRST))
+        console.print(f"Examples:{lines}", markup=False, highlight=False, soft_wrap=True)
+
+
 def application(*, overview: bool = False) -> App:
     """The commands under one name; with ``overview`` for the list of verbs only."""
-    made = App(
+    made = _Commands(
         name="m100link",
         help="Fly and watch a DJI Matrice 100 through its Onboard API, or a virtual one.",
         version=m100link.__version__,
-        # To load what reads Markdown takes a fifth of the time of the whole list, which has none.
+        # To load the Markdown reader takes a fifth of the time of the whole list, which has none.
         help_format="plaintext" if overview else None,
+        default_parameter=_DEFAULT,
     )
-    for verb, place in VERBS.items():
-        # What is given here takes the place of the verb's own help.
-        made.command(place, name=verb, help=_sentence(verb, place) if overview else None)
+    for number, (verb, place) in enumerate(VERBS.items()):
+        # A help that is given here replaces the verb's own.
+        help_ = _sentence(verb, place) if overview else None
+        made.command(place, name=verb, help=help_, group=_GROUP_OF[verb], sort_key=number)
+    for flag in ("--help", "--version"):
+        made[flag].group = _GROUP_OF["docs"]
     return made
 
 
@@ -109,7 +253,8 @@ def _renamed(words: list[str]) -> list[str]:
     made = []
     for word in options:
         name, *value = word.split("=", 1)
-        made.append("=".join([former.get(name, name), *value]))
+        if not _NO_OPS.fullmatch(word):
+            made.append("=".join([former.get(name, name), *value]))
     return made + words[len(options) :]
 
 

@@ -13,8 +13,8 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from m100link.apps.cli.configuration import read_configuration
-from m100link.apps.cli.options import Above0, Counted, offered, options_of
-from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions
+from m100link.apps.cli.options import Above0, offered, options_of
+from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, panel
 from m100link.apps.station.config import ENVIRONMENT, Settings, resolve
 from m100link.apps.station.log_output import log_of
 from m100link.errors import UsageError
@@ -24,6 +24,7 @@ from m100link.protocol.firmware import PROFILES
 
 if TYPE_CHECKING:
     from m100link.aircraft.connecting import Connecting, Recording
+    from m100link.flight.guards import Envelope
 
 out = Console(highlight=False)
 """Standard output: data."""
@@ -50,19 +51,72 @@ Url = Annotated[
 ]
 
 
+_OF_PANEL = {
+    "Aircraft": "url sim firmware baud_rate timeout",
+    "App registered with DJI": "app_id key_file key level app_version bundle_id",
+    "Safety": "max_height max_radius keep_authority",
+    "rosbridge": "port also_ports pages max_clients",
+    "Console": "console_port tiles",
+    "Access": "host token_file allow_host allow_origin tls_cert tls_key",
+    "MAVLink": "mavlink mavlink_to sysid autopilot signing_key_file",
+    "ROS 2": "ros2 ros2_namespace ros2_node ros2_domain ros2_remap ros2_dji_names",
+    "Foxglove and Prometheus": "foxglove_port metrics_port",
+    "Flight logs": "record no_record record_keep record_keep_mb",
+}
+_RARE = panel("Rarely needed")
+_PANELS = {name: panel(title) for title, names in _OF_PANEL.items() for name in names.split()}
+_CALLED = {
+    "baud_rate": "--baud",
+    "also_ports": "--also-port",
+    "metrics_port": "--metrics",
+    "foxglove_port": "--foxglove",
+}
+_OFFERED = {"url": offered(places), "firmware": offered(PROFILES)}
+
+
 def layer_of_settings(names: Iterable[str], called: Mapping[str, str] | None = None) -> Any:
     """Options that are one source of the station's settings."""
-    return options_of(Settings, names, environment=ENVIRONMENT, called=called, is_layer=True)
+    order = {name: place for place, name in enumerate(_PANELS)}
+    names = sorted(names, key=lambda name: order.get(name, len(order)))
+    return options_of(
+        Settings,
+        names,
+        environment=ENVIRONMENT,
+        called=_CALLED | dict(called or {}),
+        panels={name: _PANELS.get(name, _RARE) for name in names},
+        extras=_OFFERED,
+        is_layer=True,
+    )
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class AppOptions(
-    layer_of_settings(  # type: ignore[misc] # a class that is made
-        ("app_id", "key_file", "key", "level", "app_version", "bundle_id")
-    )
-):
+class AppOptions(layer_of_settings(_OF_PANEL["App registered with DJI"].split())):  # type: ignore[misc] # a class that is made
     """The app that is registered with DJI: fields of the station's settings."""
+
+
+_OF_ENVELOPE: Any = options_of(
+    Settings,
+    ("max_height", "max_radius"),
+    panels=_PANELS,
+    extras={"max_height": Above0, "max_radius": Above0},
+)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class EnvelopeOptions(_OF_ENVELOPE):  # type: ignore[misc] # a class that is made
+    """How high and how far a flight may go."""
+
+    @property
+    def envelope(self) -> Envelope:
+        """As the guards take it."""
+        from m100link.flight.guards import Envelope  # a verb that only listens needs none
+
+        return Envelope(self.max_height, self.max_radius)
+
+
+WITHIN_DEFAULTS = EnvelopeOptions()
 
 
 @dataclass(frozen=True)
@@ -114,22 +168,9 @@ class ConnectionOptions:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class LinkOptions:
-    """How to talk to it.
+class LinkOptions(layer_of_settings(("url", "firmware", "baud_rate", "timeout"))):  # type: ignore[misc] # a class that is made
+    """Where the aircraft is, and how to talk to it: fields of the station's settings."""
 
-    Attributes:
-        url: Where the aircraft is, or its name (M100LINK_URL), if no argument says it.
-        firmware: Force a firmware profile instead of choosing it from the version answer
-            (M100LINK_PROFILE).
-        baud: Baud rate when the URL has none (M100LINK_BAUD_RATE).
-        timeout: Seconds until an aircraft has to answer; 3 by default.
-        log: What is logged meanwhile.
-    """
-
-    url: Annotated[str | None, offered(places)] = None
-    firmware: Annotated[str | None, offered(PROFILES)] = None
-    baud: Annotated[int | None, Counted] = None
-    timeout: Annotated[float | None, Above0] = None
     log: LogOptions = AS_IT_IS
 
     def place(self, argument: str | None, app: AppOptions | None = None) -> ConnectionOptions:
@@ -144,7 +185,7 @@ class LinkOptions:
                 f"two aircraft are named: {argument} and {self.url}", remedy="leave out one of them"
             )
         given = asdict(self) | asdict(app or AppOptions())
-        given |= {"url": argument or self.url, "baud_rate": given.pop("baud")}
+        given |= {"url": argument or self.url}
         del given["log"]
         configuration = read_configuration()
         settings = resolve(given, os.environ, of_aircraft=configuration.sources)

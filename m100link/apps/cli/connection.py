@@ -29,8 +29,8 @@ from m100link.apps.cli.common import (
     err,
     out,
 )
-from m100link.apps.cli.options import Above0, offered
-from m100link.apps.cli.terminal import ExitCode, finite, print_json, read_line
+from m100link.apps.cli.options import Above0, AsJson, Duration, offered
+from m100link.apps.cli.terminal import ExitCode, finite, print_json, read_line, wants_json
 from m100link.apps.doctor import Finding, Machine, Report, Stage, Verdict, diagnose
 from m100link.apps.doctor.machine import RULES_FILE, rule
 from m100link.errors import AckTimeout, LinkError, PortNotFound, UsageError
@@ -44,15 +44,10 @@ async def info(
     /,
     *,
     link: LinkOptions = BY_LINK,
-    duration: Annotated[float, Above0] = 1.1,
-    json: bool = False,
+    duration: Duration = 1.1,
+    json: AsJson = None,
 ) -> None:
-    """Show what is at the other end: version, firmware profile, telemetry items, line quality.
-
-    Args:
-        duration: Seconds to watch telemetry.
-        json: One JSON object instead of tables.
-    """
+    """Show what is at the other end: version, firmware profile, telemetry items, line quality."""
     place = link.place(url)
     async with place.connect() as aircraft:
         version = await aircraft.version()
@@ -70,7 +65,7 @@ async def info(
             "telemetry_mismatches": aircraft.telemetry_mismatches,
             "line": dataclasses.asdict(aircraft.statistics()),
         }
-    if json or not sys.stdout.isatty():
+    if wants_json(json):
         print_json(described)
     else:
         _print_info(described)
@@ -117,13 +112,12 @@ async def activate(
     *,
     options: AircraftOptions = AS_SET,
     wait: Annotated[float, Above0] = 60.0,
-    json: bool = False,
+    json: AsJson = None,
 ) -> None:
     """Activate the aircraft for an app; waits while the aircraft asks DJI's server.
 
     Args:
         wait: Seconds until it gives up.
-        json: One JSON object instead of talk.
     """
     place = options.place(url)
     credentials = place.credentials()
@@ -141,7 +135,7 @@ async def activate(
 
     async with place.connect() as aircraft:
         version = await aircraft.activate(credentials, timeout=wait, progress=tell)
-    if json or not sys.stdout.isatty():
+    if wants_json(json):
         print_json(
             {
                 "activated": True,
@@ -167,18 +161,16 @@ async def link(
     /,
     *,
     options: LinkOptions = BY_LINK,
-    duration: Annotated[float, Above0] = 5.0,
+    duration: Duration = 5.0,
     rate: Annotated[float, Above0] = 10.0,
-    json: bool = False,
+    json: AsJson = None,
 ) -> None:
     """Measure the line: damage and its causes, how long answers take, rates of telemetry.
 
     It asks for the version again and again, and nothing else: nothing moves.
 
     Args:
-        duration: Seconds to measure.
         rate: Questions per second; the next one waits for the answer.
-        json: One JSON object instead of tables.
     """
     place = options.place(url)
     async with place.connect() as aircraft:
@@ -192,7 +184,7 @@ async def link(
                 unanswered += 1
             await asyncio.sleep(max(0.0, min(now + 1.0 / rate, end) - loop.time()))
         measured = _measured(aircraft) | {"asked": asked, "unanswered": unanswered}
-    if json or not sys.stdout.isatty():
+    if wants_json(json):
         print_json(measured)
     else:
         _print(measured)
@@ -309,7 +301,7 @@ def doctor(
     options: AircraftOptions = AS_SET,
     authority: bool = False,
     report: Path | None = None,
-    json: bool = False,
+    json: AsJson = None,
 ) -> int:
     """Find out why the line is silent: stage by stage, the first that fails with its cause.
 
@@ -319,10 +311,9 @@ def doctor(
         authority: Obtain control authority for a moment, without asking at a terminal: only on
             the ground with its motors off, and given back at once.
         report: Write what was found into this file, to attach to a question; no secret is in it.
-        json: One JSON object instead of talk.
     """
     place = options.place(url or _only_port(options.link))
-    as_json = json or not sys.stdout.isatty()
+    as_json = wants_json(json)
     found = _diagnosed(place, authority=authority, as_json=as_json)
     status = exit_status(found)
     described = {**found.to_json(), "exit_status": status}
@@ -443,15 +434,11 @@ def _write_report(path: Path, described: dict[str, Any]) -> None:
         raise UsageError(f"{path} cannot be written: {error.strerror}") from error
 
 
-def ports(*, json: bool = False) -> int:
-    """List serial ports: adapter, who may open it, who has it open.
-
-    Args:
-        json: One JSON object per port instead of a table.
-    """
+def ports(*, json: AsJson = None) -> int:
+    """List serial ports: adapter, who may open it, who has it open."""
     machine = Machine()
     rows = [_described_port(device, machine) for device in serial_ports()]
-    if json or not sys.stdout.isatty():
+    if wants_json(json):
         for row in rows:
             print_json(row)
         return ExitCode.OK

@@ -27,7 +27,6 @@ def decode(
         streams: Hex digits; spaces, colons and 0x are ignored.
         key: AES key, 64 hex digits, to decrypt frame data.
         firmware: Firmware profile by which telemetry and movement are read.
-        json: JSON lines instead of tables; the default when output is not a terminal.
     """
     cipher = Cipher(key) if key else None
     as_json = wants_json(json)

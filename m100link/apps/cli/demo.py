@@ -30,7 +30,7 @@ from m100link.aircraft.activation import ActivationProgress
 from m100link.apps.agent.connect import by_driver, by_url
 from m100link.apps.cli.common import err, out
 from m100link.apps.cli.display import line_plot, track_plot
-from m100link.apps.cli.options import Flag
+from m100link.apps.cli.options import Json, Simulated
 from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, complain, print_json
 from m100link.apps.station.config import RECORD_KEEP, RECORD_KEEP_MB
 from m100link.errors import M100Error, NotObserved
@@ -71,7 +71,7 @@ class _Flight:
     setpoints: int = 0
     battery_percent: int | None = None
     landed: bool = False
-    firmware: str = ""
+    firmware: Simulated = ""
     port: str = ""
     line: LinkStatistics | None = None
     flights: Flights | None = None
@@ -122,11 +122,11 @@ def demo(
     *,
     speed: Annotated[float | Literal["max"], Parameter(validator=_is_speed)] = 1.0,
     side: Annotated[float, Parameter(validator=validators.Number(gte=1, lte=200))] = 8.0,
-    firmware: str = "1.0",
+    firmware: Simulated = "1.0",
     seed: int = 1,
-    json: bool = False,
+    json: Json = False,
     record: Path | None = None,
-    no_record: Flag = False,
+    no_record: bool = False,
     log: LogOptions = AS_IT_IS,
 ) -> int:
     """Fly the virtual aircraft over a real pseudo-terminal: a square, from take-off to landing.
@@ -137,9 +137,7 @@ def demo(
     Args:
         speed: Times faster than real; max takes no time for waiting, over a line in memory.
         side: Side of the square in metres.
-        firmware: Firmware of the virtual aircraft: 1.0, 2.3 or 3.1.
         seed: Of everything random.
-        json: One summary object instead of pictures.
         record: Folder for the flight log; by default m100link/flights of the user's state folder
             (~/.local/state), where the oldest make room.
         no_record: Record nothing.

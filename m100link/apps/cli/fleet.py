@@ -18,9 +18,9 @@ from cyclopts import Parameter
 from rich.console import Console
 
 from m100link.apps.cli.common import err, out
-from m100link.apps.cli.options import Above0
+from m100link.apps.cli.options import Above0, Json
 from m100link.apps.cli.plan import File, require_free
-from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, print_json
+from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, panel, print_json
 from m100link.apps.fleet.asking import PATIENCE_S, Sign
 from m100link.apps.fleet.client import Fleet, FleetAircraft, connect
 from m100link.apps.fleet.keys import DEFAULT_SITE, check_name, in_order
@@ -137,10 +137,10 @@ def borrowed(site: str, name: str) -> tuple[int, str]:
 ROUTER = "tcp/127.0.0.1:7447"
 
 Names = Annotated[str, Parameter(help="Names of aircraft.")]
-All = Annotated[bool, Parameter(name="--all", negative=(), help="Every aircraft that is there.")]
+All = Annotated[bool, Parameter(name="--all", help="Every aircraft that is there.")]
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=panel("Fleet"))
 @dataclass(frozen=True)
 class FleetOptions:
     """Which fleet, and who asks.
@@ -154,19 +154,16 @@ class FleetOptions:
         pki: Folder with that certificate and key (M100LINK_PKI).
         patience: Seconds without any answer after which it is unknown what became of an order; over
             a way of 3 s an answer takes 6.5 s.
-        json_output: Print one JSON object per line.
         log: What is logged.
     """
 
-    connect: Annotated[tuple[str, ...], Parameter(env_var="M100LINK_FLEET", negative="")] = (
-        ROUTER,
-    )
+    connect: Annotated[tuple[str, ...], Parameter(env_var="M100LINK_FLEET")] = (ROUTER,)
     site: Annotated[str, Parameter(env_var="M100LINK_SITE")] = DEFAULT_SITE
     name: str | None = None
     identity: str | None = None
     pki: Annotated[Path, Parameter(env_var="M100LINK_PKI")] = Path()
     patience: Annotated[float, Above0] = PATIENCE_S
-    json_output: Annotated[bool, Parameter(name="--json")] = False
+    json_output: Json = False
     log: LogOptions = AS_IT_IS
 
     def open(self) -> AbstractAsyncContextManager[Fleet]:

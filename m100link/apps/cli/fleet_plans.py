@@ -26,7 +26,7 @@ from m100link.apps.cli.fleet import (
     write_out,
 )
 from m100link.apps.cli.mission import event_name, event_words
-from m100link.apps.cli.options import Above0, AsJson, Flag, group
+from m100link.apps.cli.options import Above0, AsJson, Force, Yes, group
 from m100link.apps.cli.plan import File, FileOptions, read_plan
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json, wants_json
 from m100link.apps.fleet.client import FleetAircraft
@@ -47,8 +47,6 @@ missions = group(
     "Let an aircraft fly a plan by itself, and act on a mission that flies (firmware 3.1).",
 )
 
-Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=())]
-
 
 @missions.command
 def fly(
@@ -57,8 +55,8 @@ def fly(
     /,
     *,
     file: FileOptions | None = None,
-    take_off: Flag = False,
-    take_over: Flag = False,
+    take_off: bool = False,
+    take_over: bool = False,
     yes: Yes = False,
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
@@ -73,7 +71,6 @@ def fly(
         plan: A file, JSON or .plan; - is standard input.
         take_off: Take off first, from the ground.
         take_over: Take control from its holder, in one step.
-        yes: Do not ask.
     """
     found = read_plan(plan, file)
     show = _Show(name, found, as_json=options.json_output)
@@ -227,7 +224,7 @@ def start(
     /,
     *,
     file: FileOptions | None = None,
-    take_off: Flag = False,
+    take_off: bool = False,
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
     """Let a plan fly that `upload` brought on board; it goes on while `fleet lease` runs.
@@ -364,7 +361,6 @@ def check(
 
     Args:
         show: A file of JSON; - is standard input.
-        json: One JSON object instead of text; the default when output is not a terminal.
     """
     as_json = wants_json(json)
     try:
@@ -416,7 +412,7 @@ def preview(
     /,
     *,
     guards: EnvelopeOptions = EnvelopeOptions(),
-    force: bool = False,
+    force: Force = False,
 ) -> int:
     """Draw a show: its tracks from above, and the least distance of any two over time.
 
@@ -426,7 +422,6 @@ def preview(
     Args:
         show: A file of JSON; - is standard input.
         picture: An SVG file to write; - is standard output.
-        force: Write over a file that is there.
     """
     found = _read(show)
     report = report_on(found, guards.envelope)
@@ -445,7 +440,7 @@ def fly_show(
     /,
     *,
     leave: Leave = "land",
-    yes: bool = False,
+    yes: Yes = False,
     guards: EnvelopeOptions = EnvelopeOptions(),
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
@@ -458,7 +453,6 @@ def fly_show(
     Args:
         show: A file of JSON; - is standard input.
         leave: What each does at its end, and when it has to leave: hover or land.
-        yes: Do not ask before they take off.
     """
     found = _read(show)
     report = report_on(found, guards.envelope)

@@ -18,7 +18,7 @@ from cyclopts import Parameter
 
 from m100link.apps.agent.messages import JOURNAL_LOG
 from m100link.apps.agent.orders import Right
-from m100link.apps.cli.common import Told, err, places, run_async
+from m100link.apps.cli.common import Told, err, layer_of_settings, run_async
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
     ROUTER,
@@ -30,12 +30,22 @@ from m100link.apps.cli.fleet import (
     tell_results,
     write_out,
 )
-from m100link.apps.cli.options import Above0, AsJson, Counted, group, offered, options_of
+from m100link.apps.cli.options import (
+    Above0,
+    AsJson,
+    Counted,
+    Force,
+    Json,
+    group,
+)
 from m100link.apps.cli.plan import File
 from m100link.apps.cli.serve import (
     AS_USUAL,
+    IN_BROWSER,
     MOST_UNTOLD,
+    PageOptions,
     RunOptions,
+    Urls,
     aircraft_of,
     require_packages,
     show,
@@ -54,7 +64,7 @@ from m100link.apps.fleet.pki import issue as make_certificate
 from m100link.apps.fleet.pki import revoke as revoke_names
 from m100link.apps.fleet.revocations import LIST, Revocations, bring
 from m100link.apps.fleet.signing import tls_options, verifying
-from m100link.apps.station.config import ENVIRONMENT, ONLY_NAME, Settings, resolve
+from m100link.apps.station.config import ONLY_NAME, Settings, resolve
 from m100link.apps.station.fleet import (
     FleetSettings,
     default_ledgers,
@@ -66,16 +76,12 @@ from m100link.apps.station.log_output import FlightProgress, tell_elsewhere
 from m100link.apps.station.supervisor import leave_what_stays
 from m100link.errors import UsageError
 
-_FromSettings: Any = options_of(
-    Settings,
+_FromSettings: Any = layer_of_settings(
     (
         *("baud_rate", "firmware", "timeout", "app_id", "key", "key_file", "level"),
         *("app_version", "bundle_id", "max_height", "max_radius", "keep_authority"),
-        *("record", "record_keep", "record_keep_mb"),
-    ),
-    environment=ENVIRONMENT,
-    called={"baud_rate": "--baud"},
-    is_layer=True,
+        *("record", "no_record", "record_keep", "record_keep_mb"),
+    )
 )
 
 
@@ -87,22 +93,20 @@ class AgentOptions(_FromSettings):  # type: ignore[misc] # a class that is made 
     Each aircraft has a folder of its name in that of the logs.
 
     Attributes:
-        no_record: Record nothing.
         run: How the agent is run and told of.
     """
 
-    no_record: Annotated[bool | None, Parameter(negative=())] = None
     run: RunOptions = AS_USUAL
 
 
 def router(
     *,
-    listen: Annotated[tuple[str, ...], Parameter(negative="")] = (ROUTER,),
-    connect: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    listen: tuple[str, ...] = (ROUTER,),
+    connect: tuple[str, ...] = (),
     name: str = "router",
     pki: Annotated[Path | None, Parameter(env_var="M100LINK_PKI")] = None,
     rights: Path | None = None,
-    json_output: Annotated[bool, Parameter(name="--json")] = False,
+    json_output: Json = False,
     log: LogOptions = AS_IT_IS,
 ) -> int:
     """Be the router that agents and pilots connect to, until Ctrl-C. Any zenohd does as well.
@@ -119,7 +123,6 @@ def router(
         rights: File of rights: what it does not allow is not routed. Needs --pki, because who
             somebody is stands in the certificate. Who is in revoked.list there may do nothing; a
             newer list counts from the next start.
-        json_output: Print one line of JSON when it runs.
     """
     options = {} if pki is None else tls_options(pki, name, listens=True)
     if rights is not None and connect:
@@ -148,12 +151,10 @@ def router(
 
 
 def agent(
-    *url: Annotated[str, offered(places)],
+    *url: Urls,
     name: str = "a1",
     count: Annotated[int, Counted] = 1,
-    connect: Annotated[tuple[str, ...], Parameter(env_var="M100LINK_FLEET", negative="")] = (
-        ROUTER,
-    ),
+    connect: Annotated[tuple[str, ...], Parameter(env_var="M100LINK_FLEET")] = (ROUTER,),
     site: Annotated[str, Parameter(env_var="M100LINK_SITE")] = DEFAULT_SITE,
     lost: LostAction = "hover",
     lost_after: float = 10.0,
@@ -169,7 +170,6 @@ def agent(
     3 m/s it takes more than a second to hover. The lease ends after 3 s; then --lost applies.
 
     Args:
-        url: Where the aircraft is, or its name (M100LINK_URL); several as name=URL.
         name: What it is called in the fleet.
         count: So many virtual ones of sim://, called NAME1, NAME2 and so on.
         connect: Endpoint of a router (M100LINK_FLEET); several times for several.
@@ -233,31 +233,21 @@ async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, run: RunOp
 # -- ``m100link fleet console``: a page in the browser for aircraft that are elsewhere -------------
 
 
-_ConsoleFromSettings: Any = options_of(
-    Settings,
-    (
-        *("host", "console_port", "allow_host", "allow_origin", "token_file"),
-        *("tls_cert", "tls_key", "tiles"),
-    ),
-    environment=ENVIRONMENT,
-    is_layer=True,
-)
-
-
 @Parameter(name="*")
 @dataclass(frozen=True)
-class PageOptions(_ConsoleFromSettings):  # type: ignore[misc] # a class that is made has no type
-    """Who may open the page, and where it is served.
-
-    Attributes:
-        open_browser: Open it in the browser.
-    """
-
-    open_browser: bool = True
+class AccessOptions(
+    layer_of_settings(  # type: ignore[misc] # a class that is made has no type
+        ("host", "allow_host", "allow_origin", "token_file", "tls_cert", "tls_key")
+    )
+):
+    """Who may open the page."""
 
 
 def console(
-    *names: str, options: FleetOptions = NO_OPTIONS, page: PageOptions = PageOptions()
+    *names: str,
+    options: FleetOptions = NO_OPTIONS,
+    page: PageOptions = IN_BROWSER,
+    access: AccessOptions = AccessOptions(),
 ) -> int:
     """Serve the console for a fleet, until Ctrl-C: all on a list and a map, one to look at and fly.
 
@@ -270,7 +260,8 @@ def console(
         names: Names of aircraft.
     """
     known = {one.name for one in fields(Settings)}
-    given = {name: value for name, value in vars(page).items() if name in known and value != ()}
+    asked = {**vars(page), **vars(access)}
+    given = {name: value for name, value in asked.items() if name in known and value != ()}
     settings = resolve(given, os.environ)
     require_packages()
     return run_async(_serve_console(names, options, settings, is_opened=page.open_browser))
@@ -316,7 +307,6 @@ def init(folder: Path, /, *, force: bool = False, json: AsJson = None) -> int:
     Args:
         folder: Where its files go; for you alone.
         force: Write over an authority that is there. All that it issued is worth nothing then.
-        json: One JSON object instead of text; the default when output is not a terminal.
     """
     made = make_authority(folder, now=datetime.now(UTC), force=force)
     return _tell(made, json)
@@ -329,7 +319,7 @@ def issue(
     /,
     *,
     folder: Path = Path(),
-    host: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    host: tuple[str, ...] = (),
     force: bool = False,
     json: AsJson = None,
 ) -> int:
@@ -341,7 +331,6 @@ def issue(
         folder: Of the authority.
         host: Name or address by which a router is reached; several times for several.
         force: Write over the certificate of that name; a pilot's signing key stays.
-        json: One JSON object instead of text; the default when output is not a terminal.
     """
     now = datetime.now(UTC)
     return _tell(make_certificate(folder, kind, name, now=now, hosts=host, force=force), json)
@@ -361,7 +350,6 @@ def revoke(
     Args:
         names: Which.
         folder: Of the authority.
-        json: One JSON object instead of text; the default when output is not a terminal.
     """
     if not names:
         raise UsageError("nobody is named", remedy="m100link fleet pki revoke NAME --folder FOLDER")
@@ -381,7 +369,6 @@ def list_(*, folder: Path = Path(), json: AsJson = None) -> int:
 
     Args:
         folder: Of the authority, or of whoever has its own there.
-        json: One JSON object for each instead of text; the default when output is no terminal.
     """
     for name, ends, since in listed(folder):
         facts = {"name": name, "ends": ends.isoformat(), "revoked": since or None}
@@ -395,7 +382,7 @@ def list_(*, folder: Path = Path(), json: AsJson = None) -> int:
 def push(
     *names: Names,
     everybody: All = False,
-    folder: Annotated[Path | None, Parameter(negative="")] = None,
+    folder: Path | None = None,
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
     """Bring revoked.list to agents: whoever is in it steers no more, and what he flew hovers.
@@ -440,7 +427,7 @@ def check(
     file: File,
     /,
     *,
-    who: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    who: tuple[str, ...] = (),
     pki: Pki = None,
     json: AsJson = None,
 ) -> int:
@@ -450,7 +437,6 @@ def check(
         file: A file of rights, TOML.
         who: Name of an identity, several times for several; all of them by default.
         pki: Folder with revoked.list and ca.pem (M100LINK_PKI): who is revoked may do nothing.
-        json: One JSON object for each instead of text; the default when output is no terminal.
     """
     rights = Rights.read(file)
     as_json = wants_json(json)
@@ -491,7 +477,7 @@ def _words(right: Right | None) -> str:
 
 
 @acl.command
-def zenoh(file: File, target: File, /, *, pki: Pki = None, force: bool = False) -> int:
+def zenoh(file: File, target: File, /, *, pki: Pki = None, force: Force = False) -> int:
     """Write the rules of a router of zenoh that a file of rights means.
 
     They are the value of access_control in its configuration. The router knows everybody by the
@@ -501,7 +487,6 @@ def zenoh(file: File, target: File, /, *, pki: Pki = None, force: bool = False) 
         file: A file of rights, TOML.
         target: The JSON file to write; - is standard output.
         pki: Folder with revoked.list and ca.pem (M100LINK_PKI): who is revoked has no rules.
-        force: Write over a file that is there.
     """
     rights = Rights.read(file)
     if pki is not None:

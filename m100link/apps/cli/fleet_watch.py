@@ -28,7 +28,7 @@ from m100link.apps.cli.fleet import (
     tell,
     tell_results,
 )
-from m100link.apps.cli.options import Above0, Flag, group
+from m100link.apps.cli.options import Above0, AtMost, group
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json
 from m100link.apps.fleet.client import Fleet, FleetAircraft
 from m100link.apps.fleet.keys import Keys, in_order
@@ -54,7 +54,7 @@ async def _until(ended: asyncio.Event, seconds: float) -> bool:
 def monitor(
     *,
     rate: Annotated[float, Above0] = 2.0,
-    duration: Annotated[float | None, Above0] = None,
+    duration: AtMost = None,
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
     """Watch all aircraft until Ctrl-C: what each said last, and how old that is.
@@ -64,7 +64,6 @@ def monitor(
 
     Args:
         rate: Times a second that the table is drawn.
-        duration: Seconds until it ends by itself.
     """
 
     async def run() -> None:
@@ -129,14 +128,13 @@ def watch(
     name: str,
     /,
     *,
-    duration: Annotated[float | None, Above0] = None,
+    duration: AtMost = None,
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
     """Print every telemetry package of one aircraft until Ctrl-C: one JSON object for each.
 
     Args:
         name: Which.
-        duration: Seconds until it ends by itself.
     """
 
     async def run() -> None:
@@ -177,7 +175,7 @@ def _package(sample: Sample) -> dict[str, Any]:
     return told
 
 
-def lease(name: str, /, *, take_over: Flag = False, options: FleetOptions = NO_OPTIONS) -> int:
+def lease(name: str, /, *, take_over: bool = False, options: FleetOptions = NO_OPTIONS) -> int:
     """Take control of one aircraft and hold it, hovering, until Ctrl-C.
 
     Meanwhile `fleet mission upload` and `start` of the same account act under this lease.
@@ -248,7 +246,7 @@ def list_(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTI
 def fetch(
     *names: Names,
     everybody: All = False,
-    last: Flag = False,
+    last: bool = False,
     file: str = "",
     to: Path = Path(),
     options: FleetOptions = NO_OPTIONS,

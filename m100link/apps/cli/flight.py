@@ -24,19 +24,21 @@ from m100link.aircraft.rates import rates_by_item
 from m100link.apps.cli.common import (
     AS_SET,
     BY_LINK,
+    WITHIN_DEFAULTS,
     AircraftOptions,
     ConnectionOptions,
+    EnvelopeOptions,
     LinkOptions,
     Url,
     err,
     out,
     places,
 )
-from m100link.apps.cli.options import Above0, offered
-from m100link.apps.cli.terminal import print_json, read_line
+from m100link.apps.cli.options import Above0, AsJson, On, Yes, offered
+from m100link.apps.cli.terminal import print_json, read_line, wants_json
 from m100link.errors import AckTimeout, MissionRefused, MissionRunning, NotObserved, UsageError
 from m100link.flight.control import Control
-from m100link.flight.guards import Envelope, Guards
+from m100link.flight.guards import Guards
 from m100link.flight.guidance import GuidanceProgress
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.tasks import TaskProgress, describe_situation
@@ -46,7 +48,6 @@ from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import Gimbal
 from m100link.telemetry.columns import ITEM_NAMES
 
-Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=(), help="Do not ask.")]
 _NotAsked = Annotated[Yes, Parameter(help="Not needed: nobody is asked before a landing.")]
 
 _PUSHES_S = 1.0  # in which an aircraft that tells of its mission has done so
@@ -90,8 +91,7 @@ async def fly(
         str, Parameter(name=["[URL] NORTH EAST UP"], allow_leading_hyphen=True), offered(places)
     ],
     options: AircraftOptions = AS_SET,
-    max_height: Annotated[float, Above0] = 50.0,
-    max_radius: Annotated[float, Above0] = 150.0,
+    limits: EnvelopeOptions = WITHIN_DEFAULTS,
     yes: Yes = False,
 ) -> None:
     """Fly so many metres north, east and up from here, and hover there.
@@ -99,16 +99,13 @@ async def fly(
     Args:
         place: Where the aircraft is (else that of --url or M100LINK_URL), and metres north, east
             and up, such as: sim:// -5 0 1.5
-        max_height: Height above the take-off point that is not exceeded, m.
-        max_radius: Distance from here that is not exceeded, m.
     """
     has_place = bool(place) and not _is_number(place[0])
     north, east, up = _metres(place[1:] if has_place else place)
     where = options.place(place[0] if has_place else None)
     if where.is_virtual:
         err.print("sim:// is a new aircraft for each command, on the ground; `m100link sim` stays")
-    envelope = Envelope(max_height_m=max_height, max_radius_m=max_radius)
-    envelope.check("fly", far=math.hypot(north, east))
+    limits.envelope.check("fly", far=math.hypot(north, east))
 
     def progress(found: GuidanceProgress) -> None:
         if sys.stderr.isatty():
@@ -118,7 +115,9 @@ async def fly(
             )
 
     what = f"fly {north:g} m north, {east:g} m east, {up:g} m up"
-    flight = in_control(where, what, is_sure=yes, begins=what, guards=Guards(envelope=envelope))
+    flight = in_control(
+        where, what, is_sure=yes, begins=what, guards=Guards(envelope=limits.envelope)
+    )
     async with flight as (_, control):
         await control.fly_to(north=north, east=east, up=up, progress=progress)
 
@@ -302,9 +301,9 @@ async def gimbal(
     seconds: Annotated[float, Above0] = 1.0,
     relative: bool = False,
     rates: bool = False,
-    wait: bool = True,
+    wait: On = True,
     options: AircraftOptions = AS_SET,
-    json: bool = False,
+    json: AsJson = None,
 ) -> None:
     """Point the gimbal, and show where it looks; without an angle it only shows that.
 
@@ -316,7 +315,6 @@ async def gimbal(
         relative: Angles count from the present ones.
         rates: The numbers are degrees per second, -180 to 180, not angles.
         wait: Wait until telemetry shows the angles.
-        json: One JSON object; the default in a pipe.
     """
     place = options.place(url)
     named = {"yaw": yaw, "pitch": pitch, "roll": roll}
@@ -349,7 +347,7 @@ async def gimbal(
         "roll_deg": round(seen.roll_deg, 1),
         "limits": seen.limits,
     }
-    if json or not sys.stdout.isatty():
+    if wants_json(json):
         print_json(described)
     else:
         out.print(
@@ -364,13 +362,12 @@ async def camera(
         offered(lambda: [*_CAMERA, *places()]),
     ],
     options: AircraftOptions = AS_SET,
-    json: bool = False,
+    json: AsJson = None,
 ) -> None:
     """Take a photograph, start or stop video. It is sent; nobody confirms it.
 
     Args:
         words: Where the aircraft is (else that of --url or M100LINK_URL), and what to do.
-        json: One JSON object; the default in a pipe.
     """
     actions = [word for word in words if word in _CAMERA]
     if len(actions) != 1 or words[-1] != actions[0] or len(words) > 2:
@@ -387,7 +384,7 @@ async def camera(
             "stop-video": aircraft.camera.stop_video,
         }
         await commands[action]()
-    if json or not sys.stdout.isatty():
+    if wants_json(json):
         print_json({"sent": action, "confirmed": None})
     else:
         out.print(f"sent: {action} (nobody confirms it: look at the card)")
@@ -411,14 +408,13 @@ async def rates(
         offered(lambda: [*(f"{name}=" for name in ITEM_NAMES), *places()]),
     ],
     link: LinkOptions = BY_LINK,
-    json: bool = False,
+    json: AsJson = None,
 ) -> None:
     """Set telemetry rates (firmware 3.1), and show how items arrive; without any only that.
 
     Args:
         words: Where the aircraft is (else that of --url or M100LINK_URL), and rates, such as:
             attitude=50 battery=1. 0, 1, 10, 50 or 100 Hz.
-        json: One JSON object; the default in a pipe.
     """
     place, asked = link.place_among(words, _is_rate)
     wanted = _pairs(asked)
@@ -432,7 +428,7 @@ async def rates(
             item.name: round((state.statistics(record).count - before[record]) / _WATCH_S, 1)
             for record, item in BY_RECORD.items()
         }
-    if json or not sys.stdout.isatty():
+    if wants_json(json):
         print_json({"rates_hz": seen})
         return
     table = Table(box=None, pad_edge=False)

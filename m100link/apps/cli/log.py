@@ -20,7 +20,7 @@ from cyclopts import Parameter
 from m100link.aircraft import Aircraft
 from m100link.apps.cli.common import BY_LINK, LinkOptions, Url, err, out
 from m100link.apps.cli.display import Items, items_named, reading, status
-from m100link.apps.cli.options import AsJson, AtMost, Firmware, group
+from m100link.apps.cli.options import OUTPUT, AsJson, AtMost, Firmware, Json, group
 from m100link.apps.cli.terminal import ExitCode, print_json, wants_json
 from m100link.errors import LinkError, UsageError
 from m100link.link.keyfile import read_key
@@ -38,10 +38,14 @@ Log = Annotated[Path, Parameter(help="The log.")]
 """A file that ``m100link record`` or ``connect(record=…)`` wrote."""
 
 AsFlown = Annotated[
-    Firmware | None, Parameter(help="Profile to read it by; by default that of the flight.")
+    Firmware | None, Parameter(help="Firmware profile to read by; by default that of the flight.")
 ]
 
-Output = Annotated[Path | None, Parameter(name=("--output", "-o"))]
+KeyFile = Annotated[
+    Path | None, Parameter(help="File with the AES key; with it, encrypted frames are decoded.")
+]
+
+Output = Annotated[Path | None, OUTPUT]
 
 
 # -- ``m100link log ros2`` and ``layout``: flights for the tools of others -------------------------
@@ -128,8 +132,8 @@ def wireshark(
     /,
     *,
     output: Output = None,
-    key_file: Path | None = None,
-    firmware: Firmware | None = None,
+    key_file: KeyFile = None,
+    firmware: AsFlown = None,
     install: bool = False,
     plugin: Path | None = None,
 ) -> int:
@@ -140,8 +144,6 @@ def wireshark(
     Args:
         file: The log; none with ``--install`` or ``--plugin`` alone.
         output: A new file; by default FILE with .pcapng.
-        key_file: File with the AES key.
-        firmware: Profile that the plugin reads by; by default that of the flight.
         install: Write the plugin to where Wireshark looks for it; an older one is replaced.
         plugin: Write the plugin into this new file: ``tshark -X lua_script:FILE -r …``.
     """
@@ -184,18 +186,13 @@ def frames(
     file: Log,
     /,
     *,
-    key_file: Path | None = None,
-    firmware: Firmware | None = None,
+    key_file: KeyFile = None,
+    firmware: AsFlown = None,
     json: AsJson = None,
 ) -> int:
     """Print every frame, decoded: telemetry, commands, setpoints, answers, and what was lost.
 
     Each is described as ``m100link decode`` does.
-
-    Args:
-        key_file: File with the AES key, to decrypt setpoints and tasks.
-        firmware: Profile to read them by; by default that of the flight.
-        json: JSON lines instead of lines for people; the default when output is not a terminal.
     """
     cipher = None if key_file is None else Cipher(read_key(key_file))
     as_json = wants_json(json)
@@ -222,7 +219,7 @@ def _line(frame: dict[str, Any]) -> str:
     )
 
 
-def compare_files(first: Path, second: Path, /, *, json: bool = False) -> int:
+def compare_files(first: Path, second: Path, /, *, json: Json = False) -> int:
     """Say what differs between two flights: durations, maxima, track, line, commands, alarms.
 
     Tracks are laid over each other at take-off: each from its own take-off point and time.
@@ -230,7 +227,6 @@ def compare_files(first: Path, second: Path, /, *, json: bool = False) -> int:
     Args:
         first: A log.
         second: Another one.
-        json: One JSON object.
     """
     flights, stories = [], []
     for file in (first, second):
@@ -371,7 +367,7 @@ async def record(
     /,
     *,
     link: LinkOptions = BY_LINK,
-    output: Annotated[Path, Parameter(name=("--output", "-o"))] = Path(),
+    output: Annotated[Path, OUTPUT] = Path(),
     rate: float = 10.0,
     duration: AtMost = None,
 ) -> None:
@@ -422,13 +418,10 @@ async def _lost_or(aircraft: Aircraft, ended: asyncio.Event) -> LinkError | None
 
 
 @app.command
-def info(file: Log, /, *, firmware: AsFlown = None, json: bool = False) -> int:
+def info(file: Log, /, *, firmware: AsFlown = None, json: Json = False) -> int:
     """Say what a log holds: when, how long, phases, who had control, alarms, maxima.
 
     The exit status is 0 whatever happened on the flight, and 1 for a file that is damaged.
-
-    Args:
-        json: One JSON object.
     """
     with reading(file, passes=4) as flight:
         summary, story = flight.summary(), read_story(flight, firmware=firmware)

@@ -30,8 +30,8 @@ from rich.text import Text
 import m100link
 from m100link.apps.cli.common import err, out
 from m100link.apps.cli.configuration import Configuration, read_configuration, shown
-from m100link.apps.cli.options import Flag, offered
-from m100link.apps.cli.terminal import ExitCode, print_json
+from m100link.apps.cli.options import AsJson, offered
+from m100link.apps.cli.terminal import ExitCode, print_json, wants_json
 from m100link.apps.station.config import resolve
 from m100link.errors import M100Error, UsageError
 
@@ -287,7 +287,7 @@ def completion(
     ] = None,
     /,
     *,
-    install: Flag = False,
+    install: bool = False,
 ) -> int:
     """Print what completes verbs, options and aircraft in a shell, or install it there.
 
@@ -349,18 +349,14 @@ def config(
     ] = None,
     /,
     *,
-    json: bool = False,
+    json: AsJson = None,
 ) -> int:
-    """Show the configuration file: where it is, which aircraft it names, what is in force.
-
-    Args:
-        json: One JSON object instead of tables; the default in a pipe.
-    """
+    """Show the configuration file: where it is, which aircraft it names, what is in force."""
     configuration = read_configuration()
     for name in configuration.aircraft:  # what cannot be is told now, not before a flight
         resolve({"url": name}, {}, of_aircraft=configuration.sources_of_station)
     in_force = _in_force(configuration, aircraft)
-    if json or not sys.stdout.isatty():
+    if wants_json(json):
         print_json(
             {
                 "path": str(configuration.path),

@@ -10,21 +10,28 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import asdict
 from typing import Annotated, Any
 
-from cyclopts import Parameter
 from rich.console import Group
 from rich.live import Live
 from rich.text import Text
 
 from m100link.aircraft import Aircraft
-from m100link.apps.cli.common import AS_SET, AircraftOptions, Url, err, out
+from m100link.apps.cli.common import (
+    AS_SET,
+    WITHIN_DEFAULTS,
+    AircraftOptions,
+    EnvelopeOptions,
+    Url,
+    err,
+    out,
+)
 from m100link.apps.cli.display import Point, track_plot
-from m100link.apps.cli.flight import Yes, activated, in_control
-from m100link.apps.cli.options import Above0, Flag, group
+from m100link.apps.cli.flight import activated, in_control
+from m100link.apps.cli.options import OUTPUT, Force, Yes, group
 from m100link.apps.cli.plan import File, FileOptions, read_plan, require_free
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json
 from m100link.errors import UsageError
 from m100link.flight.control import Control
-from m100link.flight.guards import Envelope, Guards
+from m100link.flight.guards import Guards
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.context import check_envelope
 from m100link.flight.missions.events import (
@@ -61,10 +68,9 @@ def fly(
     *,
     file: FileOptions | None = None,
     options: AircraftOptions = AS_SET,
-    take_off: Flag = False,
-    allow_far: Flag = False,
-    max_height: Annotated[float, Above0] = 50.0,
-    max_radius: Annotated[float, Above0] = 150.0,
+    take_off: bool = False,
+    allow_far: bool = False,
+    limits: EnvelopeOptions = WITHIN_DEFAULTS,
     yes: Yes = False,
 ) -> Coroutine[Any, Any, int]:
     """Upload a plan, let the aircraft fly it, and watch. Ctrl-C stops it, and the aircraft hovers.
@@ -76,14 +82,11 @@ def fly(
         plan: A file, JSON or .plan; - is standard input.
         take_off: Take off first, from the ground.
         allow_far: Let it begin more than 500 m from here.
-        max_height: Height above the take-off point that is not exceeded, m.
-        max_radius: Distance from here that is not exceeded, m.
     """
     # First, as it tells of arguments that are exchanged; and while Ctrl-C ends a wait for a pipe.
     found = read_plan(plan, file)
     place = options.place(url)
-    envelope = Envelope(max_height_m=max_height, max_radius_m=max_radius)
-    check_envelope(envelope, found)  # before the aircraft is asked anything
+    check_envelope(limits.envelope, found)  # before the aircraft is asked anything
     credentials = place.credentials()
 
     err.print(
@@ -100,7 +103,7 @@ def fly(
         is_told=False,
         look=None if take_off else _require_airborne,
         begins="a waypoint mission",
-        guards=Guards(envelope=envelope),
+        guards=Guards(envelope=limits.envelope),
         credentials=credentials,
     )
     return _fly(flight, found, take_off=take_off, allow_far=allow_far)
@@ -319,15 +322,14 @@ async def download(
     /,
     *,
     options: AircraftOptions = AS_SET,
-    output: Annotated[File, Parameter(name=["--output", "-o"])] = "-",
-    force: Flag = False,
+    output: Annotated[File, OUTPUT] = "-",
+    force: Force = False,
 ) -> None:
     """Read back the plan that the aircraft has stored.
 
     Args:
         output: The file to write, for QGroundControl if its name ends in .plan; - is standard
             output, as JSON.
-        force: Write over a file that is there.
     """
     place = options.place(url)
     if output != "-":

@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
-from cyclopts import App, Parameter, validators
+from cyclopts import App, Group, Parameter, validators
 
 from m100link.protocol.firmware import PROFILES
 
@@ -29,17 +29,36 @@ def _above_0(_: object, value: float | None) -> None:
 
 
 Above0 = Parameter(validator=_above_0)
-"""Seconds and rates: 0, negative numbers, NaN and infinity are asked wrongly."""
-
-AtMost = Annotated[float | None, Above0, Parameter(help="Seconds until it ends by itself.")]
-
-Flag = Annotated[bool, Parameter(negative=())]
-"""There is no --no-… of it."""
-
-AsJson = Annotated[bool | None, Parameter(negative="--table")]
+"""Seconds and rates: this refuses 0, negative numbers, NaN and infinity."""
 
 Counted = Parameter(validator=validators.Number(gte=1))
-"""Pieces: at least one."""
+"""A count: at least one."""
+
+# -- options that several verbs have: one spelling and one sentence each ---------------------------
+
+_JSON = Parameter(
+    name="--json",
+    negative="--table",
+    help="Print JSON, one object per line, or text.",
+    show_default=lambda default: "JSON in a pipe" if default is None else "text",
+)
+AsJson = Annotated[bool | None, _JSON]
+"""Without it, a pipe gets JSON and a terminal gets text."""
+Json = Annotated[bool, _JSON]
+"""Without it, both get text."""
+
+_DURATION = Parameter(validator=_above_0, help="Seconds until the command ends by itself.")
+AtMost = Annotated[float | None, _DURATION]
+Duration = Annotated[float, _DURATION]
+
+Simulated = Annotated[Firmware, Parameter(help="Firmware of the virtual aircraft.")]
+
+On = Annotated[bool, Parameter(negative_bool="no-")]
+"""On by default."""
+
+Force = Annotated[bool, Parameter(help="Overwrite a file that exists.")]
+Yes = Annotated[bool, Parameter(name=("--yes", "-y"), help="Do not ask for confirmation.")]
+OUTPUT = Parameter(name=("--output", "-o"))
 
 
 def group(name: str, text: str) -> App:
@@ -81,12 +100,14 @@ def options_of(
     environment: Mapping[str, str] | None = None,
     called: Mapping[str, str] | None = None,
     defaults: Mapping[str, Any] | None = None,
+    panels: Mapping[str, Group] | None = None,
+    extras: Mapping[str, Any] | None = None,  # more annotations, by field
     is_layer: bool = False,
 ) -> Any:
     """A dataclass with an option for each of these fields.
 
-    As a layer the options are one source of several: what was not given is None or empty, and
-    somebody else reads the environment, whose variables the texts name.
+    A layer is one of several sources: an option that was not given is None or empty. Another
+    module reads the environment; the texts name its variables.
     """
     if isinstance(names, Mapping):
         called = {name: f"--{option}" for name, option in names.items()}
@@ -99,11 +120,19 @@ def options_of(
         if text is None:
             raise LookupError(f"Attributes of {source.__name__} has no line for {name}")
         kind, default = hints[name], (defaults or {}).get(name, fields[name].default)
+        # Only an option that is on, or that another source may switch on, can be switched off.
+        is_switch = kind is bool and (is_layer or default) and not name.startswith("no_")
         if is_layer:
             is_tuple = isinstance(default, tuple)
             kind, default = (kind, ()) if is_tuple else (kind | None, None)
             if variable is not None:
                 text = f"{text.removesuffix('.')} ({variable})."
-        parameter = Parameter(name=(called or {}).get(name), help=text)
-        made.append((name, Annotated[kind, parameter], dataclasses.field(default=default)))
+        parameter = Parameter(
+            name=(called or {}).get(name),
+            help=text,
+            group=(panels or {}).get(name),
+            negative_bool="no-" if is_switch else (),
+        )
+        extra = (extras or {}).get(name, Parameter())
+        made.append((name, Annotated[kind, parameter, extra], dataclasses.field(default=default)))
     return dataclasses.make_dataclass(f"{source.__name__}Options", made, frozen=True)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from m100link.apps.cli.options import Above0, AsJson, group
+from m100link.apps.cli.options import Above0, AsJson, Force, group
 from m100link.apps.cli.terminal import ExitCode, print_json, wants_json
 from m100link.errors import BadPlan, UsageError
 from m100link.geodesy import LocalFrame
@@ -117,7 +117,6 @@ def check(
 
     Args:
         plan: A file, JSON or .plan; - is standard input.
-        json: One JSON object instead of text; the default when output is not a terminal.
     """
     as_json = wants_json(json)
     reckoning = reckoning or EstimateOptions()
@@ -275,7 +274,7 @@ def convert(
     *,
     file: FileOptions | None = None,
     to: Literal["json", "plan"] | None = None,
-    force: bool = False,
+    force: Force = False,
 ) -> int:
     """Read a plan and write it as JSON, or for QGroundControl if the name ends in .plan.
 
@@ -286,7 +285,6 @@ def convert(
         source: A file, JSON or .plan; - is standard input.
         target: The file to write; - is standard output.
         to: What is written, whatever the name says; JSON on standard output without it.
-        force: Write over a file that is there.
     """
     return _write(read_plan(source, file), target, to, force=force)
 
@@ -331,7 +329,7 @@ def survey(
     photo_every: Annotated[float | None, Above0] = None,
     speed: Annotated[float, Above0] = 5.0,
     to: Literal["json", "plan"] | None = None,
-    force: bool = False,
+    force: Force = False,
 ) -> int:
     """Write a plan of parallel lines over an area.
 
@@ -344,7 +342,6 @@ def survey(
         photo_every: Metres between photographs along a line; none without it.
         speed: m/s.
         to: What is written, whatever the name says; JSON on standard output without it.
-        force: Write over a file that is there.
     """
     plan = lines_over(
         [_degrees("a corner", word) for word in area],

@@ -14,7 +14,14 @@ from cyclopts import Parameter
 
 from m100link.apps.agent import orders
 from m100link.apps.cli.common import err
-from m100link.apps.cli.serve import StationOptions, aircraft_of, run_station
+from m100link.apps.cli.serve import (
+    AS_CONFIGURED,
+    IN_BROWSER,
+    PageOptions,
+    StationOptions,
+    aircraft_of,
+    run_station,
+)
 from m100link.apps.cli.terminal import keys_pressed
 from m100link.apps.station.config import namespace_of
 from m100link.errors import M100Error, UsageError
@@ -31,7 +38,6 @@ KEYS = {
     "m": "speed max",
     "0": "seek 0",
 }
-_AS_THEY_ARE = StationOptions()
 
 _HELP = "keys: space pauses, ← → 10 s, < > a minute, + - speed, 1 as it was, 0 begin, q ends"
 
@@ -41,10 +47,8 @@ async def replay(
     speed: Annotated[float | Literal["max"], Parameter()] = 1.0,
     from_: Annotated[float, Parameter(name="--from")] = 0.0,
     to: float | None = None,
-    console_port: int | None = None,
-    tiles: Path | None = None,
-    open_browser: bool = True,
-    options: StationOptions = _AS_THEY_ARE,
+    options: StationOptions = AS_CONFIGURED,
+    page: PageOptions = IN_BROWSER,
 ) -> int:
     """Show a recorded flight in the console, as it was: pause, move, change its speed.
 
@@ -56,9 +60,6 @@ async def replay(
         speed: Times as fast as it was flown, 0.1 to 100, or max.
         from_: Where to begin, seconds from its first byte.
         to: Where to end.
-        console_port: Port of the console (M100LINK_CONSOLE_PORT).
-        tiles: Folder with map tiles {z}/{x}/{y}.png; without it the track is drawn on a grid.
-        open_browser: Open the console in the browser.
     """
     if not file:
         raise UsageError("no flight log was named", remedy="m100link replay flight.mcap")
@@ -68,11 +69,9 @@ async def replay(
     if len(urls) > 1:
         names = _names(file)
         words = [f"{name}={url}" for name, url in zip(names, urls, strict=True)]
-    more: dict[str, Any] = {"console_port": console_port, "tiles": tiles, "no_record": True}
-    aircraft = aircraft_of(options, words, launch=options.launch, **more)
-    how = options.run
+    aircraft = aircraft_of(options, words, page=page, launch=options.launch, no_record=True)
     return await run_station(
-        aircraft, how, with_console=True, open_browser=open_browser, keys=_keys
+        aircraft, options.run, with_console=True, open_browser=page.open_browser, keys=_keys
     )
 
 

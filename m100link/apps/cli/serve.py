@@ -19,8 +19,8 @@ from cyclopts import Parameter
 
 from m100link.apps.cli.common import Told, err, layer_of_settings, out, places
 from m100link.apps.cli.configuration import read_configuration
-from m100link.apps.cli.options import offered
-from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, print_json
+from m100link.apps.cli.options import Json, On, offered
+from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, panel, print_json
 from m100link.apps.station.config import ONLY_NAME, Settings, namespace_of, resolve
 from m100link.apps.station.log_output import FlightProgress, log_of, tell_elsewhere
 from m100link.errors import UsageError
@@ -36,23 +36,25 @@ _logger = logging.getLogger(__name__)
 MOST_UNTOLD = 200
 
 
-@Parameter(name="*")
+_RARE = Parameter(group=panel("Rarely needed"))
+
+
+@Parameter(name="*", group=panel("Start and output"))
 @dataclass(frozen=True)
 class RunOptions:
-    """How a station is run and told of.
+    """How a station runs, and how it reports.
 
     Attributes:
         config: TOML file with settings.
-        json_output: Print one line of JSON when it runs.
-        show_config: Print the settings and where each came from, and end.
-        single_process: Let one process fly and talk to clients: to look into it, not to fly.
-        log: What is logged; as JSON it has the events, too, which are told as text otherwise.
+        show_config: Print each setting with its source, and end.
+        single_process: Let one process both fly and serve clients: for debugging, not for flight.
+        log: What is logged; as JSON it includes the events, which are printed as text otherwise.
     """
 
     config: Annotated[Path | None, Parameter(env_var="M100LINK_CONFIG")] = None
-    json_output: Annotated[bool, Parameter(name="--json")] = False
+    json_output: Json = False
     show_config: bool = False
-    single_process: bool = False
+    single_process: Annotated[bool, _RARE] = False
     log: LogOptions = AS_IT_IS
 
 
@@ -257,18 +259,11 @@ def warn_of(settings: Settings) -> None:
 # -- ``m100link serve`` and ``m100link console``: aircraft for many clients, and for browsers ------
 
 
-_ELSEWHERE = ("url", "key", "token", "console_port", "tiles", "no_record", "origins", "unused")
+_ELSEWHERE = ("url", "key", "token", "console_port", "tiles", "origins", "unused")
 """Settings that are not options of both commands, or not of the command line at all."""
 
 _FromSettings: Any = layer_of_settings(
-    [one.name for one in fields(Settings) if one.name not in _ELSEWHERE],
-    {
-        "also_ports": "--also-port",
-        "baud_rate": "--baud",
-        "metrics_port": "--metrics",
-        "foxglove_port": "--foxglove",
-        "ros2": "--ros2",
-    },
+    [one.name for one in fields(Settings) if one.name not in _ELSEWHERE]
 )
 
 
@@ -281,10 +276,17 @@ class SettingsOptions(Protocol):
         ...
 
 
-def settings_of(options: SettingsOptions, *, launch: Path | None = None, **more: Any) -> Settings:
-    """The settings from all sources; ``launch`` is a ROS launch file of DJI's node."""
+def settings_of(
+    options: SettingsOptions,
+    *,
+    launch: Path | None = None,  # a ROS launch file of DJI's node
+    page: PageOptions | None = None,
+    **more: Any,
+) -> Settings:
+    """The settings from all sources."""
     known = {one.name for one in fields(Settings)}
-    given = {name: value for name, value in vars(options).items() if name in known}
+    asked = {**vars(options), **({} if page is None else vars(page))}
+    given = {name: value for name, value in asked.items() if name in known}
     flags = {name: value for name, value in given.items() if value != ()}
     configuration = read_configuration()
     settings = resolve(
@@ -362,13 +364,27 @@ class StationOptions(_FromSettings):  # type: ignore[misc] # a class that is mad
 
     Attributes:
         launch: ROS launch file of DJI's node, read as it is.
-        no_record: Record nothing.
-        run: How the station is run and told of.
+        run: How the station runs, and how it reports.
     """
 
-    launch: Path | None = None
-    no_record: Annotated[bool | None, Parameter(negative=())] = None
+    launch: Annotated[Path | None, Parameter(group=panel("Start and output"))] = None
     run: RunOptions = AS_USUAL
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class PageOptions(layer_of_settings(("console_port", "tiles"))):  # type: ignore[misc] # a class that is made
+    """Where the console is served, and whether a browser shows it at once.
+
+    Attributes:
+        open_browser: Open the console in the browser.
+    """
+
+    open_browser: Annotated[On, Parameter(group=panel("Console"))] = True
+
+
+AS_CONFIGURED = StationOptions()
+IN_BROWSER = PageOptions()
 
 
 def _named(word: str) -> tuple[str, str]:
@@ -392,42 +408,31 @@ def _check_other(name: str, settings: Settings, found: dict[str, Settings]) -> N
             raise UsageError(f"{other} and {name} are at the same place: {settings.url}")
 
 
-_Url = Annotated[str, offered(places)]
+Urls = Annotated[
+    str,
+    Parameter(help="Where the aircraft is: a URL, a port, a name, or NAME=URL; one or several."),
+    offered(places),
+]
 
 
-async def serve(*url: _Url, options: StationOptions = StationOptions()) -> int:
+async def serve(*url: Urls, options: StationOptions = AS_CONFIGURED) -> int:
     """Own the serial port and share the aircraft: rosbridge v2 for any number of clients.
 
     Telemetry for all of them, control for one at a time. DJI's web page of 2015 and roslib programs
     work as they are: `m100link serve --sim --pages dji_keyboard_ctrl`.
-
-    Args:
-        url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for a station
-            with several.
     """
     aircraft = aircraft_of(options, url, is_sim=options.sim, launch=options.launch)
     return await run_station(aircraft, options.run, with_console=False)
 
 
 async def console(
-    *url: _Url,
-    console_port: int | None = None,
-    tiles: Path | None = None,
-    open_browser: bool = True,
-    options: StationOptions = StationOptions(),
+    *url: Urls, options: StationOptions = AS_CONFIGURED, page: PageOptions = IN_BROWSER
 ) -> int:
-    """Serve the console for browsers, beside everything that `serve` serves, and open it.
-
-    Args:
-        url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for a station
-            with several.
-        console_port: Port of the console (M100LINK_CONSOLE_PORT).
-        tiles: Folder with map tiles {z}/{x}/{y}.png; without it the track is drawn on a grid.
-        open_browser: Open the console in the browser.
-    """
-    more: dict[str, Any] = {"console_port": console_port, "tiles": tiles, "launch": options.launch}
-    aircraft = aircraft_of(options, url, is_sim=options.sim, **more)
-    return await run_station(aircraft, options.run, with_console=True, open_browser=open_browser)
+    """Serve the console for browsers, beside everything that `serve` serves, and open it."""
+    aircraft = aircraft_of(options, url, page=page, is_sim=options.sim, launch=options.launch)
+    return await run_station(
+        aircraft, options.run, with_console=True, open_browser=page.open_browser
+    )
 
 
 # -- ``m100link mavlink``: aircraft as vehicles for MAVSDK, QGroundControl and every other prog ----
@@ -450,27 +455,20 @@ class MavlinkOptions(
             *_OF_THE_AIRCRAFT,
             *("mavlink", "mavlink_to", "sysid", "autopilot", "signing_key_file"),
         ),
-        {"baud_rate": "--baud", "mavlink": "--listen", "mavlink_to": "--to"},
+        {"mavlink": "--listen", "mavlink_to": "--to"},
     )
 ):
-    """Where the aircraft is, who may fly it and how far.
-
-    Attributes:
-        run: How the station is run and told of.
-    """
+    """Where the aircraft is, who may fly it and how far."""
 
     run: RunOptions = AS_USUAL
 
 
-async def mavlink(*url: _Url, options: MavlinkOptions = MavlinkOptions()) -> int:
+async def mavlink(*url: Urls, options: MavlinkOptions = MavlinkOptions()) -> int:
     """Let MAVSDK, QGroundControl and other MAVLink programs see and fly the aircraft.
 
     They take each for a vehicle with PX4's modes, until Ctrl-C. Without --listen and --to those
     are spoken to that listen on this machine, at the usual ports 14550 and 14540: `m100link mavlink
     sim://`.
-
-    Args:
-        url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for several.
     """
     aircraft = aircraft_of(options, url)
     first = next(iter(aircraft.values()))
@@ -490,30 +488,20 @@ _OF_THE_NODE = ("ros2_namespace", "ros2_node", "ros2_domain", "ros2_remap", "ros
 class Ros2Options(
     layer_of_settings(  # type: ignore[misc] # a class that is made
         (*_OF_THE_AIRCRAFT, *_OF_THE_NODE),
-        {
-            "baud_rate": "--baud",
-            **{name: f"--{name[5:].replace('_', '-')}" for name in _OF_THE_NODE},
-        },
+        {name: f"--{name[5:].replace('_', '-')}" for name in _OF_THE_NODE},
     )
 ):
-    """Where the aircraft is, what it is called in the graph, and how far it may fly.
-
-    Attributes:
-        run: How the station is run and told of.
-    """
+    """Where the aircraft is, what it is called in the graph, and how far it may fly."""
 
     run: RunOptions = AS_USUAL
 
 
-async def ros2(*url: _Url, options: Ros2Options = Ros2Options()) -> int:
+async def ros2(*url: Urls, options: Ros2Options = Ros2Options()) -> int:
     """Be a node of ROS 2, without a ROS installation, until Ctrl-C.
 
     Programs that run with RMW_IMPLEMENTATION=rmw_zenoh_cpp see and fly the aircraft, by the router
     at localhost:7447 or wherever ZENOH_SESSION_CONFIG_URI and ZENOH_CONFIG_OVERRIDE say. Whoever
     reaches that router can fly: `m100link ros2 sim://`.
-
-    Args:
-        url: Where the aircraft is, or its name (M100LINK_URL); several, or name=URL, for several.
     """
     return await run_station(
         aircraft_of(options, url, ros2=True), options.run, with_rosbridge=False

@@ -18,8 +18,8 @@ from rich.table import Table
 from rich.text import Text
 
 from m100link.apps.cli.common import out, until
-from m100link.apps.cli.options import Above0, Firmware, group, options_of
-from m100link.apps.cli.terminal import AS_IT_IS, LogOptions, keys_pressed, print_json
+from m100link.apps.cli.options import Above0, AsJson, On, Simulated, group, options_of
+from m100link.apps.cli.terminal import AS_IT_IS, LogOptions, keys_pressed, print_json, wants_json
 from m100link.errors import UsageError
 from m100link.link.keyfile import read_key
 from m100link.sim.clock import loop_factory
@@ -128,16 +128,16 @@ def run(
     key: str | None = None,
     key_file: Path | None = None,
     level: Literal[0, 1, 2] = 2,
-    firmware: Firmware = "1.0",
+    firmware: Simulated = "1.0",
     seed: int | None = None,
     cold: bool = False,
     activated: bool = False,
     speed: float = 1.0,
-    pace: bool = True,
+    pace: On = True,
     count: int = 1,
     scenario: Path | None = None,
     duration: Annotated[float | None, Above0] = None,
-    json_output: Annotated[bool, Parameter(name="--json")] = False,
+    json_output: AsJson = None,
     assistant: AssistantOptions = AssistantOptions(),
     faults: FaultOptions = FaultOptions(),
     site: SiteOptions = SiteOptions(),
@@ -156,7 +156,6 @@ def run(
         key: Its AES key, 64 hex digits. By default the well-known demo key 000102…1f.
         key_file: File that holds the key.
         level: Authorization level of the registration.
-        firmware: Which firmware speaks.
         seed: Of everything random; by default a new one, which is printed.
         cold: The state after power-on: API control not enabled, switch in P, no app, no GPS.
         activated: Activated for that app already, as by an earlier program.
@@ -165,7 +164,6 @@ def run(
         count: So many aircraft; the ports are numbered from 0.
         scenario: TOML file of what happens when.
         duration: End by itself after so many seconds of its own time.
-        json_output: Print the line of JSON on a terminal, too, and show nothing live.
     """
     if seed is None:
         seed = secrets.randbits(32)
@@ -193,7 +191,7 @@ def run(
         raise
     except ValueError as error:
         raise UsageError(str(error)) from error
-    as_json = json_output or not sys.stdout.isatty()
+    as_json = wants_json(json_output)
     address = None if tcp is None else _read_address(tcp)
     plan = _Plan(aircraft, link, address, scenario, duration, as_json, seed)
     with asyncio.Runner(loop_factory=loop_factory(speed)) as runner:

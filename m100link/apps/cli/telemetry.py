@@ -29,8 +29,8 @@ from m100link.apps.cli.common import (
     until,
 )
 from m100link.apps.cli.display import Items, items_named, line_plot, row
-from m100link.apps.cli.options import Above0, AtMost, Counted, offered
-from m100link.apps.cli.terminal import ExitCode, print_json
+from m100link.apps.cli.options import Above0, AsJson, AtMost, Counted, Duration, offered
+from m100link.apps.cli.terminal import ExitCode, print_json, wants_json
 from m100link.errors import UsageError
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
@@ -70,7 +70,7 @@ async def echo(
     duration: AtMost = None,
     count: Annotated[int | None, Counted] = None,
     csv: bool = False,
-    json: bool = False,
+    json: AsJson = None,
 ) -> None:
     """Print telemetry as it arrives: one JSON object, or one row of CSV, per package.
 
@@ -81,7 +81,6 @@ async def echo(
         rate: At most so many packages per second.
         count: Packages until it ends by itself.
         csv: CSV with a header line.
-        json: JSON lines; the default.
     """
     if csv and json:
         raise UsageError("--csv and --json exclude each other")
@@ -154,16 +153,11 @@ async def hz(
     /,
     *,
     link: LinkOptions = BY_LINK,
-    duration: Annotated[float, Above0] = 5.0,
-    json: bool = False,
+    duration: Duration = 5.0,
+    json: AsJson = None,
 ) -> None:
-    """Measure how the items arrive: rate, jitter, longest gap, and the aircraft's clock.
-
-    Args:
-        duration: Seconds to measure.
-        json: One JSON object instead of the table; the default in a pipe.
-    """
-    as_json = json or not sys.stdout.isatty()
+    """Measure how the items arrive: rate, jitter, longest gap, and the aircraft's clock."""
+    as_json = wants_json(json)
     place = link.place(url)
     async with place.connect() as aircraft:
         if as_json:
@@ -246,13 +240,12 @@ def plot(
     /,
     *fields: Annotated[str, offered(columns_of(BY_RECORD))],
     link: LinkOptions = BY_LINK,
-    duration: Annotated[float, Above0] = 10.0,
+    duration: Duration = 10.0,
 ) -> int:
     """Plot columns over time: live from an aircraft, or of a recorded span.
 
     Args:
         fields: Columns, such as position.height_m; that one without any.
-        duration: Seconds to plot live.
     """
     if source is not None and column_named(source):
         fields, source = (source, *fields), None
@@ -367,16 +360,13 @@ async def monitor(
     *,
     link: LinkOptions = BY_LINK,
     duration: AtMost = None,
-    json: bool = False,
+    json: AsJson = None,
 ) -> None:
     """Watch telemetry: every item with its value, age, measured rate and jitter.
 
     Needs no activation. Ends with Ctrl-C.
-
-    Args:
-        json: One JSON object per second instead of the table; the default in a pipe.
     """
-    as_json = json or not sys.stdout.isatty()
+    as_json = wants_json(json)
     place = link.place(url)
     async with place.connect() as aircraft:
         await until(duration, _print_lines(aircraft) if as_json else _show(aircraft))

@@ -21,9 +21,9 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, TextIO, cast
+from typing import Any, Literal, TextIO, cast
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 from m100link import errors
 from m100link.errors import UsageError
@@ -322,8 +322,20 @@ def finite(value: Any) -> Any:
 
 # -- what is logged on standard error, and the options that say it ---------------------------------
 
+_PANELS = (
+    *("Aircraft", "App registered with DJI", "Safety", "rosbridge", "Console", "Access"),
+    *("MAVLink", "ROS 2", "Foxglove and Prometheus", "Fleet", "Flight logs", "Port"),
+    *("Site and sensors", "Missions", "Line faults", "Start and output", "Log", "Rarely needed"),
+)
+"""Groups of options in the order in which a help text shows them."""
 
-@Parameter(name="*", group="Log")
+
+def panel(title: str) -> Group:
+    """The group of options with this title."""
+    return Group(title, sort_key=_PANELS.index(title))
+
+
+@Parameter(name="*", group=panel("Log"))
 @dataclass(frozen=True)
 class LogOptions:
     """What is logged on standard error.
@@ -335,7 +347,7 @@ class LogOptions:
     """
 
     log_level: Literal["debug", "info", "warning", "error"] | None = None
-    log_json: Annotated[bool, Parameter(negative=())] = False
+    log_json: bool = False
 
 
 AS_IT_IS = LogOptions()

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import io
 import logging
+import shlex
 import subprocess
 import sys
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from cyclopts import App
 
 import m100link
-from m100link.apps.cli.app import VERBS, app, application
+from m100link.apps.cli.app import EXAMPLES, VERBS, app, application
 from m100link.apps.cli.terminal import ExitCode
 from tests.apps.cli.conftest import CommandLine
 from tests.waiting import PATIENCE
@@ -84,6 +88,90 @@ def test_each_verb_is_listed_with_the_first_sentence_of_its_own_help(cli: Comman
         assert sentence.replace("`", "") in overview
     assert application(overview=True)["sim"].name == ("sim",)
     assert "hex" in cli("decode", "--help").out
+
+
+def verbs(above: App = app, *words: str) -> Iterator[tuple[str, App]]:
+    """Every verb that does something, with its words."""
+    for name in above:
+        if not name.startswith("-"):
+            verb = above[name]
+            if verb.default_command is not None:
+                yield " ".join((*words, name)), verb
+            yield from verbs(verb, *words, name)
+
+
+def test_the_list_of_verbs_is_in_groups_in_the_order_of_their_table(cli: CommandLine) -> None:
+    overview = cli("--help").out
+    titles = ("Fly", "Watch", "Missions", "Serve", "Logs", "Virtual aircraft", "Set up")
+    places = [overview.index(f"─ {title} ─") for title in titles]
+    assert places == sorted(places)
+    assert "Commands" not in overview
+    rows = [line.split()[1] for line in overview.splitlines() if line.startswith("│ ")]
+    assert rows == [*VERBS, "--help", "--version"]
+
+
+def test_the_help_of_each_verb_ends_with_two_examples(cli: CommandLine) -> None:
+    assert {verb for verb, _ in verbs()} == set(EXAMPLES)
+    for verb in ("ports", "sim", "plan check", "fleet acl zenoh"):
+        first, second = EXAMPLES[verb]
+        assert cli(*verb.split(), "--help").out.endswith(f"Examples:\n  {first}\n  {second}\n")
+    assert cli("fleet", "--help").out.endswith("  m100link fleet takeoff a1 a2\n")
+
+
+@pytest.mark.parametrize("verb", EXAMPLES)
+def test_examples_are_command_lines_that_are_understood(verb: str) -> None:
+    assert len(set(EXAMPLES[verb])) == 2
+    for example in EXAMPLES[verb]:
+        program, *words = shlex.split(example)
+        assert (program, words[: len(verb.split())]) == ("m100link", verb.split())
+        command, _, _ = app.parse_args(words, exit_on_error=False, print_error=False)
+        assert command is dict(verbs())[verb].default_command
+
+
+def test_examples_run(cli: CommandLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the order of their table: some read what others wrote."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    elsewhere = {"mavlink", "ros2", "fleet agent", "replay", "log compare", "log wireshark", "sim"}
+    files = ("plan", "log", "decode", "demo", "ports", "config", "completion", "docs")
+    ran = []
+    for verb, (example, _) in EXAMPLES.items():
+        is_here = "sim://" in example or verb.startswith(files)
+        if is_here and verb not in elsewhere and "field.plan" not in example:
+            outcome = cli(*shlex.split(example)[1:])
+            assert outcome.status == ExitCode.OK, (example, outcome.err)
+            ran.append(verb)
+    assert {"takeoff", "echo", "plan check", "record", "log info", "doctor"} <= set(ran)
+
+
+def test_an_option_has_one_spelling_and_one_sentence() -> None:
+    """Those below mean something else for some verbs."""
+    homonyms = {
+        *("--app-id", "--baud", "--connect", "--count", "--duration", "--firmware", "--folder"),
+        *("--force", "--host", "--install", "--key", "--key-file", "--level", "--listen"),
+        *("--max-height", "--max-radius", "--name", "--output", "--pki", "--rate", "--record"),
+        *("--rights", "--seed", "--speed", "--take-over", "--to", "--wait", "--yes"),
+    }
+    seen: dict[str, tuple[object, ...]] = {}
+    for verb, found in verbs():
+        arguments = found.assemble_argument_collection(
+            default_parameter=app.default_parameter, parse_docstring=True
+        )
+        for argument in arguments:
+            name = argument.names[0]
+            if name.startswith("-") and name not in homonyms:
+                told = (argument.names, argument.parameter.help)
+                assert seen.setdefault(name, told) == told, verb
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("info", "sim://", "--duration", "0.1", "--no-json"), ("serve", "--empty-remap", "--baud=x")],
+)
+def test_forms_of_options_that_did_nothing_still_do_nothing(
+    cli: CommandLine, words: tuple[str, ...]
+) -> None:
+    assert cli(*words) == cli(*(word for word in words if not word.startswith(("--no", "--em"))))
 
 
 def test_a_log_level_that_does_not_exist(cli: CommandLine, monkeypatch: pytest.MonkeyPatch) -> None:
