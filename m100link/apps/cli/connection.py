@@ -1,4 +1,4 @@
-"""``m100link info`` and ``m100link activate``."""
+"""``m100link info``, ``activate``, ``link``, ``doctor``, ``ports`` and ``udev``."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ async def info(
     duration: Duration = 1.1,
     json: AsJson = None,
 ) -> None:
-    """Show what is at the other end: version, firmware profile, telemetry items, line quality."""
+    """Show version, firmware profile, telemetry items and line quality."""
     place = link.place(url)
     async with place.connect() as aircraft:
         version = await aircraft.version()
@@ -75,7 +75,7 @@ def _print_info(described: dict[str, Any]) -> None:
     forced = " (forced)" if described["firmware_is_forced"] else " (by its version)"
     rows = {
         "version": described["version"],
-        "serial": described["serial"] or "not told by this firmware",
+        "serial": described["serial"] or "this firmware does not report it",
         "activated": "yes" if described["activated"] else "no",
         "firmware": described["firmware"] + forced,
         "": described["firmware_summary"],
@@ -114,10 +114,10 @@ async def activate(
     wait: Annotated[float, Above0] = 60.0,
     json: AsJson = None,
 ) -> None:
-    """Activate the aircraft for an app; waits while the aircraft asks DJI's server.
+    """Activate the aircraft for an app; wait while it asks DJI's server.
 
     Args:
-        wait: Seconds until it gives up.
+        wait: Seconds to wait for the activation.
     """
     place = options.place(url)
     credentials = place.credentials()
@@ -165,12 +165,12 @@ async def link(
     rate: Annotated[float, Above0] = 10.0,
     json: AsJson = None,
 ) -> None:
-    """Measure the line: damage and its causes, how long answers take, rates of telemetry.
+    """Measure the line: damage and its causes, round trips, telemetry rates.
 
-    It asks for the version again and again, and nothing else: nothing moves.
+    The command only asks for the version, again and again: nothing moves.
 
     Args:
-        rate: Questions per second; the next one waits for the answer.
+        rate: Questions per second; each waits for the answer to the last.
     """
     place = options.place(url)
     async with place.connect() as aircraft:
@@ -238,7 +238,7 @@ def _print(measured: dict[str, Any]) -> None:
         "questions": f"{measured['asked']}, {measured['unanswered']} without an answer, "
         f"{line['repeats']} repeats",
         "acks": f"{line['acks']}; late {line['late_acks']}, twice {line['duplicate_acks']}, "
-        f"of nothing {line['foreign_acks']}",
+        f"to no question {line['foreign_acks']}",
         "not written": f"{line['dropped_writes']} frames",
         "telemetry": _arriving(measured),
     }
@@ -303,14 +303,14 @@ def doctor(
     report: Path | None = None,
     json: AsJson = None,
 ) -> int:
-    """Find out why the line is silent: stage by stage, the first that fails with its cause.
+    """Find out why the line is silent: the first stage that fails, and its cause.
 
-    Nothing moves. With app id and key the aircraft is activated, as by every program.
+    Nothing moves. With an app id and a key, the command activates the aircraft.
 
     Args:
-        authority: Obtain control authority for a moment, without asking at a terminal: only on
-            the ground with its motors off, and given back at once.
-        report: Write what was found into this file, to attach to a question; no secret is in it.
+        authority: Also obtain control authority, and give it back at once; only on the ground with
+            the motors off. Without this option a terminal asks.
+        report: Write the findings into this file, without secrets, to attach to a question.
     """
     place = options.place(url or _only_port(options.link))
     as_json = wants_json(json)
@@ -395,9 +395,9 @@ def _conclude(found: Report) -> None:
         _advise(failure)
         out.print("more: m100link docs silent-line")
     elif found.doubts:
-        out.print("[yellow]it works; see what is doubtful above[/]")
+        out.print("[yellow]it works, with the doubts above[/]")
     else:
-        out.print("[green]nothing is wrong as far as this looked[/]")
+        out.print("[green]no stage found a fault[/]")
 
 
 async def _agrees() -> bool:
@@ -408,8 +408,8 @@ async def _agrees() -> bool:
     if not sys.stdin.isatty():
         return False
     out.print(
-        "Obtain control authority for a moment? The aircraft stands on the ground and does not "
-        "move; authority is given back at once. [y/N] ",
+        "Obtain control authority for a moment? The aircraft stays on the ground and does not "
+        "move; m100link gives authority back at once. [y/N] ",
         end="",
         markup=False,
     )
@@ -435,7 +435,7 @@ def _write_report(path: Path, described: dict[str, Any]) -> None:
 
 
 def ports(*, json: AsJson = None) -> int:
-    """List serial ports: adapter, who may open it, who has it open."""
+    """List serial ports with their adapters, permissions and users."""
     machine = Machine()
     rows = [_described_port(device, machine) for device in serial_ports()]
     if wants_json(json):
@@ -443,7 +443,7 @@ def ports(*, json: AsJson = None) -> int:
             print_json(row)
         return ExitCode.OK
     if not rows:
-        err.print("no serial port here: plug the adapter in, then: dmesg | tail")
+        err.print("this machine has no serial port: plug the adapter in, then: dmesg | tail")
         return ExitCode.OK
     table = Table(box=None, pad_edge=False)
     for title in ("port", "adapter", "may open", "used by", "latency", "stable name"):
@@ -487,14 +487,14 @@ def udev(
     by_serial: bool = False,
     install: bool = False,
 ) -> int:
-    """Print a udev rule for the adapter: a stable name, its group, no ModemManager, no delay.
+    """Print a udev rule for the adapter: name, group, low latency, no ModemManager.
 
     Args:
-        port: The adapter's port; without one, the only one that is on USB.
-        name: The name that the port gets in /dev.
-        group: Whose members may open it.
-        by_serial: For this very adapter, where several of a kind are plugged in.
-        install: Write it where udev reads it; needs root.
+        port: The adapter's port; by default the only one on USB.
+        name: Name of the port in /dev.
+        group: Group whose members may open the port.
+        by_serial: Match the adapter's serial number, where several of a kind are plugged in.
+        install: Write the rule where udev reads it; needs root.
     """
     machine = Machine()
     device = port or _only_adapter(machine)
@@ -502,7 +502,7 @@ def udev(
         known = ", ".join(serial_ports()) or "none"
         raise PortNotFound(
             f"there is no device {device}",
-            cause="the adapter is not plugged in, or has another name",
+            cause="the adapter is not plugged in, or its port has another name",
             remedy=f"ports on this machine: {known}",
         )
     text = rule(machine.adapter(device), name, group=group, by_serial=by_serial)
@@ -514,11 +514,11 @@ def udev(
     except OSError as error:
         raise UsageError(
             f"{RULES_FILE} cannot be written: {error.strerror}",
-            cause="only root may",
+            cause="only root may write there",
             remedy=f"m100link udev {device} | sudo tee {RULES_FILE}",
         ) from error
     err.print(f"written: {RULES_FILE}; now: sudo udevadm control --reload", markup=False)
-    err.print(f"and plug the adapter in again: it is /dev/{name}", markup=False)
+    err.print(f"then plug the adapter in again: its port is /dev/{name}", markup=False)
     return ExitCode.OK
 
 
@@ -527,7 +527,7 @@ def _only_adapter(machine: Machine) -> str:
     if len(found) == 1:
         return found[0]
     if not found:
-        raise UsageError("no adapter on USB is plugged in", remedy="plug it in, then again")
+        raise UsageError("no adapter on USB is plugged in", remedy="plug it in and try again")
     raise UsageError(
         f"several adapters are plugged in: {', '.join(found)}",
         remedy=f"m100link udev {found[0]}; --by-serial where they are of one kind",

@@ -20,13 +20,13 @@ def decode(
 ) -> int:
     """Decode frames from hex: one stream per argument, or per line of standard input.
 
-    Each stream gives one JSON object on a line (or a table on a terminal): its frames with their
-    decoded fields, the number of bytes that were part of no frame, and why starts were discarded.
+    It prints one JSON object per stream: frames with decoded fields, the number of bytes outside
+    frames, and why it discarded starts of frames. On a terminal it prints a table.
 
     Args:
         streams: Hex digits; spaces, colons and 0x are ignored.
         key: AES key, 64 hex digits, to decrypt frame data.
-        firmware: Firmware profile by which telemetry and movement are read.
+        firmware: Firmware profile with which to read telemetry and movement.
     """
     cipher = Cipher(key) if key else None
     as_json = wants_json(json)

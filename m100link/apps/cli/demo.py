@@ -129,17 +129,17 @@ def demo(
     no_record: bool = False,
     log: LogOptions = AS_IT_IS,
 ) -> int:
-    """Fly the virtual aircraft over a real pseudo-terminal: a square, from take-off to landing.
+    """Fly a square with a virtual aircraft, from take-off to landing.
 
-    Nothing needs to be connected. Exit status 0 says that the mission was flown: landed, and back
-    within a metre.
+    It needs no hardware: the line is a pseudo-terminal. Exit status 0 means that the aircraft has
+    landed within a metre of its start.
 
     Args:
-        speed: Times faster than real; max takes no time for waiting, over a line in memory.
-        side: Side of the square in metres.
-        seed: Of everything random.
-        record: Folder for the flight log; by default m100link/flights of the user's state folder
-            (~/.local/state), where the oldest make room.
+        speed: Speed, times real time; max waits for nothing, over a line in memory.
+        side: Side of the square, m.
+        seed: Seed of everything random.
+        record: Folder for the flight log; by default m100link/flights of your state folder
+            (~/.local/state), where the oldest logs make room.
         no_record: Record nothing.
     """
     flight = _Flight(flights=None if no_record else _flights(record))

@@ -1,7 +1,7 @@
 """``m100link takeoff``, ``land``, ``home``, ``fly`` and ``release``.
 
-What brings the aircraft down is for people in a hurry: ``land`` asks nothing, and both ``land`` and
-``home`` end whatever mission flies. What lifts or moves it refuses beside one.
+A person in a hurry lands: ``land`` asks nothing, and both ``land`` and ``home`` end a mission that
+flies. Verbs that lift or move the aircraft refuse to act beside one.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import Gimbal
 from m100link.telemetry.columns import ITEM_NAMES
 
-_NotAsked = Annotated[Yes, Parameter(help="Not needed: nobody is asked before a landing.")]
+_NotAsked = Annotated[Yes, Parameter(help="Not needed: m100link does not ask before a landing.")]
 
 _PUSHES_S = 1.0  # in which an aircraft that tells of its mission has done so
 
@@ -56,7 +56,7 @@ _PUSHES_S = 1.0  # in which an aircraft that tells of its mission has done so
 async def takeoff(
     url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False
 ) -> None:
-    """Start the motors and climb to about 1.2 m; the aircraft hovers there."""
+    """Start the motors, climb to about 1.2 m and hover."""
     flight = in_control(options.place(url), "take off", is_sure=yes, begins="take off")
     async with flight as (_, control):
         await control.take_off(progress=_tell)
@@ -67,8 +67,8 @@ async def land(
 ) -> None:
     """Land in place and stop the motors.
 
-    Nobody is asked, and whatever mission flies is stopped first. Ctrl-C ends the landing, and the
-    aircraft hovers.
+    It asks nothing, and stops a mission that flies first. Ctrl-C ends the landing, and the aircraft
+    hovers.
     """
     async with in_control(options.place(url), "land", is_sure=True) as (aircraft, control):
         await _end_mission(aircraft, control)
@@ -76,10 +76,7 @@ async def land(
 
 
 async def home(url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False) -> None:
-    """Fly to the home point and land there.
-
-    Whatever mission flies is stopped first.
-    """
+    """Fly to the home point and land there; a mission that flies is stopped first."""
     flight = in_control(options.place(url), "go home", is_sure=yes, look=_mission_that_ends)
     async with flight as (aircraft, control):
         await _end_mission(aircraft, control)
@@ -97,14 +94,14 @@ async def fly(
     """Fly so many metres north, east and up from here, and hover there.
 
     Args:
-        place: Where the aircraft is (else that of --url or M100LINK_URL), and metres north, east
-            and up, such as: sim:// -5 0 1.5
+        place: Where the aircraft is, if no --url or M100LINK_URL says it; then metres north, east
+            and up, such as -5 0 1.5.
     """
     has_place = bool(place) and not _is_number(place[0])
     north, east, up = _metres(place[1:] if has_place else place)
     where = options.place(place[0] if has_place else None)
     if where.is_virtual:
-        err.print("sim:// is a new aircraft for each command, on the ground; `m100link sim` stays")
+        err.print("each command gets a new sim:// on the ground; `m100link sim` keeps one running")
     limits.envelope.check("fly", far=math.hypot(north, east))
 
     def progress(found: GuidanceProgress) -> None:
@@ -136,22 +133,22 @@ def _metres(words: Sequence[str]) -> tuple[float, float, float]:
         seen = f"{strange[0]!r} is not a number" if strange else f"{len(words)} numbers were given"
         raise UsageError(
             seen,
-            remedy="the aircraft first, if it is named at all, then metres north, east and up: "
-            "m100link fly sim:// 5 0 1.5",
+            remedy="name the aircraft first, if at all, then metres north, east and up: "
+            "m100link fly /dev/ttyUSB0 5 0 1.5",
         )
     north, east, up = map(float, words)
     return north, east, up
 
 
 async def release(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> None:
-    """Give control authority back; the aircraft hovers and the pilot flies on."""
+    """Give control authority back: the aircraft hovers, and the pilot flies on."""
     async with activated(options.place(url)) as aircraft:
         if not await aircraft.release_authority():
             raise NotObserved(
-                "the aircraft did not say that it has control authority back",
+                "the aircraft did not report that it has control authority back",
                 situation=aircraft.state.situation(),
-                cause="the release or its answer was lost, or refused: see the log",
-                remedy="it hovers, and the pilot takes it by the mode switch; try again",
+                cause="the release or its answer was lost, or the aircraft refused it: see the log",
+                remedy="try again; the aircraft hovers, and the mode switch gives it to the pilot",
             )
         out.print("released")
 
@@ -226,7 +223,7 @@ async def _end_mission(aircraft: Aircraft, control: Control) -> None:
     try:
         kind = await control.stop_mission()
     except (MissionRefused, AckTimeout) as error:
-        err.print(f"{error}\nit is told to land all the same", markup=False)
+        err.print(f"{error}\nlanding all the same", markup=False)
         return
     if kind is not MissionKind.NONE:
         err.print(f"stopped: {kind.value}")
@@ -254,9 +251,9 @@ async def require_no_mission(aircraft: Aircraft, what: str) -> None:
         raise MissionRunning(
             f"{what} was asked for while a {mission.kind.value} flies the aircraft; nothing was "
             "sent, and it flies on",
-            cause="it was started from a phone, by another program, or by one that is gone",
-            remedy="`m100link mission stop` first: the aircraft hovers then, and this can follow; "
-            "in danger `m100link land`, or the pilot takes it by the mode switch",
+            cause="a phone or another program started it, perhaps one that has ended",
+            remedy="`m100link mission stop` first: the aircraft then hovers; in danger "
+            "`m100link land`, or the pilot takes control with the mode switch",
         )
 
 
@@ -266,9 +263,7 @@ async def confirm(aircraft: Aircraft, what: str) -> None:
     Raises UsageError: there is none, or the answer is no.
     """
     if not sys.stdin.isatty():
-        raise UsageError(
-            f"{what} was not confirmed", remedy="say --yes when nobody is there to be asked"
-        )
+        raise UsageError(f"{what} was not confirmed", remedy="give --yes where no terminal can ask")
     err.print(f"{aircraft.link.name}: firmware {aircraft.firmware}")
     err.print(f"Clear of people? Really {what}? \\[y/N] ", end="")
     if (await read_line()).lower() not in ("y", "yes"):
@@ -305,15 +300,15 @@ async def gimbal(
     options: AircraftOptions = AS_SET,
     json: AsJson = None,
 ) -> None:
-    """Point the gimbal, and show where it looks; without an angle it only shows that.
+    """Point the gimbal, and show its angles; without an angle only show them.
 
     Args:
-        yaw: Degrees clockwise from north, -320 to 320; an axis that is not named is left alone.
+        yaw: Degrees clockwise from north, -320 to 320; an axis without an angle stays as it is.
         pitch: Degrees, -90 (straight down) to 30.
         roll: Degrees, -35 to 35.
-        seconds: Time in which it gets there, or for which it turns.
-        relative: Angles count from the present ones.
-        rates: The numbers are degrees per second, -180 to 180, not angles.
+        seconds: Time to reach the angles, or to turn at the rates.
+        relative: Count angles from the present ones.
+        rates: Take the numbers as degrees per second, -180 to 180.
         wait: Wait until telemetry shows the angles.
     """
     place = options.place(url)
@@ -364,16 +359,16 @@ async def camera(
     options: AircraftOptions = AS_SET,
     json: AsJson = None,
 ) -> None:
-    """Take a photograph, start or stop video. It is sent; nobody confirms it.
+    """Take a photograph, start or stop video; the aircraft confirms neither.
 
     Args:
-        words: Where the aircraft is (else that of --url or M100LINK_URL), and what to do.
+        words: Where the aircraft is, if no --url or M100LINK_URL says it; then the action.
     """
     actions = [word for word in words if word in _CAMERA]
     if len(actions) != 1 or words[-1] != actions[0] or len(words) > 2:
         raise UsageError(
             _not_an_action(words),
-            remedy=f"the aircraft, if it is named at all, then one of: {', '.join(_CAMERA)}",
+            remedy=f"name the aircraft, if at all, then one of: {', '.join(_CAMERA)}",
         )
     place, _ = options.place_among(words, lambda word: word in _CAMERA)
     [action] = actions
@@ -387,7 +382,7 @@ async def camera(
     if wants_json(json):
         print_json({"sent": action, "confirmed": None})
     else:
-        out.print(f"sent: {action} (nobody confirms it: look at the card)")
+        out.print(f"sent: {action} (the aircraft does not confirm it: look at the memory card)")
 
 
 def _not_an_action(words: Sequence[str]) -> str:
@@ -410,11 +405,11 @@ async def rates(
     link: LinkOptions = BY_LINK,
     json: AsJson = None,
 ) -> None:
-    """Set telemetry rates (firmware 3.1), and show how items arrive; without any only that.
+    """Show at which rate each item arrives, and set rates (firmware 3.1).
 
     Args:
-        words: Where the aircraft is (else that of --url or M100LINK_URL), and rates, such as:
-            attitude=50 battery=1. 0, 1, 10, 50 or 100 Hz.
+        words: Where the aircraft is, if no --url or M100LINK_URL says it; then rates, such as
+            attitude=50 battery=1, each 0, 1, 10, 50 or 100 Hz.
     """
     place, asked = link.place_among(words, _is_rate)
     wanted = _pairs(asked)

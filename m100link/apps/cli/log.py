@@ -34,7 +34,7 @@ from m100link.log.ros2 import write_bag
 from m100link.log.story import FlightSummary, read_story
 from m100link.wire import Cipher
 
-Log = Annotated[Path, Parameter(help="The log.")]
+Log = Annotated[Path, Parameter(help="A flight log.")]
 """A file that ``m100link record`` or ``connect(record=…)`` wrote."""
 
 AsFlown = Annotated[
@@ -52,7 +52,7 @@ Output = Annotated[Path | None, OUTPUT]
 
 
 def ros2(file: Log, /, *, output: Output = None, firmware: AsFlown = None) -> int:
-    """Write a bag of ROS 2: MCAP with its messages in CDR, for ``ros2 bag``, rosbags, Foxglove.
+    """Write a ROS 2 bag: MCAP with messages in CDR, for ``ros2 bag``, rosbags and Foxglove.
 
     Args:
         output: A new file; by default FILE with ``-ros2`` before its suffix.
@@ -70,7 +70,7 @@ def layout(*, output: Output = None) -> int:
     Import it there: Layouts, Import from file.
 
     Args:
-        output: A new file instead of standard output.
+        output: A new file; by default standard output.
     """
     text = json.dumps(layout_of_panels(), indent=2) + "\n"
     if output is None:
@@ -87,10 +87,10 @@ def layout(*, output: Output = None) -> int:
 def csv(file: Log, /, *items: Items, output: Output = None, firmware: AsFlown = None) -> int:
     """Print telemetry as CSV: every package, decoded from its bytes.
 
-    Columns are those of ``m100link echo --csv``; what a package does not have is empty.
+    The columns are those of ``m100link echo --csv``; a value that a package lacks is empty.
 
     Args:
-        output: A file instead of standard output.
+        output: A new file; by default standard output.
     """
     records = items_named(items)
     with reading(file) as flight, contextlib.ExitStack() as stack:
@@ -108,7 +108,7 @@ def csv(file: Log, /, *items: Items, output: Output = None, firmware: AsFlown = 
 def parquet(file: Log, /, *items: Items, output: Output = None, firmware: AsFlown = None) -> int:
     """Write telemetry as a Parquet file: every package, decoded from its bytes.
 
-    Columns are those of ``m100link log csv``; what a package does not have is null.
+    The columns are those of ``m100link log csv``; a value that a package lacks is null.
 
     Args:
         output: A new file; by default FILE with .parquet.
@@ -137,18 +137,18 @@ def wireshark(
     install: bool = False,
     plugin: Path | None = None,
 ) -> int:
-    """Write a log as pcapng, a packet per frame, and the plugin by which Wireshark reads it.
+    """Write a log as pcapng, a packet per frame, and the plugin with which Wireshark reads it.
 
-    With a key, each encrypted frame is followed by what it says on a second interface.
+    With a key, a second interface has each encrypted frame decrypted, after the frame itself.
 
     Args:
-        file: The log; none with ``--install`` or ``--plugin`` alone.
+        file: A flight log; none with ``--install`` or ``--plugin`` alone.
         output: A new file; by default FILE with .pcapng.
-        install: Write the plugin to where Wireshark looks for it; an older one is replaced.
+        install: Install the plugin in Wireshark's folder, in place of an older one.
         plugin: Write the plugin into this new file: ``tshark -X lua_script:FILE -r …``.
     """
     if file is None and not install and plugin is None:
-        raise UsageError("no log is named", remedy="FILE, or --install for the plugin alone")
+        raise UsageError("no log is named", remedy="name one, or give --install alone")
     cipher = None if key_file is None else Cipher(read_key(key_file))
     if plugin is not None:
         with new_file(plugin) as stream:
@@ -190,10 +190,7 @@ def frames(
     firmware: AsFlown = None,
     json: AsJson = None,
 ) -> int:
-    """Print every frame, decoded: telemetry, commands, setpoints, answers, and what was lost.
-
-    Each is described as ``m100link decode`` does.
-    """
+    """Print every frame as ``m100link decode`` does, and where bytes were lost."""
     cipher = None if key_file is None else Cipher(read_key(key_file))
     as_json = wants_json(json)
     flight = read(file)
@@ -220,12 +217,12 @@ def _line(frame: dict[str, Any]) -> str:
 
 
 def compare_files(first: Path, second: Path, /, *, json: Json = False) -> int:
-    """Say what differs between two flights: durations, maxima, track, line, commands, alarms.
+    """Compare two flights: durations, maxima, tracks, line, commands, alarms.
 
-    Tracks are laid over each other at take-off: each from its own take-off point and time.
+    Each track counts from its own take-off point and time.
 
     Args:
-        first: A log.
+        first: A flight log.
         second: Another one.
     """
     flights, stories = [], []
@@ -258,8 +255,8 @@ def _print_comparison(found: Comparison, first: str, second: str) -> None:
     if found.most_apart is not None:
         after, metres = found.most_apart
         out.print(
-            f"apart over ground: {found.mean_apart_m:.1f} m in the mean, "
-            f"{metres:.1f} m at the most, {after:.1f} s after take-off"
+            f"apart over ground: {found.mean_apart_m:.1f} m on average, "
+            f"at most {metres:.1f} m, {after:.1f} s after take-off"
         )
     for title, lines in (("commands", found.commands), ("alarms", found.alarms)):
         out.print(f"{title}: {'the same' if not lines else ''}")
@@ -277,15 +274,15 @@ def _shown(value: float | None, sign: str = "") -> str:
 def plot(file: Log, /, *, output: Output = None, firmware: AsFlown = None) -> int:
     """Draw a flight: track, height, speeds, battery, line, phases, alarms, commands.
 
-    A page (.html) needs nothing but a browser, and no network; a picture (.png) needs matplotlib.
+    A page (.html) needs only a browser and no network; a picture (.png) needs matplotlib.
 
     Args:
-        output: A new file whose suffix, .html or .png, says which; by default FILE with .html.
+        output: A new file, .html or .png; by default FILE with .html.
     """
     target = output or file.with_suffix(".html")
     if target.suffix.lower() not in (".html", ".htm", ".png"):
         raise UsageError(
-            f"{target} is neither a page nor a picture", remedy="a name that ends in .html or .png"
+            f"{target} is neither a page nor a picture", remedy="end the name in .html or .png"
         )
     if target.exists():
         raise _is_there(target)
@@ -341,19 +338,17 @@ def cannot_write(target: Path, error: OSError) -> UsageError:
     if isinstance(error, FileExistsError):
         return _is_there(target)
     return UsageError(
-        f"{target} cannot be written: {error.strerror or error}", remedy="-o with another place"
+        f"{target} cannot be written: {error.strerror or error}", remedy="name another file with -o"
     )
 
 
 def _is_there(target: Path) -> UsageError:
-    return UsageError(f"{target} is there already", remedy="-o with another name")
+    return UsageError(f"{target} is there already", remedy="name another file with -o")
 
 
 # -- log -------------------------------------------------------------------------------------------
 
-app = group(
-    "log", "Look at flight logs, make tables of them, mend damaged ones; no aircraft is needed."
-)
+app = group("log", "Read, convert, compare and repair flight logs, without an aircraft.")
 
 for _verb in (plot, csv, parquet, wireshark, ros2, layout, frames):
     app.command(_verb)
@@ -371,15 +366,14 @@ async def record(
     rate: float = 10.0,
     duration: AtMost = None,
 ) -> None:
-    """Record what goes over the line, until Ctrl-C: every byte, and what the bytes say.
+    """Record every byte on the line, and its meaning, until Ctrl-C.
 
-    It asks for the version once, and sends nothing else.
+    The command asks for the version once, and sends nothing else.
 
     Args:
-        output: A file that is not there yet, or a folder for one that is named by the time; by
-            default a file in the folder where you are.
-        rate: Decoded telemetry at most so often, Hz; 0 for every package. The bytes of every
-            package are recorded whatever it is.
+        output: A new file, or a folder for a file named by the time; by default this folder.
+        rate: Most decoded telemetry, Hz; 0 for every package. At any rate the log has the bytes of
+            every package.
     """
     place = link.place(url)
     recorder = Recorder(output, rate_hz=rate)
@@ -419,9 +413,9 @@ async def _lost_or(aircraft: Aircraft, ended: asyncio.Event) -> LinkError | None
 
 @app.command
 def info(file: Log, /, *, firmware: AsFlown = None, json: Json = False) -> int:
-    """Say what a log holds: when, how long, phases, who had control, alarms, maxima.
+    """Summarize a log: time, duration, phases, holders of control, alarms, maxima.
 
-    The exit status is 0 whatever happened on the flight, and 1 for a file that is damaged.
+    The exit status is 0 whatever happened on the flight, and 1 for a damaged file.
     """
     with reading(file, passes=4) as flight:
         summary, story = flight.summary(), read_story(flight, firmware=firmware)
@@ -450,13 +444,13 @@ def info(file: Log, /, *, firmware: AsFlown = None, json: Json = False) -> int:
         out.print(f"  {count:>8}  {topic}")
     if not summary.is_whole:
         out.print(f"not whole: {summary.damage}", markup=False, soft_wrap=True)
-        out.print(f"what is there as a whole file: m100link log recover {file}", soft_wrap=True)
+        out.print(f"to save the rest as a whole file: m100link log recover {file}", soft_wrap=True)
     return status(flight)
 
 
 @app.command
 def events(file: Log, /) -> int:
-    """Print what happened, a JSON object on a line: commands, answers, authority, connection."""
+    """Print the events as JSON lines: commands, answers, authority, connection."""
     flight = read(file)
     for message in flight.messages(COMMAND, EVENT):
         times = {"utc": round(message.utc, 6), "at": round(message.at, 6)}
@@ -466,9 +460,9 @@ def events(file: Log, /) -> int:
 
 @app.command(name="recover")
 def recover_file(file: Log, /, *, output: Output = None) -> int:
-    """Write a whole file from one that was cut off or damaged; the old one stays as it is.
+    """Write a whole file from a damaged or cut one, which stays as it is.
 
-    The exit status is 1 for a damaged file: what is missing there is missing in the new one.
+    The exit status is 1 for a damaged file: the new one lacks what the old one lacks.
 
     Args:
         output: The new file; by default FILE with ``-recovered`` before its suffix.

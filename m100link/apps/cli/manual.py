@@ -93,17 +93,17 @@ def _pages() -> list[_Page]:
 def docs(
     topic: Annotated[
         str | None,
-        Parameter(help="Which page, or the code of an error (M100-LINK-LOST); without one, a list"),
+        Parameter(help="A page, or an error code (M100-LINK-LOST); by default, list the pages."),
         offered(lambda: [page.topic for page in _pages()]),
     ] = None,
     /,
     *,
     find: str | None = None,
 ) -> int:
-    """Read the manual: a page by its topic, or the list of topics. Needs no network.
+    """Read the manual without a network: a page, or the list of pages.
 
     Args:
-        find: List the lines that have this word instead, with their topics.
+        find: List the lines that have this word, with their pages.
     """
     if topic is not None and topic.upper().startswith("M100-"):
         return _show_error(topic)
@@ -283,16 +283,16 @@ Shell = Literal["bash", "zsh", "fish"]
 
 def completion(
     shell: Annotated[
-        Shell | None, Parameter(help="Which shell; by default the one that this is typed in")
+        Shell | None, Parameter(help="The shell; by default the one that you type in.")
     ] = None,
     /,
     *,
     install: bool = False,
 ) -> int:
-    """Print what completes verbs, options and aircraft in a shell, or install it there.
+    """Print or install completion of verbs, options and aircraft in a shell.
 
     Args:
-        install: Write it where the shell looks for it, and have bash and zsh load it: a line in
+        install: Install it where the shell looks for it; bash and zsh load it by a line in
             ~/.bashrc or ~/.zshrc.
     """
     from m100link.apps.cli.app import app
@@ -300,7 +300,7 @@ def completion(
     shell = shell or _detected()
     if install:
         place = app.install_completion(shell=shell)
-        sys.stderr.write(f"written to {place}; a {shell} that is started now completes m100link\n")
+        sys.stderr.write(f"written to {place}; the next {shell} completes m100link\n")
     else:
         sys.stdout.write(app.generate_completion(shell=shell))
     return ExitCode.OK
@@ -316,7 +316,7 @@ def _detected() -> Shell:
     for shell in ("bash", "zsh", "fish"):
         if shell == found:
             return shell
-    raise UsageError("the shell is none that is known here", remedy="name it: bash, zsh or fish")
+    raise UsageError("m100link does not know this shell", remedy="name one: bash, zsh or fish")
 
 
 # -- ``m100link config``: the user's configuration file, and what is in force ----------------------
@@ -324,7 +324,7 @@ def _detected() -> Shell:
 
 _EXAMPLE = """\
 [defaults]
-aircraft = "lab-m100"      # when nobody names one
+aircraft = "lab-m100"      # unless you name another one
 app_id = 1022384           # real aircraft only: sim:// has an app of its own
 key_file = "m100.key"      # beside this file; chmod 600
 
@@ -344,14 +344,14 @@ _CALLED = {"baud_rate": "baud"}
 def config(
     aircraft: Annotated[
         str | None,
-        Parameter(help="Its name or URL; without it, what M100LINK_URL or the file says"),
+        Parameter(help="Name or URL of an aircraft; by default that of M100LINK_URL or the file."),
         offered(lambda: read_configuration().aircraft),
     ] = None,
     /,
     *,
     json: AsJson = None,
 ) -> int:
-    """Show the configuration file: where it is, which aircraft it names, what is in force."""
+    """Show the configuration file, its aircraft and the settings in force."""
     configuration = read_configuration()
     for name in configuration.aircraft:  # what cannot be is told now, not before a flight
         resolve({"url": name}, {}, of_aircraft=configuration.sources_of_station)
@@ -388,7 +388,7 @@ def _in_force(configuration: Configuration, aircraft: str | None) -> dict[str, d
 def _print(configuration: Configuration, in_force: dict[str, dict[str, Any]]) -> None:
     out.print(shown(configuration.path), style="bold", markup=False, end="")
     if not configuration.exists:
-        out.print(" is not there. It could say:\n")
+        out.print(" does not exist. An example:\n")
         out.print(_EXAMPLE, markup=False)
     else:
         out.print()

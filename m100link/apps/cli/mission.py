@@ -27,7 +27,7 @@ from m100link.apps.cli.common import (
 from m100link.apps.cli.display import Point, track_plot
 from m100link.apps.cli.flight import activated, in_control
 from m100link.apps.cli.options import OUTPUT, Force, Yes, group
-from m100link.apps.cli.plan import File, FileOptions, read_plan, require_free
+from m100link.apps.cli.plan import File, FileOptions, PlanFile, read_plan, require_free
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json
 from m100link.errors import UsageError
 from m100link.flight.control import Control
@@ -52,7 +52,7 @@ from m100link.telemetry.subscription import Latest
 
 app = group(
     "mission",
-    "Let the aircraft fly a plan by itself, and act on a mission that flies (firmware 3.1).",
+    "Let the aircraft fly a plan by itself (firmware 3.1).",
 )
 
 
@@ -62,7 +62,7 @@ _TRACK_HZ = 4.0
 
 @app.command
 def fly(
-    plan: File,
+    plan: PlanFile,
     url: Url = None,
     /,
     *,
@@ -73,15 +73,14 @@ def fly(
     limits: EnvelopeOptions = WITHIN_DEFAULTS,
     yes: Yes = False,
 ) -> Coroutine[Any, Any, int]:
-    """Upload a plan, let the aircraft fly it, and watch. Ctrl-C stops it, and the aircraft hovers.
+    """Upload a plan, let the aircraft fly it, and watch. Ctrl-C stops it: the aircraft hovers.
 
-    In a terminal with a map; otherwise one JSON object per event. On Linux, a guardian stops the
-    mission when this program is killed. `m100link mission stop` ends one that is left in flight.
+    A terminal shows a map; a pipe gets one JSON object per event. On Linux, a guardian stops the
+    mission when this program is killed. `m100link mission stop` ends a mission left in flight.
 
     Args:
-        plan: A file, JSON or .plan; - is standard input.
         take_off: Take off first, from the ground.
-        allow_far: Let it begin more than 500 m from here.
+        allow_far: Allow a start more than 500 m from here.
     """
     # First, as it tells of arguments that are exchanged; and while Ctrl-C ends a wait for a pipe.
     found = read_plan(plan, file)
@@ -93,7 +92,7 @@ def fly(
         f"{len(found.waypoints)} waypoints, about {found.estimate()}; at the end "
         f"{found.at_end.name.lower().replace('_', ' ')}, without RC "
         f"{found.on_rc_loss.name.lower()}. Ctrl-C stops it. On Linux, a guardian stops it "
-        "when this program is killed.",
+        "if this program is killed.",
         markup=False,
     )
     flight = in_control(
@@ -225,8 +224,8 @@ class _Show:
         status, position = state.flight_status, state.position
         if self._has_begun and not mission.is_over:
             if self._is_finished and self._lands:
-                return "every waypoint was flown; the aircraft lands, as planned"
-            return "the stop was not confirmed, the mission may fly on: m100link mission stop"
+                return "all waypoints are flown; the aircraft lands, as planned"
+            return "nothing confirmed the stop, the mission may fly on: m100link mission stop"
         words = "mission not started"
         if self._is_finished:
             words = "mission finished"
@@ -277,14 +276,14 @@ async def _require_airborne(aircraft: Aircraft) -> None:
     if status is not None and status.status == FlightPhase.STANDBY:
         raise UsageError(
             "the aircraft stands on the ground",
-            cause="it may take off by itself when a mission starts",
-            remedy="--take-off; or m100link takeoff first",
+            cause="a mission that starts there may take off by itself",
+            remedy="give --take-off, or m100link takeoff first",
         )
 
 
 @app.command
 async def stop(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> None:
-    """Stop whatever mission flies, whoever started it; the aircraft hovers."""
+    """Stop the mission that flies, also one of another program; the aircraft hovers."""
     async with in_control(options.place(url)) as (_, control):
         kind = await control.stop_mission()
         out.print("no mission flies" if kind is MissionKind.NONE else f"stopped: {kind.value}")
@@ -302,7 +301,7 @@ async def _going_on(
 
 @app.command
 async def pause(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> None:
-    """Pause whatever mission flies; the aircraft hovers in it, and authority is kept."""
+    """Pause the mission that flies; the aircraft hovers. Authority is not given back."""
     await _going_on(in_control(options.place(url)), Control.pause_mission, "paused: {}")
 
 
@@ -310,7 +309,7 @@ async def pause(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> Non
 async def resume(
     url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False
 ) -> None:
-    """Let a mission that is paused go on, by itself; authority is kept."""
+    """Let a paused mission fly on by itself. Authority is not given back."""
     ask = "let the mission go on"
     flight = in_control(options.place(url), ask, is_sure=yes, is_told=False)
     await _going_on(flight, Control.resume_mission, "resumed: {}; it flies on by itself")
@@ -325,11 +324,10 @@ async def download(
     output: Annotated[File, OUTPUT] = "-",
     force: Force = False,
 ) -> None:
-    """Read back the plan that the aircraft has stored.
+    """Download the plan that the aircraft has stored.
 
     Args:
-        output: The file to write, for QGroundControl if its name ends in .plan; - is standard
-            output, as JSON.
+        output: File to write, for QGroundControl if its name ends in .plan; - prints JSON.
     """
     place = options.place(url)
     if output != "-":

@@ -130,9 +130,11 @@ def options_of(
         parameter = Parameter(
             name=(called or {}).get(name),
             help=text,
-            group=(panels or {}).get(name),
             negative_bool="no-" if is_switch else (),
         )
+        # A group that is None would hide the option.
+        group = Parameter(group=panels[name]) if panels and name in panels else Parameter()
         extra = (extras or {}).get(name, Parameter())
-        made.append((name, Annotated[kind, parameter, extra], dataclasses.field(default=default)))
+        field = dataclasses.field(default=default)
+        made.append((name, Annotated[kind, parameter, group, extra], field))
     return dataclasses.make_dataclass(f"{source.__name__}Options", made, frozen=True)

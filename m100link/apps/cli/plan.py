@@ -1,4 +1,4 @@
-"""``m100link plan``: look at plans of waypoints, check and convert them. No aircraft is needed."""
+"""``m100link plan``: make, check, draw and convert waypoint plans, without an aircraft."""
 
 from __future__ import annotations
 
@@ -20,10 +20,19 @@ from m100link.missions.plan import WaypointPlan
 from m100link.missions.survey import survey as lines_over
 from m100link.missions.waypoint import GimbalPitch, Heading, Stay, TurnTo, Waypoint, WaypointAction
 
-app = group("plan", "Look at plans of waypoints, check and convert them; no aircraft is needed.")
+app = group("plan", "Make, check, draw and convert waypoint plans, without an aircraft.")
 
 File = Annotated[str | Path, Parameter(allow_leading_hyphen=True)]
 """A name, or a hyphen for a standard stream: as it was typed. For a path shells offer files."""
+
+PlanFile = Annotated[
+    File, Parameter(help="A plan: JSON, or .plan of QGroundControl; - is standard input.")
+]
+Target = Annotated[File, Parameter(help="File to write; - is standard output.")]
+Format = Annotated[
+    Literal["json", "plan"] | None,
+    Parameter(help="Format to write; by default the one of the file's name, else JSON."),
+]
 
 _WIDE = 64
 """Columns of a terminal that has room for places in degrees."""
@@ -35,23 +44,23 @@ class FileOptions:
     """How a .plan of QGroundControl is read.
 
     Attributes:
-        leave_out: What of it may be left out: an item's number in MAVLink (530), a name (geoFence,
-            rallyPoints); several with commas between them, or given several times.
-        home_altitude: Of the take-off point above sea level, m, for heights that count from there.
+        leave_out: Items of it to leave out: a MAVLink number (530) or a name (geoFence,
+            rallyPoints); with commas, or repeated.
+        home_altitude: Altitude of the take-off point, m, if heights count from sea level.
     """
 
-    leave_out: Annotated[tuple[str, ...], Parameter(negative="")] = ()
+    leave_out: tuple[str, ...] = ()
     home_altitude: float | None = None
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
 class EstimateOptions:
-    """What the estimate reckons with.
+    """What the estimate assumes.
 
     Attributes:
-        home: LATITUDE,LONGITUDE of the take-off point: the ways from there and back count.
-        hover_minutes: How long a full battery carries the aircraft.
+        home: LATITUDE,LONGITUDE of the take-off point, to count the legs from and to it.
+        hover_minutes: Minutes that a full battery keeps the aircraft in a hover.
     """
 
     home: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
@@ -76,7 +85,7 @@ def read_plan(file: str | Path, options: FileOptions | None = None) -> WaypointP
     if _names_an_aircraft(path):
         raise UsageError(
             f"the plan is {path!r}, which names an aircraft",
-            remedy="did you exchange PLAN and URL? First the file: m100link mission fly PLAN URL",
+            remedy="did you swap PLAN and URL? The file comes first: m100link mission fly PLAN URL",
         )
     options = options or FileOptions()
     names = [name.strip() for word in options.leave_out for name in word.split(",")]
@@ -102,21 +111,18 @@ def _names_an_aircraft(word: str) -> bool:
 
 @app.command
 def check(
-    plan: File,
+    plan: PlanFile,
     /,
     *,
     file: FileOptions | None = None,
     reckoning: EstimateOptions | None = None,
     json: AsJson = None,
 ) -> int:
-    """Say what is wrong with a plan, what may surprise, and what it takes.
+    """Check a plan: its faults, its surprises, its length and its time.
 
-    Ends with 0 if the aircraft would take it, with 2 if not. A file that cannot be understood is
-    told by its first mistake; then all values that cannot be flown; when there are none of these,
+    The exit status is 0 if the aircraft would take the plan, and 2 if not. The check names the
+    first mistake of a file that it cannot read, else every value that the aircraft cannot fly, else
     distances between waypoints.
-
-    Args:
-        plan: A file, JSON or .plan; - is standard input.
     """
     as_json = wants_json(json)
     reckoning = reckoning or EstimateOptions()
@@ -174,13 +180,9 @@ def _say(*lines: str) -> None:
 
 @app.command
 def show(
-    plan: File, /, *, file: FileOptions | None = None, reckoning: EstimateOptions | None = None
+    plan: PlanFile, /, *, file: FileOptions | None = None, reckoning: EstimateOptions | None = None
 ) -> int:
-    """Draw a plan: the way from above, its heights, and a table of its waypoints.
-
-    Args:
-        plan: A file, JSON or .plan; - is standard input.
-    """
+    """Draw a plan: its track from above, its heights, and a table of its waypoints."""
     from m100link.apps.cli.common import out
 
     reckoning = reckoning or EstimateOptions()
@@ -268,23 +270,18 @@ def _choices(plan: WaypointPlan) -> Iterator[str]:
 
 @app.command
 def convert(
-    source: File,
-    target: File,
+    source: PlanFile,
+    target: Target,
     /,
     *,
     file: FileOptions | None = None,
-    to: Literal["json", "plan"] | None = None,
+    to: Format = None,
     force: Force = False,
 ) -> int:
-    """Read a plan and write it as JSON, or for QGroundControl if the name ends in .plan.
+    """Convert a plan: to JSON, or for QGroundControl if the name ends in .plan.
 
-    What the plan of QGroundControl has and the M100 cannot fly is refused, nothing is left out
-    that is not named.
-
-    Args:
-        source: A file, JSON or .plan; - is standard input.
-        target: The file to write; - is standard output.
-        to: What is written, whatever the name says; JSON on standard output without it.
+    The command refuses a QGroundControl item that the M100 cannot fly, unless you name it with
+    --leave-out.
     """
     return _write(read_plan(source, file), target, to, force=force)
 
@@ -314,13 +311,13 @@ def require_free(target: str | Path, *, force: bool) -> None:
         raise UsageError(f"{target} is there already", remedy="--force writes over it")
     if not path.parent.is_dir():
         raise UsageError(
-            f"there is no folder {path.parent}", remedy="make it first, or name another one"
+            f"there is no folder {path.parent}", remedy="make it first, or name another folder"
         )
 
 
 @app.command
 def survey(
-    target: File,
+    target: Target,
     /,
     *area: Annotated[str, Parameter(allow_leading_hyphen=True)],
     height: Annotated[float, Above0],
@@ -328,20 +325,18 @@ def survey(
     angle: float = 0.0,
     photo_every: Annotated[float | None, Above0] = None,
     speed: Annotated[float, Above0] = 5.0,
-    to: Literal["json", "plan"] | None = None,
+    to: Format = None,
     force: Force = False,
 ) -> int:
-    """Write a plan of parallel lines over an area.
+    """Write a plan of parallel lines (lawnmower) over an area.
 
     Args:
-        target: The file to write; - is standard output.
         area: Corners of the polygon in their order, each LATITUDE,LONGITUDE; 3 or more.
-        height: Above the take-off point, m.
-        spacing: Between lines, m.
-        angle: Direction of the lines, ° clockwise from north.
-        photo_every: Metres between photographs along a line; none without it.
-        speed: m/s.
-        to: What is written, whatever the name says; JSON on standard output without it.
+        height: Height above the take-off point, m.
+        spacing: Distance between lines, m.
+        angle: Direction of the lines, degrees clockwise from north.
+        photo_every: Metres between photographs along a line; by default it takes none.
+        speed: Speed along the lines, m/s.
     """
     plan = lines_over(
         [_degrees("a corner", word) for word in area],

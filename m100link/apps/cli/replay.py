@@ -39,7 +39,7 @@ KEYS = {
     "0": "seek 0",
 }
 
-_HELP = "keys: space pauses, ← → 10 s, < > a minute, + - speed, 1 as it was, 0 begin, q ends"
+_HELP = "keys: space pauses, ← → 10 s, < > a minute, + - speed, 1 real speed, 0 begin, q quits"
 
 
 async def replay(
@@ -50,16 +50,16 @@ async def replay(
     options: StationOptions = AS_CONFIGURED,
     page: PageOptions = IN_BROWSER,
 ) -> int:
-    """Show a recorded flight in the console, as it was: pause, move, change its speed.
+    """Replay recorded flights in the console: pause, seek, change the speed.
 
-    Nothing flies: the page says REPLAY, and gives nobody control. Two files are two aircraft of
-    one station, each with a page of its own.
+    Nothing flies: the page says REPLAY and gives no control. Two files are two aircraft of one
+    station, each with its own page.
 
     Args:
-        file: Flight logs, by `m100link record`, `serve`, `console`, `demo` or connect(record=…).
-        speed: Times as fast as it was flown, 0.1 to 100, or max.
-        from_: Where to begin, seconds from its first byte.
-        to: Where to end.
+        file: Flight logs of `m100link record`, `serve`, `console`, `demo` or connect(record=…).
+        speed: Speed of the replay, 0.1 to 100 times the flight's, or max.
+        from_: Where to begin, in seconds from the first byte.
+        to: Where to end, in seconds from the first byte.
     """
     if not file:
         raise UsageError("no flight log was named", remedy="m100link replay flight.mcap")

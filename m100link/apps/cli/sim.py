@@ -19,7 +19,14 @@ from rich.text import Text
 
 from m100link.apps.cli.common import out, until
 from m100link.apps.cli.options import Above0, AsJson, On, Simulated, group, options_of
-from m100link.apps.cli.terminal import AS_IT_IS, LogOptions, keys_pressed, print_json, wants_json
+from m100link.apps.cli.terminal import (
+    AS_IT_IS,
+    LogOptions,
+    keys_pressed,
+    panel,
+    print_json,
+    wants_json,
+)
 from m100link.errors import UsageError
 from m100link.link.keyfile import read_key
 from m100link.sim.clock import loop_factory
@@ -46,10 +53,10 @@ if TYPE_CHECKING:
     from m100link.sim.virtual import VirtualAircraft
 
 
-app = group("sim", "A virtual Matrice 100, for people and other programs.")
+app = group("sim", "Run a virtual Matrice 100, for people and for programs.")
 
 
-@Parameter(name="*", group="Line faults")
+@Parameter(name="*", group=panel("Line faults"))
 @dataclass(frozen=True)
 class FaultOptions(
     options_of(LineFaults, LINE_OPTIONS)  # type: ignore[misc] # a class that is made
@@ -61,7 +68,7 @@ class FaultOptions(
         return LineFaults(**asdict(self))
 
 
-@Parameter(name="*", group="Site and sensors")
+@Parameter(name="*", group=panel("Site and sensors"))
 @dataclass(frozen=True)
 class SiteOptions(
     options_of(AircraftSettings, SITE_OPTIONS, defaults={"noise": 1.0})  # type: ignore[misc] # a class that is made
@@ -73,7 +80,7 @@ class SiteOptions(
         return AircraftSettings(**asdict(self), missions=missions)
 
 
-@Parameter(name="*", group="Missions")
+@Parameter(name="*", group=panel("Missions"))
 @dataclass(frozen=True)
 class MissionOptions(
     options_of(MissionSettings, MISSION_OPTIONS)  # type: ignore[misc] # a class that is made
@@ -85,18 +92,53 @@ class MissionOptions(
         return MissionSettings(**asdict(self))
 
 
-@Parameter(name="*")
+@Parameter(name="*", group=panel("App registered with DJI"))
+@dataclass(frozen=True)
+class RegisteredApp:
+    """The app that the virtual server knows.
+
+    Attributes:
+        app_id: App id of the registration.
+        key: Its AES key, 64 hex digits; by default the well-known demo key 000102…1f.
+        key_file: File with that key.
+        level: Authorization level of the registration.
+        activated: Start activated for this app, as after an earlier program.
+    """
+
+    app_id: int = DEMO_APP_ID
+    key: str | None = None
+    key_file: Path | None = None
+    level: Literal[0, 1, 2] = 2
+    activated: bool = False
+
+    def secret(self) -> Key:
+        """The key. Raises UsageError, BadKey: two are named, or it cannot be one."""
+        if self.key is not None and self.key_file is not None:
+            raise UsageError("give --key or --key-file, not both")
+        if self.key_file is not None:
+            return read_key(self.key_file)
+        return DEMO_KEY if self.key is None else Key(self.key)
+
+
+@Parameter(name="*", group=panel("Port"))
 @dataclass(frozen=True)
 class AssistantOptions(
     options_of(AssistantSettings, {"baud_rate": "baud"})  # type: ignore[misc] # a class that is made
 ):
-    """What the PC assistant sets.
+    """Its ports, and what the PC assistant sets.
 
     Attributes:
-        rate: ITEM=HZ, a telemetry rate in the assistant's settings (0, 1, 10, 50, 100); may be
-            given several times.
+        link: Name of the port: a symbolic link to the pseudo-terminal, removed at the end.
+        tcp: Listen on [HOST:]PORT instead, or with --link as well; port 0 chooses a free one.
+        count: Number of aircraft; their ports are numbered from 0.
+        pace: Let bytes take their time at --baud, in both directions.
+        rate: ITEM=HZ, a telemetry rate of the PC assistant (0, 1, 10, 50, 100); repeatable.
     """
 
+    link: Path | None = None
+    tcp: str | None = None
+    count: int = 1
+    pace: On = True
     rate: tuple[str, ...] = ()
 
     def settings(self, *, cold: bool) -> AssistantSettings:
@@ -122,22 +164,14 @@ class _Plan:
 @app.default
 def run(
     *,
-    link: Path | None = None,
-    tcp: str | None = None,
-    app_id: int = DEMO_APP_ID,
-    key: str | None = None,
-    key_file: Path | None = None,
-    level: Literal[0, 1, 2] = 2,
     firmware: Simulated = "1.0",
     seed: int | None = None,
     cold: bool = False,
-    activated: bool = False,
     speed: float = 1.0,
-    pace: On = True,
-    count: int = 1,
     scenario: Path | None = None,
     duration: Annotated[float | None, Above0] = None,
     json_output: AsJson = None,
+    registered: RegisteredApp = RegisteredApp(),
     assistant: AssistantOptions = AssistantOptions(),
     faults: FaultOptions = FaultOptions(),
     site: SiteOptions = SiteOptions(),
@@ -146,39 +180,30 @@ def run(
 ) -> int:
     """Run a virtual aircraft behind a serial port that programs can open.
 
-    It stands ready to fly, and answers until it is ended (Ctrl-C, SIGTERM). On a terminal it is
-    shown live and has keys; otherwise one line of JSON is printed once it answers.
+    It stands ready to fly, and answers until Ctrl-C or SIGTERM. A terminal shows it live and has
+    keys; a pipe gets one line of JSON once it answers.
 
     Args:
-        link: Name of the port: a symbolic link to the pseudo-terminal, removed at the end.
-        tcp: Listen on [HOST:]PORT instead; port 0 chooses a free one. With --link, as well.
-        app_id: App id registered at the server.
-        key: Its AES key, 64 hex digits. By default the well-known demo key 000102…1f.
-        key_file: File that holds the key.
-        level: Authorization level of the registration.
-        seed: Of everything random; by default a new one, which is printed.
-        cold: The state after power-on: API control not enabled, switch in P, no app, no GPS.
-        activated: Activated for that app already, as by an earlier program.
-        speed: Times as fast as real.
-        pace: Bytes take the time that they need at --baud, in both directions.
-        count: So many aircraft; the ports are numbered from 0.
-        scenario: TOML file of what happens when.
-        duration: End by itself after so many seconds of its own time.
+        seed: Seed of everything random; by default a new one, which the command prints.
+        cold: Start as after power-on: API control not enabled, switch in P, no app, no GPS.
+        speed: Speed of its clock, times real time.
+        scenario: TOML file of timed events.
+        duration: Seconds of its own clock until it ends by itself.
     """
     if seed is None:
         seed = secrets.randbits(32)
-    if count < 1:
-        raise UsageError(f"{count} aircraft cannot be run")
+    if assistant.count < 1:
+        raise UsageError(f"{assistant.count} aircraft cannot be run")
     if not 0.0 < speed <= 1000.0:
         raise UsageError(f"speed is above 0 and at most 1000, not {speed:g}")
     options: dict[str, Any] = {
         "firmware": firmware,
-        "app_id": app_id,
-        "key": _read_key(key, key_file),
-        "level": level,
+        "app_id": registered.app_id,
+        "key": registered.secret(),
+        "level": registered.level,
         "cold": cold,
-        "paced": pace,
-        "activated": activated,
+        "paced": assistant.pace,
+        "activated": registered.activated,
     }
     try:
         options |= {
@@ -186,24 +211,18 @@ def run(
             "faults": faults.faults(),
             "assistant": assistant.settings(cold=cold),
         }
-        aircraft = [VirtualAircraft(seed=seed + index, **options) for index in range(count)]
+        aircraft = [
+            VirtualAircraft(seed=seed + index, **options) for index in range(assistant.count)
+        ]
     except UsageError:
         raise
     except ValueError as error:
         raise UsageError(str(error)) from error
     as_json = wants_json(json_output)
-    address = None if tcp is None else _read_address(tcp)
-    plan = _Plan(aircraft, link, address, scenario, duration, as_json, seed)
+    address = None if assistant.tcp is None else _read_address(assistant.tcp)
+    plan = _Plan(aircraft, assistant.link, address, scenario, duration, as_json, seed)
     with asyncio.Runner(loop_factory=loop_factory(speed)) as runner:
         return runner.run(_serve(plan))
-
-
-def _read_key(text: str | None, path: Path | None) -> Key:
-    if text is not None and path is not None:
-        raise UsageError("give --key or --key-file, not both")
-    if path is not None:
-        return read_key(path)
-    return DEMO_KEY if text is None else Key(text)
 
 
 def _read_rates(words: tuple[str, ...]) -> dict[str, int]:
@@ -311,12 +330,12 @@ def ctl(
 ) -> int:
     """Give an order to a virtual aircraft that runs in another shell.
 
-    Without an order, the actions are listed.
+    Without an order, the command lists the actions.
 
     Args:
-        order: The action and its arguments, such as: rc-mode P
-        socket: Which simulator, if several run (their first line names it).
-        aircraft: Which aircraft, if it has several, from 0.
+        order: The action and its arguments, such as: rc-mode P.
+        socket: Control socket of the simulator, if several run; its first line of JSON names it.
+        aircraft: Number of the aircraft, from 0, if the simulator has several.
     """
     if not order:
         _list_actions()

@@ -1,4 +1,4 @@
-"""``m100link echo``, ``hz`` and ``plot``."""
+"""``m100link echo``, ``hz``, ``plot`` and ``monitor``."""
 
 from __future__ import annotations
 
@@ -72,15 +72,15 @@ async def echo(
     csv: bool = False,
     json: AsJson = None,
 ) -> None:
-    """Print telemetry as it arrives: one JSON object, or one row of CSV, per package.
+    """Print telemetry as it arrives: one JSON object or CSV row per package.
 
     Every column is named item.field; ``received_at`` is this computer's monotonic clock, s, and
     ``utc`` the same as POSIX time.
 
     Args:
-        rate: At most so many packages per second.
-        count: Packages until it ends by itself.
-        csv: CSV with a header line.
+        rate: Most packages per second.
+        count: Packages until the command ends by itself.
+        csv: Print CSV with a header line, and no JSON.
     """
     if csv and json:
         raise UsageError("--csv and --json exclude each other")
@@ -133,7 +133,7 @@ def _silent(aircraft: Aircraft, records: list[type[Any]]) -> list[str]:
 def _tell(silent: list[str]) -> None:
     for name in silent:
         err.print(
-            f"{name} is at 0 Hz: nothing of it arrives; set its rate in the PC assistant",
+            f"{name} is at 0 Hz: no package carries it; set its rate in the PC assistant",
             style="yellow",
             markup=False,
         )
@@ -156,7 +156,7 @@ async def hz(
     duration: Duration = 5.0,
     json: AsJson = None,
 ) -> None:
-    """Measure how the items arrive: rate, jitter, longest gap, and the aircraft's clock."""
+    """Measure each item's rate, jitter and longest gap, and the aircraft's clock."""
     as_json = wants_json(json)
     place = link.place(url)
     async with place.connect() as aircraft:
@@ -234,7 +234,7 @@ def _number(value: float | None, factor: float, digits: int) -> str:
 def plot(
     source: Annotated[
         str | None,
-        Parameter(help="A URL, or a CSV file that `m100link echo --csv` wrote"),
+        Parameter(help="A URL, or a CSV file of `m100link echo --csv`."),
         offered(places),
     ] = None,
     /,
@@ -242,10 +242,10 @@ def plot(
     link: LinkOptions = BY_LINK,
     duration: Duration = 10.0,
 ) -> int:
-    """Plot columns over time: live from an aircraft, or of a recorded span.
+    """Plot telemetry columns over time, live or from a CSV file.
 
     Args:
-        fields: Columns, such as position.height_m; that one without any.
+        fields: Columns; position.height_m by default.
     """
     if source is not None and column_named(source):
         fields, source = (source, *fields), None
@@ -293,7 +293,7 @@ def _plot_file(path: Path, fields: tuple[str, ...]) -> int:
     except (KeyError, ValueError) as error:
         raise UsageError(
             f"{path} cannot be plotted, line {lines}: {error}",
-            cause="not a file of `m100link echo --csv`, or a column without numbers",
+            cause="`m100link echo --csv` did not write it, or the column has no numbers",
         ) from error
     _draw(points)
     return ExitCode.OK if any(points.values()) else ExitCode.FAILED
@@ -362,9 +362,9 @@ async def monitor(
     duration: AtMost = None,
     json: AsJson = None,
 ) -> None:
-    """Watch telemetry: every item with its value, age, measured rate and jitter.
+    """Watch every telemetry item: value, age, measured rate and jitter.
 
-    Needs no activation. Ends with Ctrl-C.
+    It needs no activation. Ctrl-C ends it.
     """
     as_json = wants_json(json)
     place = link.place(url)

@@ -51,59 +51,59 @@ class Settings:
     ``m100link.apps.cli.common``.
 
     Attributes:
-        url: Where the aircraft is; none with a virtual one.
-        baud_rate: Rate when the URL has none.
-        firmware: Force a firmware profile.
-        timeout: Seconds until an aircraft has to answer.
+        url: Where the aircraft is: a URL, a port, or a name of the configuration file.
+        baud_rate: Baud rate, if the URL has none.
+        firmware: Use this firmware profile, and not the one that the version answer selects.
+        timeout: Seconds in which an aircraft must answer; 3 by default.
         sim: Bring a virtual aircraft.
-        app_id: App id at DJI.
-        key: The key itself; visible to everybody on this machine, so better a file.
-        key_file: File with the key, 64 hex digits, readable by you alone.
-        level: Authorization level of the app id.
+        app_id: App id that DJI assigned.
+        key: The app's key itself. Every user of this machine can see it: prefer a file.
+        key_file: File with the key: 64 hex digits, readable by you alone.
+        level: Authorization level of the app.
         app_version: Version of the app (firmware 1.0).
         bundle_id: Bundle id of the app.
-        host: Address to bind; beyond this machine a token is needed.
+        host: Address to listen on; beyond this machine, clients need a token.
         port: Port of rosbridge.
-        also_ports: One more port for it; may be repeated.
+        also_ports: Another port of rosbridge; repeatable.
         console_port: Port of the console.
-        metrics_port: Serve the numbers of the station to Prometheus on this port (9464 is usual).
-        foxglove_port: Serve Foxglove and Lichtblick, which only look, on this port (8765 is usual).
-        allow_host: A name that this station goes by; may be repeated.
-        allow_origin: A page from elsewhere that may connect, such as http://127.0.0.1:8000; null
-            is a page opened from a file. May be repeated.
-        token: What clients have to know.
-        token_file: File with the token that clients have to know.
-        tls_cert: Certificate, PEM.
+        metrics_port: Serve metrics to Prometheus on this port; 9464 is usual.
+        foxglove_port: Serve Foxglove and Lichtblick, read-only, on this port; 8765 is usual.
+        allow_host: A host name by which clients may address this station; repeatable.
+        allow_origin: Let pages of this origin connect, such as http://127.0.0.1:8000; null is a
+            page opened from a file. Repeatable.
+        token: Token that clients must present.
+        token_file: File with the token that clients must present.
+        tls_cert: TLS certificate, PEM.
         tls_key: Its private key, PEM.
-        pages: Folder with web pages to serve on the rosbridge port, such as DJI's keyboard page.
-        tiles: Folder with map tiles {z}/{x}/{y}.png; without it the track is drawn on a grid.
-        max_clients: Clients at once.
-        keep_authority: Seconds that control authority is kept, hovering, when the process that
-            talks to clients is lost and with it whoever flew; 0 gives it back at once.
-        front_niceness: How much lower the priority of that process is, 0 to 19.
-        max_height: Height above the take-off point that nobody who has control may exceed, m.
-        max_radius: Distance from where control was obtained that nobody may exceed, m.
-        mavlink: Serve MAVLink there, udp://127.0.0.1:14550 is usual; may be repeated. Beyond this
-            machine a signing key is needed.
-        mavlink_to: An address that is spoken to first, such as udp://127.0.0.1:14540 of a program
-            that listens itself; may be repeated.
-        sysid: System id of the first aircraft in MAVLink, 1 to 250; further ones count on.
-        autopilot: What the heartbeat says that it is: px4, which ground stations know, or generic.
-        signing_key_file: File with the key that signs MAVLink, 64 hex digits, readable by you
-            alone; what is not signed with it moves nothing.
-        ros2: Be a node of ROS 2, for everybody in its graph.
+        pages: Folder of web pages to serve on the rosbridge port, such as DJI's keyboard page.
+        tiles: Folder of map tiles {z}/{x}/{y}.png; without it the console draws a grid.
+        max_clients: Most clients at once.
+        keep_authority: Seconds to keep control authority, hovering, when the process that serves
+            clients is lost and with it the client that flew; 0 gives authority back at once.
+        front_niceness: How much lower the priority of the process that serves clients is, 0 to 19.
+        max_height: Greatest height above the take-off point, m.
+        max_radius: Greatest distance from the point where control was obtained, m.
+        mavlink: Serve MAVLink at this address, usually udp://127.0.0.1:14550; repeatable. Beyond
+            this machine it needs a signing key.
+        mavlink_to: Send MAVLink to this address first, such as udp://127.0.0.1:14540 of a program
+            that listens; repeatable.
+        sysid: MAVLink system id of the first aircraft, 1 to 250; further ones count up.
+        autopilot: Autopilot in the heartbeat: px4, which ground stations know, or generic.
+        signing_key_file: File with the MAVLink signing key: 64 hex digits, readable by you alone.
+            Messages that are not signed with it move nothing.
+        ros2: Be a ROS 2 node, for every program in its graph.
         ros2_namespace: Namespace of the node, such as /drones.
-        ros2_node: Name of the node; what is private to it stands below: /m100/imu.
-        ros2_domain: Domain of the graph; 0 by default.
-        ros2_remap: Call something otherwise, from:=to, such as ~/imu:=/imu; may be repeated.
-        ros2_dji_names: Publish by the names and types of DJI's node, too: dji_sdk/imu and so on.
-        record: Folder for a flight log of each connection; nothing in it is ever removed. By
-            default `serve`, `console` and `fleet agent` keep them in m100link/flights of the user's
-            state folder (~/.local/state).
+        ros2_node: Name of the node; its private names stand below it: /m100/imu.
+        ros2_domain: Domain id of the graph; 0 by default.
+        ros2_remap: Rename a topic or service, from:=to, such as ~/imu:=/imu; repeatable.
+        ros2_dji_names: Also publish with the names and types of DJI's node, such as dji_sdk/imu.
+        record: Folder for a flight log of each connection; nothing in it is removed. By default
+            `serve`, `console` and `fleet agent` keep logs in m100link/flights of your state folder
+            (~/.local/state).
         no_record: Record nothing.
-        record_keep: Flight logs that are kept there; older ones that this program wrote are
-            removed, 0 for none.
-        record_keep_mb: Megabytes of flight logs that are kept there, 0 for any number.
+        record_keep: Flight logs to keep in that default folder; older ones of this program are
+            removed, 0 removes none.
+        record_keep_mb: Megabytes of flight logs to keep there; 0 for any number.
         origins: Where each value came from.
         unused: Parameters of the launch file that have no use here.
     """

@@ -159,6 +159,8 @@ def test_an_option_has_one_spelling_and_one_sentence() -> None:
         )
         for argument in arguments:
             name = argument.names[0]
+            if name.startswith("-") and argument.show:
+                assert argument.parameter.group, f"{verb} --help has no {name}"
             if name.startswith("-") and name not in homonyms:
                 told = (argument.names, argument.parameter.help)
                 assert seen.setdefault(name, told) == told, verb

@@ -63,7 +63,7 @@ def test_a_release_that_is_not_confirmed_is_not_called_one(
     monkeypatch.setattr("m100link.aircraft.aircraft.release_authority", unheard)
     outcome = cli("release", "sim://")
     assert outcome.status == ExitCode.TIMEOUT
-    assert "did not say that it has control authority back" in outcome.err
+    assert "did not report that it has control authority back" in outcome.err
 
 
 @pytest.mark.pty

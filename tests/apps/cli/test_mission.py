@@ -164,7 +164,7 @@ def test_output_that_nobody_reads_stops_it_and_is_not_success(
 def test_flying_wants_to_be_confirmed(later: Simulator, app: list[str], short: str) -> None:
     outcome = process("mission", "fly", short, later.port, *app)
     assert outcome.status == ExitCode.USAGE
-    assert "what to do:   --take-off; or m100link takeoff first" in outcome.err
+    assert "what to do:   give --take-off, or m100link takeoff first" in outcome.err
     outcome = process("mission", "fly", short, later.port, "--take-off", *app)
     assert outcome.status == ExitCode.USAGE
     assert "fly this mission was not confirmed" in outcome.err
@@ -208,7 +208,7 @@ SIM = "sim://?firmware=3.1"
         (("download", SIM, "--output", "PLAN"), ExitCode.USAGE, "is there already"),
         (("stop",), ExitCode.USAGE, "no URL says where"),
         (("fly", "PLAN"), ExitCode.USAGE, "after PLAN in `mission fly`"),
-        (("fly", SIM, "plan.json"), ExitCode.USAGE, "did you exchange PLAN and URL?"),
+        (("fly", SIM, "plan.json"), ExitCode.USAGE, "did you swap PLAN and URL?"),
     ],
 )
 def test_what_cannot_be_is_said(

@@ -214,7 +214,7 @@ def test_an_aircraft_in_place_of_a_plan_is_not_read(
         os.close(port)
     assert outcome.status == ExitCode.USAGE
     assert f"the plan is {word!r}, which names an aircraft" in outcome.err
-    assert "did you exchange PLAN and URL?" in outcome.err
+    assert "did you swap PLAN and URL?" in outcome.err
 
 
 # -- convert --------------------------------------------------------------------------------------
