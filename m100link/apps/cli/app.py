@@ -31,38 +31,32 @@ _AREA = "52.1,4.31 52.1,4.312 52.101,4.312 --height 30 --spacing 20"
 _FRAME = "aa230000000000000400757f0103480000803f000000000000003f0000204163c2ab89"
 
 # The groups of the help, and their verbs in the order of a user's day: the verb, its module, and
-# two examples of what follows it. A module is loaded when its verb is used; a verb of a verb has
-# none here.
-_VERBS = {
+# two examples of what follows it. Verbs with bars between them share these. A module is loaded when
+# its verb is used; a verb of a verb has none here.
+_ROWS = {
     "Fly": (
         ("takeoff", "flight", "sim://", "lab-m100 --yes"),
         ("fly", "flight", "lab-m100 5 0 1.5", "/dev/ttyUSB0 -5 0 2 --max-radius 20 --yes"),
-        ("home", "flight", "lab-m100", "/dev/ttyUSB0 --yes"),
-        ("land", "flight", "lab-m100", "/dev/ttyUSB0"),
-        ("release", "flight", "sim://", "lab-m100"),
+        ("home|land|release", "flight", "lab-m100", "/dev/ttyUSB0"),
         ("gimbal", "flight", "sim://", "lab-m100 --pitch -30 --yaw 10"),
         ("camera", "flight", "sim://?firmware=3.1 photo", "lab-m100 start-video"),
     ),
     "Watch": (
         ("info", "connection", "sim://", "/dev/ttyUSB0 --duration 5"),
-        ("monitor", "telemetry", "sim:// --duration 5", "lab-m100"),
+        ("monitor|hz", "telemetry", "sim:// --duration 5", "lab-m100"),
         ("echo", "telemetry", "sim:// position --count 3", "lab-m100 attitude --csv --duration 60"),
         ("plot", "telemetry", "sim:// position.height_m", "flight.csv attitude.yaw_deg"),
-        ("hz", "telemetry", "sim:// --duration 2", "lab-m100"),
         ("rates", "flight", "sim://?firmware=3.1", "lab-m100 attitude=50 battery=1"),
         ("link", "connection", "sim:// --duration 2", "/dev/ttyUSB0 --rate 20"),
     ),
     "Missions": (
         ("plan", "plan:app", "", ""),
         ("plan survey", "", f"survey.json {_AREA}", f"survey.plan {_AREA} --photo-every 10"),
-        ("plan check", "", "survey.json", "field.plan --leave-out geoFence --home 52.1,4.31"),
-        ("plan show", "", "survey.json", "survey.json --hover-minutes 15"),
+        ("plan check|show", "", "survey.json", "field.plan --leave-out geoFence --home 52.1,4.31"),
         ("plan convert", "", "field.plan survey.json", "survey.json - --to plan"),
         ("mission", "mission:app", "", ""),
         ("mission fly", "", "survey.json lab-m100", "survey.json /dev/ttyUSB0 --take-off --yes"),
-        ("mission pause", "", "lab-m100", "/dev/ttyUSB0"),
-        ("mission resume", "", "lab-m100", "/dev/ttyUSB0 --yes"),
-        ("mission stop", "", "lab-m100", "/dev/ttyUSB0"),
+        ("mission pause|resume|stop", "", "lab-m100", "/dev/ttyUSB0"),
         ("mission download", "", "lab-m100", "lab-m100 -o stored.plan"),
     ),
     "Serve": (
@@ -72,23 +66,17 @@ _VERBS = {
         ("ros2", "serve", "sim://", "lab-m100 --namespace /drones --dji-names"),
         ("fleet", "fleet_verbs:app", "", ""),
         ("fleet list", "", "", "--connect tcp/192.168.1.5:7447 --json"),
-        ("fleet takeoff", "", "a1 a2", "--all"),
+        ("fleet takeoff|land|stop", "", "a1 a2", "--all"),
         ("fleet goto", "", "a1 52.1 4.31 10", "a1 -33.9 18.4 10 --speed 3"),
-        ("fleet land", "", "a1", "--all"),
-        ("fleet stop", "", "a1", "--all"),
         ("fleet router", "", "", "--listen tls/0.0.0.0:7447 --pki pki --rights rights.toml"),
         ("fleet agent", "", "sim:// --count 3", "lab-m100 --name a1 --lost land"),
         ("fleet console", "", "", "a1 a2 --no-open-browser"),
         ("fleet monitor", "", "", "--duration 10 --json"),
-        ("fleet watch", "", "a1", "a1 --duration 10"),
-        ("fleet lease", "", "a1", "a1 --take-over"),
+        ("fleet lease|watch", "", "a1", "a1 --name anna"),
         ("fleet mission fly", "", "a1 survey.json", "a1 survey.json --take-off --yes"),
         ("fleet mission upload", "", "a1 survey.json", "a1 field.plan --leave-out geoFence"),
         ("fleet mission start", "", "a1", "a1 --take-off"),
-        ("fleet mission pause", "", "a1", "a1 --json"),
-        ("fleet mission resume", "", "a1", "a1 --json"),
-        ("fleet mission stop", "", "a1", "a1 --json"),
-        ("fleet mission progress", "", "a1", "a1 --json"),
+        ("fleet mission pause|resume|stop|progress", "", "a1", "a1 --json"),
         ("fleet show check", "", "show.json", "show.json --max-height 30"),
         ("fleet show preview", "", "show.json", "show.json show.svg"),
         ("fleet show fly", "", "show.json", "show.json --leave hover --yes"),
@@ -110,13 +98,11 @@ _VERBS = {
         ("log plot", "", "flight.mcap", "flight.mcap -o flight.png"),
         ("log events", "", "flight.mcap", "other.mcap"),
         ("log compare", "", "first.mcap second.mcap", "first.mcap second.mcap --json"),
-        ("log csv", "", "flight.mcap", "flight.mcap position velocity -o flight.csv"),
-        ("log parquet", "", "flight.mcap", "flight.mcap position -o position.parquet"),
+        ("log csv|parquet", "", "flight.mcap", "flight.mcap position velocity -o table"),
         ("log frames", "", "flight.mcap", "flight.mcap --key-file m100.key --json"),
         ("log wireshark", "", "flight.mcap --install", "flight.mcap --key-file m100.key"),
-        ("log ros2", "", "flight.mcap", "flight.mcap -o bag.mcap"),
+        ("log ros2|recover", "", "flight.mcap", "flight.mcap -o other.mcap"),
         ("log layout", "", "", "-o layout.json"),
-        ("log recover", "", "flight.mcap", "flight.mcap -o whole.mcap"),
         ("decode", "decode", _FRAME, f"{_FRAME} --table"),
     ),
     "Virtual aircraft": (
@@ -135,21 +121,26 @@ _VERBS = {
     ),
 }
 
-_GROUPS = {title: Group(title, sort_key=place) for place, title in enumerate(_VERBS)}
-_GROUP_OF = {verb: _GROUPS[title] for title, rows in _VERBS.items() for verb, *_ in rows}
+_VERBS = [
+    (title, f"{above} {verb}".lstrip(), *rest)
+    for title, rows in _ROWS.items()
+    for names, *rest in rows
+    for above, _, last in [names.rpartition(" ")]
+    for verb in last.split("|")
+]
+_GROUPS = {title: Group(title, sort_key=place) for place, title in enumerate(_ROWS)}
+_GROUP_OF = {verb: _GROUPS[title] for title, verb, *_ in _VERBS}
 
 VERBS = {
     verb: f"m100link.apps.cli.{place if ':' in place else f'{place}:{verb}'}"
-    for rows in _VERBS.values()
-    for verb, place, *_ in rows
+    for _, verb, place, *_ in _VERBS
     if place
 }
 """Where each verb is."""
 
 EXAMPLES = {
     verb: tuple(f"m100link {verb} {words}".rstrip() for words in examples)
-    for rows in _VERBS.values()
-    for verb, _, *examples in rows
+    for _, verb, _, *examples in _VERBS
     if any(examples)
 }
 """Two command lines of each verb, except of those that only have verbs of their own."""
@@ -163,7 +154,7 @@ _NO_OPS = re.compile(
     "|show-config|single-process|yes)"
 )
 
-# Options by former name, for scripts that were written with it: the help has today's only.
+# Former names of options: scripts that have them still run; the help has today's names.
 _FORMER = {
     "info": {"--seconds": "--duration"},
     "sim": {"--for": "--duration"},
@@ -192,7 +183,7 @@ class _Commands(App):
         *,
         console: Annotated[Any, Parameter(parse=False)] = None,
     ) -> None:
-        """As the base class prints it, and the examples."""
+        """Print what the base class prints, and the examples."""
         super().help_print(tokens, console=console)
         chain, apps, _ = self.parse_commands(tokens)
         console = console or apps[-1].console
@@ -276,7 +267,7 @@ def _status_of(words: list[str]) -> int:
         return complain(
             UsageError(
                 f"{called} has no use for {' '.join(error.unused_tokens or ())}",
-                remedy=f"leave it out; {called} --help says what is taken",
+                remedy=f"leave it out; {called} --help lists what it takes",
             )
         )
     except CycloptsError as error:

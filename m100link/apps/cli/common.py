@@ -30,7 +30,7 @@ out = Console(highlight=False)
 """Standard output: data."""
 
 err = Console(stderr=True, highlight=False)
-"""Standard error: talk."""
+"""Standard error: messages."""
 
 
 def places() -> list[str]:
@@ -44,8 +44,8 @@ Url = Annotated[
     str | None,
     Parameter(
         help="Where the aircraft is: serial:///dev/ttyUSB0:230400, /dev/ttyUSB0, "
-        "tcp://host:port, sim://, or its name in the configuration file; without it, that of "
-        "--url or M100LINK_URL"
+        "tcp://host:port, sim://, or its name in the configuration file; by default that of "
+        "--url or M100LINK_URL."
     ),
     offered(places),
 ]
@@ -144,24 +144,21 @@ class ConnectionOptions:
         return self.url.startswith("sim:")
 
     def credentials(self) -> Credentials:
-        """The credentials, checked; those of the demo app for a ``sim://`` without any.
-
-        Raises UsageError, BadKey: something is missing or cannot be right.
-        """
+        """The checked credentials; of a ``sim://`` the demo app's. Raises UsageError, BadKey."""
         app = self.settings
         if self.is_virtual and (app.app_id, app.key, app.key_file) == (None,) * 3:
             from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY  # loads the simulator
 
             return Credentials(DEMO_APP_ID, DEMO_KEY, level=app.level)
         if app.origins.get("key") == "command line":
-            err.print("[yellow]warning:[/] --key shows the key to everybody who lists processes")
+            err.print("[yellow]warning:[/] --key shows the key to every user who lists processes")
         credentials = app.credentials()
         if credentials is None:
             raise UsageError(
                 "no app id was given",
                 remedy="give --app-id and --key-file, or set M100LINK_APP_ID and "
-                "M100LINK_KEY_FILE, or write both into the file that `m100link config` names; "
-                "those of `m100link sim`: m100link docs simulator",
+                "M100LINK_KEY_FILE, or write both into the file that `m100link config` shows; "
+                "for `m100link sim` see m100link docs simulator",
             )
         return credentials
 
@@ -173,27 +170,26 @@ class LinkOptions(layer_of_settings(("url", "firmware", "baud_rate", "timeout"))
 
     log: LogOptions = AS_IT_IS
 
-    def place(self, argument: str | None, app: AppOptions | None = None) -> ConnectionOptions:
-        """Where the aircraft is, and what holds for it.
+    def place(self, argument: str | None) -> ConnectionOptions:
+        """The aircraft that the argument, ``--url``, the environment or the configuration names.
 
-        The argument, else ``--url``, else the environment, else the configuration file says which;
-        it may be a name of that file. Options come before the environment, that before the file.
-        Raises UsageError: nobody says it, or argument and option name two; something cannot be.
+        Options come before the environment, that before the file.
+        Raises UsageError: none names it, or argument and option name two; a setting cannot be.
         """
         if None not in (argument, self.url) and argument != self.url:
             raise UsageError(
                 f"two aircraft are named: {argument} and {self.url}", remedy="leave out one of them"
             )
-        given = asdict(self) | asdict(app or AppOptions())
-        given |= {"url": argument or self.url}
+        given = asdict(self) | {"url": argument or self.url}
+        given |= given.pop("app", {})
         del given["log"]
         configuration = read_configuration()
         settings = resolve(given, os.environ, of_aircraft=configuration.sources)
         if settings.url is None:
             raise UsageError(
                 "no URL says where the aircraft is",
-                remedy="give it as argument (after PLAN in `mission fly`) or with --url, set "
-                "M100LINK_URL, or name an aircraft in the file that `m100link config` names",
+                remedy="give one as argument (after PLAN in `mission fly`) or with --url, set "
+                "M100LINK_URL, or name an aircraft in the file that `m100link config` shows",
             )
         log_of(_shown(given["url"] or settings.url))
         return ConnectionOptions(settings.url, settings)
@@ -202,13 +198,12 @@ class LinkOptions(layer_of_settings(("url", "firmware", "baud_rate", "timeout"))
         self,
         words: Iterable[str],  # arguments of which the first may be a URL or a name
         is_other: Callable[[str], bool],  # whether a word has the shape of what follows
-        app: AppOptions | None = None,
     ) -> tuple[ConnectionOptions, tuple[str, ...]]:
         """Where the aircraft is, and the words that follow."""
         first, *rest = words = tuple(words) or ("",)
         if not first or is_other(first):
-            return self.place(None, app), tuple(filter(None, words))
-        return self.place(first, app), tuple(rest)
+            return self.place(None), tuple(filter(None, words))
+        return self.place(first), tuple(rest)
 
 
 BY_LINK = LinkOptions()
@@ -216,26 +211,10 @@ BY_LINK = LinkOptions()
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class AircraftOptions:
-    """Whose app it is, and how to talk to the aircraft."""
+class AircraftOptions(LinkOptions):
+    """The app, too, for verbs that activate the aircraft."""
 
     app: AppOptions = AppOptions()
-    link: LinkOptions = BY_LINK
-
-    @property
-    def log(self) -> LogOptions:
-        """What is logged meanwhile."""
-        return self.link.log
-
-    def place(self, argument: str | None) -> ConnectionOptions:
-        """As :meth:`LinkOptions.place`."""
-        return self.link.place(argument, self.app)
-
-    def place_among(
-        self, words: Iterable[str], is_other: Callable[[str], bool]
-    ) -> tuple[ConnectionOptions, tuple[str, ...]]:
-        """As :meth:`LinkOptions.place_among`."""
-        return self.link.place_among(words, is_other, self.app)
 
 
 AS_SET = AircraftOptions()

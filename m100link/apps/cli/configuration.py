@@ -115,12 +115,7 @@ def configuration_path(
 
 
 def read_configuration(path: Path | None = None) -> Configuration:
-    """The user's file; an empty configuration when there is none.
-
-    Raises:
-        UsageError: It cannot be read, everybody may write it, or something in it is not known; the
-            message says where.
-    """
+    """The user's file, or an empty one. Raises UsageError: it is unsafe or wrong, and where."""
     path = configuration_path() if path is None else path
     try:
         with path.open("rb") as file:
@@ -134,7 +129,7 @@ def read_configuration(path: Path | None = None) -> Configuration:
     if mode & stat.S_IWOTH:
         raise UsageError(
             f"{shown(path)} can be written by everybody (mode {mode:o})",
-            cause="who writes it says which aircraft a name is",
+            cause="every user could change which aircraft a name means",
             remedy=f"chmod o-w {path}",
         )
     _check_keys(path, "", tables, ("defaults", "aircraft", "station"))
@@ -146,7 +141,7 @@ def read_configuration(path: Path | None = None) -> Configuration:
         aircraft[name] = _table(path, f"aircraft.{name}", table, _OF_ONE)
         if not isinstance(aircraft[name].get("url"), str):
             raise UsageError(
-                f"{shown(path)} [aircraft.{name}]: nothing says where it is",
+                f"{shown(path)} [aircraft.{name}]: no url says where it is",
                 remedy='give it a url, such as url = "/dev/ttyUSB0"',
             )
     default = defaults.pop("aircraft", None)
@@ -186,9 +181,9 @@ def _check_keys(path: Path, where: str, table: Mapping[str, Any], known: Iterabl
         if name in _SECRETS:
             raise UsageError(
                 f"{place}: a {name} does not belong in this file",
-                cause="it is shown by `m100link config` and copied with other settings",
-                remedy=f"put it into a file of its own that nobody else can read, and give its "
-                f"path as {_SECRETS[name]}",
+                cause="`m100link config` shows this file, and users copy it with other settings",
+                remedy=f"put it into a file of its own that only you can read, and name that as "
+                f"{_SECRETS[name]}",
             )
         raise UsageError(
             f"{place}: there is no {'setting' if where else 'table'} {name!r}",

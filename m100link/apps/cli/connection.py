@@ -114,7 +114,7 @@ async def activate(
     wait: Annotated[float, Above0] = 60.0,
     json: AsJson = None,
 ) -> None:
-    """Activate the aircraft for an app; wait while it asks DJI's server.
+    """Activate the aircraft for an app; wait for DJI's server.
 
     Args:
         wait: Seconds to wait for the activation.
@@ -165,7 +165,7 @@ async def link(
     rate: Annotated[float, Above0] = 10.0,
     json: AsJson = None,
 ) -> None:
-    """Measure the line: damage and its causes, round trips, telemetry rates.
+    """Measure the line: damage, its causes, round trips, item rates.
 
     The command only asks for the version, again and again: nothing moves.
 
@@ -303,7 +303,7 @@ def doctor(
     report: Path | None = None,
     json: AsJson = None,
 ) -> int:
-    """Find out why the line is silent: the first stage that fails, and its cause.
+    """Find out why the line is silent, stage by stage.
 
     Nothing moves. With an app id and a key, the command activates the aircraft.
 
@@ -312,7 +312,7 @@ def doctor(
             the motors off. Without this option a terminal asks.
         report: Write the findings into this file, without secrets, to attach to a question.
     """
-    place = options.place(url or _only_port(options.link))
+    place = options.place(url or _only_port(options))
     as_json = wants_json(json)
     found = _diagnosed(place, authority=authority, as_json=as_json)
     status = exit_status(found)
@@ -401,10 +401,7 @@ def _conclude(found: Report) -> None:
 
 
 async def _agrees() -> bool:
-    """Whether the person at the terminal wants control authority to be tried.
-
-    Asked where the loop runs: a Ctrl-C as soon as the question stands there finds it in place.
-    """
+    """Ask whether to try control authority; in the loop, so that Ctrl-C ends the question."""
     if not sys.stdin.isatty():
         return False
     out.print(
@@ -487,7 +484,7 @@ def udev(
     by_serial: bool = False,
     install: bool = False,
 ) -> int:
-    """Print a udev rule for the adapter: name, group, low latency, no ModemManager.
+    """Print a udev rule: name, group, low latency, no ModemManager.
 
     Args:
         port: The adapter's port; by default the only one on USB.

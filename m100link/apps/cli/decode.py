@@ -18,7 +18,7 @@ from m100link.wire import Cipher
 def decode(
     *streams: str, key: str | None = None, firmware: Firmware = "1.0", json: AsJson = None
 ) -> int:
-    """Decode frames from hex: one stream per argument, or per line of standard input.
+    """Decode frames from hex: a stream per argument or input line.
 
     It prints one JSON object per stream: frames with decoded fields, the number of bytes outside
     frames, and why it discarded starts of frames. On a terminal it prints a table.

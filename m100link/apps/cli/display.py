@@ -158,10 +158,7 @@ def status(*flights: FlightLog) -> int:
 
 @contextlib.contextmanager
 def reading(file: Path, *, passes: int = 1) -> Iterator[FlightLog]:
-    """A log; while the block runs, a terminal shows how far it is read. A pipe shows nothing.
-
-    Raises UsageError: as :func:`m100link.log.read`.
-    """
+    """A log; a terminal shows how far it is read. Raises as :func:`m100link.log.read`."""
     flight = read(file)
     if not err.is_terminal:
         yield flight
@@ -237,10 +234,7 @@ Items = Annotated[
 
 
 def items_named(names: Iterable[str]) -> list[type[Any]]:
-    """Record classes by the names of items; all of them when no name is given.
-
-    Raises UsageError: a name that is not an item; the message lists them.
-    """
+    """Record classes of items, of all without a name. Raises UsageError: there is no such item."""
     found = []
     for name in names:
         if name.lower() not in ITEM_NAMES:

@@ -76,7 +76,7 @@ async def land(
 
 
 async def home(url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False) -> None:
-    """Fly to the home point and land there; a mission that flies is stopped first."""
+    """Stop any mission, fly to the home point and land there."""
     flight = in_control(options.place(url), "go home", is_sure=yes, look=_mission_that_ends)
     async with flight as (aircraft, control):
         await _end_mission(aircraft, control)
@@ -141,7 +141,7 @@ def _metres(words: Sequence[str]) -> tuple[float, float, float]:
 
 
 async def release(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> None:
-    """Give control authority back: the aircraft hovers, and the pilot flies on."""
+    """Give control back: the aircraft hovers, and the pilot flies on."""
     async with activated(options.place(url)) as aircraft:
         if not await aircraft.release_authority():
             raise NotObserved(
@@ -214,10 +214,7 @@ async def _mission_that_ends(aircraft: Aircraft) -> str:
 
 
 async def _end_mission(aircraft: Aircraft, control: Control) -> None:
-    """Stop whatever flies: a person in a hurry has one command to remember.
-
-    If it cannot be stopped, say so and let the landing break it off.
-    """
+    """Stop a mission that flies; if that fails, say so and let the landing break it off."""
     if not aircraft.mission.is_running:
         return
     try:
@@ -241,10 +238,7 @@ async def hear_of_mission(aircraft: Aircraft) -> None:
 
 
 async def require_no_mission(aircraft: Aircraft, what: str) -> None:
-    """See that no mission flies, before control is asked for: it would be ignored beside one.
-
-    Raises MissionRunning: one does.
-    """
+    """Refuse before control is asked for, if a mission flies. Raises MissionRunning: one does."""
     await hear_of_mission(aircraft)
     mission = aircraft.mission
     if mission.is_running:
@@ -258,10 +252,7 @@ async def require_no_mission(aircraft: Aircraft, what: str) -> None:
 
 
 async def confirm(aircraft: Aircraft, what: str) -> None:
-    """Ask the person in front of the terminal.
-
-    Raises UsageError: there is none, or the answer is no.
-    """
+    """Ask at the terminal. Raises UsageError: there is none, or the answer is no."""
     if not sys.stdin.isatty():
         raise UsageError(f"{what} was not confirmed", remedy="give --yes where no terminal can ask")
     err.print(f"{aircraft.link.name}: firmware {aircraft.firmware}")
@@ -300,7 +291,7 @@ async def gimbal(
     options: AircraftOptions = AS_SET,
     json: AsJson = None,
 ) -> None:
-    """Point the gimbal, and show its angles; without an angle only show them.
+    """Show the angles of the gimbal, and point it.
 
     Args:
         yaw: Degrees clockwise from north, -320 to 320; an axis without an angle stays as it is.
@@ -359,7 +350,7 @@ async def camera(
     options: AircraftOptions = AS_SET,
     json: AsJson = None,
 ) -> None:
-    """Take a photograph, start or stop video; the aircraft confirms neither.
+    """Take a photo, start or stop video; the aircraft confirms neither.
 
     Args:
         words: Where the aircraft is, if no --url or M100LINK_URL says it; then the action.

@@ -45,17 +45,17 @@ KeyFile = Annotated[
     Path | None, Parameter(help="File with the AES key; with it, encrypted frames are decoded.")
 ]
 
-Output = Annotated[Path | None, OUTPUT]
+Output = Annotated[Path | None, OUTPUT, Parameter(help="A new file; by default one beside FILE.")]
+ToFile = Annotated[Path | None, OUTPUT, Parameter(help="A new file; by default standard output.")]
 
 
 # -- ``m100link log ros2`` and ``layout``: flights for the tools of others -------------------------
 
 
 def ros2(file: Log, /, *, output: Output = None, firmware: AsFlown = None) -> int:
-    """Write a ROS 2 bag: MCAP with messages in CDR, for ``ros2 bag``, rosbags and Foxglove.
+    """Write a ROS 2 bag: MCAP with CDR messages, for ros2 bag, rosbags and Foxglove.
 
-    Args:
-        output: A new file; by default FILE with ``-ros2`` before its suffix.
+    By default its name is FILE with ``-ros2`` before the suffix.
     """
     target = output or file.with_stem(f"{file.stem}-ros2")
     with reading(file, passes=2) as flight, new_file(target) as stream:
@@ -64,13 +64,10 @@ def ros2(file: Log, /, *, output: Output = None, firmware: AsFlown = None) -> in
     return status(flight)
 
 
-def layout(*, output: Output = None) -> int:
+def layout(*, output: ToFile = None) -> int:
     """Print a layout for Foxglove and Lichtblick: map, height, speed, battery, attitude, events.
 
     Import it there: Layouts, Import from file.
-
-    Args:
-        output: A new file; by default standard output.
     """
     text = json.dumps(layout_of_panels(), indent=2) + "\n"
     if output is None:
@@ -84,13 +81,10 @@ def layout(*, output: Output = None) -> int:
 # -- ``m100link log csv`` and ``parquet``: telemetry as tables, a row per package ------------------
 
 
-def csv(file: Log, /, *items: Items, output: Output = None, firmware: AsFlown = None) -> int:
+def csv(file: Log, /, *items: Items, output: ToFile = None, firmware: AsFlown = None) -> int:
     """Print telemetry as CSV: every package, decoded from its bytes.
 
     The columns are those of ``m100link echo --csv``; a value that a package lacks is empty.
-
-    Args:
-        output: A new file; by default standard output.
     """
     records = items_named(items)
     with reading(file) as flight, contextlib.ExitStack() as stack:
@@ -109,9 +103,6 @@ def parquet(file: Log, /, *items: Items, output: Output = None, firmware: AsFlow
     """Write telemetry as a Parquet file: every package, decoded from its bytes.
 
     The columns are those of ``m100link log csv``; a value that a package lacks is null.
-
-    Args:
-        output: A new file; by default FILE with .parquet.
     """
     records = items_named(items)
     target = output or file.with_suffix(".parquet")
@@ -143,7 +134,6 @@ def wireshark(
 
     Args:
         file: A flight log; none with ``--install`` or ``--plugin`` alone.
-        output: A new file; by default FILE with .pcapng.
         install: Install the plugin in Wireshark's folder, in place of an older one.
         plugin: Write the plugin into this new file: ``tshark -X lua_script:FILE -r …``.
     """
@@ -216,14 +206,10 @@ def _line(frame: dict[str, Any]) -> str:
     )
 
 
-def compare_files(first: Path, second: Path, /, *, json: Json = False) -> int:
+def compare_files(first: Log, second: Log, /, *, json: Json = False) -> int:
     """Compare two flights: durations, maxima, tracks, line, commands, alarms.
 
     Each track counts from its own take-off point and time.
-
-    Args:
-        first: A flight log.
-        second: Another one.
     """
     flights, stories = [], []
     for file in (first, second):
@@ -274,10 +260,8 @@ def _shown(value: float | None, sign: str = "") -> str:
 def plot(file: Log, /, *, output: Output = None, firmware: AsFlown = None) -> int:
     """Draw a flight: track, height, speeds, battery, line, phases, alarms, commands.
 
-    A page (.html) needs only a browser and no network; a picture (.png) needs matplotlib.
-
-    Args:
-        output: A new file, .html or .png; by default FILE with .html.
+    By default it is a page (.html), which needs only a browser and no network. A picture (.png)
+    needs matplotlib.
     """
     target = output or file.with_suffix(".html")
     if target.suffix.lower() not in (".html", ".htm", ".png"):
@@ -304,20 +288,14 @@ def _drawn(story: FlightSummary, target: Path) -> bytes:
 
 
 def write_new(target: Path, data: bytes) -> None:
-    """Write a file that must not be there yet.
-
-    Raises UsageError: it is, or it cannot be written.
-    """
+    """Write a new file. Raises UsageError: it is there already, or it cannot be written."""
     with new_file(target) as stream:
         stream.write(data)
 
 
 @contextlib.contextmanager
 def new_file(target: Path) -> Iterator[IO[bytes]]:
-    """A file that must not be there yet; half of one is not left behind.
-
-    Raises UsageError: it is, or it cannot be written.
-    """
+    """A new file, whole or not at all. Raises UsageError: it is there, or it cannot be written."""
     try:
         stream = target.open("xb")
     except OSError as error:
@@ -462,10 +440,8 @@ def events(file: Log, /) -> int:
 def recover_file(file: Log, /, *, output: Output = None) -> int:
     """Write a whole file from a damaged or cut one, which stays as it is.
 
-    The exit status is 1 for a damaged file: the new one lacks what the old one lacks.
-
-    Args:
-        output: The new file; by default FILE with ``-recovered`` before its suffix.
+    By default its name is FILE with ``-recovered`` before the suffix. The exit status is 1 for a
+    damaged file: the new one lacks what the old one lacks.
     """
     target = output or file.with_stem(f"{file.stem}-recovered")
     saved = recover(file, target)

@@ -100,7 +100,7 @@ def docs(
     *,
     find: str | None = None,
 ) -> int:
-    """Read the manual without a network: a page, or the list of pages.
+    """Read a page of the manual, or list them; needs no network.
 
     Args:
         find: List the lines that have this word, with their pages.
@@ -121,11 +121,7 @@ def docs(
 
 
 def _page_of(pages: list[_Page], topic: str) -> _Page:
-    """The page of a topic.
-
-    Raises:
-        UsageError: There is none; those that are near, or have the word in their title, are named.
-    """
+    """The page of a topic. Raises UsageError: there is none; it names those that are near."""
     wanted = topic.lower().rpartition("/")[2].removesuffix(".md")
     for page in pages:
         if page.topic == wanted:
@@ -160,7 +156,8 @@ def _find(pages: list[_Page], topic: str | None, word: str) -> int:
     for line in found:
         out.print(line, markup=False, soft_wrap=True)
     if not found:
-        err.print(f"no line {'of it' if topic else 'of the manual'} has {word!r}", markup=False)
+        where = "that page" if topic else "the manual"
+        err.print(f"no line of {where} has {word!r}", markup=False)
     return ExitCode.OK if found else ExitCode.FAILED
 
 
@@ -289,7 +286,7 @@ def completion(
     *,
     install: bool = False,
 ) -> int:
-    """Print or install completion of verbs, options and aircraft in a shell.
+    """Print or install shell completion: verbs, options, aircraft.
 
     Args:
         install: Install it where the shell looks for it; bash and zsh load it by a line in
@@ -316,7 +313,7 @@ def _detected() -> Shell:
     for shell in ("bash", "zsh", "fish"):
         if shell == found:
             return shell
-    raise UsageError("m100link does not know this shell", remedy="name one: bash, zsh or fish")
+    raise UsageError("m100link does not know this shell", remedy="name it: bash, zsh or fish")
 
 
 # -- ``m100link config``: the user's configuration file, and what is in force ----------------------
@@ -351,7 +348,7 @@ def config(
     *,
     json: AsJson = None,
 ) -> int:
-    """Show the configuration file, its aircraft and the settings in force."""
+    """Show the configuration file and the settings in force."""
     configuration = read_configuration()
     for name in configuration.aircraft:  # what cannot be is told now, not before a flight
         resolve({"url": name}, {}, of_aircraft=configuration.sources_of_station)

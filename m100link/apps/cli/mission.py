@@ -261,10 +261,7 @@ def event_words(event: MissionEvent) -> str:
 
 
 async def _require_airborne(aircraft: Aircraft) -> None:
-    """Refuse a mission on the ground; when nobody knows, the control block asks again.
-
-    Raises UsageError: it stands on the ground.
-    """
+    """Refuse a mission on the ground, if the aircraft reports it. Raises UsageError: it does."""
     if not MissionStatus.is_known_to(aircraft.firmware):
         return  # refused for that, and not for where it stands
     clock = asyncio.get_running_loop().time

@@ -77,10 +77,7 @@ class EstimateOptions:
 
 
 def read_plan(file: str | Path, options: FileOptions | None = None) -> WaypointPlan:
-    """The plan in a file; ``-`` is standard input.
-
-    Raises BadPlan: it is none, or cannot be read; UsageError: it names an aircraft.
-    """
+    """The plan in a file. Raises BadPlan, UsageError: the word names an aircraft."""
     path = str(file)
     if _names_an_aircraft(path):
         raise UsageError(
@@ -300,10 +297,7 @@ def _write(
 
 
 def require_free(target: str | Path, *, force: bool) -> None:
-    """See that a file may be written there, before anything is done for it.
-
-    Raises UsageError: there is one, and nobody said ``--force``; or there cannot be one.
-    """
+    """Check a target before any work. Raises UsageError: a file is there, or there can be none."""
     path = Path(target)
     if path.is_dir():
         raise UsageError(f"{target} is a folder", remedy=f"name a file: {path / 'plan.json'}")

@@ -50,7 +50,7 @@ async def replay(
     options: StationOptions = AS_CONFIGURED,
     page: PageOptions = IN_BROWSER,
 ) -> int:
-    """Replay recorded flights in the console: pause, seek, change the speed.
+    """Replay flights in the console: pause, seek, change the speed.
 
     Nothing flies: the page says REPLAY and gives no control. Two files are two aircraft of one
     station, each with its own page.

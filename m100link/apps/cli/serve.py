@@ -48,7 +48,6 @@ class RunOptions:
         config: TOML file with settings.
         show_config: Print each setting with its source, and end.
         single_process: Let one process both fly and serve clients: for debugging, not for flight.
-        log: What is logged; as JSON it includes the events, which are printed as text otherwise.
     """
 
     config: Annotated[Path | None, Parameter(env_var="M100LINK_CONFIG")] = None
@@ -70,10 +69,7 @@ async def run_station(
     open_browser: bool = False,
     keys: Keys | None = None,  # takes what is pressed at the terminal while it runs
 ) -> int:
-    """Run a station until it is told to end.
-
-    Raises UsageError: something is missing, or cannot be.
-    """
+    """Run a station until a signal ends it. Raises UsageError: a setting is missing or wrong."""
     if options.show_config:
         for name, settings in aircraft.items():
             if len(aircraft) > 1:
@@ -104,7 +100,7 @@ async def run_station(
                 await asyncio.to_thread(webbrowser.open, _console_url(settings, station))
             with contextlib.nullcontext() if keys is None else keys(station, ended):
                 await ended.wait()
-            end = "ending: control authority goes back, an aircraft that flies hovers"
+            end = "ending: control authority goes back; a flying aircraft hovers"
             told = end if station.has_authority else "ending"
             teller.do(lambda: err.print(told))
     return ExitCode.OK
@@ -236,7 +232,7 @@ def _nodes(aircraft: dict[str, Settings]) -> list[str]:
 
 def _tell_unused(settings: Settings) -> None:
     if settings.unused:
-        told = "[yellow]warning:[/] the launch file has parameters that mean nothing here: "
+        told = "[yellow]warning:[/] m100link ignores these parameters of the launch file: "
         err.print(told, end="")
         err.print(", ".join(settings.unused), markup=False)
 
@@ -247,11 +243,11 @@ def warn_of(settings: Settings) -> None:
     if settings.is_plain_beyond_loopback():
         err.print(
             "[yellow]warning:[/] without TLS everybody on this network can read the token and "
-            "fly the aircraft: give --tls-cert and --tls-key unless you trust the network"
+            "fly the aircraft: give --tls-cert and --tls-key, unless you trust the network"
         )
     if "null" in settings.allow_origin:
         err.print(
-            "[yellow]warning:[/] --allow-origin null lets in pages opened from files, and "
+            "[yellow]warning:[/] --allow-origin null admits pages opened from files, and "
             "sandboxed frames of any web page"
         )
 
@@ -267,17 +263,8 @@ _FromSettings: Any = layer_of_settings(
 )
 
 
-class SettingsOptions(Protocol):
-    """Options of the command line that are one source of the settings."""
-
-    @property
-    def run(self) -> RunOptions:
-        """How the station runs."""
-        ...
-
-
 def settings_of(
-    options: SettingsOptions,
+    options: Any,  # one source of the settings, with ``run``
     *,
     launch: Path | None = None,  # a ROS launch file of DJI's node
     page: PageOptions | None = None,
@@ -304,21 +291,16 @@ def settings_of(
 
 
 def aircraft_of(
-    options: SettingsOptions, words: Sequence[str], *, is_sim: bool = False, **more: Any
+    options: Any, words: Sequence[str], *, is_sim: bool = False, **more: Any
 ) -> dict[str, Settings]:
-    """The settings by the name of each aircraft, those of the only one without words.
-
-    Raises:
-        UsageError: Two are called alike or are the same, or something cannot be.
-        BadURL: No transport leads to one.
-    """
+    """The settings of each aircraft by its name. Raises UsageError, BadURL."""
     if len(words) < 2:
         name, url = _named(words[0]) if words else ("", None)
         return {name or ONLY_NAME: _in_process(settings_of(options, url=url, **more))}
     if is_sim:
         raise UsageError(
             "aircraft and --sim were given",
-            remedy="write sim:// in the row of aircraft, once for each virtual one",
+            remedy="name sim:// among the aircraft, once for each virtual one",
         )
     named = read_configuration().aircraft
     found: dict[str, Settings] = {}
@@ -332,17 +314,14 @@ def aircraft_of(
     if replays and len(replays) < len(found):
         raise UsageError(
             f"{', '.join(replays)} would be a recorded flight beside aircraft that fly",
-            cause="whoever looks at a station must never doubt what flies",
-            remedy="show recorded flights by a station of their own: m100link replay FILE",
+            cause="a station that shows both would leave doubt about what flies",
+            remedy="replay recorded flights apart: m100link replay FILE",
         )
     return found
 
 
 def _in_process(settings: Settings) -> Settings:
-    """``sim://`` is the virtual aircraft that a station brings; for another there is a transport.
-
-    Raises BadURL: there is none, and waiting for the aircraft would not end.
-    """
+    """Turn ``sim://`` into an aircraft of the station. Raises BadURL: it has no transport."""
     if settings.url == "sim://":
         return replace(settings, url=None, sim=True)
     if settings.url is not None and not settings.url.startswith("replay://"):
@@ -364,7 +343,6 @@ class StationOptions(_FromSettings):  # type: ignore[misc] # a class that is mad
 
     Attributes:
         launch: ROS launch file of DJI's node, read as it is.
-        run: How the station runs, and how it reports.
     """
 
     launch: Annotated[Path | None, Parameter(group=panel("Start and output"))] = None
@@ -394,10 +372,7 @@ def _named(word: str) -> tuple[str, str]:
 
 
 def _check_other(name: str, settings: Settings, found: dict[str, Settings]) -> None:
-    """Refuse an aircraft that another one is taken for.
-
-    Raises UsageError: it has the name or the line of another.
-    """
+    """Raise UsageError, if an aircraft has the name or the line of another."""
     for other, one in found.items():
         if namespace_of(name) == namespace_of(other):
             raise UsageError(
@@ -416,9 +391,9 @@ Urls = Annotated[
 
 
 async def serve(*url: Urls, options: StationOptions = AS_CONFIGURED) -> int:
-    """Own the serial port and share the aircraft: rosbridge v2 for any number of clients.
+    """Share the aircraft with any number of clients by rosbridge v2.
 
-    Telemetry for all of them, control for one at a time. DJI's web page of 2015 and roslib programs
+    All clients get telemetry; one at a time has control. DJI's web page of 2015 and roslib programs
     work as they are: `m100link serve --sim --pages dji_keyboard_ctrl`.
     """
     aircraft = aircraft_of(options, url, is_sim=options.sim, launch=options.launch)
@@ -428,7 +403,7 @@ async def serve(*url: Urls, options: StationOptions = AS_CONFIGURED) -> int:
 async def console(
     *url: Urls, options: StationOptions = AS_CONFIGURED, page: PageOptions = IN_BROWSER
 ) -> int:
-    """Serve the console for browsers, beside everything that `serve` serves, and open it."""
+    """Open the console in the browser, and serve all that `serve` does."""
     aircraft = aircraft_of(options, url, page=page, is_sim=options.sim, launch=options.launch)
     return await run_station(
         aircraft, options.run, with_console=True, open_browser=page.open_browser
@@ -464,11 +439,10 @@ class MavlinkOptions(
 
 
 async def mavlink(*url: Urls, options: MavlinkOptions = MavlinkOptions()) -> int:
-    """Let MAVSDK, QGroundControl and other MAVLink programs see and fly the aircraft.
+    """Let MAVSDK, QGroundControl and other MAVLink programs fly.
 
-    They take each for a vehicle with PX4's modes, until Ctrl-C. Without --listen and --to those
-    are spoken to that listen on this machine, at the usual ports 14550 and 14540: `m100link mavlink
-    sim://`.
+    They see each aircraft as a vehicle with PX4's modes, until Ctrl-C. Without --listen and --to
+    m100link sends to UDP ports 14550 and 14540 of this machine, where such programs listen.
     """
     aircraft = aircraft_of(options, url)
     first = next(iter(aircraft.values()))
@@ -497,11 +471,11 @@ class Ros2Options(
 
 
 async def ros2(*url: Urls, options: Ros2Options = Ros2Options()) -> int:
-    """Be a node of ROS 2, without a ROS installation, until Ctrl-C.
+    """Be a ROS 2 node, without a ROS installation, until Ctrl-C.
 
-    Programs that run with RMW_IMPLEMENTATION=rmw_zenoh_cpp see and fly the aircraft, by the router
-    at localhost:7447 or wherever ZENOH_SESSION_CONFIG_URI and ZENOH_CONFIG_OVERRIDE say. Whoever
-    reaches that router can fly: `m100link ros2 sim://`.
+    Programs with RMW_IMPLEMENTATION=rmw_zenoh_cpp see and fly the aircraft, by the router at
+    localhost:7447 or that of ZENOH_SESSION_CONFIG_URI and ZENOH_CONFIG_OVERRIDE. Every program that
+    reaches this router can fly.
     """
     return await run_station(
         aircraft_of(options, url, ros2=True), options.run, with_rosbridge=False

@@ -112,7 +112,7 @@ class RegisteredApp:
     activated: bool = False
 
     def secret(self) -> Key:
-        """The key. Raises UsageError, BadKey: two are named, or it cannot be one."""
+        """The key. Raises UsageError, BadKey."""
         if self.key is not None and self.key_file is not None:
             raise UsageError("give --key or --key-file, not both")
         if self.key_file is not None:

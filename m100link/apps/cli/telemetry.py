@@ -72,7 +72,7 @@ async def echo(
     csv: bool = False,
     json: AsJson = None,
 ) -> None:
-    """Print telemetry as it arrives: one JSON object or CSV row per package.
+    """Print each telemetry package as a JSON object or a CSV row.
 
     Every column is named item.field; ``received_at`` is this computer's monotonic clock, s, and
     ``utc`` the same as POSIX time.
@@ -156,7 +156,7 @@ async def hz(
     duration: Duration = 5.0,
     json: AsJson = None,
 ) -> None:
-    """Measure each item's rate, jitter and longest gap, and the aircraft's clock."""
+    """Measure item rates, jitter and gaps, and the aircraft's clock."""
     as_json = wants_json(json)
     place = link.place(url)
     async with place.connect() as aircraft:

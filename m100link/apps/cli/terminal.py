@@ -35,36 +35,8 @@ _UPPER, _LOWER = 0x1B, 0xE4
 """Dots of a braille character's upper and lower two rows."""
 
 # One character for one: what was laid out in columns stays in them.
-_ASCII = {
-    "°": "d",
-    "²": "2",
-    "µ": "u",
-    "×": "x",
-    "±": "~",
-    "·": ".",
-    "…": "~",
-    "–": "-",
-    "—": "-",
-    "→": ">",
-    "✓": "+",
-    "≤": "<",
-    "≥": ">",
-    "•": "*",
-    "−": "-",
-    "“": '"',
-    "”": '"',
-    "↑": "^",
-    "▲": "^",
-    "▼": "v",
-    "✗": "x",
-    "█": "#",
-    "░": ".",
-    "├": "|",
-    "└": "`",
-    "│": "|",
-    "┤": "|",
-    "─": "-",
-}
+_DRAWN = "°²µ×±·…–—→✓≤≥•−“”↑▲▼✗█░├└│┤─"
+_ASCII = dict(zip(_DRAWN, 'd2ux~.~-->+<>*-""^^vx#.|`||-', strict=True))
 
 
 class ReaderGone(OSError):
@@ -148,10 +120,7 @@ def speak_to_anybody() -> Iterator[None]:
 
 
 async def read_line() -> str:
-    """What a person types on the terminal of standard input, up to Enter; empty after Ctrl-D.
-
-    The loop runs meanwhile: Ctrl-C ends it at once, and the link is served.
-    """
+    """The line typed on the terminal, empty after Ctrl-D. The loop serves the link meanwhile."""
     import asyncio
 
     loop = asyncio.get_running_loop()
@@ -341,9 +310,9 @@ class LogOptions:
     """What is logged on standard error.
 
     Attributes:
-        log_level: Lowest level that is shown (M100LINK_LOG): warning by default; debug has every
-            frame, cut short. No key, no token and no app id is in it.
-        log_json: One JSON object per line: time, level, logger, message, aircraft.
+        log_level: Lowest level to log (M100LINK_LOG), warning by default; debug has every frame,
+            cut short. No key, token or app id is logged.
+        log_json: Log one JSON object per line: time, level, logger, message, aircraft.
     """
 
     log_level: Literal["debug", "info", "warning", "error"] | None = None
@@ -373,10 +342,7 @@ def _level() -> str:
 
 
 def show_warnings() -> None:
-    """Warnings of the library go to standard error, like everything that is not data.
-
-    Raises UsageError: the environment names a level that does not exist.
-    """
+    """Print warnings on standard error. Raises UsageError: M100LINK_LOG is no level."""
     handler = _ToStandardError()
     handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
     logger = logging.getLogger("m100link")

@@ -121,7 +121,7 @@ def test_words_are_found_with_their_topics(cli: CommandLine) -> None:
     assert any(line.startswith("safety: ") for line in outcome.out.splitlines())
     outcome = cli("docs", "wire", "--find", "propellers")
     assert outcome.status == ExitCode.FAILED
-    assert outcome.err == "no line of it has 'propellers'\n"
+    assert outcome.err == "no line of that page has 'propellers'\n"
 
 
 def test_pages_that_the_builder_made_are_shown_as_they_are(
