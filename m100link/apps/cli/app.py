@@ -19,6 +19,7 @@ from m100link.apps.cli.terminal import (
     complain,
     logging_as_asked,
     show_warnings,
+    shown_default,
     speak_to_anybody,
 )
 from m100link.errors import M100Error, UsageError
@@ -163,15 +164,8 @@ _FORMER = {
 }
 
 
-def _shown(default: Any) -> Any:
-    """A default as the help shows it; None for an option that is off or not given."""
-    if default is None or default is False or default == ():
-        return None
-    return " ".join(default) if isinstance(default, tuple) else str(default)
-
-
 # An option that is off by default needs no negative form.
-_DEFAULT = Parameter(negative_bool=(), negative_iterable=(), show_default=_shown)
+_DEFAULT = Parameter(negative_bool=(), negative_iterable=(), show_default=shown_default)
 
 
 class _Commands(App):

@@ -182,8 +182,8 @@ def _check_keys(path: Path, where: str, table: Mapping[str, Any], known: Iterabl
             raise UsageError(
                 f"{place}: a {name} does not belong in this file",
                 cause="`m100link config` shows this file, and users copy it with other settings",
-                remedy=f"put it into a file of its own that only you can read, and name that as "
-                f"{_SECRETS[name]}",
+                remedy=f"put it into a file of its own that only you can read, and give its path "
+                f"as {_SECRETS[name]}",
             )
         raise UsageError(
             f"{place}: there is no {'setting' if where else 'table'} {name!r}",

@@ -1,8 +1,7 @@
 """``m100link demo``: a whole mission with the virtual aircraft over a real pseudo-terminal.
 
-At ``--speed max`` the line is in memory and the clock virtual: the same mission, as fast as the
-machine computes, and equal for equal seeds. A pseudo-terminal takes real time, of which a virtual
-clock knows nothing.
+At ``--speed max`` the line is in memory, because a pseudo-terminal takes real time, and the clock
+virtual: the same mission as fast as the machine computes, and equal for equal seeds.
 """
 
 from __future__ import annotations

@@ -11,10 +11,12 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 from cyclopts import App, Group, Parameter, validators
 
+from m100link.apps.cli.terminal import shown_default
 from m100link.protocol.firmware import PROFILES
 
 if TYPE_CHECKING:
@@ -120,6 +122,7 @@ def options_of(
         if text is None:
             raise LookupError(f"Attributes of {source.__name__} has no line for {name}")
         kind, default = hints[name], (defaults or {}).get(name, fields[name].default)
+        own = default
         # Only an option that is on, or that another source may switch on, can be switched off.
         is_switch = kind is bool and (is_layer or default) and not name.startswith("no_")
         if is_layer:
@@ -131,6 +134,8 @@ def options_of(
             name=(called or {}).get(name),
             help=text,
             negative_bool="no-" if is_switch else (),
+            # A layer shows what holds if no source has a value.
+            show_default=partial(lambda own, _: shown_default(own), own),
         )
         # A group that is None would hide the option.
         group = Parameter(group=panels[name]) if panels and name in panels else Parameter()

@@ -338,8 +338,7 @@ class StationOptions(_FromSettings):  # type: ignore[misc] # a class that is mad
     """Where the aircraft is, whose app it is, who may connect.
 
     Every setting may also come from the environment, a TOML file, a ROS launch file or the user's
-    configuration file, in this order. To the fields of
-    :class:`~m100link.apps.station.config.Settings` come:
+    configuration file, in this order.
 
     Attributes:
         launch: ROS launch file of DJI's node, read as it is.

@@ -1,10 +1,8 @@
 """Standard output and error as people have them: closed pipes, terminals without Unicode.
 
-Reading:
-    :func:`speak_to_anybody` puts :class:`_Told` around both streams before a verb runs. What a
-    stream cannot encode becomes ASCII (:func:`_in_ascii`); that nobody reads standard output any
-    more is :class:`ReaderGone`, wherever it was written, and never mistaken for a line to an
-    aircraft that broke.
+:func:`speak_to_anybody` puts :class:`_Told` around both streams before a verb runs. ASCII replaces
+a sign that a stream cannot encode (:func:`_in_ascii`). A write to a closed standard output raises
+:class:`ReaderGone`, so that no verb mistakes it for a broken line to an aircraft.
 """
 
 from __future__ import annotations
@@ -297,6 +295,13 @@ _PANELS = (
     *("Site and sensors", "Missions", "Line faults", "Start and output", "Log", "Rarely needed"),
 )
 """Groups of options in the order in which a help text shows them."""
+
+
+def shown_default(default: Any) -> Any:
+    """A default as the help shows it; None for an option that is off or not given."""
+    if default is None or default is False or default in ((), ""):
+        return None
+    return " ".join(default) if isinstance(default, tuple) else str(default)
 
 
 def panel(title: str) -> Group:

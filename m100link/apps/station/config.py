@@ -54,7 +54,7 @@ class Settings:
         url: Where the aircraft is: a URL, a port, or a name of the configuration file.
         baud_rate: Baud rate, if the URL has none.
         firmware: Use this firmware profile, and not the one that the version answer selects.
-        timeout: Seconds in which an aircraft must answer; 3 by default.
+        timeout: Seconds in which an aircraft must answer.
         sim: Bring a virtual aircraft.
         app_id: App id that DJI assigned.
         key: The app's key itself. Every user of this machine can see it: prefer a file.
@@ -94,7 +94,7 @@ class Settings:
         ros2: Be a ROS 2 node, for every program in its graph.
         ros2_namespace: Namespace of the node, such as /drones.
         ros2_node: Name of the node; its private names stand below it: /m100/imu.
-        ros2_domain: Domain id of the graph; 0 by default.
+        ros2_domain: Domain id of the graph.
         ros2_remap: Rename a topic or service, from:=to, such as ~/imu:=/imu; repeatable.
         ros2_dji_names: Also publish with the names and types of DJI's node, such as dji_sdk/imu.
         record: Folder for a flight log of each connection; nothing in it is removed. By default

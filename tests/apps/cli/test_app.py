@@ -144,6 +144,14 @@ def test_examples_run(cli: CommandLine, tmp_path: Path, monkeypatch: pytest.Monk
     assert {"takeoff", "echo", "plan check", "record", "log info", "doctor"} <= set(ran)
 
 
+def test_a_setting_shows_the_default_that_holds_if_no_source_has_one(cli: CommandLine) -> None:
+    told = " ".join(cli("serve", "--help").out.split())
+    assert "Greatest height above the take-off point, m. [default: 50.0]" in told
+    assert "Port of rosbridge (M100LINK_PORT). [default: 9090]" in told
+    assert "[default: ]" not in told
+    assert "[default: False]" not in told
+
+
 def test_an_option_has_one_spelling_and_one_sentence() -> None:
     """Those below mean something else for some verbs."""
     homonyms = {
@@ -161,6 +169,7 @@ def test_an_option_has_one_spelling_and_one_sentence() -> None:
             name = argument.names[0]
             if name.startswith("-") and argument.show:
                 assert argument.parameter.group, f"{verb} --help has no {name}"
+                assert argument.parameter.help, f"{verb} --help does not say what {name} is"
             if name.startswith("-") and name not in homonyms:
                 told = (argument.names, argument.parameter.help)
                 assert seen.setdefault(name, told) == told, verb
