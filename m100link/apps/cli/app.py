@@ -253,7 +253,7 @@ def _status_of(words: list[str]) -> int:
         with logging_as_asked(bound.arguments.values()):
             status = verb(*bound.args, **bound.kwargs)
             if inspect.iscoroutine(status):
-                from m100link.apps.cli.common import run_async  # who decodes a frame needs none
+                from m100link.apps.cli.common import run_async  # decoding a frame needs none
 
                 status = run_async(status)
     except UnusedCliTokensError as error:

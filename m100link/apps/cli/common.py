@@ -1,4 +1,4 @@
-"""What commands with an aircraft share: where it is, whose app it is, two consoles."""
+"""Options and helpers of verbs with an aircraft: its place, its app, two consoles."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ class ConnectionOptions:
 
     def connect(self, record: Recording | None = None) -> Connecting:
         """As :func:`m100link.connect`."""
-        from m100link.aircraft import connect  # who serves one loads it in another process
+        from m100link.aircraft import connect  # a station loads it in another process
 
         return connect(
             self.url,
@@ -197,7 +197,7 @@ class LinkOptions(layer_of_settings(("url", "firmware", "baud_rate", "timeout"))
     def place_among(
         self,
         words: Iterable[str],  # arguments of which the first may be a URL or a name
-        is_other: Callable[[str], bool],  # whether a word has the shape of what follows
+        is_other: Callable[[str], bool],  # whether a word looks like a later one
     ) -> tuple[ConnectionOptions, tuple[str, ...]]:
         """Where the aircraft is, and the words that follow."""
         first, *rest = words = tuple(words) or ("",)
@@ -225,19 +225,19 @@ def _shown(url: str) -> str:
     try:
         return url if url in read_configuration().aircraft else str(parse_url(url))
     except UsageError:
-        return ""  # who connects says what is wrong with it
+        return ""  # connecting tells its fault
 
 
 def run_async(work: Coroutine[Any, Any, int | None]) -> int:
-    """Run a command's coroutine; who runs the command tells errors and Ctrl-C."""
+    """Run a command's coroutine; the caller reports errors and Ctrl-C."""
     try:
         return asyncio.run(work) or ExitCode.OK
-    except asyncio.CancelledError:  # told to end before it ran
+    except asyncio.CancelledError:  # a signal came before it ran
         return ExitCode.OK
 
 
 async def until(seconds: float | None, work: Any) -> None:
-    """Run for so long; whatever ends it earlier is raised."""
+    """Run for these seconds at most. Raises the error that ends it earlier."""
     try:
         async with asyncio.timeout(seconds) as limit:
             await work

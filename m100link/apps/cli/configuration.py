@@ -39,7 +39,7 @@ _PATHS = [one.name for one in fields(Settings) if str(one.type).startswith("Path
 """Beside the file, when they are not absolute."""
 
 _SECRETS = {"key": "key_file", "token": "token_file"}
-"""What a configuration file is shown and copied too often for."""
+"""Secrets have no place in a file that users show and copy."""
 
 _CALLED: dict[str, str] = {"baud": "baud_rate"}
 """The setting of a key, where it is not called so: keys are called as options are."""
@@ -53,7 +53,7 @@ class Configuration:
 
     path: Path  # where it is, or would be
     exists: bool = False  # whether it is there
-    default: str | None = None  # name of the aircraft that is meant when nobody names one
+    default: str | None = None  # name of the default aircraft
     # What holds for every aircraft that is not a virtual one.
     defaults: Mapping[str, Any] = field(default_factory=dict)
     # What holds for one aircraft, by its name; ``url`` is always among it.
@@ -222,7 +222,7 @@ def _table(path: Path, where: str, table: Any, known: Iterable[str] | None) -> d
 
 
 def _wrong(name: str, value: Any) -> str:
-    """What a value should be instead; empty when it can be right."""
+    """The value wanted instead; empty when it can be right."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if name in ("baud", "baud_rate") and not (isinstance(value, int) and value >= 1):
         return "bits per second, such as 230400"

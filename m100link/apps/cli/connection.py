@@ -338,7 +338,7 @@ def exit_status(found: Report) -> int:
 
 
 def _only_port(link: LinkOptions) -> str | None:
-    """The port, where there is one and nobody says which."""
+    """The only port of this machine, unless a URL is given."""
     if link.url is not None or os.environ.get("M100LINK_URL"):
         return None
     found = serial_ports()
@@ -366,7 +366,7 @@ def _diagnosed(place: ConnectionOptions, *, authority: bool, as_json: bool) -> R
         return asyncio.run(look(authority=authority))
     found = asyncio.run(look(tell=_tell, authority=authority))
     if found.findings[-1].details.get("may_be_tried") and asyncio.run(_agrees()):
-        # A second time, because a person may take long, and an open port is nobody else's.
+        # A second time: a person may take long, and an open port shuts out other programs.
         found = asyncio.run(look(authority=True))
         _tell(found.findings[-1])
     return found
@@ -417,7 +417,7 @@ async def _agrees() -> bool:
 
 
 def _write_report(path: Path, described: dict[str, Any]) -> None:
-    """What was found, and on what: neither key nor app id nor token is in it."""
+    """The findings and the machine, without key, app id or token."""
     content = {
         "m100link": __version__,
         "python": platform.python_version(),

@@ -84,7 +84,7 @@ _COMMON = ("session", "is_ack", "sequence", "encrypted", "padding", "data", "com
 
 
 def _print_table(decoded: dict[str, Any]) -> None:
-    # For people only: whoever pipes frames through waits for nothing but the frames.
+    # For people only: a program that pipes frames through waits for the frames alone.
     from rich.table import Table
 
     from m100link.apps.cli.common import out

@@ -45,7 +45,7 @@ from m100link.sim import Driver, PtyPort, VirtualAircraft, loop_factory
 _STAGES = ("connect", "activate", "obtain control", "take off", "square", "land", "release")
 
 _FASTEST = 50.0
-"""Beyond it time-outs are shorter than what a machine needs to wake up."""
+"""Beyond it, time-outs are shorter than a machine needs to wake up."""
 
 _ARRIVED_M = 0.25
 _SETTLED_M_S = 0.3

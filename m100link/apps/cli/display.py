@@ -152,7 +152,7 @@ _PATIENCE_S = 1.0
 
 
 def status(*flights: FlightLog) -> int:
-    """The exit status of a verb that read logs: of a damaged one it did what could be done."""
+    """The exit status of a verb that read logs; it fails for a damaged one."""
     return ExitCode.FAILED if any(flight.damage for flight in flights) else ExitCode.OK
 
 

@@ -91,7 +91,7 @@ async def fly(
     limits: EnvelopeOptions = WITHIN_DEFAULTS,
     yes: Yes = False,
 ) -> None:
-    """Fly so many metres north, east and up from here, and hover there.
+    """Fly the given metres north, east and up, and hover there.
 
     Args:
         place: Where the aircraft is, if no --url or M100LINK_URL says it; then metres north, east
@@ -161,17 +161,17 @@ async def activated(
     place: ConnectionOptions,
     *,
     credentials: Credentials | None = None,  # by default those of the place
-    ask: str | None = None,  # what a person is asked for before; nobody is for a virtual aircraft
+    ask: str | None = None,  # the question to a person; a virtual aircraft needs none
     # Raises what would be refused anyway, before anybody is asked; may tell what else is asked for.
     look: Look | None = None,
 ) -> AsyncIterator[Aircraft]:
-    """Connect and activate, and tell the terminal why that takes its time."""
+    """Connect and activate; the terminal shows why that takes time."""
 
     def tell(progress: ActivationProgress) -> None:
         if progress.next_attempt_in is not None:
             err.print(f"activation: {progress.code.meaning}; again in a moment")
 
-    # What is wrong with them is told before a port is opened.
+    # Their mistakes are told before a port is opened.
     credentials = credentials or place.credentials()
     async with place.connect() as aircraft:
         if ask is not None and not place.is_virtual:
@@ -184,7 +184,7 @@ async def activated(
 @asynccontextmanager
 async def in_control(
     place: ConnectionOptions,
-    what: str | None = None,  # what a person is asked for, and told that it is done
+    what: str | None = None,  # the deed, for the question and the report
     *,
     is_sure: bool = False,
     look: Look | None = None,
@@ -227,7 +227,7 @@ async def _end_mission(aircraft: Aircraft, control: Control) -> None:
 
 
 async def hear_of_mission(aircraft: Aircraft) -> None:
-    """A moment in which an aircraft that knows missions may tell what it flies."""
+    """Wait a moment for an aircraft that knows missions to report the one it flies."""
     if not MissionStatus.is_known_to(aircraft.firmware):
         return
     clock = asyncio.get_running_loop().time
@@ -307,7 +307,7 @@ async def gimbal(
     angles = {axis: angle for axis, angle in named.items() if angle is not None}
     if rates and (relative or not angles):
         raise UsageError("--rates goes with --yaw, --pitch or --roll, and not with --relative")
-    if rates:  # what cannot be sent is refused before a port is opened
+    if rates:  # refuse before a port is opened
         rates_command(**angles, seconds=seconds)
     elif angles:
         angles_command(**angles, seconds=seconds, relative=relative)
@@ -442,6 +442,6 @@ def _pairs(words: Sequence[str]) -> dict[str, int]:
         if name in found:
             raise UsageError(f"two rates were given for {name}")
         found[name] = int(rate)
-    if found:  # what cannot be is refused before a port is opened
+    if found:  # refuse before a port is opened
         rates_by_item(found)
     return found

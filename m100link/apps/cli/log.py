@@ -312,7 +312,7 @@ def new_file(target: Path) -> Iterator[IO[bytes]]:
 
 
 def cannot_write(target: Path, error: OSError) -> UsageError:
-    """What is told of a file that cannot be written."""
+    """The error for a file that cannot be written."""
     if isinstance(error, FileExistsError):
         return _is_there(target)
     return UsageError(
@@ -356,7 +356,7 @@ async def record(
     place = link.place(url)
     recorder = Recorder(output, rate_hz=rate)
     lost: LinkError | None = None
-    ended = asyncio.Event()  # by whoever ends services, or closes the terminal
+    ended = asyncio.Event()  # by SIGTERM, or a closed terminal
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, ended.set)

@@ -145,7 +145,7 @@ def _list(pages: list[_Page]) -> int:
         out.print(f"\n{heading}", style="bold", markup=False)
         for page in below:
             out.print(f"  {page.topic:<22}{page.title}", markup=False)
-    out.print("\nm100link docs TOPIC shows a page, m100link docs --find WORD looks into all.")
+    out.print("\nm100link docs TOPIC shows a page, m100link docs --find WORD searches all of them.")
     return ExitCode.OK
 
 
@@ -167,7 +167,7 @@ def _show(page: _Page) -> None:
         return
     import pydoc
 
-    # less shows colours when it is told to; nobody knows of other pagers.
+    # less shows colours with -R; other pagers may not.
     in_colour = "PAGER" not in os.environ and shutil.which("less") is not None
     if in_colour:
         os.environ.setdefault("LESS", "-R")
@@ -197,7 +197,7 @@ def _derived(base: type[M100Error]) -> Iterator[type[M100Error]]:
 
 
 def _show_error(code: str) -> int:
-    """What the manual says of one class of errors."""
+    """Print the manual's text on one class of errors."""
     kinds = {kind.error_code: kind for kind in error_classes()}
     kind = kinds.get(code.upper())
     if kind is None:
@@ -350,7 +350,7 @@ def config(
 ) -> int:
     """Show the configuration file and the settings in force."""
     configuration = read_configuration()
-    for name in configuration.aircraft:  # what cannot be is told now, not before a flight
+    for name in configuration.aircraft:  # tell mistakes now, not before a flight
         resolve({"url": name}, {}, of_aircraft=configuration.sources_of_station)
     in_force = _in_force(configuration, aircraft)
     if wants_json(json):

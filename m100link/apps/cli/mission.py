@@ -219,7 +219,7 @@ class _Show:
         )
 
     def stopped(self, mission: WaypointFlight) -> str:
-        """What became of a mission that this program left before its end."""
+        """The end of a mission that this program left early, in words."""
         state = self._aircraft.state
         status, position = state.flight_status, state.position
         if self._has_begun and not mission.is_over:
@@ -266,7 +266,7 @@ async def _require_airborne(aircraft: Aircraft) -> None:
         return  # refused for that, and not for where it stands
     clock = asyncio.get_running_loop().time
     until = clock() + _STATUS_S
-    # That nobody knows is an answer here, where wait_for would raise.
+    # No status is an answer here, where wait_for would raise.
     while aircraft.state.flight_status is None and clock() < until:  # noqa: ASYNC110
         await asyncio.sleep(0.05)
     status = aircraft.state.flight_status

@@ -69,7 +69,7 @@ def group(name: str, text: str) -> App:
 
 
 def offered(candidates: Iterable[str] | Callable[[], Iterable[str]]) -> Any:
-    """What a shell offers for a word when the tabulator is pressed.
+    """Words that a shell offers when Tab is pressed.
 
     With a cyclopts that cannot (before 5) nothing is offered.
     """
@@ -97,7 +97,7 @@ def attribute_texts(source: type) -> dict[str, str]:
 
 def options_of(
     source: type,
-    names: Iterable[str] | Mapping[str, str],  # a mapping says what they are called as options
+    names: Iterable[str] | Mapping[str, str],  # a mapping has their names as options
     *,
     environment: Mapping[str, str] | None = None,
     called: Mapping[str, str] | None = None,

@@ -76,7 +76,7 @@ async def replay(
 
 
 def _names(files: tuple[Path, ...]) -> list[str]:
-    """What the aircraft are called: as their files, each by a name of its own."""
+    """Names of the aircraft: those of their files, each only once."""
     names: list[str] = []
     for path in files:
         stem = re.sub(r"[^A-Za-z0-9_]+", "_", path.stem).strip("_") or "flight"
@@ -91,7 +91,7 @@ def _names(files: tuple[Path, ...]) -> list[str]:
 
 @contextlib.contextmanager
 def _keys(station: Any, ended: asyncio.Event) -> Iterator[None]:
-    """Let keys at the terminal move what is played, if there is a terminal."""
+    """Let keys of the terminal, if there is one, control the replay."""
     tasks: set[asyncio.Task[None]] = set()
 
     def pressed(key: str) -> None:

@@ -1,4 +1,4 @@
-"""A station as a command: what every such command is told, how it runs, what it says of itself."""
+"""Stations as commands: their options, how they run, what they print."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ async def run_station(
     with_console: bool = False,
     with_rosbridge: bool = True,
     open_browser: bool = False,
-    keys: Keys | None = None,  # takes what is pressed at the terminal while it runs
+    keys: Keys | None = None,  # takes the keys of the terminal while it runs
 ) -> int:
     """Run a station until a signal ends it. Raises UsageError: a setting is missing or wrong."""
     if options.show_config:
@@ -107,7 +107,7 @@ async def run_station(
 
 
 def require_packages() -> None:
-    """Look whether what serves pages is installed. Raises UsageError: it is not."""
+    """Look for the packages that serve pages. Raises UsageError: one is missing."""
     try:
         for package in ("cbor2", "starlette", "uvicorn", "websockets"):
             importlib.import_module(package)
@@ -119,7 +119,7 @@ def require_packages() -> None:
 
 
 Keys = Callable[[Any, asyncio.Event], contextlib.AbstractContextManager[None]]
-"""With the station that runs, and what ends it."""
+"""Takes the running station, and the event that ends it."""
 
 
 def show(settings: Settings) -> None:
@@ -162,7 +162,7 @@ async def _running(
 def tell_event(
     teller: FlightProgress, log: LogOptions, name: str, event: Event, *, is_named: bool = True
 ) -> None:
-    """Tell what happened to an aircraft: in the log, if that is JSON, else in words."""
+    """Report an event of an aircraft: in the log, if that is JSON, else in words."""
     if log.log_json:
         level = logging.getLevelNamesMapping()[event.level.upper()]
         _logger.log(level, "%s", event.text, extra={"aircraft": name})
@@ -173,7 +173,7 @@ def tell_event(
 
 
 class _Station(Protocol):
-    """What every kind of running station tells of itself."""
+    """A running station of any kind."""
 
     @property
     def has_authority(self) -> bool: ...
@@ -238,7 +238,7 @@ def _tell_unused(settings: Settings) -> None:
 
 
 def warn_of(settings: Settings) -> None:
-    """Say what is dangerous about the settings."""
+    """Warn of dangerous settings."""
     _tell_unused(settings)
     if settings.is_plain_beyond_loopback():
         err.print(
@@ -284,7 +284,7 @@ def settings_of(
         of_aircraft=configuration.sources_of_station,
     )
     if settings.record is None and hasattr(options, "no_record") and not settings.no_record:
-        from m100link.log.folder import default_folder  # who decodes a frame needs none
+        from m100link.log.folder import default_folder  # decoding a frame needs none
 
         settings = replace(settings, record=default_folder())
     return settings
@@ -325,7 +325,7 @@ def _in_process(settings: Settings) -> Settings:
     if settings.url == "sim://":
         return replace(settings, url=None, sim=True)
     if settings.url is not None and not settings.url.startswith("replay://"):
-        from m100link.link.transport import find_transport  # who decodes a frame needs none
+        from m100link.link.transport import find_transport  # decoding a frame needs none
         from m100link.link.url import parse_url
 
         find_transport(parse_url(settings.url))

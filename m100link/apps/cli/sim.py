@@ -412,7 +412,7 @@ class LiveView:
         self._message = ""
 
     def press(self, key: str) -> None:
-        """Do what a key stands for."""
+        """Carry out the order of a key."""
         if key not in KEYS:
             return
         order, _ = KEYS[key]

@@ -32,20 +32,20 @@ _BRAILLE = range(0x2800, 0x2900)
 _UPPER, _LOWER = 0x1B, 0xE4
 """Dots of a braille character's upper and lower two rows."""
 
-# One character for one: what was laid out in columns stays in them.
+# One character for one, so that columns stay columns.
 _DRAWN = "°²µ×±·…–—→✓≤≥•−“”↑▲▼✗█░├└│┤─"
 _ASCII = dict(zip(_DRAWN, 'd2ux~.~-->+<>*-""^^vx#.|`||-', strict=True))
 
 
 class ReaderGone(OSError):
-    """Nobody reads standard output any more, as behind ``| head``. Not an error of the command.
+    """The reader of standard output is gone, as behind ``| head``: no error of the command.
 
     It is no BrokenPipeError: rich would end the process with 1.
     """
 
 
 def _in_ascii(error: UnicodeError) -> tuple[str, int]:
-    """What a stream of few characters shows in place of those that it lacks."""
+    """The signs that a stream shows in place of those that it lacks."""
     assert isinstance(error, UnicodeEncodeError)
     lacking = error.object[error.start : error.end]
     return "".join(map(_replacement, lacking)), error.end
@@ -98,7 +98,7 @@ class _Told:
 
 @contextlib.contextmanager
 def speak_to_anybody() -> Iterator[None]:
-    """While the block runs, output fits its terminal, and a closed pipe is told as what it is.
+    """While the block runs, output fits its terminal, and a closed pipe has its own error.
 
     Raises:
         ReaderGone: From any write to standard output. Standard error passes it over: a flight does
@@ -147,7 +147,7 @@ _ESCAPES = {b"\x1b[A": "UP", b"\x1b[B": "DOWN", b"\x1b[D": "LEFT", b"\x1b[C": "R
 
 
 def read_keys(data: bytes) -> list[str]:
-    """The keys in what the terminal sent."""
+    """The keys in the bytes of a terminal."""
     keys = []
     while data:
         for escape, name in _ESCAPES.items():
@@ -170,7 +170,7 @@ def keys_pressed(press: Callable[[str], object]) -> Iterator[bool]:
     if importlib.util.find_spec("termios") is None or not sys.stdin.isatty():
         yield False
         return
-    import asyncio  # who decodes a frame needs none of these
+    import asyncio  # decoding a frame needs none of these
     import termios
     import tty
 
@@ -206,7 +206,7 @@ _TYPED = {
     "close what is open, or fly without one: control(guardian=False)": "close other programs",
     "docs: howto/silent-line": "m100link docs silent-line",
 }
-"""What remedies ask a program to do, and what a person types for it."""
+"""Remedies for a program, and the same for a person at a shell."""
 
 
 class ExitCode:
@@ -250,7 +250,7 @@ def exit_code(error: BaseException) -> int:
 
 
 def complain(error: BaseException) -> int:
-    """Tell an error on standard error; returns the exit status for it."""
+    """Print an error on standard error. Returns its exit status."""
     # The console takes longer to load than a frame to decode.
     from rich.console import Console
 
@@ -272,7 +272,7 @@ def print_json(value: Any) -> None:
 
 
 def wants_json(asked: bool | None) -> bool:
-    """What was asked for; where nothing was: JSON for a pipe, text for a terminal."""
+    """The format that was asked for; by default JSON for a pipe, text for a terminal."""
     return not sys.stdout.isatty() if asked is None else asked
 
 
