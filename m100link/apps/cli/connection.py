@@ -440,7 +440,7 @@ def ports(*, json: AsJson = None) -> int:
             print_json(row)
         return ExitCode.OK
     if not rows:
-        err.print("this machine has no serial port: plug the adapter in, then: dmesg | tail")
+        err.print("no serial port here: plug the adapter in, then: dmesg | tail")
         return ExitCode.OK
     table = Table(box=None, pad_edge=False)
     for title in ("port", "adapter", "may open", "used by", "latency", "stable name"):

@@ -267,7 +267,7 @@ def test_a_key_file_that_others_may_read_is_not_used(
 
 def test_a_key_on_the_command_line_is_warned_of_and_not_repeated(cli: CommandLine) -> None:
     outcome = cli("activate", "sim://", "--app-id", "7", "--key", "ab" * 32)
-    assert "shows the key to everybody" in outcome.err
+    assert "shows the key to every user" in outcome.err
     assert "abab" not in outcome.err + outcome.out
 
 

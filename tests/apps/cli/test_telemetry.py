@@ -75,7 +75,7 @@ def test_plot_of_a_recorded_span_and_live(simulator: Simulator, tmp_path: Path) 
 )
 def test_an_item_at_0_hz_is_named(cli: CommandLine, arguments: tuple[str, ...]) -> None:
     told = cli(*arguments, "--duration", "2.5").err
-    assert "magnetometer is at 0 Hz: nothing of it arrives" in told
+    assert "magnetometer is at 0 Hz: no package carries it" in told
     assert told.count("0 Hz") == 1
 
 
