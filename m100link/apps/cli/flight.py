@@ -67,7 +67,7 @@ async def land(
 ) -> None:
     """Land in place and stop the motors.
 
-    It asks nothing, and stops a mission that flies first. Ctrl-C ends the landing, and the aircraft
+    It asks nothing, and first stops a mission that flies. Ctrl-C ends the landing: the aircraft
     hovers.
     """
     async with in_control(options.place(url), "land", is_sure=True) as (aircraft, control):

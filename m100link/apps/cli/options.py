@@ -1,7 +1,7 @@
-"""Options of the command line made from the library's own dataclasses.
+"""Options that verbs share, and options made from the library's own dataclasses.
 
 A setting is declared once: its name, type and default as a field, its sentence in the docstring of
-its class. What is made here is a dataclass to derive from.
+its class. :func:`options_of` makes a dataclass to derive from.
 """
 
 from __future__ import annotations
@@ -55,8 +55,7 @@ Duration = Annotated[float, _DURATION]
 
 Simulated = Annotated[Firmware, Parameter(help="Firmware of the virtual aircraft.")]
 
-On = Annotated[bool, Parameter(negative_bool="no-")]
-"""On by default."""
+On = Annotated[bool, Parameter(negative_bool="no-")]  # on by default
 
 Force = Annotated[bool, Parameter(help="Overwrite a file that exists.")]
 Yes = Annotated[bool, Parameter(name=("--yes", "-y"), help="Do not ask for confirmation.")]

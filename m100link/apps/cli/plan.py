@@ -44,8 +44,8 @@ class FileOptions:
     """How a .plan of QGroundControl is read.
 
     Attributes:
-        leave_out: Items of it to leave out: a MAVLink number (530) or a name (geoFence,
-            rallyPoints); with commas, or repeated.
+        leave_out: Items of a .plan to leave out: MAVLink numbers (530) or names (geoFence,
+            rallyPoints), with commas or repeated.
         home_altitude: Altitude of the take-off point, m, if heights count from sea level.
     """
 

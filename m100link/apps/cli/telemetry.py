@@ -70,7 +70,7 @@ async def echo(
     duration: AtMost = None,
     count: Annotated[int | None, Counted] = None,
     csv: bool = False,
-    json: AsJson = None,
+    json: Annotated[AsJson, Parameter(show_default=lambda _: "JSON")] = None,
 ) -> None:
     """Print each telemetry package as a JSON object or a CSV row.
 
@@ -80,10 +80,11 @@ async def echo(
     Args:
         rate: Most packages per second.
         count: Packages until the command ends by itself.
-        csv: Print CSV with a header line, and no JSON.
+        csv: Print CSV with a header line, as --table does.
     """
     if csv and json:
         raise UsageError("--csv and --json exclude each other")
+    csv = csv or json is False
     place, names = link.place_among([url or "", *items], _is_item)
     records = items_named(names)
     writer = DictWriter(

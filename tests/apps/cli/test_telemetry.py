@@ -79,6 +79,11 @@ def test_an_item_at_0_hz_is_named(cli: CommandLine, arguments: tuple[str, ...]) 
     assert told.count("0 Hz") == 1
 
 
+def test_echo_prints_its_table_as_csv(cli: CommandLine) -> None:
+    table = cli("echo", "sim://?seed=1", "position", "--count", "1", "--table")
+    assert table.out.startswith("received_at,utc,position.latitude_rad,")
+
+
 @pytest.mark.parametrize("record", known.EVERYTHING, ids=lambda one: type(one).__name__)
 def test_each_record_has_its_words(record: object) -> None:
     kind = type(record).__name__
