@@ -469,7 +469,9 @@ async def test_a_take_off_of_a_fleet_is_a_few_calls(monkeypatch: pytest.MonkeyPa
     assert counted["Requests.query_version"] == idle["Requests.query_version"] == 0
     assert counted["Gate.check"] == counted["FleetAgent._carry_out"] == 1
     assert counted["Sender.request"] == 1, "one frame on the line"
-    assert counted["OrderMessage.document"] == 1, "written once, and signed and sent as it was written"
+    assert counted["OrderMessage.document"] == 1, (
+        "written once, and signed and sent as it was written"
+    )
     assert counted["AgentServer._state"] == 1
     assert counted.total() <= 480, counted.most_common(12)
 
