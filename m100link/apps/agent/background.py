@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from m100link.errors import M100Error
@@ -62,6 +63,31 @@ class TaskSet:
         """Cancel every task and wait for its end."""
         self.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
+
+
+def call_each(callbacks: Iterable[Callable[..., object]], *told: object) -> None:
+    """Call each of them, whatever one of them raises: the next one may hold control, or end it.
+
+    Raises the first error afterwards.
+    """
+    failed: Exception | None = None
+    for callback in tuple(callbacks):
+        try:
+            callback(*told)
+        except Exception as error:  # noqa: BLE001 (raised below)
+            failed = failed or error
+    if failed is not None:
+        raise failed
+
+
+@contextmanager
+def goes_on(what: str) -> Iterator[None]:
+    """One step of a loop on which safety depends: an error is logged, and the next step comes."""
+    try:
+        yield
+    except Exception:
+        with suppress(Exception):
+            _logger.exception("%s failed, and goes on", what)
 
 
 def ignore(*_: object) -> None:

@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any, Self, TypeVar
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.background import TaskSet
+from m100link.apps.agent.background import TaskSet, call_each
 from m100link.apps.agent.lease import Lease, TakeOver, not_in_force
 from m100link.apps.agent.messages import (
     VERSION,
@@ -122,7 +122,7 @@ class AgentClient:
             Activating: self._on_activating,
             AuthorityTaken: self._on_authority_taken,
             SteerRefused: self._on_steer_refused,
-            MissionReport: partial(_call_each, self.on_mission_told),
+            MissionReport: partial(call_each, self.on_mission_told),
             PlanChanged: self._on_plan_told,
         }
 
@@ -240,7 +240,7 @@ class AgentClient:
             self.unread += 1
             return
         self.telemetry.update(sample)
-        _call_each(self.on_sample, sample)
+        call_each(self.on_sample, sample)
         self._samples.publish(sample, self.now)
 
     def _on_from_mobile(self, message: MobileMessage) -> None:
@@ -253,22 +253,22 @@ class AgentClient:
             # Another agent counts anew; whoever shows events goes by their numbers.
             event = replace(event, number=self.events[-1].number + 1)
         self.events.append(event)
-        _call_each(self.on_event, event)
+        call_each(self.on_event, event)
 
     def _on_lease_changed(self, message: LeaseChanged) -> None:
         self.holder = message
-        _call_each(self.on_lease, message)
+        call_each(self.on_lease, message)
 
     def _on_activating(self, message: Activating) -> None:
-        _call_each(self.on_activating, ActivationCode(message.code))
+        call_each(self.on_activating, ActivationCode(message.code))
 
     def _on_authority_taken(self, message: AuthorityTaken) -> None:
         error = message.fault.error()
         if isinstance(error, AuthorityLost):
-            _call_each(self.on_authority_taken, error)
+            call_each(self.on_authority_taken, error)
 
     def _on_steer_refused(self, message: SteerRefused) -> None:
-        _call_each(self.on_steer_refused, message.fence, message.fault.error())
+        call_each(self.on_steer_refused, message.fence, message.fault.error())
 
     def _on_plan_told(self, message: PlanChanged) -> None:
         self.plan, self.plan_by = None, message.name
@@ -432,18 +432,6 @@ class PendingRequests:
             answer.set_result(outcome)
         else:
             answer.set_exception(outcome.fault.error())
-
-
-def _call_each(callbacks: list[Callable[..., None]], *told: object) -> None:
-    """Tell everybody, whatever one of them raises: the next one may hold control."""
-    failed: Exception | None = None
-    for callback in tuple(callbacks):
-        try:
-            callback(*told)
-        except Exception as error:  # noqa: BLE001 (raised below)
-            failed = failed or error
-    if failed is not None:
-        raise failed
 
 
 def given(value: T | None) -> T:

@@ -20,11 +20,13 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 from m100link import errors
+from m100link.apps.agent.background import call_each
 from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseHeld, LeaseRefused, TakeOver
 from m100link.apps.agent.orders import GuidedFlight, Order, UploadPlan
 from m100link.errors import LinkError, LinkLost, M100Error
@@ -327,20 +329,18 @@ class Journal:
         self._count = 0
         self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)
         self.on_event: list[Callable[[Event], None]] = []  # called with each event
-        self.untold = 0  # how often the log, or a callback, failed over an event
+        self.untold = 0  # over how many events the log, or a callback, failed
 
     def note(self, text: str, level: str = "info", topic: EventTopic = EventTopic.NONE) -> None:
         """Add an event. Raises nothing: what comes after it may end a flight."""
-        event = self._add(text, level, topic)
-        for tell in (_log, *self.on_event):
-            try:
-                tell(event)
-            except Exception as error:  # noqa: BLE001 (whatever it is; the next event says so)
-                self.untold += 1
-                if self.untold == 1:
-                    self._add(
-                        f"an event was not told everywhere: {error!r}", "error", EventTopic.NONE
-                    )
+        try:
+            event = self._add(text, level, topic)
+            call_each((_log, *self.on_event), event)
+        except Exception as error:  # noqa: BLE001 (whatever it is; the next event says so)
+            self.untold += 1
+            if self.untold == 1:
+                with suppress(Exception):
+                    self._add(f"an event was not told everywhere: {error!r}", "error", EventTopic.NONE)
 
     def _add(self, text: str, level: str, topic: EventTopic) -> Event:
         self._count += 1

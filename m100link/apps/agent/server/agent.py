@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, Self
 
 from m100link.aircraft import Aircraft
 from m100link.apps.agent import orders
-from m100link.apps.agent.background import TaskSet, ignore
+from m100link.apps.agent.background import TaskSet, call_each, goes_on, ignore
 from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseManager, TakeOver
 from m100link.apps.agent.messages import EventTopic, Journal, PlanChanged
 from m100link.apps.agent.orders import ORDERS, SETPOINT_LIFETIME, Needs, Order
@@ -147,11 +148,29 @@ class Agent:
     async def _watch_lease(self) -> None:
         while True:
             await asyncio.sleep(_LEASE_CHECK)
-            self.leases.advance(self.now)
+            with goes_on("the watch of the lease"):
+                if self.leases.holder(self.now) is None and self._unclaimed is None:
+                    self.holding.let_go()  # again, in case the end of the lease failed half-way
 
     def _lease_changed(self, why: LeaseChange, old: Lease | None, new: Lease | None) -> None:
         flown = self.holding.flown
-        self.halt("control changed hands")  # before anybody is told
+        call_each(
+            (
+                lambda: self.halt("control changed hands"),  # before anybody is told
+                lambda: self._hand_on(why, new),
+                *(partial(callback, why, new, flown) for callback in self.on_lease),
+                lambda: self.upload(PlanTold()),  # nobody flies what somebody else left
+            )
+        )
+        if new is not None:
+            whom = f" from {old.name}" if old is not None else ""
+            self.journal.note(f"{new.name} has control ({why.value}{whom})")
+        elif old is not None:
+            level = "warning" if why in _LOST else "info"
+            how = "lost control" if why in _LOST else "gave control back"
+            self.journal.note(f"{old.name} {how} ({why.value})", level)
+
+    def _hand_on(self, why: LeaseChange, new: Lease | None) -> None:
         self._begin_anew = "" if new is not None else self._begin_anew
         self._claim()
         if new is not None:
@@ -160,16 +179,6 @@ class Agent:
             self._keep_for_nobody()
         else:
             self.holding.feed(HoldingInput.LET_GO)
-        for callback in self.on_lease:
-            callback(why, new, flown)
-        self.upload(PlanChanged())  # nobody flies what somebody else left
-        if new is not None:
-            whom = f" from {old.name}" if old is not None else ""
-            self.journal.note(f"{new.name} has control ({why.value}{whom})")
-        elif old is not None:
-            level = "warning" if why in _LOST else "info"
-            how = "lost control" if why in _LOST else "gave control back"
-            self.journal.note(f"{old.name} {how} ({why.value})", level)
 
     def _keep_for_nobody(self) -> None:
         self._unclaimed = asyncio.get_running_loop().call_later(
@@ -189,8 +198,8 @@ class Agent:
 
     def _end_unclaimed(self, why: str) -> None:
         if self._claim():
-            self.journal.note(f"control authority is given back: {why}", "warning")
             self.holding.let_go()
+            self.journal.note(f"control authority is given back: {why}", "warning")
 
     def _holding_changed(self, before: HoldingState, after: HoldingState) -> None:
         # The pilot who comes back to F would give it to nobody.
@@ -286,7 +295,11 @@ class Agent:
         With the token of the lease it says that the holder let go: setpoints fly again after STOP.
         """
         if self.holding.flying is not None:
-            self.holding.flying.halt(why)
+            try:
+                self.holding.flying.halt(why)
+            except BaseException:
+                self.holding.let_go()  # what could not be halted ends with the control block
+                raise
         holder = self.leases.holder(self.now)
         if token and holder is not None and token == holder.token:
             self._begin_anew = ""
@@ -305,11 +318,15 @@ class Agent:
         No command ends a task: giving control authority back is all that this side can do.
         """
         self._begin_anew = "STOP was pressed"
-        self.journal.note("stop", topic=EventTopic.STOPPED)
-        flying = self.holding.flying
-        is_in_task = flying is not None and flying.is_in_task
-        is_in_task = is_in_task or await self.holding.stop_landing()
-        self.halt("stop")
+        try:
+            self.journal.note("stop", topic=EventTopic.STOPPED)
+            flying = self.holding.flying
+            is_in_task = flying is not None and flying.is_in_task
+            is_in_task = is_in_task or await self.holding.stop_landing()
+            self.halt("stop")
+        except BaseException:
+            self.holding.let_go()  # nobody knows what flies: the end of the control block ends it
+            raise
         if is_in_task or self._unclaimed is not None:
             self.journal.note("control authority is given back to end the task", "warning")
             await self.give_back()

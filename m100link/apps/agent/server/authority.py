@@ -17,7 +17,7 @@ from enum import Enum
 
 from m100link.aircraft import Aircraft
 from m100link.aircraft.activation import ActivationProgress
-from m100link.apps.agent.background import TaskSet
+from m100link.apps.agent.background import TaskSet, call_each
 from m100link.apps.agent.lease import Flown
 from m100link.apps.agent.messages import EventTopic, GuardLimits, Journal
 from m100link.apps.agent.server.flight import ActiveFlight, limits_of
@@ -195,8 +195,7 @@ class AuthorityManager:
         self.state = after
         if after is HoldingState.RELEASING:
             self._let_go.set()
-        for callback in self.on_change:
-            callback(before, after)
+        call_each(self.on_change, before, after)
         return True
 
     # -- what clients ask for --------------------------------------------------------------------
@@ -298,9 +297,10 @@ class AuthorityManager:
         self._tell_mission(error.seen, is_seen=error.reason is not LossReason.LINK)
         if not granted.done():
             granted.set_exception(error)
-        for callback in self.on_lost:
-            callback(error)
-        self._wait_for_pilot(aircraft)
+        try:
+            call_each(self.on_lost, error)
+        finally:
+            self._wait_for_pilot(aircraft)
 
     def _tell_mission(self, why: str, *, is_seen: bool = True) -> None:
         """Tell whoever has to see it that a loss of control broke a mission off, if it did."""

@@ -15,6 +15,7 @@ from m100link.aircraft.supervising import (
     SupervisionEvent,
     SupervisionState,
 )
+from m100link.apps.agent.background import call_each, goes_on
 from m100link.apps.agent.messages import Journal
 from m100link.errors import LinkError, M100Error
 from m100link.protocol.commands.activation import Version
@@ -70,16 +71,20 @@ class AircraftConnection:
 
     async def keep(self) -> None:
         while True:
-            try:
-                async with self._supervised as one, asyncio.TaskGroup() as group:
-                    passing = group.create_task(self._pass_on(one))
-                    await self._follow(one)
-                    passing.cancel()
-            finally:
-                if self.aircraft is not None:
-                    self._lose(None)
+            with goes_on("the connection"):
+                await self._keep_one()
             await asyncio.sleep(RECONNECT_PAUSE)
             self._supervised = self._new()
+
+    async def _keep_one(self) -> None:
+        try:
+            async with self._supervised as one, asyncio.TaskGroup() as group:
+                passing = group.create_task(self._pass_on(one))
+                await self._follow(one)
+                passing.cancel()
+        finally:
+            if self.aircraft is not None:
+                self._lose(None)
 
     async def _follow(self, one: Supervised) -> None:
         """Tell what happens to the connection, until it ends for good."""
@@ -106,8 +111,8 @@ class AircraftConnection:
         try:
             async for sample in one.telemetry(policy=Newest(50)):
                 if isinstance(sample, Sample):  # a gap is told by the events, and so is the end
-                    for callback in self.on_sample:
-                        callback(sample)
+                    with goes_on("the telling of telemetry"):
+                        call_each(self.on_sample, sample)
         except M100Error:
             return
 
@@ -126,8 +131,8 @@ class AircraftConnection:
         self._tell()
 
     def _tell(self) -> None:
-        for callback in self.on_aircraft:
-            callback(self.aircraft)
+        with goes_on("the telling of the connection"):
+            call_each(self.on_aircraft, self.aircraft)
 
     def require_aircraft(self) -> Aircraft:
         """The aircraft. Raises LinkError: it is not connected; the error says why."""

@@ -180,8 +180,8 @@ class ActiveMission:
         """Stop it, and do not wait for the answer: leaving its block sends the stop."""
         if self._watch is not None:
             self._ended_because = why
-            self._journal.note(f"the mission is stopped: {why}")
             self._watch.cancel()
+            self._journal.note(f"the mission is stopped: {why}")
 
     async def stop(self) -> None:
         """Stop it, also while it begins; done when something else may fly.

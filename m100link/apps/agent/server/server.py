@@ -9,6 +9,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from m100link.aircraft import Aircraft
+from m100link.apps.agent.background import call_each, goes_on
 from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseRefused, TakeOver
 from m100link.apps.agent.messages import (
     LEVELS,
@@ -89,8 +90,7 @@ class AgentServer:
     # -- what fronts are told --------------------------------------------------------------------
 
     def _tell(self, message: Message) -> None:
-        for front in tuple(self._fronts):
-            front.tell(message)
+        call_each([front.tell for front in self._fronts], message)
 
     def _sample(self, sample: Sample) -> None:
         self._tell_state()
@@ -136,12 +136,13 @@ class AgentServer:
         while True:
             due = self._agent.now + STATE_INTERVAL
             await asyncio.sleep(STATE_INTERVAL)
-            lags.append(max(0.0, self._agent.now - due))
-            self._told = ()
-            self._tell_state()
-            if len(lags) * STATE_INTERVAL >= 1.0:
-                self._tell_counters(max(lags))
-                lags.clear()
+            with goes_on("the telling of the state"):
+                lags.append(max(0.0, self._agent.now - due))
+                self._told = ()
+                self._tell_state()
+                if len(lags) * STATE_INTERVAL >= 1.0:
+                    self._tell_counters(max(lags))
+                    lags.clear()
 
     def _tell_counters(self, lag: float) -> None:
         aircraft = self._agent.connection.aircraft

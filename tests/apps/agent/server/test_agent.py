@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from random import Random
+from types import FrameType
+
 import anyio
 import pytest
 
 from m100link.aircraft import Aircraft
 from m100link.apps.agent import orders
+from m100link.apps.agent.background import ignore
 from m100link.apps.agent.lease import LeaseChange, LeaseRefused
 from m100link.apps.agent.orders import ChangeHeight
 from m100link.apps.agent.server.authority import HoldingState
@@ -17,6 +26,7 @@ from m100link.protocol.commands.gimbal import GimbalAngle
 from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.agent.conftest import Rig, airborne, guided
+from tests.rig import put_in_the_air
 
 pytestmark = pytest.mark.anyio
 
@@ -338,3 +348,65 @@ async def test_an_activation_that_fails_is_noted(rig: Rig, monkeypatch: pytest.M
         await rig.agent.ask(orders.Activate(), rig.token)
     last = list(rig.agent.journal.events)[-1]
     assert (last.text, last.level) == (f"activation failed: {caught.value.seen}", "error")
+
+
+_ROOMS = re.compile(r"m100link/(apps/agent|flight)/")
+
+
+@contextmanager
+def no_memory_at(number: int) -> Iterator[None]:
+    """The call of that number in the agent, or in what flies, finds no memory."""
+    left, before = number, sys.gettrace()
+
+    def trace(frame: FrameType, event: str, _: object) -> None:
+        nonlocal left
+        code = frame.f_code
+        is_ours = event == "call" and _ROOMS.search(code.co_filename)
+        if is_ours and code.co_name != "__del__":
+            left -= 1
+            if left < 0:
+                sys.settrace(before)
+                raise MemoryError(f"call {number}")
+
+    sys.settrace(trace)
+    try:
+        yield
+    finally:
+        sys.settrace(before)
+
+
+@pytest.mark.parametrize("end", ["release", "silence", "stop"])
+async def test_no_memory_as_a_flight_ends_lets_nothing_fly_on(
+    rig: Rig, end: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Seeded: one call of the end of a lease, or of a STOP, fails; a program flies until then."""
+    agent, holding, draw = rig.agent, rig.holding, Random(31)
+    # What fails in a callback of the loop is its own to tell.
+    monkeypatch.setattr(asyncio.get_running_loop(), "_exception_handler", ignore)
+    rig.renewing.cancel()
+    agent.desk.release(rig.token, agent.now)
+    put_in_the_air(rig.aircraft)
+    numbers = [*range(1, 14, 2), *draw.sample(range(14, 120), 4)]
+    for number in numbers:
+        await rig.until(lambda: agent.connection.aircraft is not None)
+        token = agent.desk.acquire("client", agent.now).token
+        await agent.ask(orders.Obtain(), token)
+        await agent.ask(orders.FlyPattern(1), token)
+        await anyio.sleep(0.2)
+        if end == "silence":
+            await anyio.sleep(agent.desk.remaining(agent.now) - 0.05)
+        with no_memory_at(number), suppress(MemoryError):
+            if end == "release":
+                agent.desk.release(token, agent.now)
+            elif end == "stop":
+                await agent.stop()
+            await anyio.sleep(0.2)
+        await anyio.sleep(0.5)
+        if end == "stop":
+            assert holding.pattern is None, number
+            last = list(rig.aircraft.autopilot.received_movements)[-1]
+            assert last.roll_or_x == 0.0 or not holding.has_authority, number
+        # Where the very call that ends the lease failed, nobody renews it any more.
+        await anyio.sleep(agent.desk.remaining(agent.now) + 0.5)
+        assert holding.pattern is None, number
+        assert holding.state is HoldingState.NONE, number
