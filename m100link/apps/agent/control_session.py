@@ -160,6 +160,9 @@ class ControlSession:
         # One request for control, or its end, at a time: they would cross.
         self._changing = asyncio.Lock()
         self._let_gos = 0  # what was asked for before the newest one is not wanted any more
+        #: When the newest STOP was heard of, s of the client's clock: what was wanted before it is
+        #: not wanted any more, and letting go before it says nothing of it.
+        self.stopped_at = -math.inf
         self._renewed_at = self._used_at = agent.now
         self._heard: list[tuple[list[Any], Callable[..., None]]] = [
             (agent.on_lease, self._lease_changed),
@@ -267,13 +270,16 @@ class ControlSession:
     # -- control is taken ------------------------------------------------------------------------
 
     @asynccontextmanager
-    async def _request(self) -> AsyncIterator[None]:
-        """One request at a time; a request that waits for another ends by :meth:`let_go`, too."""
-        began = self._let_gos
+    async def _request(self) -> AsyncIterator[float]:
+        """One request at a time; a request that waits for another ends by :meth:`let_go`, too.
+
+        Yields when the newest STOP before it was.
+        """
+        began, stopped_at = self._let_gos, self.stopped_at
         async with self._changing:
             if began != self._let_gos or not self._heard:
                 raise self._not_wanted()
-            yield
+            yield stopped_at
 
     async def take(self, grant: Grant | None = None, *, take_over: bool = False) -> Lease:
         """Take the lease, if it is not held already: from its holder, too, where ``take_over``.
@@ -338,15 +344,21 @@ class ControlSession:
             NoAuthority: Control was let go before it was obtained.
             M100Error: As :meth:`m100link.apps.agent.client.AgentClient.ask`.
         """
-        async with self._request():
-            await self._obtain(self.lease or await self._take(partial(self._granted, take_over)))
+        async with self._request() as stopped_at:
+            lease = self.lease or await self._take(partial(self._granted, take_over))
+            await self._obtain(lease, stopped_at)
 
-    async def _obtain(self, lease: Lease) -> None:
+    async def _obtain(self, lease: Lease, stopped_at: float) -> None:
         try:
             if self._terms.activates and not self._agent.state.is_activated:
                 self.feed(_I.ACTIVATE)
                 await self._agent.ask(orders.Activate(), lease)
                 self._require(lease)
+            if stopped_at != self.stopped_at:
+                raise NoAuthority(
+                    "STOP was pressed while control was asked for; nothing was sent",
+                    remedy="take control again",
+                )
             self.feed(_I.OBTAIN)
             await self._agent.ask(orders.Obtain(), lease)
             self._require(lease)
@@ -379,8 +391,9 @@ class ControlSession:
             LeaseRefused: There is nothing to confirm any more.
             M100Error: As :meth:`obtain`.
         """
-        async with self._request():
-            await self._obtain(await self._take(partial(self._agent.confirm, wanted.token)))
+        async with self._request() as stopped_at:
+            lease = await self._take(partial(self._agent.confirm, wanted.token))
+            await self._obtain(lease, stopped_at)
 
     def adopt(self, lease: Lease) -> None:
         """Hold a lease that was granted to this pilot."""
@@ -519,11 +532,18 @@ class ControlSession:
         self.feed(_I.STOP)
         await self._agent.stop()
 
-    def begin_anew(self, why: str = "") -> None:
-        """The pilot let go of everything: motion stops, and a STOP is over. Needs the lease."""
+    def begin_anew(self, why: str = "", at: float = math.inf) -> bool:
+        """The pilot let go of everything: motion stops, and a STOP is over. Needs the lease.
+
+        ``at``: when at the earliest, s of the client's clock. A STOP since then stands: returns
+        whether none does.
+        """
+        is_anew = at >= self.stopped_at
         if (lease := self.lease) is not None:
-            self.feed(_I.BEGUN_ANEW)
-            self._agent.halt(why, lease)
+            if is_anew:
+                self.feed(_I.BEGUN_ANEW)
+            self._agent.halt(why, lease if is_anew else None)
+        return is_anew
 
     # -- what others do --------------------------------------------------------------------------
 
@@ -559,6 +579,7 @@ class ControlSession:
 
     def _event(self, event: Event) -> None:
         if event.topic is EventTopic.STOPPED:
+            self.stopped_at = self._agent.now
             self.feed(_I.STOP)
 
     def _steer_refused(self, fence: int, error: M100Error) -> None:

@@ -245,6 +245,44 @@ async def test_stop_while_control_is_obtained_stands(pilots: Pilots, turns: int)
     assert len(refused) == 1
 
 
+@pytest.mark.parametrize("state", [S.ASKING, S.LEASED])
+async def test_control_that_was_asked_for_before_a_stop_is_not_obtained(
+    pilots: Pilots, state: ControlState
+) -> None:
+    one, agent = session(pilots), pilots.rig.agent
+    stop = partial(agent.journal.note, "stop", topic=Topic.STOPPED)
+    one.on_change = lambda now: stop() if now is state else None
+    with pytest.raises(NoAuthority, match="STOP was pressed while control was asked for"):
+        await one.obtain()
+    await anyio.sleep(0.5)
+    assert at(one) is S.ABSENT
+    assert agent.desk.holder(agent.now) is None
+    assert not agent.holding.has_authority
+    one.on_change = lambda _: None
+    await one.obtain()  # asked for after it
+    assert at(one) is S.HOLDING
+
+
+async def test_who_let_go_before_a_stop_does_not_undo_it(pilots: Pilots) -> None:
+    one, client = session(pilots), pilots.clients[0]
+    await one.obtain()
+    await anyio.sleep(1.0)
+    let_go_at = client.now
+    await anyio.sleep(0.1)
+    await pilots.clients[1].stop()
+    refused: list[M100Error] = []
+    one.on_refused = refused.append
+    assert not one.begin_anew(at=let_go_at)
+    assert at(one) is S.STOPPED
+    one.steer(NORTH)
+    await anyio.sleep(0.1)
+    assert "STOP was pressed" in refused[0].seen
+    assert one.begin_anew(at=client.now)
+    one.steer(NORTH)
+    await anyio.sleep(0.1)
+    assert len(refused) == 1
+
+
 @pytest.mark.parametrize("begins_anew", [False, True])
 async def test_stop_while_control_is_obtained_in_vain(pilots: Pilots, begins_anew: bool) -> None:
     one, other, rig = session(pilots), pilots.clients[1], pilots.rig

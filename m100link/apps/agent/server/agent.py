@@ -284,7 +284,7 @@ class Agent:
                 f"{self._begin_anew}; setpoints that go on are not flown",
                 guard="stopped",
                 cause="whoever sends them has not begun anew since",
-                remedy="let go of the sticks, or ask for control once more",
+                remedy="ask for control once more; at a page letting go of the keys is enough",
             )
         self.connection.require_aircraft()  # which says why control is over, if the line is lost
         self.holding.require().steer(setpoint, lifetime)

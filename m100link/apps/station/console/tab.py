@@ -150,12 +150,15 @@ class Tab:
 
         ``said_at``: the page's time at the press, ms.
 
-        Raises ``GuardRefused``: it waited on its way for more than 2 s.
+        Raises ``GuardRefused``: it waited on its way for more than 2 s, or a STOP overtook it.
         """
         at = said_at / 1000.0 if _is_number(said_at) else math.inf
-        late = self.way.oldest(at, self._agent.now)
-        if late > MAX_ORDER_LATE:
-            waited = f"was {late:.0f} s on its way" if late < math.inf else "has no time"
+        now = self._agent.now
+        late = self.way.oldest(at, now)
+        if late > MAX_ORDER_LATE or now - late < self.session.stopped_at:
+            waited = f"was {late:.1f} s on its way" if late < math.inf else "has no time"
+            if late <= MAX_ORDER_LATE:
+                waited += ", and STOP came first"
             # A page that is loaded anew when the network is back does not show the problem.
             self._agent.note(
                 f"{self.session.name}: a pressed button {waited}; nothing was done", "warning"
@@ -201,12 +204,20 @@ class Tab:
         elif session.has_lease:
             if message["op"] == "rest":
                 self._press = Press()
-                self._has_to_let_go, self._late_since = "", None
-                session.begin_anew()
+                self._let_go(message)
             session.heard()
         return answer | {"told": now}
 
-    def _heard_beat(self, at: float) -> None:
+    def _let_go(self, message: dict[str, Any]) -> None:
+        """The hand let go of everything, unless a STOP came after that.
+
+        The message may have waited on its way: its page let go after the time of the station that
+        it had heard then.
+        """
+        if self.session.begin_anew(at=message.get("told", -math.inf)):
+            self._has_to_let_go, self._late_since = "", None
+
+    def _heard_beat(self, message: dict[str, Any], at: float) -> None:
         """After a gap of the page's own a beat is a new press.
 
         ``at``: when the beat was sent, s of the page's clock: beats that wait on their way leave a
@@ -214,8 +225,9 @@ class Tab:
         """
         if at - self._beat_at > SPENT_AFTER:
             if self.session.state is ControlState.STOPPED:
-                self.session.begin_anew()
-            self._has_to_let_go, self._late_since = "", None
+                self._let_go(message)
+            else:
+                self._has_to_let_go, self._late_since = "", None
 
     def _check(self, at: float, late: float, held: float) -> None:
         """Refuse what was decided too long ago, by an old picture, or by a hand that has to let go.
@@ -263,7 +275,7 @@ class Tab:
     ) -> None:
         self.refusal = None
         try:
-            self._heard_beat(at)
+            self._heard_beat(message, at)
             self._check(at, late, held)
             setpoint = setpoint_of(
                 message["mode"], message["x"], message["y"], message["z"], message["w"]

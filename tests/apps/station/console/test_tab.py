@@ -591,6 +591,47 @@ async def test_beats_that_were_held_up_after_stop_do_not_count_as_let_go(rig: Ri
     assert rig.moves[-1].pitch_or_y
 
 
+@pytest.mark.parametrize("how", ["lets go", "pauses"])
+async def test_what_a_page_said_before_stop_does_not_undo_it(rig: Rig, how: str) -> None:
+    """A network holds it up for half a second, in which somebody else presses STOP."""
+    flying = await airborne(rig)
+    await flying.hold(0.5, x=-1)
+    if how == "lets go":
+        sent = [flying.message("rest")]
+    else:
+        sent = []
+        flying.say("rest")
+        for _ in range(3):
+            await anyio.sleep(0.4)
+            flying.say("alive")
+    for step in range(10):  # pressed anew, and held
+        sent.append(flying.message("beat", mode=1, x=-1, y=0, z=0, w=0))
+        if step == 8:
+            await Browser(rig, "other").tab.stop()
+            before = len(rig.moves)
+        await anyio.sleep(0.05)
+    for message in sent:
+        flying.hear(flying.tab.receive(message))
+    await flying.hold(1.0, x=-1)
+    assert not any(move.pitch_or_y for move in rig.moves[before:])
+    assert "STOP was pressed" in flying.problem
+    flying.say("rest")
+    await flying.hold(0.5, x=-1)
+    assert rig.moves[-1].pitch_or_y
+
+
+async def test_a_button_that_was_pressed_before_stop_and_came_after_it_is_refused(rig: Rig) -> None:
+    browser = Browser(rig)
+    browser.say("alive")
+    said_at = 1000 * rig.agent.now
+    await anyio.sleep(0.3)
+    await rig.agent.stop()
+    await anyio.sleep(0.3)
+    with pytest.raises(GuardRefused, match=r"0\.7 s on its way, and STOP came first"):
+        browser.tab.check_order(said_at)
+    browser.tab.check_order(1000 * rig.agent.now)
+
+
 async def test_stop_is_heard_from_a_page_that_is_slow(rig: Rig) -> None:
     browser = await airborne(rig)
     await browser.hold(1.0, x=-8)
