@@ -23,7 +23,7 @@ from typing import TypeVar
 import m100link
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.messages import Event, MessageError, Telemetry
+from m100link.apps.agent.messages import Event, MessageError, Telemetry, Topic
 from m100link.apps.agent.orders import Age, Right
 from m100link.apps.agent.view import Hearing
 from m100link.apps.bus.network import Bus, Held, Question
@@ -197,6 +197,8 @@ class FleetAgent:
     # -- what is told ----------------------------------------------------------------------------
 
     def _on_event(self, event: Event) -> None:
+        if event.topic in (Topic.STOPPED, Topic.HALTED):
+            self._ages.revoke(self.client.now)  # whoever asked for it, at the station, too
         self._event.put(pack(event))
 
     def _on_sample(self, sample: Sample) -> None:

@@ -7,13 +7,14 @@ comes under the lease in force, and with the proof of it.
 from __future__ import annotations
 
 import asyncio
+import math
 from dataclasses import dataclass, field
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.lease import Flown, Lease
-from m100link.apps.agent.messages import MessageError, RemoteError, fault_of
+from m100link.apps.agent.messages import Event, MessageError, RemoteError, Topic, fault_of
 from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.missions.manager import MissionManager
 from m100link.apps.fleet.order_log import Ledger
@@ -60,7 +61,13 @@ class OrderService:
         self._descends_by: orders.Order = orders.Land()
         # Orders under a lease that have begun: the aircraft may be about to leave the ground.
         self._underway = 0
+        self._stopped_at = -math.inf  # when STOP was pressed last, by whomever, s
         client.on_lease.append(lambda _: self._forget())
+        client.on_event.append(self._event)
+
+    def _event(self, event: Event) -> None:
+        if event.topic is Topic.STOPPED:
+            self._stopped_at = self._client.now
 
     def _forget(self) -> None:
         """Leases that have ended are of no use, nor is why a setpoint under one was not flown."""
@@ -112,7 +119,10 @@ class OrderService:
             case orders.Stop():
                 await client.stop()
             case orders.Halt():
-                client.halt(asked.why or f"{order.by}: hover", self._lease_if_any(order))
+                # Under its lease it begins anew after STOP, but not after one since it was made.
+                is_anew = order.clock >= self._stopped_at
+                why = asked.why or f"{order.by}: hover"
+                client.halt(why, self._lease_if_any(order) if is_anew else None)
             case orders.Land() if not order.fence:
                 await self.descend(asked, f"landing for {order.by}", signer=order.signer)
             case orders.UploadPlan():

@@ -11,9 +11,11 @@ import anyio
 import pytest
 
 from m100link.apps.agent import orders
+from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import Event, Steer, Telemetry
 from m100link.apps.agent.orders import FlyTo
+from m100link.apps.agent.transports import memory_channels
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.expiry import Dropped
 from m100link.apps.fleet.keys import Keys
@@ -276,7 +278,10 @@ async def far_away(rig: Rig) -> FlyTo:
     return FlyTo(latitude_deg=latitude, longitude_deg=longitude, height=3.0, speed=5.0)
 
 
-@pytest.mark.parametrize("revoked_by", [orders.Stop(), orders.Halt(), "its asker", "time"])
+@pytest.mark.parametrize(
+    "revoked_by",
+    [orders.Stop(), orders.Halt(), "its asker", "time", "STOP at the station", "hover there"],
+)
 async def test_an_order_that_was_overtaken_is_not_carried_out(
     rig: Rig, revoked_by: orders.Order | str
 ) -> None:
@@ -289,8 +294,13 @@ async def test_an_order_that_was_overtaken_is_not_carried_out(
         assert (await send(rig, order(revoked_by))).outcome is Outcome.OK
     elif revoked_by == "its asker":
         assert (await send(rig, order(orders.Obtain(), got.number, got.token))).number == 0
-    else:
+    elif revoked_by == "time":
         await anyio.sleep(5.0)
+    else:
+        ours, its = memory_channels(as_bytes=True)
+        one.service.attach(its)
+        async with AgentClient(ours, "a page of the station") as page:
+            page.halt("hover") if revoked_by == "hover there" else await page.stop()
     reply = await send(rig, late)
     assert reply.outcome is Outcome.REFUSED
     assert reply.fault is not None
@@ -302,6 +312,22 @@ async def test_an_order_that_was_overtaken_is_not_carried_out(
     await rig.network.session().ask(KEYS.command, pack(again), timeout=2.0)
     await anyio.sleep(2.0)
     assert one.speed > 1.0, "what is asked for now flies"
+
+
+@pytest.mark.parametrize("is_late", [True, False])
+async def test_who_let_go_before_a_stop_does_not_begin_anew_by_that(
+    rig: Rig, is_late: bool
+) -> None:
+    one = await rig.aircraft("a1")
+    got = await in_the_air(rig, one)
+    let_go = order(orders.Halt(), got.number, got.token)
+    await anyio.sleep(0.2)
+    await one.agent.stop()
+    if not is_late:
+        let_go = order(orders.Halt(), got.number, got.token)
+    assert (await send(rig, let_go)).outcome is Outcome.OK
+    await fly(one, got, 2.0)
+    assert (one.speed < 0.3) is is_late
 
 
 async def test_a_landing_that_nobody_waits_for_is_not_begun_but_any_stop_is_done(rig: Rig) -> None:
