@@ -215,7 +215,7 @@ class FileOrderLog:
     async def _write(self, *contents: dict[str, Any]) -> None:
         try:
             told = await asyncio.to_thread(self._keep, *contents)
-        except OSError as error:
+        except (OSError, RuntimeError, MemoryError) as error:  # the second: no thread is left
             raise _failed(self._path, error) from error
         if told:
             self.tell(told)
@@ -325,9 +325,9 @@ def _up_of(kept: dict[str, object], boot: str) -> float | None:
     return float(up)
 
 
-def _failed(path: Path, error: OSError) -> UsageError:
+def _failed(path: Path, error: Exception) -> UsageError:
     return UsageError(
-        f"{path}: {error.strerror or error}",
+        f"{path}: {getattr(error, 'strerror', None) or str(error) or type(error).__name__}",
         cause="without it an order could be carried out twice after the agent was killed",
         remedy="let it be written, or name another folder by --ledger",
     )

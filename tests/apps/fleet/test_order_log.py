@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import os
 from pathlib import Path
@@ -356,6 +357,25 @@ async def test_no_file_is_left_behind_by_a_disk_without_room(
     monkeypatch.undo()
     with os.scandir(tmp_path) as entries:
         assert [one.name for one in entries] == ["a1.lock"]
+    await ledger.begin("three")
+    ledger.close()
+
+
+@pytest.mark.parametrize("error", [RuntimeError("can't start new thread"), MemoryError()])
+async def test_a_computer_without_threads_or_memory_is_told_as_a_disk_without_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    """The agent on board would end by it, in the air: it keeps who flies in a loop."""
+    ledger = await full(tmp_path / "a1.jsonl")
+
+    async def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(asyncio, "to_thread", fail)
+    for keep in (ledger.begin("two"), ledger.flies(17), ledger.granted(10**6)):
+        with pytest.raises(UsageError, match="can't start new thread|MemoryError"):
+            await keep
+    monkeypatch.undo()
     await ledger.begin("three")
     ledger.close()
 
