@@ -285,17 +285,19 @@ class AgentClient:
         order: orders.Order,
         lease: Lease | None = None,
         accepted: Callable[[], None] | None = None,
+        asked_at: float | None = None,
     ) -> OrderOutcome:
         """Ask for something to be done, and wait for what becomes of it.
 
-        ``accepted`` is called when the aircraft has begun, where it takes a while.
+        ``accepted`` is called when the aircraft has begun, where it takes a while. ``asked_at``:
+        when it was wanted, s, if not now: a STOP since then overtakes it.
 
         Raises:
             M100Error: What the agent tells; see :meth:`m100link.apps.agent.server.agent.Agent.ask`.
             LinkError: It has gone.
         """
         fence = lease.number if lease is not None else 0
-        return await self._answers.question(order, fence, accepted)
+        return await self._answers.question(order, fence, accepted, asked_at or self._clock())
 
     # -- telemetry -------------------------------------------------------------------------------
 
@@ -355,7 +357,8 @@ class AgentClient:
 
     def halt(self, why: str = "", lease: Lease | None = None) -> None:
         """Stop moving; anybody may. With the lease: it was let go, which begins anew after STOP."""
-        self._channel.send(Ask(0, orders.Halt(why), lease.number if lease else 0))
+        fence = lease.number if lease else 0
+        self._channel.send(Ask(0, orders.Halt(why), fence, self._clock()))
 
     async def stop(self) -> None:
         """Stop whatever happens: motion, program, and the task that the aircraft flies."""
@@ -384,7 +387,11 @@ class PendingRequests:
         self.gone: str | None = None
 
     async def question(
-        self, order: orders.Order, fence: int, accepted: Callable[[], None] | None
+        self,
+        order: orders.Order,
+        fence: int,
+        accepted: Callable[[], None] | None,
+        asked_at: float = 0.0,
     ) -> OrderOutcome:
         """Ask for something, and wait for the answer.
 
@@ -400,7 +407,7 @@ class PendingRequests:
         answer: asyncio.Future[OrderOutcome] = self._create_future()
         self._waiting[number] = answer, accepted
         try:
-            self._send(Ask(number, order, fence))
+            self._send(Ask(number, order, fence, asked_at))
             return await answer
         finally:
             self._waiting.pop(number, None)

@@ -270,16 +270,16 @@ class ControlSession:
     # -- control is taken ------------------------------------------------------------------------
 
     @asynccontextmanager
-    async def _request(self) -> AsyncIterator[float]:
+    async def _request(self) -> AsyncIterator[tuple[float, float]]:
         """One request at a time; a request that waits for another ends by :meth:`let_go`, too.
 
-        Yields when the newest STOP before it was.
+        Yields when it was made, and when the newest STOP before it was.
         """
-        began, stopped_at = self._let_gos, self.stopped_at
+        began, made_at = self._let_gos, (self._agent.now, self.stopped_at)
         async with self._changing:
             if began != self._let_gos or not self._heard:
                 raise self._not_wanted()
-            yield stopped_at
+            yield made_at
 
     async def take(self, grant: Grant | None = None, *, take_over: bool = False) -> Lease:
         """Take the lease, if it is not held already: from its holder, too, where ``take_over``.
@@ -344,11 +344,11 @@ class ControlSession:
             NoAuthority: Control was let go before it was obtained.
             M100Error: As :meth:`m100link.apps.agent.client.AgentClient.ask`.
         """
-        async with self._request() as stopped_at:
+        async with self._request() as made_at:
             lease = self.lease or await self._take(partial(self._granted, take_over))
-            await self._obtain(lease, stopped_at)
+            await self._obtain(lease, *made_at)
 
-    async def _obtain(self, lease: Lease, stopped_at: float) -> None:
+    async def _obtain(self, lease: Lease, asked_at: float, stopped_at: float) -> None:
         try:
             if self._terms.activates and not self._agent.state.is_activated:
                 self.feed(_I.ACTIVATE)
@@ -360,7 +360,7 @@ class ControlSession:
                     remedy="take control again",
                 )
             self.feed(_I.OBTAIN)
-            await self._agent.ask(orders.Obtain(), lease)
+            await self._agent.ask(orders.Obtain(), lease, asked_at=asked_at)
             self._require(lease)
             self.feed(_I.OBEYED)
         except BaseException as error:
@@ -391,9 +391,9 @@ class ControlSession:
             LeaseRefused: There is nothing to confirm any more.
             M100Error: As :meth:`obtain`.
         """
-        async with self._request() as stopped_at:
+        async with self._request() as made_at:
             lease = await self._take(partial(self._agent.confirm, wanted.token))
-            await self._obtain(lease, stopped_at)
+            await self._obtain(lease, *made_at)
 
     def adopt(self, lease: Lease) -> None:
         """Hold a lease that was granted to this pilot."""

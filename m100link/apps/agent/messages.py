@@ -252,6 +252,7 @@ class Ask:
     id: int  #: comes back in each outcome; 0 asks for none
     order: Order  #: what is to be done
     fence: int = 0  #: number of the lease it is asked under; 0 for none
+    sent_at: float = 0.0  #: when it was asked, by the front's clock, s; 0 where nobody says
 
 
 @dataclass(frozen=True, slots=True)

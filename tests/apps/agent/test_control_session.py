@@ -263,6 +263,26 @@ async def test_control_that_was_asked_for_before_a_stop_is_not_obtained(
     assert at(one) is S.HOLDING
 
 
+async def test_a_request_that_a_stop_overtook_is_refused_where_its_front_hears_of_none(
+    pilots: Pilots,
+) -> None:
+    """Drawn (seed 1002): its front stands still, and takes its last step after the STOP."""
+    one, client = session(pilots), pilots.clients[0]
+    client.on_event.clear()
+
+    async def slow() -> Lease:
+        await anyio.sleep(1.0)
+        return await client.acquire("first")
+
+    asked = [asyncio.create_task(one.take(slow)), asyncio.create_task(one.obtain())]
+    await anyio.sleep(0.5)
+    await pilots.clients[1].stop()
+    _, end = await asyncio.gather(*asked, return_exceptions=True)
+    assert isinstance(end, GuardRefused)
+    assert end.seen == "STOP was pressed after obtain was asked for; nothing was sent"
+    assert at(one) is S.ABSENT
+
+
 async def test_who_let_go_before_a_stop_does_not_undo_it(pilots: Pilots) -> None:
     one, client = session(pilots), pilots.clients[0]
     await one.obtain()
@@ -1072,7 +1092,8 @@ async def test_a_stop_stands_before_anybody_answers_and_goes_out_from_each_pilot
         await stopping
         pilot.one.begin_anew("released")
         halt = pilot.agent.heard[-1]
-        assert halt == Ask(0, orders.Halt("released"), 7)
+        assert isinstance(halt, Ask)
+        assert (halt.id, halt.order, halt.fence) == (0, orders.Halt("released"), 7)
         assert pilot.states[-1:] == [S.HOLDING]
 
 

@@ -373,7 +373,7 @@ async def test_a_computer_without_threads_or_memory_is_told_as_a_disk_without_ro
 
     monkeypatch.setattr(asyncio, "to_thread", fail)
     for keep in (ledger.begin("two"), ledger.flies(17), ledger.granted(10**6)):
-        with pytest.raises(UsageError, match="can't start new thread|MemoryError"):
+        with pytest.raises(UsageError, match=r"can't start new thread|MemoryError"):
             await keep
     monkeypatch.undo()
     await ledger.begin("three")

@@ -8,6 +8,7 @@ control authority goes back.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple, Self
@@ -46,6 +47,8 @@ _LONGEST_STEP = 0.3
 
 _LOST_MEANWHILE = "control was lost meanwhile"
 _PAUSE_S = 1.0  # without a setpoint; the next one is a new wish, though not after STOP
+
+_ENDS = (orders.Release, orders.StopMission)  # under a lease, and move nothing
 
 _LOST = (LeaseChange.EXPIRED, LeaseChange.FRONT_LOST)
 """How a lease ends when nobody wanted it to."""
@@ -108,6 +111,7 @@ class Agent:
         self._unclaimed: asyncio.TimerHandle | None = None
         # Why no stream of setpoints flies on: its sender has to begin anew. Empty: it may.
         self._begin_anew, self._steered_at = "", 0.0
+        self._stopped_at = -math.inf  # when STOP came last, s
         self.holding.on_lost.append(self._authority_lost)
         #: Called after each change with the reason, the lease in force, or None, and what was
         #: flown for the one before.
@@ -224,13 +228,28 @@ class Agent:
         answer: Answer = doing if order.is_at_once else await doing
         return answer
 
-    def begin(self, order: Order, token: str, accepted: Callable[[], None]) -> Any:
-        """Begin as :meth:`ask`: returns the answer of what is done at once, else what to await."""
+    def begin(
+        self, order: Order, token: str, accepted: Callable[[], None], at: float = math.inf
+    ) -> Any:
+        """Begin as :meth:`ask`: returns the answer of what is done at once, else what to await.
+
+        ``at``: when it was asked, s. What a STOP has overtaken moves nothing, and undoes no STOP.
+        """
+        is_overtaken = at < self._stopped_at
+        if is_overtaken and order.moves and not isinstance(order, _ENDS):
+            raise GuardRefused(
+                f"STOP was pressed after {order.label} was asked for; nothing was sent",
+                guard="stopped",
+                cause="the front, the agent, or the computer stood still meanwhile",
+                remedy="look at the aircraft, and ask anew",
+            )
         if order.needs is Needs.LEASE_IF_HELD:
             if self.leases.holder(self.now) is not None:
                 self.leases.check(token, self.now)
         elif order.needs is not Needs.NOTHING:
             self.leases.renew(token, self.now)
+        if is_overtaken and isinstance(order, orders.Halt):
+            token = ""  # it begins nothing anew
         return HANDLERS[type(order)](OrderContext(self, token, accepted), order)
 
     def upload(self, plan: PlanChanged) -> None:
@@ -319,6 +338,7 @@ class Agent:
         """
         self._begin_anew = "STOP was pressed"
         try:
+            self._stopped_at = self.now
             self.journal.note("stop", topic=EventTopic.STOPPED)
             flying = self.holding.flying
             is_in_task = flying is not None and flying.is_in_task

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any
 
 from m100link.aircraft import Aircraft
@@ -383,7 +385,8 @@ class ClientSession:
 
     def _begin(self, ask: Ask) -> Any:
         token = self._tokens.get(ask.fence, "")
-        return self._agent.begin(ask.order, token, lambda: self._answer(ask, Stage.ACCEPTED))
+        accepted = partial(self._answer, ask, Stage.ACCEPTED)
+        return self._agent.begin(ask.order, token, accepted, ask.sent_at or math.inf)
 
     def _answer(
         self, ask: Ask, stage: Stage, error: M100Error | None = None, answer: Answer = None

@@ -141,6 +141,27 @@ async def test_after_stop_a_stream_of_setpoints_is_refused_until_it_begins_anew(
         assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x > 0.0
 
 
+async def test_what_was_asked_before_a_stop_and_comes_after_it_moves_nothing(rig: Rig) -> None:
+    """The agent stood still, and reads the ways of its fronts in any order then."""
+    await airborne(rig)
+    agent, asked_at = rig.agent, rig.agent.now
+    await anyio.sleep(0.1)
+    await agent.stop()
+    for order in (orders.Obtain(), orders.FlyPattern(1), ChangeHeight(5.0), orders.AcquireLease()):
+        with pytest.raises(GuardRefused, match=f"STOP was pressed after {order.label} was asked"):
+            agent.begin(order, rig.token, ignore, asked_at)
+    agent.begin(orders.Halt(), rig.token, ignore, asked_at)
+    with pytest.raises(GuardRefused, match="STOP was pressed"):
+        agent.steer(rig.token, NORTH)
+    agent.begin(orders.RenewLease(rig.token), "", ignore, asked_at)
+    await agent.begin(orders.Land(), rig.token, ignore, asked_at)
+    assert rig.aircraft.height < 0.1
+    await agent.begin(orders.Release(), rig.token, ignore, asked_at)
+    assert not rig.holding.has_authority
+    await agent.begin(orders.Obtain(), rig.token, ignore, agent.now)
+    assert rig.holding.has_authority
+
+
 @pytest.mark.parametrize("pauses", [True, False])
 async def test_a_stream_does_not_go_on_after_the_pilot_gave_the_aircraft_back(
     rig: Rig, pauses: bool
