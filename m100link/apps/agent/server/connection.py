@@ -73,6 +73,8 @@ class AircraftConnection:
         while True:
             with goes_on("the connection"):
                 await self._keep_one()
+            if (task := asyncio.current_task()) is not None and task.cancelling():
+                return  # an error on the way out took the place of the cancellation
             await asyncio.sleep(RECONNECT_PAUSE)
             self._supervised = self._new()
 

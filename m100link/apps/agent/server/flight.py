@@ -156,7 +156,11 @@ class ActiveFlight:
         except asyncio.CancelledError:
             if work.cancelled():
                 # Not NoAuthority, which says that nothing was sent.
-                raise NotObserved(f"{name}: control ended before it was seen to end") from None
+                raise NotObserved(
+                    f"{name}: control ended before it was seen to end",
+                    cause="the lease ended, STOP was pressed, or control was given back or lost",
+                    remedy="look at the aircraft: it may go on with what it had begun",
+                ) from None
             raise
 
     def _make_room(self, name: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -147,3 +148,22 @@ async def test_a_fault_of_a_callback_is_logged_and_costs_no_connection(
     keeping.cancel()
     await asyncio.gather(keeping, return_exceptions=True)
     assert not any(one.is_connected for one in plug.opened)
+
+
+async def test_a_log_that_raises_at_the_end_does_not_keep_the_connection() -> None:
+    class Full(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            raise OSError("No space left on device")
+
+    plug, handler, log = Plug(virtual()), Full(), logging.getLogger("m100link")
+    keeping = asyncio.create_task(plug.connection.keep())
+    await until(lambda: plug.is_in(ConnectionState.CONNECTED))
+    log.addHandler(handler)
+    try:
+        keeping.cancel()
+        done, _ = await asyncio.wait([keeping], timeout=10.0)
+        assert done
+        await asyncio.gather(keeping, return_exceptions=True)
+    finally:
+        log.removeHandler(handler)
+    assert plug.connection.aircraft is None
