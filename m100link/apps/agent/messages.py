@@ -341,7 +341,9 @@ class Journal:
             self.untold += 1
             if self.untold == 1:
                 with suppress(Exception):
-                    self._add(f"an event was not told everywhere: {error!r}", "error", EventTopic.NONE)
+                    self._add(
+                        f"an event was not told everywhere: {error!r}", "error", EventTopic.NONE
+                    )
 
     def _add(self, text: str, level: str, topic: EventTopic) -> Event:
         self._count += 1

@@ -23,7 +23,7 @@ from typing import TypeVar
 import m100link
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.messages import Event, MessageError, Telemetry, Topic
+from m100link.apps.agent.messages import Event, EventTopic, MessageError, Telemetry
 from m100link.apps.agent.orders import Age, Right
 from m100link.apps.agent.view import Hearing
 from m100link.apps.bus.network import Bus, Held, Question
@@ -197,7 +197,7 @@ class FleetAgent:
     # -- what is told ----------------------------------------------------------------------------
 
     def _on_event(self, event: Event) -> None:
-        if event.topic in (Topic.STOPPED, Topic.HALTED):
+        if event.topic in (EventTopic.STOPPED, EventEventTopic.HALTED):
             self._ages.revoke(self.client.now)  # whoever asked for it, at the station, too
         self._event.put(pack(event))
 

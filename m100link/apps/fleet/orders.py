@@ -14,7 +14,7 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.lease import Flown, Lease
-from m100link.apps.agent.messages import Event, MessageError, RemoteError, Topic, fault_of
+from m100link.apps.agent.messages import Event, EventTopic, MessageError, RemoteError, fault_of
 from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.missions.manager import MissionManager
 from m100link.apps.fleet.order_log import Ledger
@@ -66,7 +66,7 @@ class OrderService:
         client.on_event.append(self._event)
 
     def _event(self, event: Event) -> None:
-        if event.topic is Topic.STOPPED:
+        if event.topic is EventTopic.STOPPED:
             self._stopped_at = self._client.now
 
     def _forget(self) -> None:

@@ -250,13 +250,13 @@ async def test_control_that_was_asked_for_before_a_stop_is_not_obtained(
     pilots: Pilots, state: ControlState
 ) -> None:
     one, agent = session(pilots), pilots.rig.agent
-    stop = partial(agent.journal.note, "stop", topic=Topic.STOPPED)
+    stop = partial(agent.journal.note, "stop", topic=EventTopic.STOPPED)
     one.on_change = lambda now: stop() if now is state else None
     with pytest.raises(NoAuthority, match="STOP was pressed while control was asked for"):
         await one.obtain()
     await anyio.sleep(0.5)
     assert at(one) is S.ABSENT
-    assert agent.desk.holder(agent.now) is None
+    assert agent.leases.holder(agent.now) is None
     assert not agent.holding.has_authority
     one.on_change = lambda _: None
     await one.obtain()  # asked for after it

@@ -163,7 +163,7 @@ class Agent:
                 lambda: self.halt("control changed hands"),  # before anybody is told
                 lambda: self._hand_on(why, new),
                 *(partial(callback, why, new, flown) for callback in self.on_lease),
-                lambda: self.upload(PlanTold()),  # nobody flies what somebody else left
+                lambda: self.upload(PlanChanged()),  # nobody flies what somebody else left
             )
         )
         if new is not None:

@@ -405,20 +405,20 @@ async def test_no_memory_as_a_flight_ends_lets_nothing_fly_on(
     # What fails in a callback of the loop is its own to tell.
     monkeypatch.setattr(asyncio.get_running_loop(), "_exception_handler", ignore)
     rig.renewing.cancel()
-    agent.desk.release(rig.token, agent.now)
+    agent.leases.release(rig.token, agent.now)
     put_in_the_air(rig.aircraft)
     numbers = [*range(1, 14, 2), *draw.sample(range(14, 120), 4)]
     for number in numbers:
         await rig.until(lambda: agent.connection.aircraft is not None)
-        token = agent.desk.acquire("client", agent.now).token
+        token = agent.leases.acquire("client", agent.now).token
         await agent.ask(orders.Obtain(), token)
         await agent.ask(orders.FlyPattern(1), token)
         await anyio.sleep(0.2)
         if end == "silence":
-            await anyio.sleep(agent.desk.remaining(agent.now) - 0.05)
+            await anyio.sleep(agent.leases.remaining(agent.now) - 0.05)
         with no_memory_at(number), suppress(MemoryError):
             if end == "release":
-                agent.desk.release(token, agent.now)
+                agent.leases.release(token, agent.now)
             elif end == "stop":
                 await agent.stop()
             await anyio.sleep(0.2)
@@ -428,6 +428,6 @@ async def test_no_memory_as_a_flight_ends_lets_nothing_fly_on(
             last = list(rig.aircraft.autopilot.received_movements)[-1]
             assert last.roll_or_x == 0.0 or not holding.has_authority, number
         # Where the very call that ends the lease failed, nobody renews it any more.
-        await anyio.sleep(agent.desk.remaining(agent.now) + 0.5)
+        await anyio.sleep(agent.leases.remaining(agent.now) + 0.5)
         assert holding.pattern is None, number
         assert holding.state is HoldingState.NONE, number
