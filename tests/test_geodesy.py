@@ -123,6 +123,25 @@ def test_every_place_on_earth_lies_somewhere(
         assert distance == pytest.approx(real, rel=1e-3, abs=0.1)
 
 
+@pytest.mark.parametrize(
+    ("origin", "point"),
+    [
+        ((47.0, 8.0), (49.0, 3.0)),  # beyond the reach of the series, to the north-west
+        ((-33.0, 151.0), (-38.0, 175.0)),  # to the south-east
+        ((10.0, 179.0), (14.0, -178.0)),  # over the line of the date
+        ((88.5, 20.0), (88.4, 60.0)),  # where meridians meet, nearer than the series reaches
+        ((-89.0, -100.0), (-88.0, -170.0)),
+    ],
+)
+def test_beyond_the_series_north_and_east_are_those_of_the_geodesic(
+    origin: tuple[float, float], point: tuple[float, float]
+) -> None:
+    line = Geodesic.WGS84.Inverse(*origin, *point)
+    turn = math.radians(line["azi1"])
+    expected = line["s12"] * math.cos(turn), line["s12"] * math.sin(turn)
+    assert LocalFrame(*origin).to_local(*point) == pytest.approx(expected, abs=0.01)
+
+
 @pytest.mark.parametrize("latitude", [88.0, 89.0, -89.0])
 def test_near_a_pole_places_are_as_far_as_they_are(latitude: float) -> None:
     """Meridians meet there, and the steps of the series led ever further away."""
@@ -248,6 +267,16 @@ def test_djis_offset_is_their_formula_and_its_error_is_known() -> None:
     assert north == pytest.approx(math.radians(latitude - 22.5) * 6_378_137.0)
     assert north == pytest.approx(1005.2, abs=0.1)
     assert east == pytest.approx(999.5, abs=0.1)
+
+
+def test_djis_offset_takes_the_short_way_and_the_mean_latitude() -> None:
+    degree = math.pi / 180 * 6_378_137.0
+    assert dji_offset(0.0, 179.5, 60.0, -179.5) == pytest.approx(
+        (60 * degree, degree * math.cos(math.radians(30.0)))
+    )
+    assert dji_offset(60.0, -179.5, 0.0, 179.5) == pytest.approx(
+        (-60 * degree, -degree * math.cos(math.radians(30.0)))
+    )
 
 
 # -- maps ------------------------------------------------------------------------------------------
