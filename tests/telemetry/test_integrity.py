@@ -189,6 +189,16 @@ def test_a_velocity_that_the_aircraft_does_not_vouch_for_says_nothing() -> None:
     assert flight.fly(10.0).state is S.GOOD
 
 
+def test_a_velocity_of_more_than_a_second_ago_says_nothing() -> None:
+    """It flew 9 m/s when its velocity was told last, and hovers by now."""
+    flight = Flight(speed=9.0)
+    flight.fly(5.0)
+    flight.has_velocity = False
+    flight.fly(1.2)
+    flight.speed = 0.0
+    assert flight.fly(10.0).state is S.GOOD
+
+
 @pytest.mark.parametrize("status", [STANDING, TAKING_OFF])
 def test_before_it_flies_a_place_may_jump(status: int) -> None:
     flight = Flight(status=status)

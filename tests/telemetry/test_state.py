@@ -67,6 +67,17 @@ def test_fresh_is_what_is_not_older_than_asked_for(state: AircraftState, clock: 
     assert state.fresh(Battery, within=1.9) is None
 
 
+def test_what_came_far_in_the_future_is_as_unknown_as_what_is_old(
+    state: AircraftState, clock: Clock
+) -> None:
+    """A replay that is moved back asks by an earlier time than that of what is known."""
+    state.update(sample(100.0, battery=(90,)))
+    for now, known in ((98.0, Battery(90)), (97.9, None), (102.0, Battery(90)), (102.1, None)):
+        assert state.fresh(Battery, within=2.0, now=now) == known, now
+    clock.now = 94.9  # a battery is known for 5 s
+    assert state.fresh(Battery) is None
+
+
 def test_rate_jitter_and_longest_gap_are_those_of_the_item(state: AircraftState) -> None:
     assert state.statistics(Battery).rate_hz is None
     for at in (100.0, 101.0, 102.0):
