@@ -7,7 +7,16 @@ from typing import Any, assert_type, cast
 
 import pytest
 
-from m100link import Aircraft, BadAck, CommandNotSupported, KeyRejected, UsageError
+from m100link import (
+    Aircraft,
+    BadAck,
+    CommandNotSupported,
+    Credentials,
+    KeyRejected,
+    LevelTooLow,
+    LineBlocked,
+    UsageError,
+)
 from m100link.link.requests import Requests
 from m100link.protocol import (
     ActivationCode,
@@ -158,6 +167,33 @@ async def test_gimbal_and_camera_are_sent_encrypted_and_plain_without_a_key() ->
             await asyncio.sleep(0.1)
         command = flown.virtual.autopilot.received_commands[-1]
         assert (type(command.command), command.encrypted) == (TakePhoto, False)
+
+
+@pytest.mark.parametrize(("level", "goes"), [(0, False), (1, True), (2, True)])
+async def test_the_level_that_the_camera_takes_is_enough(level: int, goes: bool) -> None:
+    """Level 1 watches and moves camera and gimbal (document 2.1)."""
+    async with rig(firmware="2.3", activated=False) as flown:
+        known = flown.virtual.credentials
+        await flown.aircraft.activate(Credentials(known.app_id, known.key, level=level))
+        if goes:
+            await flown.aircraft._requests.send(TakePhoto())
+        else:
+            with pytest.raises(LevelTooLow, match="take_photo was not sent"):
+                await flown.aircraft._requests.send(TakePhoto())
+        await asyncio.sleep(0.1)
+        assert flown.virtual.vehicle.camera.photos == int(goes)
+
+
+async def test_a_command_that_the_line_did_not_take_is_told() -> None:
+    async with rig(firmware="3.1") as flown:
+        link = flown.aircraft.link
+        link.pause_writing()  # as the transport says it
+        with pytest.raises(LineBlocked, match="take_photo was not sent"):
+            await flown.aircraft._requests.send(TakePhoto())
+        link.resume_writing()
+        await flown.aircraft._requests.send(TakePhoto())
+        await asyncio.sleep(0.1)
+        assert flown.virtual.vehicle.camera.photos == 1
 
 
 @pytest.mark.parametrize("payload", [b"", b"\x07"])

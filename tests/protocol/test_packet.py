@@ -348,7 +348,11 @@ def test_the_tick_is_a_six_or_four_hundredth_of_a_second(
 
 @pytest.mark.parametrize(
     ("mode", "switch"),
-    [(-8000, RcMode.P), (-7990, RcMode.P), (0, RcMode.A), (3999, RcMode.A), (8000, RcMode.F)],
+    [
+        *((-8000, RcMode.P), (-7990, RcMode.P), (0, RcMode.A), (3999, RcMode.A), (8000, RcMode.F)),
+        # Half-way belongs to the middle, from both sides: neither is where a program may fly.
+        *((-4001, RcMode.P), (-4000, RcMode.A), (4000, RcMode.A), (4001, RcMode.F)),
+    ],
 )
 def test_the_mode_switch_is_its_nearest_position(mode: int, switch: RcMode) -> None:
     remote = RemoteControl(0, 0, 0, 0, mode, None)

@@ -51,7 +51,11 @@ def test_a_key_of_another_length_names_the_length_it_has(size: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["g" * 64, "5a " * 21 + "5", " ".join(["5a"] * 21) + " 5", "٠" * 64, "0x" + "5a" * 31]
+    "text",
+    [
+        *("g" * 64, "5a " * 21 + "5", " ".join(["5a"] * 21) + " 5", "٠" * 64, "0x" + "5a" * 31),
+        "5a" * 15 + "  " + "5a" * 16,  # whole bytes, as `fromhex` reads them, and one too few
+    ],
 )
 def test_text_that_is_not_64_hex_digits_is_refused(text: str) -> None:
     with pytest.raises(BadKey):
