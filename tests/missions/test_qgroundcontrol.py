@@ -168,6 +168,7 @@ def test_heights_count_from_home() -> None:
         (item(530, 0, 2), "SET_CAMERA_MODE (530): the M100 cannot do that"),
         (item(31999), "command 31999: the M100 cannot do that"),
         (item(16, 0, 0, 0, None, None, 8.5, 30, frame=3), "it has no place"),
+        (item(16, 0, 0, 0, None, 47.3, None, 30, frame=3), "it has no place"),
         (item(16, 0, 0, 0, None, 47.3, 8.5, None, frame=3), "it has no height"),
         (item(16, 0, 0, 9, None, 47.3, 8.5, 30, frame=3), "pass_radius 9 is not possible"),
         (TAKE_OFF, "it comes behind a waypoint"),
