@@ -383,6 +383,28 @@ async def test_climb_to(firmware: str, height: float) -> None:
         assert flown.virtual.position == pytest.approx(before, abs=0.2)
 
 
+@pytest.mark.parametrize("vertical_down", [False, True])
+@pytest.mark.parametrize(
+    "loop",
+    [
+        lambda control: control.climb_to(25.0, tolerance_m=15.0),
+        lambda control: control.climb_to(3.0, tolerance_m=15.0),
+        lambda control: control.fly_to(north=20, east=0, up=0, tolerance_m=15.0),
+        lambda control: control.fly_to(north=0, east=-20, up=0, tolerance_m=15.0),
+    ],
+    ids=["up", "down", "north", "west"],
+)
+async def test_nothing_has_arrived_that_still_moves(loop: Loop, vertical_down: bool) -> None:
+    """Where the tolerance is wide, the speed tells: up and down, of either sign on the wire."""
+    settings = AircraftSettings(vertical_down=vertical_down)
+    async with flying(settings=settings) as (flown, control):
+        await control.climb_to(12.0)
+        await loop(control)
+        motion = flown.virtual.vehicle.flight.dynamics
+        assert abs(motion.velocity_up) < 0.35
+        assert motion.speed < 0.35
+
+
 @each_firmware
 @pytest.mark.parametrize(("start", "end"), [(0, 90), (170, -170), (-90, 90), (10, 5)])
 async def test_turn_to_takes_the_short_way(firmware: str, start: float, end: float) -> None:
