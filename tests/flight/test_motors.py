@@ -192,6 +192,25 @@ async def test_what_has_lifted_off_is_never_disarmed(
             await flown.assert_hovers()
 
 
+@pytest.mark.parametrize("stop", ["hover", "land"])
+@pytest.mark.parametrize("was_there", [False, True])
+async def test_at_the_end_no_disarm_is_sent_when_nobody_knows_whether_it_flies(
+    stop: StopAction, was_there: bool
+) -> None:
+    """No setpoint lifted it; somebody by the remote control may have."""
+    async with rig(firmware="3.1") as flown:
+        if not was_there:
+            flown.virtual.set_rates(flight_status=0)
+            await asyncio.sleep(3.0)
+        async with flown.aircraft.control(stop=stop) as control:
+            await control.arm()
+            flown.virtual.set_rates(flight_status=0)
+            await asyncio.sleep(3.0)
+        assert arms(flown) == [(True, 0)]
+        assert flown.is_running
+        assert flown.is_released
+
+
 async def test_whoever_took_the_aircraft_has_the_motors_too(flown: Rig) -> None:
     async def program() -> None:
         async with flown.aircraft.control() as control:
