@@ -17,7 +17,7 @@ from m100link.apps.doctor import diagnosis, line
 from m100link.apps.doctor.findings import Stage, Verdict
 from m100link.apps.doctor.line import Heard, hear
 from m100link.link.serial_transport import read_inverted
-from m100link.link.url import parse_url
+from m100link.link.url import ConnectionString, parse_url
 from m100link.wire import Frame
 from m100link.wire.frame import encode_frame
 from tests.apps.doctor.bench import CONSOLE, GPS, TELEMETRY, mavlink
@@ -81,6 +81,42 @@ async def test_how_few_bytes_are_picked_up_from_the_air(size: int, seen: str) ->
     assert told.verdict is FAILED
     assert seen in told.seen
     assert ("an aircraft sends far more" in told.seen) is (size < 200)
+
+
+class _Ear:
+    """A port at which the same bytes come at once."""
+
+    lost, is_lost = None, False
+
+    def __init__(self, data: bytes) -> None:
+        self.data = bytearray(data)
+
+    async def listen(self, seconds: float) -> None:
+        pass
+
+    def say(self, data: bytes) -> None:
+        pass
+
+    async def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("damaged", "found"),
+    [(0, 115_200), (1, 115_200), (2, None), (5, None)],  # among two good frames
+)
+async def test_a_rate_at_which_half_is_damage_is_not_named(
+    damaged: int, found: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What waited in the port from before, or came by chance, names no rate."""
+    spoilt = TELEMETRY[:40] + b"\x00" + TELEMETRY[41:]
+    heard = {115_200: TELEMETRY + spoilt * damaged + TELEMETRY}
+
+    async def open_ear(address: ConnectionString) -> _Ear:
+        return _Ear(heard.get(address.number or 0, b"\x91" * 100))
+
+    monkeypatch.setattr(line, "open_ear", open_ear)
+    assert await line._scan(parse_url("serial:///dev/ttyUSB9:230400")) == found
 
 
 @pytest.mark.parametrize("count", [2, 3])
