@@ -1,19 +1,26 @@
-"""A mission without ``await``: the same events, the same stop."""
+"""A mission without ``await``: the same events, the same stop; and each call as it was made."""
 
 from __future__ import annotations
 
+import inspect
 import time
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 import m100link
 from m100link import Finished, MissionProgress, MissionRunning, Reached, Uploading
+from m100link.aircraft import payload
+from m100link.flight import setpoints
+from m100link.flight.missions import hotpoint, waypoint
+from m100link.sync import steering
 from tests.flight.foreign_aircraft import APP_ID, KEY, ForeignAircraft, foreign_aircraft
 from tests.flight.missions.foreign import plan
 from tests.rig import NORTH
 from tests.waiting import PATIENCE
 
-pytestmark = pytest.mark.pty
+pty = pytest.mark.pty
 
 SHORT = plan([(3.0, 0.0), (6.0, 0.0)], speed=10.0)
 
@@ -25,6 +32,7 @@ def connect(there: ForeignAircraft) -> m100link.sync.Aircraft:
     return aircraft
 
 
+@pty
 @pytest.mark.smoke
 def test_it_is_flown_in_a_with_block_and_told_of_in_a_loop() -> None:
     with foreign_aircraft("3.1") as there, connect(there) as aircraft:
@@ -38,6 +46,7 @@ def test_it_is_flown_in_a_with_block_and_told_of_in_a_loop() -> None:
         assert mission.is_over
 
 
+@pty
 def test_an_exception_in_the_block_stops_it_and_setpoints_are_refused_before() -> None:
     with foreign_aircraft("3.1") as there, connect(there) as aircraft:
         with pytest.raises(ZeroDivisionError), aircraft.control() as control:
@@ -53,6 +62,7 @@ def test_an_exception_in_the_block_stops_it_and_setpoints_are_refused_before() -
         assert not there.missions.flying
 
 
+@pty
 def test_one_that_is_detached_flies_on() -> None:
     with foreign_aircraft("3.1") as there, connect(there) as aircraft:
         with aircraft.control() as control, control.waypoint_mission(plan(speed=1.0)) as mission:
@@ -61,3 +71,91 @@ def test_one_that_is_detached_flies_on() -> None:
         assert there.missions.flying
         with aircraft.control() as control:
             assert control.stop_mission() is m100link.MissionKind.WAYPOINT
+
+
+# -- what is passed on -----------------------------------------------------------------------------
+
+PAIRS: list[tuple[type[Any], str, type[Any]]] = [
+    (steering.Hold, "_hold", setpoints.Hold),
+    (steering.GimbalRates, "_rates", payload.GimbalRates),
+    (steering.WaypointFlight, "_made", waypoint.WaypointFlight),
+    (steering.HotpointFlight, "_made", hotpoint.HotpointFlight),
+    (steering.FollowFlight, "_made", hotpoint.FollowFlight),
+]
+"""Each class here, where it keeps the one with ``await``, and that one."""
+
+
+class _Noted:
+    """Takes every call, and notes how it was made."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *args, **kwargs: self.calls.append((name, args, kwargs))
+
+
+def _made(kind: type[Any], place: str, inner: object) -> Any:
+    made: Any = object.__new__(kind)
+    made._portal = SimpleNamespace(
+        call=lambda function, *args, **kwargs: function(*args, **kwargs),
+        wait=lambda make: make(None),
+    )
+    setattr(made, place, inner)
+    return made
+
+
+def _public(kind: type[Any], *, is_property: bool) -> list[str]:
+    return [
+        name
+        for name, one in inspect.getmembers(kind)
+        if not name.startswith("_") and isinstance(one, property) is is_property
+    ]
+
+
+@pytest.mark.parametrize(
+    ("kind", "place", "real"), PAIRS, ids=lambda one: getattr(one, "__name__", "")
+)
+def test_each_argument_goes_where_it_was_given(
+    kind: type[Any], place: str, real: type[Any]
+) -> None:
+    for name in _public(kind, is_property=False):
+        inner = _Noted()
+        method = getattr(_made(kind, place, inner), name)
+        given = {parameter: object() for parameter in inspect.signature(method).parameters}
+        method(**given)
+        [(called, args, kwargs)] = inner.calls
+        taken = inspect.signature(getattr(real, called)).bind(None, *args, **kwargs).arguments
+        assert called == name
+        assert {key: value for key, value in taken.items() if key != "self"} == given, name
+
+
+@pytest.mark.parametrize(
+    ("kind", "place", "real"), PAIRS, ids=lambda one: getattr(one, "__name__", "")
+)
+def test_each_property_is_that_of_the_one_with_await(
+    kind: type[Any], place: str, real: type[Any]
+) -> None:
+    del real  # mypy knows that it has them
+    names = _public(kind, is_property=True)
+    inner = SimpleNamespace(**{name: object() for name in names})
+    made = _made(kind, place, inner)
+    for name in names:
+        assert getattr(made, name) is getattr(inner, name), name
+
+
+@pytest.mark.parametrize(
+    ("kind", "place", "real"), PAIRS, ids=lambda one: getattr(one, "__name__", "")
+)
+def test_how_a_block_ends_is_passed_on(kind: type[Any], place: str, real: type[Any]) -> None:
+    """A mission whose program failed is stopped, and one that was left is not."""
+    del real
+    inner, failed = _Noted(), KeyError()
+    made = _made(kind, place, inner)
+    made._holding = inner
+    made.__exit__(KeyError, failed, None)
+    made.__exit__(None, None, None)
+    assert [call[:2] for call in inner.calls] == [
+        ("__aexit__", (KeyError, failed, None)),
+        ("__aexit__", (None, None, None)),
+    ]
