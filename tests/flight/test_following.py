@@ -292,6 +292,13 @@ def test_a_direction_that_goes_back_has_its_time_anew(turn: float, is_ignored: b
         assert (found != "") is is_ignored, f"seed {seed}"
 
 
+def test_each_side_of_a_square_has_its_time_anew() -> None:
+    stand = Stand()
+    for side in [(3.0, 0.0), (0.0, 3.0), (-3.0, 0.0), (0.0, -3.0)] * 2:
+        stand.setpoint = velocity(north=side[0], east=side[1])
+        assert stand.fly(1.1) == "", side
+
+
 @pytest.mark.parametrize("place", [(0.4, 2.0), (-1.0472, 0.5), (1.0472, math.pi)])
 @pytest.mark.parametrize(("apart_m", "is_still"), [(0.45, True), (0.55, False)])
 def test_without_a_velocity_half_a_metre_to_any_side_is_a_move(
