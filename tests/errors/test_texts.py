@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -62,6 +63,18 @@ def test_json_is_read_as_it_is_meant() -> None:
 def test_what_is_wrong_with_toml_is_a_value_error(text: str | bytes) -> None:
     with pytest.raises(ValueError, match=r"."):
         read_toml(text)
+
+
+@pytest.mark.parametrize("sign", ["", "-"])
+@pytest.mark.parametrize("reads", [read_json, lambda text: read_toml(f"a = {text}")["a"]])
+def test_an_integer_that_no_float_holds_is_refused_on_both_sides_of_0(
+    reads: Callable[[str], object], sign: str
+) -> None:
+    """A float holds up to 308 digits; what comes behind would raise an OverflowError."""
+    largest = sign + "9" * 270
+    assert reads(largest) == int(largest)
+    with pytest.raises(ValueError, match="an integer"):
+        reads(sign + "9" * 309)
 
 
 def test_toml_is_read_as_it_is_meant() -> None:

@@ -1,0 +1,65 @@
+"""What an error keeps, and what becomes of one that the system raises."""
+
+from __future__ import annotations
+
+import errno
+import pickle
+from typing import Any, cast
+
+import pytest
+
+from m100link import AckTimeout, CommandRefused, M100Error, OutOfResources, UsageError
+from m100link.errors.base import of_the_system
+
+
+def test_a_value_of_nothing_is_a_value_and_none_is_the_default() -> None:
+    """Code 0, session 0 and no tries are what was seen; -1 and 0 stand where nothing was."""
+    assert CommandRefused("it was refused", code=0).code == 0
+    assert CommandRefused("it was refused", code=cast(Any, None)).code == -1
+    assert CommandRefused("it was refused").code == -1
+    lost = AckTimeout("no ack", session=0, sequence=0, tries=2)
+    assert (lost.session, lost.sequence, lost.tries) == (0, 0, 2)
+    with pytest.raises(TypeError, match="has no number"):
+        CommandRefused("it was refused", **{"number": cast(Any, 0)})
+
+
+def test_the_same_error_again_has_its_cause_and_everything_else() -> None:
+    lost = AckTimeout("no ack", cause="noise", remedy="ask again", command="land", tries=3)
+    lost.__cause__ = KeyError("what went wrong before")
+    again = lost.again()
+    assert again is not lost
+    assert again.__cause__ is lost.__cause__
+    assert again.__traceback__ is None
+    told = type(again), str(again), again.command, again.tries
+    assert told == (AckTimeout, str(lost), "land", 3)
+    copied = pickle.loads(pickle.dumps(lost))
+    assert (type(copied), str(copied), copied.command, copied.tries) == told
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        OSError(errno.EMFILE, "Too many open files"),
+        ImportError("m100link.flight.control"),
+        MemoryError(),
+        RuntimeError("can't start new thread"),  # Python has no class of its own for it
+    ],
+    ids=lambda one: type(one).__name__,
+)
+def test_what_the_system_lacks_is_told_as_that(error: Exception) -> None:
+    said = "control was not asked for"
+    with pytest.raises(OutOfResources, match=said) as caught, of_the_system("control"):
+        raise error
+    assert caught.value.__cause__ is error
+    assert isinstance(caught.value, OSError)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [RuntimeError("no running event loop"), ValueError("x"), UsageError("no"), M100Error("no")],
+    ids=str,
+)
+def test_every_other_error_stays_what_it_is(error: Exception) -> None:
+    with pytest.raises(type(error)) as caught, of_the_system("control"):
+        raise error
+    assert caught.value is error
