@@ -8,6 +8,7 @@ import math
 import pydoc
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from typing import Any, assert_type
 
 import pytest
@@ -383,6 +384,33 @@ async def test_climb_to(firmware: str, height: float) -> None:
         assert flown.virtual.position == pytest.approx(before, abs=0.2)
 
 
+@pytest.mark.parametrize(
+    "loop",
+    [
+        *(fly(north=0, east=0, up=-6.0, timeout=2.0), fly(north=0, east=0, up=6.0, timeout=2.0)),
+        *(fly(north=6, east=0, up=0, timeout=2.0), fly(north=0, east=-6, up=0, timeout=2.0)),
+        fly(north=0, east=0, up=0, yaw_deg=120.0, timeout=2.0),
+        fly(north=0, east=0, up=0, yaw_deg=-120.0, timeout=2.0),
+        lambda control: control.fly_path([(0.1, 0.0, 4.0)], speed=4.0, timeout=2.0),
+        lambda control: control.fly_path([(0.1, 0.0, 16.0)], speed=4.0, timeout=2.0),
+        lambda control: control.climb_to(4.0, timeout=2.0),
+        lambda control: control.climb_to(16.0, timeout=2.0),
+        lambda control: control.turn_to(120.0, timeout=2.0),
+        lambda control: control.turn_to(-120.0, timeout=2.0),
+    ],
+)
+async def test_one_that_does_not_move_has_not_arrived(loop: Loop) -> None:
+    """What remains counts with either sign: neither below nor above is there."""
+    async with flying(Guards(integrity=False)) as (flown, control):
+        await control.climb_to(10.0)
+        motion = flown.virtual.vehicle.flight.dynamics
+        motion.airframe = replace(
+            motion.airframe, vertical_speed=0.0, yaw_rate_deg=0.0, velocity_gain=0.0, drag=0.0
+        )
+        with pytest.raises(NotObserved, match="did not arrive"):
+            await loop(control)
+
+
 @pytest.mark.parametrize("vertical_down", [False, True])
 @pytest.mark.parametrize(
     "loop",
@@ -539,6 +567,19 @@ async def test_an_orbit_elsewhere_begins_where_it_was_told(start_deg: float | No
     wanted = -135.0 if start_deg is None else start_deg  # the aircraft is south-west of it
     assert abs(math.remainder(first - wanted, 360)) < 10
     assert all(abs(math.hypot(*place) - 6) < 0.8 for place in track)
+
+
+async def test_the_radius_of_a_circle_elsewhere_is_how_far_its_centre_is() -> None:
+    """By default; both counted from the origin of the frame, which lies on another side."""
+    async with flying() as (flown, control):
+        home = control.local_frame()
+        north, east = flown.virtual.position
+        await control.fly_to(north=3.0, east=0.0, up=5.0)
+        began = flown.virtual.position
+        await control.orbit(center_north=9.0, center_east=-8.0, frame=home, turns=0.25)
+        away = flown.virtual.position[0] - north - 9.0, flown.virtual.position[1] - east + 8.0
+        assert math.hypot(*away) == pytest.approx(10.0, abs=0.8)
+        assert math.dist(began, flown.virtual.position) == pytest.approx(14.1, abs=1.5)
 
 
 async def test_a_frame_belongs_to_an_offset() -> None:
