@@ -109,6 +109,21 @@ def test_what_is_none_is_refused_and_nothing_else_happens(name: str, data: bytes
             decode(name, head + data)
 
 
+def test_a_sequence_has_as_many_values_as_its_bound_and_no_more() -> None:
+    """``floating_point_range[<=1]``, says rcl_interfaces/ParameterDescriptor."""
+    one = {"from_value": -1.5, "to_value": 2.5, "step": 0.25}
+    told: dict[str, Any] = {
+        **{"name": "speed", "type": 3, "description": "", "additional_constraints": ""},
+        **{"read_only": False, "dynamic_typing": True, "integer_range": []},
+    }
+    for ranges in ([], [one]):
+        message = {**told, "floating_point_range": ranges}
+        name = "rcl_interfaces/ParameterDescriptor"
+        assert decode(name, encode(name, message)) == message
+    with pytest.raises(ValueError, match="floating_point_range has 2 values"):
+        decode(name, encode(name, {**told, "floating_point_range": [one, one]}))
+
+
 def test_a_template_says_what_encode_says() -> None:
     message = _fix_with([1.0] * 9)
     template = Template("sensor_msgs/NavSatFix", message, "header.stamp", "status", "altitude")

@@ -67,6 +67,17 @@ async def test_a_part_that_is_damaged_costs_itself_alone(
         assert set(kept) <= set(every)
 
 
+async def test_of_a_part_that_has_begun_before_nothing_is_passed_over(whole: bytes) -> None:
+    every = messages(whole)
+    drawn = random.Random(SEED).sample(every, 5)
+    for since in [one.log_time for one in (*drawn, every[-1])]:
+        stream = io.BytesIO(whole)
+        found = [one for one in records(stream, (), since) if isinstance(one, RawMessage)]
+        assert set(found) <= set(every)
+        assert {one for one in every if one.log_time >= since} <= set(found), since
+    assert len(found) < len(every) / 2, "parts that have ended are not read"
+
+
 class Growing(io.BytesIO):
     """A file whose program writes more of it at each seek of its reader."""
 

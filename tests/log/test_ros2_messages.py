@@ -13,6 +13,7 @@ from m100link.protocol.records import (
     AngularVelocity,
     Attitude,
     Gimbal,
+    Magnetometer,
     Position,
     RemoteControl,
     Velocity,
@@ -79,6 +80,14 @@ def test_what_is_not_known_is_said_to_be_unknown(missing: str) -> None:
         # Without an attitude nobody can tell what the body feels.
         is_there = missing != "orientation" or name != "linear_acceleration"
         assert getattr(found, f"{name}_covariance")[0] == (0.0 if is_there else -1.0)
+
+
+def test_the_magnetic_field_is_forward_left_up() -> None:
+    """DJI's axes are forward, right, down; those of a body are turned about the first (REP 103)."""
+    made = MADE.magnetometer(STAMP, Magnetometer(313.0, -1127.0, 851.0))
+    found = read(made, "geometry_msgs/msg/Vector3Stamped")
+    assert xyz(found.vector) == [313.0, 1127.0, -851.0]
+    assert found.header.frame_id == "base_link"
 
 
 def test_odometry_has_the_motion_in_the_body() -> None:
