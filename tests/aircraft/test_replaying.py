@@ -280,7 +280,7 @@ async def test_what_cannot_be_played_is_refused_with_what_it_is(
     for query in ("speed=0", "speed=nan", "speed=-1", "speed=101", "speed=fast", "sped=2"):
         with pytest.raises(BadURL):
             await connect(f"replay://{path}?{query}")
-    for query in ("from=-1", "from=inf", "from=nan", "from=2&to=1"):
+    for query in ("from=-1", "from=inf", "from=nan", "from=2&to=1", "from=2&to=2"):
         with pytest.raises(BadURL):
             await connect(f"replay://{path}?{query}")
     with pytest.raises(UsageError, match="long"):

@@ -272,9 +272,12 @@ def test_track_velocity_and_acceleration_agree_in_what_is_sent() -> None:
 
 def test_vertical_values_may_be_sent_positive_downwards() -> None:
     host = wild("1.0", vertical_down=True)
-    velocity = host.packets()[-1].velocity
-    assert velocity is not None
-    assert velocity.up_m_s == pytest.approx(-host.motion.velocity_up)
+    packet = host.packets()[-1]
+    assert packet.velocity is not None
+    assert packet.velocity.up_m_s == pytest.approx(-host.motion.velocity_up)
+    assert packet.acceleration is not None
+    assert host.motion.acceleration_up != 0.0
+    assert packet.acceleration.up_m_s2 == pytest.approx(-host.motion.acceleration_up)
 
 
 def test_without_gps_the_position_is_zero_and_the_velocity_not_valid() -> None:

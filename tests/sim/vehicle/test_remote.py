@@ -308,6 +308,15 @@ def test_v3_the_mode_channel_acts_as_the_switch(value: int, mode: RcMode) -> Non
     assert host.vehicle.remote.sticks().mode is mode
 
 
+@pytest.mark.parametrize(("value", "shown"), [(1324, -4545), (1684, -10_000)])
+def test_v3_the_gear_channel_shows_in_telemetry(value: int, shown: int) -> None:
+    """1684 is up and 1324 down; telemetry says −10000 and −4545."""
+    host = flying_3_1()
+    sent = struct.pack("<16I", *[1024] * 4, value, 1024, 1552, *[1024] * 9)
+    host.send(b"\x05\x01" + sent, session=0)
+    assert host.vehicle.remote.channels()[5] == shown
+
+
 def test_v4_the_corner_for_two_seconds_starts_and_stops_the_motors_and_not_in_the_air() -> None:
     corner = {"roll": 364, "pitch": 364, "throttle": 364, "yaw": 1684}
     host = Host(firmware="3.1")
