@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import socket
 import stat
 import struct
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from m100link.apps.agent import transports
 from m100link.apps.agent.codec import MAX_SIZE, encode
 from m100link.apps.agent.messages import Event, JournalNote, Message, Telemetry
 from m100link.apps.agent.transports import (
@@ -175,6 +177,30 @@ async def test_the_reason_of_a_close_is_told() -> None:
         await until(lambda: front.reasons == ["the agent ends"])
         assert agent.reasons == []
         front.channel.send(JournalNote("info", "into nothing"))
+
+
+@pytest.mark.parametrize("other", [0, 1, -1])
+def test_who_is_at_the_other_end_is_known_by_the_system(
+    other: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: own + other)
+    one, two = socket.socketpair(socket.AF_UNIX)
+    with one, two:
+        assert transports._is_same_user(one) is (other == 0)
+
+
+async def test_a_program_of_another_user_is_turned_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    def is_front(connected: socket.socket) -> bool:
+        return not connected.getsockname()  # the agent's has the path
+
+    monkeypatch.setattr(transports, "_is_same_user", is_front)
+    async with served() as (path, agent):
+        front = End()
+        front.listen(await connect_unix(path))
+        await until(lambda: front.reasons == ["another user"])
+        assert not hasattr(agent, "channel")
+        assert agent.inbox == []
 
 
 async def test_an_end_that_does_not_read_loses_telemetry_and_then_the_connection() -> None:

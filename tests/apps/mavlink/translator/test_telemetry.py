@@ -510,6 +510,9 @@ async def test_a_peer_that_asks_for_a_kilohertz_changes_nothing_for_another(
     assert other.last("MESSAGE_INTERVAL")["interval_us"] == 50_000
     assert await ground.ask(MavCommand.GET_MESSAGE_INTERVAL, number) is MavResult.ACCEPTED
     assert ground.last("MESSAGE_INTERVAL")["interval_us"] == -1
+    number = LAYOUTS["ATTITUDE"].number  # asked for each millisecond, and told what it gets
+    assert await ground.ask(Command.GET_MESSAGE_INTERVAL, number) is Result.ACCEPTED
+    assert ground.last("MESSAGE_INTERVAL")["interval_us"] == 20_000
 
 
 @pytest.mark.anyio
