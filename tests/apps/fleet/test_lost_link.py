@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
+from typing import Any, cast
 
 import anyio
 import pytest
 
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.expiry import Dropped
-from m100link.apps.fleet.lost_link import INHERITED_S, KEPT_AGAIN_S, LostAction, LostLinkPlan
+from m100link.apps.fleet.lost_link import INHERITED_S, KEPT_AGAIN_S, Lost, LostAction, LostLinkPlan
 from m100link.apps.fleet.order_log import LastFlightRecord, MemoryOrderLog
 from m100link.errors import FleetError, GuardRefused, M100Error, UsageError
+from m100link.protocol.records import RcMode, RemoteControl
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.fleet.conftest import OnBoard, Rig
 
@@ -140,6 +143,20 @@ async def test_who_shows_that_he_is_there_is_left_alone(rig: Rig, sign: str) -> 
     await anyio.sleep(30.0)
     assert one.height > height - 0.1
     assert any("left alone" in event.text for event in one.client.events)
+
+
+@pytest.mark.parametrize("axis", range(4))
+@pytest.mark.parametrize(
+    ("value", "is_moved"), [(1001, True), (-1001, True), (1000, False), (-1000, False)]
+)
+def test_a_stick_is_moved_to_either_side(axis: int, value: int, is_moved: bool) -> None:
+    """A tenth of its way: sticks run from -10000 to 10000."""
+    roll, pitch, yaw, throttle = (value if one == axis else 0 for one in range(4))
+    remote = RemoteControl(roll, pitch, yaw, throttle, RcMode.F, -4545)
+    view = SimpleNamespace(get=lambda record: remote)
+    lost = object.__new__(Lost)
+    lost._client = cast(Any, SimpleNamespace(view=view))
+    assert lost._by_remote() == ("a stick was moved" if is_moved else "")
 
 
 def test_what_cannot_be_configured() -> None:

@@ -37,6 +37,16 @@ def test_it_never_asks_for_more_than_it_may_horizontally() -> None:
     assert math.hypot(*asked[:2]) == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize(("begin", "end", "most"), [(5, 65, 3.0), (65, 5, -3.0)])
+def test_it_never_asks_for_more_than_3_m_s_up_or_down(
+    begin: float, end: float, most: float
+) -> None:
+    steep = track("a1", (0, 0, 0, begin), (10, 0, 0, end))
+    asked = TrackSteering(steep, 10.0).step(5.0, 0.0, (0, 0, 35))
+    assert asked is not None
+    assert asked[2] == pytest.approx(most)
+
+
 @pytest.mark.parametrize("axis", range(3))
 def test_at_the_wall_of_the_tube_it_leaves(axis: int) -> None:
     here = [20.0, 0.0, 5.0]
