@@ -16,9 +16,11 @@ import pytest
 from m100link.apps.agent import orders
 from m100link.apps.agent.codec import decode, encode
 from m100link.apps.agent.messages import Ask, MessageError
-from m100link.apps.agent.orders import ORDERS, Age, Needs, Order, Right
+from m100link.apps.agent.orders import ORDERS, Age, Needs, Order, Right, setpoint_of
 from m100link.apps.agent.server import agent as handlers
-from m100link.errors import M100Error
+from m100link.errors import M100Error, UsageError
+from m100link.protocol.firmware import FIRMWARE_3_1
+from m100link.protocol.setpoint import ReferenceFrame, Setpoint
 from tests.apps.agent.conftest import Rig
 from tests.apps.agent.examples import EXAMPLES, example
 
@@ -152,3 +154,18 @@ async def test_whatever_is_in_an_order_it_is_done_or_refused_by_a_typed_error(se
                     except M100Error:
                         refused += 1
     assert refused > 50
+
+
+def test_the_four_numbers_of_a_request_are_those_of_djis_node() -> None:
+    """``/sdk_request_ctrl``: the first movement value is y, the second x; z turns, w climbs."""
+    assert setpoint_of(1, x=-5.0, y=3.0, z=20.0, w=0.5) == Setpoint.tilt(
+        roll_deg=3.0, pitch_deg=-5.0, up=0.5, yaw_rate_deg_s=20.0, frame=ReferenceFrame.BODY
+    )
+    assert setpoint_of(2, x=-5.0, y=3.0, z=20.0, w=0.5) == Setpoint.velocity(
+        north=3.0, east=-5.0, up=0.5, yaw_rate_deg_s=20.0
+    )
+    # Control flags of the document: 0x0A is key 8, mode 2; 0x48 is key 9, mode 4.
+    assert setpoint_of(1, 0.0, 0.0, 0.0, 0.0).control_flag(FIRMWARE_3_1) == 0x0A
+    assert setpoint_of(2, 0.0, 0.0, 0.0, 0.0).control_flag(FIRMWARE_3_1) == 0x48
+    with pytest.raises(UsageError, match="no control mode 3"):
+        setpoint_of(3, 0.0, 0.0, 0.0, 0.0)

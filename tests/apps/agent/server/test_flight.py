@@ -114,6 +114,18 @@ async def test_a_refused_setpoint_stops_what_flew_before(rig: Rig) -> None:
     assert east(rig) == 0.0
 
 
+async def test_what_halts_is_a_neutral_from_its_first_frame_on(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await airborne(rig)
+    flying = rig.holding.require()
+    rig.agent.steer(rig.token, EAST, 1.0)
+    sent: list[Setpoint] = []
+    monkeypatch.setattr(flying._control, "send", lambda setpoint, **_: sent.append(setpoint))
+    flying.halt("enough")
+    assert sent == [Setpoint.velocity(north=0.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)]
+
+
 async def test_one_task_at_a_time(rig: Rig) -> None:
     await rig.agent.ask(orders.Obtain(), rig.token)
     async with anyio.create_task_group() as group:
