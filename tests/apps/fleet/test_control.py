@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import inspect
 from random import Random
+from typing import Any
 
 import anyio
 import pytest
@@ -109,6 +110,33 @@ async def test_a_cut_that_is_shorter_than_the_lease_costs_nothing(rig: Rig, seco
         ended.append(error)
     assert [type(error) for error in ended] == ([OutcomeUnknown] if seconds > 3.0 else [])
     assert one.client.holder.number == 0
+
+
+@pytest.mark.parametrize("fails", [False, True])
+async def test_the_end_of_a_hold_is_a_halt_and_no_silence(
+    rig: Rig, fails: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A setpoint expires by itself, and only later."""
+    _, pilot = await rig.aircraft("a1"), await rig.pilot()
+    async with pilot["a1"].control() as control:
+        await control.take_off()
+        asked: list[orders.Order] = []
+        ask = control._asker.ask
+
+        async def noting(order: orders.Order, **more: Any) -> object:
+            asked.append(order)
+            return await ask(order, **more)
+
+        monkeypatch.setattr(control._asker, "ask", noting)
+        with contextlib.suppress(ZeroDivisionError):
+            async with control.hold(NORTH):
+                await anyio.sleep(0.5)
+                assert not any(isinstance(order, orders.Halt) for order in asked)
+                if fails:
+                    raise ZeroDivisionError
+        assert [order for order in asked if isinstance(order, orders.Halt)] == [
+            orders.Halt("pilot ended a hold")
+        ]
 
 
 async def test_a_stop_ends_a_hold_until_the_pilot_begins_anew(rig: Rig) -> None:

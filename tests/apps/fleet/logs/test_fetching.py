@@ -181,6 +181,19 @@ async def test_a_log_that_becomes_shorter_is_told(road: Road, tmp_path: Path) ->
             await road.fetcher().fetch(to=tmp_path, progress=Steps(PIECE, cut))
 
 
+@pytest.mark.parametrize(("offset", "size"), [(PIECE + 1, 10), (0, 10), (PIECE, 11), (PIECE, 0)])
+async def test_a_piece_of_another_place_or_length_is_not_taken(
+    road: Road, offset: int, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def answered(question: object) -> tuple[LogReply, bytes]:
+        return LogReply("", "a1", offset=offset, size=300_000), bytes(size)
+
+    fetcher = road.fetcher()
+    monkeypatch.setattr(fetcher, "_ask", answered)
+    with pytest.raises(UsageError, match="ends at 300000 bytes"):
+        await fetcher._piece(FIRST, PIECE, 10)
+
+
 async def test_several_fetch_at_once_and_a_slow_one_holds_up_nobody(
     road: Road, tmp_path: Path
 ) -> None:

@@ -288,6 +288,16 @@ async def test_it_does_not_begin_by_a_wrong_time(
     assert performer.stage is READY
 
 
+async def test_a_clock_that_nobody_asks_again_becomes_ever_less_sure(stand: Stand) -> None:
+    """Two cheap crystals part by 100 ppm: half a millisecond is gone after five seconds."""
+    performer = await stand.to(READY)
+    performer.start(FLOWN.digest, stand.one.client.now + 2.0, 0.0495)
+    await stand.rig.until(lambda: performer.stage is LEFT)
+    assert isinstance(performer.fault, LeftShow)
+    assert performer.fault.why is Why.CLOCK
+    assert performer.fault.at == pytest.approx(3.0, abs=0.2)
+
+
 async def test_two_minutes_are_waited_and_the_track_is_flown_then(stand: Stand) -> None:
     performer = await stand.to(READY)
     performer.start(FLOWN.digest, stand.one.client.now + MOST_EARLY_S, 0.0)
