@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Awaitable, Callable
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import anyio
 import pytest
 
 from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.control_session import ControlState
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.ros2.actions import GoalStatus
 from m100link.apps.ros2.control import (
@@ -75,6 +77,14 @@ def test_who_paused_and_begins_anew_flies_whatever_it_counts(stick: SetpointMux)
     assert stick.hear(ONE, 4.0, 4.05, number + 1) == ""
     assert stick.hear(ONE, 6.0, 6.05, number + 1) == ""  # it does not count
     assert stick.hear(ONE, 8.0, 8.05, 1) == ""  # it counts anew
+
+
+@pytest.mark.parametrize(("made_s", "answer"), [(0.41, ""), (0.39, "other")])
+def test_a_pause_may_be_a_tenth_shorter_where_it_is_made(
+    stick: SetpointMux, made_s: float, answer: str
+) -> None:
+    stick.hear(ONE, 0.0, 0.0, 1)
+    assert stick.hear(ONE, made_s, 0.55, 2) == answer
 
 
 def test_who_was_cut_off_while_it_sent_does_not_fly_on(stick: SetpointMux) -> None:
@@ -158,6 +168,21 @@ def test_of_very_many_who_send_when_control_is_obtained_nobody_has_the_stick() -
 
 
 # -- speeds and places of ROS, in the words of the aircraft ----------------------------------------
+
+
+@pytest.mark.parametrize("state", ControlState)
+def test_a_stop_ends_the_stick_with_the_control(state: ControlState) -> None:
+    """Whoever pressed it: who sends setpoints does not fly on by them."""
+    helm = object.__new__(Helm)
+    view = SimpleNamespace(is_on_ground=False)
+    agent = SimpleNamespace(now=0.1, view=view, state=SimpleNamespace(task=""))
+    helm._agent, helm.goal, helm.stick = cast(Any, agent), "", Stick()
+    helm.session = cast(Any, SimpleNamespace(state=state, heard=lambda *, is_idle: None))
+    helm.stick.begin(0.0)
+    helm.stick.hear(ONE, 0.0, 0.0)
+    helm.advance()
+    is_kept = state is ControlState.HOLDING
+    assert (helm.stick.is_open, helm.stick.holder) == (is_kept, ONE if is_kept else None)
 
 
 def twist(x: float, y: float, z: float, turn: float) -> dict[str, Any]:
