@@ -289,6 +289,19 @@ async def test_neutralise_replaces_the_setpoint_from_now_on_and_falls_silent(rig
     assert rig.setpoints.expired == 0
 
 
+@pytest.mark.parametrize("since", [0.0, 0.005, 0.015, 0.02, 0.05])
+async def test_the_neutral_is_repeated_each_period_and_never_later(rig: Rig, since: float) -> None:
+    """No program ticks it, and no slack is left for one."""
+    rig.set(NORTH)
+    await asyncio.sleep(since)
+    rig.setpoints.neutralise()
+    await asyncio.sleep(NEUTRAL_TIME + 0.1)
+    neutral = [time for time, setpoint in rig.frames if setpoint == STILL]
+    gaps = [later - earlier for earlier, later in pairwise(neutral)]
+    assert gaps == pytest.approx([PERIOD] * len(gaps), abs=1e-6)
+    assert len(gaps) >= NEUTRAL_TIME / PERIOD - 2
+
+
 async def test_neutralise_goes_out_at_once_when_its_period_has_had_no_frame(rig: Rig) -> None:
     rig.setpoints.set(NORTH, lifetime=10.0, period=1.0)
     await asyncio.sleep(0.95)
