@@ -197,7 +197,7 @@ class FleetAgent:
     # -- what is told ----------------------------------------------------------------------------
 
     def _on_event(self, event: Event) -> None:
-        if event.topic in (EventTopic.STOPPED, EventEventTopic.HALTED):
+        if event.topic in (EventTopic.STOPPED, EventTopic.HALTED):
             self._ages.revoke(self.client.now)  # whoever asked for it, at the station, too
         self._event.put(pack(event))
 
