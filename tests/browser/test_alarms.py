@@ -76,7 +76,7 @@ async def test_take_off_needs_a_green_checklist_or_a_reason(console: Console) ->
     await page.wait_for_selector("[data-check=control].right")
     await page.get_by_role("checkbox", name="I have looked").click()
     await page.wait_for_selector("[data-check=free].right")
-    await shows(page, "#check-summary", "Not right")
+    await shows(page, "#check-summary", "Not passed")
     await shows(page, "[data-check=gps].wrong", "2 of 5")
     assert await page.locator(take_off).is_disabled()
     await page.get_by_label("Why do you take off").fill("a test of weak GPS")
@@ -90,7 +90,7 @@ async def test_take_off_needs_a_green_checklist_or_a_reason(console: Console) ->
 
     await press_until(page, "take_off", lambda: console.watch.height > 0.5, hold_here)
     await look_at(page, "events")
-    await shows(page, "#events", "takes off although not right: GPS")
+    await shows(page, "#events", "takes off despite failed checks: GPS")
     await shows(page, "#events", "Reason: a test of weak GPS")
     await page.wait_for_selector("[data-alarm=gps].raised")
     await look_at(page, "check")

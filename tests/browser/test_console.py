@@ -138,7 +138,7 @@ async def test_the_pad_shows_what_is_flown_and_not_what_is_sent(console: Console
     await in_control(page)
     await page.click("#pad")
     await page.keyboard.down("w")
-    await shows(page, "#did", "not flown: it stands on the ground · W")
+    await shows(page, "#did", "not flown: the aircraft is on the ground · W")
     assert not await page.evaluate(green)
     await page.keyboard.up("w")
     await look_around(page)

@@ -133,7 +133,7 @@ async def test_a_focus_that_came_by_itself_takes_no_key_for_a_second(console: Co
     await page.evaluate(f"document.querySelector({ACTIVATE!r}).focus()")
     for key in ("Enter", "Space"):
         await page.keyboard.press(key)
-    assert "focus had come here by itself" in await page.inner_text("#page-said")
+    assert "focus had moved here on its own" in await page.inner_text("#page-said")
     assert "Activation: active" not in await activation(page)
     await page.evaluate("document.querySelector('#pad').focus()")
     await page.keyboard.down("w")

@@ -29,13 +29,13 @@ TEXTS = {
     N.BATTERY_LOW: "Battery 25 %: land soon",
     N.BATTERY_CRITICAL: "Battery 10 %: the aircraft is about to land",
     N.LANDS_ITSELF: "lands by itself: the battery is nearly empty",
-    N.GUARD_NEAR: "high of 50 m",
+    N.GUARD_NEAR: "of 50 m",
     N.BATTERY_FLOOR: "below 20 % the station does not steer",
     N.LEASE_TAKEN: "console 2 took control from you",
     N.AUTHORITY_LOST: "The pilot took control with the mode switch",
     N.MISSION_ABORTED: "the pilot moved the mode switch out of F",
     N.LINK_OLD: "The aircraft is silent",
-    N.LINK_LOST: "The line to the aircraft is lost",
+    N.LINK_LOST: "The link to the aircraft is lost",
 }
 
 WITHOUT_CONTROL = (N.GPS, N.BATTERY_LOW, N.BATTERY_CRITICAL, N.LANDS_ITSELF)

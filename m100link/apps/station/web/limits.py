@@ -215,7 +215,7 @@ PLACES = 8  # how many may wait
 
 _BUSY = (
     b'<!doctype html><meta http-equiv="refresh" content="1"><title>m100link</title>'
-    b"<p>Many ask for this page at once. It is asked for again by itself.</p>"
+    b"<p>Many clients requested this page at once. It retries by itself.</p>"
 )
 
 

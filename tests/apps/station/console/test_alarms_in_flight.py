@@ -103,7 +103,7 @@ async def the_position_jumps(operator: Operator) -> None:
 
 
 CAUSES: dict[AlarmName, tuple[Callable[[Operator], Awaitable[object]], str]] = {
-    N.LINK_LOST: (order("unplug"), "line to the aircraft is lost"),
+    N.LINK_LOST: (order("unplug"), "link to the aircraft is lost"),
     N.LANDS_ITSELF: (order("battery 9"), "lands by itself"),
     N.BATTERY_CRITICAL: (order("battery 10"), "Battery 10 %: the aircraft is about to land"),
     N.LEASE_TAKEN: (somebody_takes_over, "Anna took control from you"),
@@ -113,7 +113,7 @@ CAUSES: dict[AlarmName, tuple[Callable[[Operator], Awaitable[object]], str]] = {
     N.GPS: (order("gps 2"), "GPS is weak"),
     N.AUTHORITY_LOST: (order("rc-mode P"), "The pilot took control with the mode switch"),
     N.MISSION_ABORTED: (a_guard_ends_a_mission, "Mission broken off"),
-    N.GUARD_NEAR: (fly_up, "high of 50 m"),
+    N.GUARD_NEAR: (fly_up, "of 50 m"),
     N.BATTERY_LOW: (order("battery 25"), "Battery 25 %: land soon"),
 }
 

@@ -32,7 +32,7 @@ def test_what_is_said_once_is_said_as_it_was_chosen() -> None:
     wording = Wording()
     near = tr("alarms.guard_near.height", value=Quantity.length(40), limit=Quantity.length(50))
     wording.choose(replace(wording.settings, length=LengthUnit.FOOT))
-    assert wording(near) == "Near the limit: 131 ft high of 164 ft"
+    assert wording(near) == "Near the limit: height 131 ft of 164 ft"
 
 
 # -- each part of the page is on it ----------------------------------------------------------------

@@ -115,7 +115,7 @@ def silent(seconds: float) -> dict[str, Any]:
 
 # What begins each alarm, what ends it, and what it says.
 CASES: dict[AlarmName, tuple[dict[str, Any], dict[str, Any], str]] = {
-    N.LINK_LOST: ({"connection": "lost"}, {"connection": "connected"}, "line to the aircraft"),
+    N.LINK_LOST: ({"connection": "lost"}, {"connection": "connected"}, "link to the aircraft"),
     N.LANDS_ITSELF: (
         {"phase": FlightPhase.LANDING, "seconds": 1.0},
         {"phase": FlightPhase.STANDBY},
@@ -145,7 +145,7 @@ CASES: dict[AlarmName, tuple[dict[str, Any], dict[str, Any], str]] = {
         {"aborted": 0},
         "Mission broken off: too far away",
     ),
-    N.GUARD_NEAR: ({"height": 45.0}, {"height": 42.0, "seconds": 1.25}, "45 m high of 50 m"),
+    N.GUARD_NEAR: ({"height": 45.0}, {"height": 42.0, "seconds": 1.25}, "height 45 m of 50 m"),
     N.BATTERY_LOW: ({"battery": 25}, {"battery": 30}, "Battery 25 %: land soon"),
 }
 
@@ -328,8 +328,8 @@ def test_what_is_no_danger_there_is_no_alarm(known: dict[str, Any]) -> None:
     [
         (LossReason.MODE_SWITCH, "The pilot took control with the mode switch"),
         (LossReason.APP, "The app on the pilot's phone took control"),
-        (LossReason.LINK, "Control is lost with the line"),
-        (LossReason.UNKNOWN, "Control is lost, nobody knows to whom"),
+        (LossReason.LINK, "Control is lost: the link to the aircraft failed"),
+        (LossReason.UNKNOWN, "Control is lost, and it is unknown who has it"),
     ],
 )
 def test_who_took_authority_is_said_as_far_as_it_is_known(reason: LossReason, text: str) -> None:
@@ -343,7 +343,7 @@ def test_who_took_authority_is_said_as_far_as_it_is_known(reason: LossReason, te
         (lease_lost(), "Anna took control from you. The aircraft hovers"),
         (
             LeaseChanged(0, "", LeaseChange.EXPIRED),
-            "You have lost control: this page was not heard for too long",
+            "You have lost control: the station did not hear this page for too long",
         ),
         (LeaseChanged(0, "", LeaseChange.FRONT_LOST), "You have lost control"),
     ],
@@ -359,18 +359,18 @@ T, E = LeaseChange.TAKEN_OVER, LeaseChange.EXPIRED
     ("why", "flown", "text"),
     [
         (T, Flown.NOTHING, "from you. The aircraft hovers"),
-        (T, Flown.SETPOINTS, "from you. What you steered was stopped: the aircraft brakes and"),
-        (T, Flown.GUIDED, "The flight to where you pointed was stopped"),
+        (T, Flown.SETPOINTS, "from you. Your steering was stopped: the aircraft brakes and"),
+        (T, Flown.GUIDED, "The flight to your point was stopped"),
         (T, Flown.PROGRAM, "The simple task was stopped"),
-        (T, Flown.MISSION, "The mission was told to stop: the aircraft brakes and hovers"),
+        (T, Flown.MISSION, "The station ordered the mission to stop: the aircraft brakes"),
         (T, Flown.TAKE_OFF, "The take-off goes on"),
         (T, Flown.LAND, "The landing goes on"),
         (T, Flown.GO_HOME, "The flight home goes on"),
         # Control authority goes back, which ends what the autopilot flies, or it does not.
-        (E, Flown.TAKE_OFF, "It was taking off: see whether that goes on"),
-        (E, Flown.LAND, "It was landing: see whether"),
-        (E, Flown.GO_HOME, "It was going home: see whether"),
-        (E, Flown.MISSION, "for too long. The mission was told to stop"),
+        (E, Flown.TAKE_OFF, "It was taking off: check whether it goes on"),
+        (E, Flown.LAND, "It was landing: check whether"),
+        (E, Flown.GO_HOME, "It was going home: check whether"),
+        (E, Flown.MISSION, "for too long. The station ordered the mission"),
     ],
 )
 def test_what_the_end_of_a_lease_stopped_is_said(why: LeaseChange, flown: Flown, text: str) -> None:
@@ -414,7 +414,7 @@ def test_what_is_so_when_somebody_comes_is_told() -> None:
 
 def test_both_limits_are_watched_and_the_nearer_is_said() -> None:
     flight = Flight(height=46.0, distance=148.0)
-    assert flight.text(N.GUARD_NEAR) == "Near the limit: 148 m away of 150 m"
+    assert flight.text(N.GUARD_NEAR) == "Near the limit: distance 148 m of 150 m"
 
 
 def definitions() -> Iterator[tuple[AlarmName, bool, bool]]:

@@ -107,7 +107,7 @@ CASES: list[tuple[ChecklistItem, dict[str, Any], ItemState, str]] = [
     (ChecklistItem.QUALITY, {"round_trip": 0.5}, W, "500 ms to the aircraft, 10 ms to this page"),
     (ChecklistItem.QUALITY, {"page_trip": 0.6}, W, "30 ms to the aircraft, 600 ms to this page"),
     (ChecklistItem.ACTIVATION, {"is_activated": False}, W, "not activated"),
-    (ChecklistItem.GROUND, {"phase": FlightPhase.IN_AIR}, W, "it flies already"),
+    (ChecklistItem.GROUND, {"phase": FlightPhase.IN_AIR}, W, "already flying"),
     (ChecklistItem.GROUND, {"phase": None}, U, "unknown"),
     (ChecklistItem.SWITCH, {"switch": RcMode.P}, W, "in P"),
     (ChecklistItem.SWITCH, {"switch": None}, U, "unknown"),

@@ -131,7 +131,7 @@ async def test_a_plan_of_somebody_without_control_is_refused(newer: Rig) -> None
 @pytest.mark.parametrize(
     ("mission", "index", "said"),
     [
-        ("", -1, "nothing is known of missions"),
+        ("", -1, "mission unknown"),
         ("no mission", -1, "no mission"),
         ("hotpoint", -1, "circle around a point"),
         ("of another kind", -1, "program of another kind"),
@@ -310,9 +310,9 @@ def test_names_and_reasons_are_said() -> None:
     assert said(holder="Anna") == "Anna has control"
     assert said(switch=RcMode.A) == "The pilot flies: mode switch in A"
     assert said(connection="lost", fault="the port is gone") == (
-        "The line to the aircraft is lost: the port is gone"
+        "The link to the aircraft is lost: the port is gone"
     )
-    assert said(connection="lost") == "The line to the aircraft is lost"
+    assert said(connection="lost") == "The link to the aircraft is lost"
 
 
 @pytest.mark.parametrize(

@@ -135,7 +135,7 @@ def test_without_a_point_or_control_nothing_can_be_held() -> None:
         (GuardRefused("old", guard="way_late", measured=1, limit=2, remedy="wait"), "wait"),
         (UsageError("fly_to was asked for on the ground", remedy="await take_off()"), "Take off"),
         (UsageError("too fast a circle", remedy="at most 3 m/s"), "at most 3 m/s"),
-        (LinkError("gone"), "Wait until the position"),
+        (LinkError("gone"), "Wait for the position"),
     ],
 )
 def test_a_refusal_has_its_reason_and_a_remedy_for_whoever_points(

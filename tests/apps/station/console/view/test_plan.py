@@ -218,8 +218,8 @@ def test_whether_start_flies_what_is_drawn_here() -> None:
     as_told = WaypointPlan.from_wire(mission, points)  # single precision, whole degrees
     assert told(plan, None) == "Not uploaded"
     assert told(plan, as_told) == "Uploaded: start flies this plan"
-    assert told(replace(plan, speed=3.0), as_told).endswith("tower uploaded another one")
-    assert told(None, as_told).endswith("tower uploaded another one")
+    assert told(replace(plan, speed=3.0), as_told).endswith("tower uploaded another plan")
+    assert told(None, as_told).endswith("tower uploaded another plan")
 
 
 def test_what_the_map_draws_says_which_points_are_wrong() -> None:

@@ -94,8 +94,8 @@ def test_every_text_that_is_said_is_in_the_files_and_filled_as_it_wants() -> Non
 def test_a_speaker_fills_in_numbers_quantities_and_other_texts() -> None:
     english, german = Translator(), Translator(Language.GERMAN, Units(LengthUnit.FOOT))
     near = tr("alarms.guard_near.height", value=Quantity.length(46.2), limit=Quantity.length(50.0))
-    assert english(near) == "Near the limit: 46 m high of 50 m"
-    assert german(near) == "Nahe der Grenze: 152 ft hoch von 164 ft"
+    assert english(near) == "Near the limit: height 46 m of 50 m"
+    assert german(near) == "Nahe der Grenze: Höhe 152 ft von 164 ft"
     waiting = tr("unit.seconds", seconds=1.5)
     assert (english(waiting), german(waiting)) == ("1.5 s", "1,5 s")
     inner = tr("alarms.passed", alarm=tr("alarms.gps"))

@@ -63,7 +63,7 @@ def test_the_life_of_an_alarm_is_in_the_list_of_events() -> None:
     said = memory.acknowledge(AlarmName.LINK_LOST)
     assert said is not None
     memory.look(Inputs(vehicle=seen(None, 3.0, state=OPEN), wall=1003.0))
-    words = "The line to the aircraft is lost: have the pilot take over"
+    words = "The link to the aircraft is lost: have the pilot take over"
     assert Translator()(said) == words
     assert told(memory) == [
         (1002.0, "error", "page", f"Alarm: {words}"),
