@@ -301,8 +301,7 @@ def bind(address: Address) -> socket.socket:
         raise kind(
             f"{address[0]}:{address[1]} cannot be served: {error.strerror or error}",
             cause="a ground station, or another bridge, listens there" if kind is PortBusy else "",
-            remedy="end it, or choose another --listen; a ground station that listens itself is "
-            "reached by --to",
+            remedy="end it, choose another --listen, or reach a listening station by --to",
         ) from error
     return one
 

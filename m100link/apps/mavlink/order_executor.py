@@ -117,7 +117,7 @@ class OrderExecutor:
     def _drop(self) -> None:
         if self._owes_a_stop and self._session.has_lease:
             # Where the agent was only not heard for a while, it flies on what nobody wants now.
-            self._agent.halt("control was not seen to be held")
+            self._agent.halt("the bridge does not know whether it has control")
         if self._work is not None:
             self._work.cancel()
 

@@ -238,7 +238,7 @@ async def test_setpoints_that_stop_are_not_flown_on(rig: Rig, ground: Ground) ->
     await anyio.sleep(3.5)
     assert ground.mode is Mode.HOLD
     assert rig.speed < 0.1
-    assert "no setpoint any more" in ground.texts
+    assert "setpoints stopped" in ground.texts
 
 
 async def test_the_bridge_ends_and_gives_control_back(rig: Rig, ground: Ground) -> None:

@@ -146,7 +146,7 @@ class CommandProtocol:
         return self.wish_mode(mode, asked.peer, now)
 
     def _no_mode(self, what: str) -> MavResult:
-        self._tell(Severity.WARNING, f"{what} is not one of this aircraft, or the RC has it alone")
+        self._tell(Severity.WARNING, f"{what} does not exist here, or only the RC sets it")
         return MavResult.DENIED
 
     def wish_mode(self, mode: Mode, peer: Peer, now: float) -> MavResult:
@@ -182,7 +182,7 @@ class CommandProtocol:
     def _ground(self) -> float:
         ground = self._world.ground_altitude
         if ground is None:
-            raise UsageError("take-off: nobody knows the altitude of the ground")
+            raise UsageError("take-off: the altitude of the ground is unknown")
         return ground
 
     def _take_off_height(self, altitude: float) -> float:
@@ -226,7 +226,7 @@ class CommandProtocol:
             self._tell(Severity.WARNING, f"orbit: a radius of {radius:g} m")
             return MavResult.DENIED
         if position is None:
-            self._tell(Severity.WARNING, "orbit: nobody knows where the aircraft is")
+            self._tell(Severity.WARNING, "orbit: the position of the aircraft is unknown")
             return MavResult.TEMPORARILY_REJECTED
         here = position.latitude_deg, position.longitude_deg
         place = (asked.x, asked.y) if self._is_place(asked) else here
@@ -281,7 +281,7 @@ class CommandProtocol:
         return self._manager.request_mode(request, now)
 
     def set_current(self, asked: Asked, now: float) -> MavResult:
-        """DO_SET_MISSION_CURRENT: the item to go on from, at once if the mission flies."""
+        """DO_SET_MISSION_CURRENT: the item to continue from, at once if the mission flies."""
         number = asked.parameters[0]
         if not math.isfinite(number) or number < 0:
             return MavResult.DENIED
@@ -325,7 +325,7 @@ class CommandProtocol:
         height = self._world.height
         if math.isnan(asked.z):
             if height is None:
-                raise UsageError("nobody knows the height")
+                raise UsageError("the height is unknown")
             return height
         if asked.frame in RELATIVE:
             return asked.z
@@ -436,13 +436,11 @@ COMMANDS: Mapping[int, CommandRow] = {
         CommandProtocol.take_off,
         "the autopilot's take-off, then a climb; waits for arming up to 10 s",
     ),
-    MavCommand.NAV_LAND: CommandRow(_mode(Mode.LAND), "lands in place, whatever place is named"),
-    MavCommand.NAV_RETURN_TO_LAUNCH: CommandRow(_mode(Mode.RTL), "the autopilot's way home"),
-    MavCommand.DO_SET_MODE: CommandRow(
-        CommandProtocol.set_mode, "the modes below, by the numbers of PX4"
-    ),
+    MavCommand.NAV_LAND: CommandRow(_mode(Mode.LAND), "lands in place, and ignores a named place"),
+    MavCommand.NAV_RETURN_TO_LAUNCH: CommandRow(_mode(Mode.RTL), "the autopilot's return home"),
+    MavCommand.DO_SET_MODE: CommandRow(CommandProtocol.set_mode, "the modes, by PX4's numbers"),
     MavCommand.DO_SET_STANDARD_MODE: CommandRow(
-        CommandProtocol.set_standard_mode, "the same by standard"
+        CommandProtocol.set_standard_mode, "the standard modes"
     ),
     MavCommand.DO_REPOSITION: CommandRow(
         CommandProtocol.reposition, "flies to a place, changes height or heading; without any: hold"
@@ -458,10 +456,10 @@ COMMANDS: Mapping[int, CommandRow] = {
     ),
     MavCommand.MISSION_START: CommandRow(CommandProtocol.start_mission, "flies the mission"),
     MavCommand.DO_SET_MISSION_CURRENT: CommandRow(
-        CommandProtocol.set_current, "the item to go on from"
+        CommandProtocol.set_current, "the item to continue from"
     ),
     MavCommand.SET_MESSAGE_INTERVAL: CommandRow(
-        CommandProtocol.set_interval, "up to 50 Hz, for who asks"
+        CommandProtocol.set_interval, "up to 50 Hz, for the sender of the command"
     ),
     MavCommand.GET_MESSAGE_INTERVAL: CommandRow(
         CommandProtocol.get_interval, "answers MESSAGE_INTERVAL"

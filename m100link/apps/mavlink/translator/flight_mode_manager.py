@@ -48,7 +48,7 @@ IDLE_S = 10.0  # seconds armed on the ground without a take-off after which it i
 
 _TO_THE_GROUND = (Mode.LAND, Mode.RTL)
 _ENDS = (Mode.HOLD, *_TO_THE_GROUND)
-_CALLED_OFF = "the take-off is being called off: what takes off all the same is landed"
+_CALLED_OFF = "the take-off is being called off: if it starts all the same, the aircraft lands"
 _REFUSED = {ModeVerdict.DENY: MavResult.DENIED, ModeVerdict.REJECT: MavResult.TEMPORARILY_REJECTED}
 _CONTROLLED = (VehiclePhase.ARMED, VehiclePhase.AIRBORNE)
 
@@ -75,7 +75,7 @@ class FlightModeManager:
         self._arming: ObtainControl | None = None
         # Called with whether and why not, when a request for authority has ended.
         self.on_armed: Callable[[M100Error | None], None] = lambda _: None
-        # What the aircraft was asked for last, while it is in force.
+        # What the aircraft was requested last, while it is in force.
         self._mode = Mode.HOLD
         # The order under way; what ends later than the one that replaced it means nothing.
         self._current: VehicleOrder | None = None
@@ -91,10 +91,8 @@ class FlightModeManager:
     def phase(self) -> VehiclePhase:
         """Where the flight stands; a take-off that was ordered counts as flown."""
         phase = self._world.phase
-        if phase is VehiclePhase.ARMED and isinstance(
-            self._current, ReleaseControl | CancelTakeOff
-        ):
-            return VehiclePhase.DISARMED  # it was asked for, and holds before it is carried out
+        if phase is VehiclePhase.ARMED and isinstance(self._current, ReleaseControl | CancelTakeOff):
+            return VehiclePhase.DISARMED  # it was requested, and holds before it is carried out
         is_flying = self.running not in (FlightSource.NOTHING, FlightSource.STREAM)
         return VehiclePhase.AIRBORNE if phase is VehiclePhase.ARMED and is_flying else phase
 
@@ -203,7 +201,7 @@ class FlightModeManager:
 
     def _start(self, request: ModeRequest, now: float) -> MavResult:
         if request.mode in _TO_THE_GROUND and self._can_be_called_off:
-            self._call_off(request.mode, f"{request.mode.value} was asked for")
+            self._call_off(request.mode, f"{request.mode.value} was requested")
             return MavResult.ACCEPTED
         step = RUNNING[self.running][request.mode]
         is_later = step is ModeTransition.WAIT and self._waiting is not None
@@ -237,7 +235,7 @@ class FlightModeManager:
             # A mission of whoever is gone ignores setpoints, too.
             flies = self.running is FlightSource.FLIGHT or self.is_flown_by_aircraft
             if flies or self._is_flown_by_a_stranger:
-                self.orders.append(HoldPosition(why=f"{request.mode.value} was asked for"))
+                self.orders.append(HoldPosition(why=f"{request.mode.value} was requested"))
             self._current, self.running = None, FlightSource.STREAM
             return
         self._current, self.running = order, order.running
@@ -304,7 +302,7 @@ class FlightModeManager:
         """A request for authority has ended."""
         wanted, self._arming = self._arming, None
         if wanted is None:
-            error = NoAuthority("it was disarmed before it was armed", remedy="arm again")
+            error = NoAuthority("disarmed before arming was complete", remedy="arm again")
         elif wanted is not order:
             self._arming = wanted  # it was armed again meanwhile, which answers both
             return
@@ -317,7 +315,7 @@ class FlightModeManager:
             if remembered is not None and now < remembered[1]:
                 self.request_mode(remembered[0], now)
             elif self._world.flies_mission and self.phase is VehiclePhase.AIRBORNE:
-                self.hold("hold: the mission that was flown when it was armed is stopped")
+                self.hold("hold: the mission that flew at arming is stopped")
         self.on_armed(error)
 
     def took_off(self, order: VehicleOrder, now: float) -> None:
@@ -385,7 +383,7 @@ class FlightModeManager:
         """Look at what has changed by itself, and steer."""
         phase = self.phase
         if self._remembered is not None and now >= self._remembered[1]:
-            self._tell(Severity.NOTICE, f"{self._remembered[0].mode.value}: nobody armed in time")
+            self._tell(Severity.NOTICE, f"{self._remembered[0].mode.value}: not armed in time")
             self._remembered = None
         if phase in _CONTROLLED:
             if self.running is FlightSource.STREAM:
@@ -436,7 +434,7 @@ class FlightModeManager:
             self.hold(f"{self._mode.value}: {error.seen}")
             return
         if setpoint is None:
-            self.hold(f"{self._mode.value}: no setpoint any more")
+            self.hold(f"{self._mode.value}: setpoints stopped")
         elif phase is VehiclePhase.AIRBORNE:
             self.orders.append(setpoint)
         elif stream.wants_up(now):

@@ -161,7 +161,7 @@ class MissionProtocol:
                 self.fence = read_fence(items)
             elif kind == MissionType.RALLY:
                 # Kept for programs that want them back; nobody may believe in them.
-                self._tell(Severity.WARNING, "rally points are not flown to: return goes home")
+                self._tell(Severity.WARNING, "rally points are only stored: return goes home")
             else:
                 route = read_route(items, ground=self._ground() or 0.0, speed=self._speed())
                 if route.left_out:
@@ -418,7 +418,7 @@ class Fence:
         Of areas to stay in only the end is asked for: several may lie side by side.
         """
         if self.enters(begin, end):
-            return "an excluded area is on the way"
+            return "an excluded area is on the path"
         return self.refusal(*end)
 
     def depth_m(self, latitude_deg: float, longitude_deg: float) -> float:
@@ -468,7 +468,7 @@ def read_fence(items: Sequence[MavlinkMessage]) -> Fence:
         if radius > 0.0:  # how programs write "none"
             areas.append(_Area(_CIRCLES[command], _frame(number, place), _space(*place), radius))
     if waiting:
-        raise Refused(MissionResult.INVALID, "a polygon of the fence is not whole")
+        raise Refused(MissionResult.INVALID, "a polygon of the fence is incomplete")
     return Fence(tuple(areas))
 
 

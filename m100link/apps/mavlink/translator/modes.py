@@ -50,10 +50,10 @@ class ModeRow:
 _AUTO = BaseMode.AUTO | BaseMode.GUIDED
 
 MODES: dict[Mode, ModeRow] = {
-    Mode.HOLD: ModeRow(4, 3, 0, _AUTO, True, "hovers; also flies to where it was sent"),
+    Mode.HOLD: ModeRow(4, 3, 0, _AUTO, True, "hovers; also flies to a commanded place"),
     Mode.TAKEOFF: ModeRow(4, 2, 8, _AUTO, True, "the autopilot's take-off, then a climb"),
-    Mode.MISSION: ModeRow(4, 4, 6, _AUTO, True, "flies the mission that was uploaded"),
-    Mode.RTL: ModeRow(4, 5, 5, _AUTO, True, "the autopilot's way home, and landing"),
+    Mode.MISSION: ModeRow(4, 4, 6, _AUTO, True, "flies the uploaded mission"),
+    Mode.RTL: ModeRow(4, 5, 5, _AUTO, True, "the autopilot's return home, and landing"),
     Mode.LAND: ModeRow(4, 6, 7, _AUTO, True, "the autopilot's landing in place"),
     Mode.OFFBOARD: ModeRow(6, 0, 0, BaseMode.GUIDED, True, "setpoints of a program"),
     Mode.POSCTL: ModeRow(3, 0, 1, BaseMode.MANUAL, True, "sticks are velocities; the pilot in P"),

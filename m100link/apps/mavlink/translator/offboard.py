@@ -85,7 +85,7 @@ class Offboard:
             return f"frame {frame} of setpoints is not known"
         # What is flown in part is another flight than the one that is asked for.
         if mask & _PLACE not in (0, _PLACE) or mask & _SPEED not in (0, _SPEED):
-            return "one of two coordinates: say both, or ignore both"
+            return "only one of two coordinates: give both, or neither"
         has_place, has_height = not mask & _PLACE, not mask & _HEIGHT
         has_speed, has_climb = not mask & _SPEED, not mask & _CLIMB
         if is_body and (has_place or has_height):
@@ -127,7 +127,7 @@ class Offboard:
         ones = (target.height, target.climb, target.yaw_deg, target.yaw_rate)
         told = {*pairs, *ones} - {None}
         if not told or not all(map(math.isfinite, told)):
-            return "a setpoint that says nothing, or is not a number"
+            return "a setpoint without values, or not a number"
         self.target = target
         return ""
 

@@ -36,22 +36,14 @@ PARAMETERS: Mapping[str, MavlinkParameter] = {
         None, "system id of this aircraft", told=lambda _, system: system, is_whole=True
     ),
     "MIS_TAKEOFF_ALT": MavlinkParameter(2.5, "height of a take-off without one, m", 1.5, 100.0),
-    "RTL_RETURN_ALT": MavlinkParameter(-1.0, "DJI's own setting, which the wire does not tell: -1"),
+    "RTL_RETURN_ALT": MavlinkParameter(-1.0, "DJI's own setting, unknown here: -1"),
     "COM_OF_LOSS_T": MavlinkParameter(0.5, "s without a setpoint until OFFBOARD holds", 0.1, 2.0),
-    "MPC_XY_CRUISE": MavlinkParameter(
-        5.0, "speed of flights to a place and of missions, m/s", 0.5, 10.0
-    ),
-    "MPC_XY_VEL_MAX": MavlinkParameter(
-        5.0, "greatest speed of OFFBOARD and of sticks, m/s", 0.5, 10.0
-    ),
-    "MPC_Z_VEL_MAX_UP": MavlinkParameter(
-        2.0, "greatest climb of OFFBOARD and of sticks, m/s", 0.2, 4.0
-    ),
+    "MPC_XY_CRUISE": MavlinkParameter(5.0, "speed of flights to a place and of missions, m/s", 0.5, 10.0),
+    "MPC_XY_VEL_MAX": MavlinkParameter(5.0, "greatest speed of OFFBOARD and of sticks, m/s", 0.5, 10.0),
+    "MPC_Z_VEL_MAX_UP": MavlinkParameter(2.0, "greatest climb of OFFBOARD and of sticks, m/s", 0.2, 4.0),
     "MPC_Z_VEL_MAX_DN": MavlinkParameter(1.5, "greatest descent of them, m/s", 0.2, 3.0),
     "MPC_MAN_Y_MAX": MavlinkParameter(60.0, "greatest turn of sticks, degrees/s", 5.0, 100.0),
-    "MPC_MAN_TILT_MAX": MavlinkParameter(
-        15.0, "greatest tilt of sticks in ALTCTL, degrees", 1.0, 30.0
-    ),
+    "MPC_MAN_TILT_MAX": MavlinkParameter(15.0, "greatest tilt of sticks in ALTCTL, degrees", 1.0, 30.0),
     "GF_MAX_HOR_DIST": MavlinkParameter(
         None,
         "the agent's envelope: m from where control was obtained; 0 without",

@@ -80,7 +80,7 @@ class Route:
         frame, height = item["frame"], float(item["z"])
         if frame in SEA_LEVEL:
             if self._ground is None:
-                raise Refused(MissionResult.ERROR, "nobody knows the altitude of the ground")
+                raise Refused(MissionResult.ERROR, "the altitude of the ground is unknown")
             height -= self._ground
         elif frame not in RELATIVE:
             raise Refused(
@@ -169,8 +169,8 @@ ITEMS: Mapping[int, ItemRow] = {
     MavCommand.NAV_LOITER_TIME: ItemRow(Route.waypoint, "the same, with its time"),
     MavCommand.NAV_LOITER_UNLIM: ItemRow(Route.loiter, "straight there, and the end"),
     MavCommand.NAV_DELAY: ItemRow(Route.delay, "seconds, at the waypoint before"),
-    MavCommand.DO_CHANGE_SPEED: ItemRow(Route.change_speed, "of what follows, up to 10 m/s"),
-    MavCommand.NAV_RETURN_TO_LAUNCH: ItemRow(Route.go_home, "the autopilot's way home at the end"),
+    MavCommand.DO_CHANGE_SPEED: ItemRow(Route.change_speed, "of the following items, up to 10 m/s"),
+    MavCommand.NAV_RETURN_TO_LAUNCH: ItemRow(Route.go_home, "the autopilot's return home at the end"),
     MavCommand.NAV_LAND: ItemRow(Route.land, "the autopilot's landing at the end"),
 }
 """By number. Other NAV and CONDITION items refuse the mission; all else is left out by name."""
@@ -258,7 +258,7 @@ def _headings(legs: Sequence[RoutePoint], yaw_deg: float | None) -> list[float]:
     if all(one is None for one in named):
         return [0.0] * len(legs)  # the plan says that the heading stays
     if named[0] is None and yaw_deg is None:
-        raise Unfit("nobody knows the heading that it begins with")
+        raise Unfit("the initial heading is unknown")
     heading, found = yaw_deg or 0.0, []
     for one in named:
         heading = heading if one is None else one

@@ -332,13 +332,13 @@ class Stream:
 _SENSORS, _STATUS, _STICKS, _PLACE, _EXTRA1, _EXTRA2, _EXTRA3 = 1, 2, 3, 6, 10, 11, 12
 
 STREAMS: Mapping[str, Stream] = {
-    "SYS_STATUS": Stream(2, _STATUS, _sys_status, "which items come, GPS health, battery"),
+    "SYS_STATUS": Stream(2, _STATUS, _sys_status, "arriving items, GPS health, battery"),
     "EXTENDED_SYS_STATE": Stream(2, _STATUS, _extended, "flight status"),
     "GLOBAL_POSITION_INT": Stream(20, _PLACE, _global, "position, velocity, heading"),
     "LOCAL_POSITION_NED": Stream(20, _PLACE, _local, "the same, from home"),
     "ATTITUDE": Stream(20, _EXTRA1, _attitude, "attitude, angular velocity"),
     "ATTITUDE_QUATERNION": Stream(20, _EXTRA1, _quaternion, "attitude, angular velocity"),
-    "HOME_POSITION": Stream(1, _PLACE, _home, "where it stood last with GPS health 3"),
+    "HOME_POSITION": Stream(1, _PLACE, _home, "where it last stood with GPS health 3"),
     "GPS_RAW_INT": Stream(5, _SENSORS, _gps, "GPS health; no satellites, no accuracy"),
     "BATTERY_STATUS": Stream(1, _STATUS, _battery, "percent; no voltage, no current"),
     "ESTIMATOR_STATUS": Stream(1, _STATUS, _estimator, "whether the position can be true"),
@@ -359,8 +359,8 @@ NUMBERS = {LAYOUTS[name].number: name for name in STREAMS}  # names by the numbe
 
 
 # -- who is sent which message of telemetry, and how often: each peer what it asked for ------------
-# Rates belong to whoever asked. Peers behind one address share a way: each message goes there as
-# often as the one of them wants that wants it most. What many want at once is made once.
+# Rates belong to the peer that asked. Peers behind one address share a path: each message goes
+# there at the highest rate that any of them asked for. A message for many peers is made once.
 
 
 MOST_HZ = 50.0  # how often a message is sent at most; who asks for more gets this

@@ -302,7 +302,7 @@ class MavlinkVehicle:
         view = self.world.known.view
         position, velocity = view.place, view.get(Velocity)
         if position is None or velocity is None:
-            self.manager.hold("hold: nobody knows how near the fence is")
+            self.manager.hold("hold: the distance to the fence is unknown")
             return
         here = position.latitude_deg, position.longitude_deg
         late = _AHEAD_S + max(view.age(one) or 0.0 for one in (Position, Velocity))

@@ -370,7 +370,7 @@ async def test_an_area_that_lies_on_the_way_is_not_flown_to(rig: Rig, ground: Gr
     await Exchange(ground).upload([item(5004, 25.0, 0.01, param1=5.0)], MissionType.FENCE)
     await ground.fly(5.0)
     assert await reposition(rig, ground, 45.0, 0.01) is MavResult.DENIED
-    await rig.until(lambda: "an excluded area is on the way" in ground.texts)
+    await rig.until(lambda: "an excluded area is on the path" in ground.texts)
     assert await reposition(rig, ground, 45.0, 40.0) is MavResult.ACCEPTED, "beside it"
 
 
@@ -487,7 +487,7 @@ async def test_who_does_not_know_where_it_is_flies_on_before_no_fence(
     monkeypatch.setattr(VehicleView, "get", get)
     assert await deepest_m(rig, 8.0, lambda: fly_north(ground, 10.0)) < 0.5
     assert rig.speed < 0.1
-    assert "hold: nobody knows how near the fence is" in ground.texts
+    assert "hold: the distance to the fence is unknown" in ground.texts
 
 
 async def test_what_is_told_late_leads_nobody_out_of_a_fence(rig: Rig, ground: Ground) -> None:
@@ -607,7 +607,7 @@ async def test_a_fast_mission_is_held_before_a_fence(firmware: str) -> None:
         assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
         await upload_fence(ground, item(5004, 60.0, 30.0, param1=6.0))
         assert await deepest_m(rig, 40.0) < 0.5
-        assert "hold: an excluded area is on the way" in ground.texts
+        assert "hold: an excluded area is on the path" in ground.texts
 
 
 async def test_a_circle_that_leaves_the_fence_between_eight_places_is_denied(
@@ -686,7 +686,7 @@ async def test_rally_points_are_kept_and_said_to_mean_nothing(rig: Rig, ground: 
     assert await Exchange(ground).upload(given, MissionType.RALLY) is MissionResult.ACCEPTED
     found = await Exchange(ground).download(MissionType.RALLY)
     assert all(same(one, item) for one, item in zip(found, given, strict=True))
-    await rig.until(lambda: "rally points are not flown to" in ground.texts)
+    await rig.until(lambda: "rally points are only stored" in ground.texts)
 
 
 # -- fences as tables: items in, which places are inside out ---------------------------------------

@@ -187,7 +187,7 @@ def test_a_wait_is_made_of_those_that_the_wire_can_say(wait: float, parts: int) 
     ("legs", "yaw", "why"),
     [
         ([], 0.0, "no place is left"),
-        ([planned(1), planned(2, 90.0)], None, "nobody knows the heading"),
+        ([planned(1), planned(2, 90.0)], None, "the initial heading is unknown"),
         ([planned(4), planned(7, wait=9_000.0)], None, "item 7: it hovers for 9000 s"),
         ([planned(4), planned(7, height=5_000.0)], None, "item 7"),
         ([planned(4)], None, ""),
