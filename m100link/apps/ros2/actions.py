@@ -120,7 +120,7 @@ class Actions:
             identity = bytes(request["goal_id"]["uuid"])
             try:
                 if identity in self._goals:
-                    raise ValueError("there is a goal of that id")
+                    raise ValueError("a goal with that id exists")
                 self._control.session.held()
                 self._control.require_free(action.name)
                 flight = action.make(self._agent, self._control, request["goal"])
@@ -138,7 +138,7 @@ class Actions:
     async def _result(self, request: dict[str, Any]) -> Mapping[str, Any]:
         goal = self._goals.get(bytes(request["goal_id"]["uuid"]))
         if goal is None:
-            result = {"success": False, "message": "there is no such goal, or it was long ago"}
+            result = {"success": False, "message": "there is no such goal, or it ended long ago"}
             return {"status": GoalStatus.UNKNOWN, "result": result}
         await goal.over.wait()
         done = goal.status is GoalStatus.SUCCEEDED
@@ -177,7 +177,10 @@ class Actions:
             who = ", ".join(sorted({one.node_name for one in goal.clients.values()}))
             self._agent.note(f"{goal.action.name} for {who}")
         else:
-            self._agent.note(f"{goal.action.name} for a node that nobody would miss", "warning")
+            self._agent.note(
+                f"{goal.action.name} for an unknown node: its loss will not cancel the goal",
+                "warning",
+            )
         self._agent.background.spawn(self._fly(goal), goal.action.name)
 
     async def _fly(self, goal: _Goal) -> None:
@@ -227,9 +230,9 @@ class Actions:
         if goal is None:
             return
         if self._presence.missing(goal.clients):
-            self._cancel(goal, "whoever asked has gone")
+            self._cancel(goal, "the client of the goal has gone")
         elif self._heartbeat.is_missing(now):
-            self._cancel(goal, "whoever asked does not answer any more")
+            self._cancel(goal, "the client of the goal does not answer any more")
         if not goal.flight.is_ours:
             # Between two of its legs nothing of it flies that the agent could have ended.
             self._cancel(goal, "control was lost, or given back")

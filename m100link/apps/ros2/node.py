@@ -48,9 +48,9 @@ _TELL_S = 2.0
 _MOST_TOLD = 16
 
 _REFUSED = {
-    "other": "another publisher has the stick, or this one was cut off while it went on sending; "
-    "be silent for a moment, and begin anew",
-    "late": "too long on its way, by the stamps in its attachments",
+    "other": "another publisher is active, or this one was cut off while it published; "
+    "pause for half a second, then publish again",
+    "late": "too late, by the time stamps in its attachments",
 }
 
 Make = Callable[[dict[str, Any]], Setpoint]
@@ -129,11 +129,11 @@ class Node:
     def _place(self, message: dict[str, Any]) -> Setpoint:
         frame = message["header"]["frame_id"]
         if self._frames.is_body(frame, "a place") and frame:
-            raise UsageError("a place in the frame of the body", remedy="give it in odom or map")
+            raise UsageError("a place in the body frame", remedy="give it in odom or map")
         position = self._agent.view.to_steer_by(Position)
         here = None if position is None else self.teller.places.local(position)
         if here is None:
-            raise UsageError("a place, and nobody knows where the aircraft is")
+            raise UsageError("a place, while the position of the aircraft is unknown")
         fastest = self._agent.state.limits.max_speed_m_s
         return toward(message["pose"], here, fastest=fastest)
 
@@ -194,7 +194,7 @@ class Node:
         if self._presence.has_namesake(self.name.full, self.name.session):
             raise UsageError(
                 f"two nodes are called {self.name.full}",
-                cause="another m100link runs in this domain: what is called reaches both",
+                cause="another m100link runs in this domain: calls reach both",
                 remedy="end one of them, or give it --namespace or --node",
             )
         await self.control.obtain()
@@ -202,7 +202,7 @@ class Node:
     async def _end(self, order: orders.Order) -> None:
         """A way to the ground ends what flies."""
         self.control.session.held()
-        self.actions.end(f"{order.label} was asked for")
+        self.actions.end(f"{order.label} was requested")
         await self.control.fly(order)
 
     # -- time passes -----------------------------------------------------------------------------

@@ -48,13 +48,13 @@ class Parameters:
     ) -> None:
         self._rows: dict[str, Parameter] = {
             "use_sim_time": Parameter(
-                _BOOL, "stamps are POSIX time here; /clock is for others", lambda: False
+                _BOOL, "stamps are POSIX time here; /clock is for other nodes", lambda: False
             )
         }
         for name in ("max_height_m", "max_radius_m", "max_speed_m_s", "battery_floor_percent"):
             self._rows[f"guards.{name}"] = Parameter(
                 _DOUBLE,
-                "what the guards of the agent allow; set where the aircraft is",
+                "a limit of the agent's guards; set where the aircraft is",
                 lambda name=name: getattr(agent.state.limits, name),  # type: ignore[misc] # keeps its name
             )
         for topic, row in OUTPUTS.items():
@@ -77,7 +77,7 @@ class Parameters:
     def _add_rate(self, topic: str, teller: MessageMaker) -> None:
         take = partial(teller.set_hz, topic)
         word = topic.rpartition("/")[2]
-        text = f"messages per second of {topic} at most, 0 to {MOST_HZ:g}; 0: each that there is"
+        text = f"most messages per second of {topic}, 0 to {MOST_HZ:g}; 0 for all"
         self._rows[f"rates.{word}"] = Parameter(_DOUBLE, text, lambda: teller.hz[topic], take)
 
     # -- services --------------------------------------------------------------------------------

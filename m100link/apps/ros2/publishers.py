@@ -328,7 +328,7 @@ def diagnostics(
 
     ``clock``: its clock; None before its first tick.
     """
-    node = Status("node", DiagnosticLevel.OK, "what was not done since it began", counted)
+    node = Status("node", DiagnosticLevel.OK, "failures since the start of the node", counted)
     return [_line(view), _clock(clock), _navigation(view), _control(view), _battery(view), node]
 
 

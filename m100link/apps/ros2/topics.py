@@ -35,7 +35,7 @@ OUTPUTS: Mapping[str, Output] = {
         "sensor_msgs/Imu",
         SENSOR,
         50,
-        "attitude, angular velocity, and what an accelerometer in the body feels, with gravity",
+        "attitude, angular velocity, and acceleration in the body, with gravity",
     ),
     "~/fix": Output(
         "sensor_msgs/NavSatFix",
@@ -63,13 +63,13 @@ OUTPUTS: Mapping[str, Output] = {
         "sensor_msgs/Joy", SENSOR, 20, "the remote: roll, pitch, yaw, throttle; switch, gear"
     ),
     "~/gimbal": Output(
-        "geometry_msgs/QuaternionStamped", SENSOR, 20, "how the camera is turned over ground"
+        "geometry_msgs/QuaternionStamped", SENSOR, 20, "orientation of the camera over ground"
     ),
     "~/flight_status": Output(
         "m100_msgs/FlightStatus", STATE, 1, "phase, who has control, what flies; at each change"
     ),
     "~/mission_event": Output(
-        "m100_msgs/MissionEvent", EVENTS, 0, "what the aircraft pushes of a mission of its own"
+        "m100_msgs/MissionEvent", EVENTS, 0, "events of a mission that the aircraft flies by itself"
     ),
     "/tf": Output("tf2_msgs/TFMessage", EVENTS, 50, "odom to base_link"),
     "/tf_static": Output("tf2_msgs/TFMessage", STATE, 0, "map to odom, which are the same"),
@@ -80,7 +80,7 @@ OUTPUTS: Mapping[str, Output] = {
         "rcl_interfaces/Log", Qos(is_latched=True, depth=100), 0, "events of the aircraft"
     ),
     "/clock": Output(
-        "rosgraph_msgs/Clock", Qos(is_reliable=False, depth=1), 50, "of a virtual aircraft alone"
+        "rosgraph_msgs/Clock", Qos(is_reliable=False, depth=1), 50, "only from a virtual aircraft"
     ),
 }
 """By name."""
@@ -124,23 +124,23 @@ SERVICES: Mapping[str, Taken] = {
     "~/arm": Taken(_TRIGGER, "start the motors on the ground"),
     "~/disarm": Taken(_TRIGGER, "stop the motors on the ground"),
     "~/stop": Taken(
-        _TRIGGER, "stop whatever happens; anybody may, setpoints fly after ~/obtain_control"
+        _TRIGGER, "stop everything, for any client; setpoints fly again after ~/obtain_control"
     ),
-    "~/take_photo": Taken(_TRIGGER, "take a photograph; nobody confirms it"),
-    "~/start_video": Taken(_TRIGGER, "start video; nobody confirms it"),
-    "~/stop_video": Taken(_TRIGGER, "stop video; nobody confirms it"),
+    "~/take_photo": Taken(_TRIGGER, "take a photograph; unconfirmed"),
+    "~/start_video": Taken(_TRIGGER, "start video; unconfirmed"),
+    "~/stop_video": Taken(_TRIGGER, "stop video; unconfirmed"),
     "~/point_gimbal": Taken(
-        "m100_msgs/srv/PointGimbal", "point the camera (firmware 2.3 on); nobody confirms it"
+        "m100_msgs/srv/PointGimbal", "point the camera (firmware 2.3 on); unconfirmed"
     ),
     "~/mission/upload": Taken(
         "m100_msgs/srv/UploadMission", "check a plan for the aircraft's own missions (3.1)"
     ),
     "~/mission/start": Taken(
-        "m100_msgs/srv/StartMission", "upload it to the aircraft, which flies it by itself"
+        "m100_msgs/srv/StartMission", "upload the plan to the aircraft, which flies it by itself"
     ),
-    "~/mission/pause": Taken(_TRIGGER, "let the mission hover where it is"),
-    "~/mission/resume": Taken(_TRIGGER, "let it fly on"),
-    "~/mission/stop": Taken(_TRIGGER, "end it: the aircraft hovers"),
+    "~/mission/pause": Taken(_TRIGGER, "pause the mission in a hover"),
+    "~/mission/resume": Taken(_TRIGGER, "resume the mission"),
+    "~/mission/stop": Taken(_TRIGGER, "end the mission: the aircraft hovers"),
 }
 """By name."""
 
@@ -161,7 +161,7 @@ DJI_OUTPUTS: Mapping[str, Output] = {
         ("acceleration_ground_fused", 50, "without gravity"),
         ("rc", 50, "roll, pitch, yaw, throttle, mode, gear as axes"),
         ("gimbal_angle", 50, "roll, pitch, yaw in degrees"),
-        ("flight_status", 50, "as the aircraft numbers them"),
+        ("flight_status", 50, "numbered as on the wire"),
         ("battery_state", 10, "as ~/battery"),
     )
 }

@@ -193,7 +193,7 @@ async def test_who_asked_is_killed_and_it_hovers(rig: Rig, client: Client) -> No
     await rig.until(lambda: rig.speed > 3.0)
     client.leave()
     status, why = await client.result("~/fly_to", goal)
-    assert (status, why) == (GoalStatus.CANCELED, "whoever asked has gone")
+    assert (status, why) == (GoalStatus.CANCELED, "the client of the goal has gone")
     await anyio.sleep(2.0)
     assert rig.speed < 0.3
 
@@ -207,7 +207,7 @@ async def test_who_asked_stands_still_and_it_hovers(rig: Rig, client: Client) ->
     rig.bus.answering = set()  # as after kill -STOP: its tokens stay
     began = rig.client.now
     status, why = await client.result("~/fly_to", goal)
-    assert (status, why) == (GoalStatus.CANCELED, "whoever asked does not answer any more")
+    assert (status, why) == (GoalStatus.CANCELED, "the client of the goal does not answer any more")
     assert rig.client.now - began < 2.0
     await anyio.sleep(2.0)
     assert rig.speed < 0.3
