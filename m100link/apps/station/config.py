@@ -341,13 +341,13 @@ def _read_toml(path: Path) -> Mapping[str, Any]:
             table = read_toml(read_watched(file, path))
     except OSError as error:
         raise UsageError(
-            f"{path} cannot be read: {error.strerror}", remedy="check the path, and who may read it"
+            f"{path} cannot be read: {error.strerror}", remedy="check the path and its permissions"
         ) from error
     except ValueError as error:
         raise UsageError(f"{path} cannot be read: {error}") from error
     table = table.get("station", table)
     if not isinstance(table, dict):
-        raise UsageError(f"{path}: station is no table", remedy="[station] on a line of its own")
+        raise UsageError(f"{path}: station is not a table", remedy="[station] on a line of its own")
     for name in table:
         if name not in _KINDS:
             known = ", ".join(_KINDS)
@@ -371,7 +371,7 @@ def _convert(name: str, value: Any, source: str) -> Any:
             raise ValueError
         return made
     except (TypeError, ValueError):
-        shown = "what is there" if name in ("key", "token") else repr(value)
+        shown = "its value" if name in ("key", "token") else repr(value)
         # Nobody finds the setting `app_id` in an environment that has M100LINK_APP_ID.
         called = ENVIRONMENT[name] if source == "environment" else f"{source}: {name}"
         wanted = next((words for start, words in _WANTED.items() if kind.startswith(start)), "text")
@@ -434,7 +434,7 @@ def read_launch(path: Path) -> tuple[dict[str, str], list[str]]:
     except OSError as error:
         raise UsageError(
             f"the launch file cannot be read: {path}: {error.strerror}",
-            remedy="check the path, and who may read it",
+            remedy="check the path and its permissions",
         ) from error
     if len(text) > _MAX_SIZE:
         raise UsageError(f"{path} has {len(text)} bytes: that is not a launch file")

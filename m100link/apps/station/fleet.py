@@ -254,7 +254,7 @@ async def names_of(fleet: Fleet, names: Sequence[str] = ()) -> list[str]:
     if len(shown) > MOST_SHIPS:
         raise UsageError(
             f"{len(shown)} aircraft are too many for one console",
-            remedy=f"name up to {MOST_SHIPS}, or look at all by: m100link fleet monitor",
+            remedy=f"name up to {MOST_SHIPS}, or watch all by: m100link fleet monitor",
         )
     return shown
 

@@ -113,7 +113,7 @@ class Viewer:
     def receive(self, frame: str | bytes, now: float) -> None:
         """Take what it sent. Never raises: what is wrong with it is told to it."""
         if not self._operations.take(now):
-            self.close_reason = "too many messages: this server is for looking"
+            self.close_reason = "too many messages: this server is read-only"
             self._on_output()
             return
         if isinstance(frame, bytes):
@@ -129,7 +129,7 @@ class Viewer:
                 for number in message["subscriptionIds"]:
                     self._unsubscribe(number)
             else:
-                self._warn(f"{str(operation)[:40]} cannot be done here: this server is for looking")
+                self._warn(f"{str(operation)[:40]} cannot be done here: this server is read-only")
         except (ValueError, LookupError, TypeError):
             self._warn("a message that was not understood")
 
@@ -139,9 +139,9 @@ class Viewer:
         elif not isinstance(channel, int) or channel not in self._channels:
             self._warn(f"there is no channel {str(channel)[:20]}")
         elif number in self._by_subscription:
-            self._warn(f"subscription {number} is there already")
+            self._warn(f"subscription {number} exists already")
         elif len(self._by_subscription) >= _MAX_SUBSCRIPTIONS:
-            self._warn("these are too many subscriptions")
+            self._warn("too many subscriptions")
         else:
             self._by_subscription[number] = channel
             self._waiting[number] = deque()

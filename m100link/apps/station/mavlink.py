@@ -41,7 +41,7 @@ def prepare(stack: AsyncExitStack, settings: Settings) -> list[socket.socket]:
     """The sockets that the settings ask for; closed with the stack.
 
     Raises ``UsageError``: something in the settings cannot be, or other machines would be let in
-    and nothing signs what they send. Raises ``PortBusy, PortFailed``: a port is taken, or an
+    and their messages are unsigned. Raises ``PortBusy, PortFailed``: a port is taken, or an
     address cannot be bound.
     """
     if settings.autopilot not in AUTOPILOTS:
@@ -52,7 +52,7 @@ def prepare(stack: AsyncExitStack, settings: Settings) -> list[socket.socket]:
     for one in [*addresses, *map(read_address, settings.mavlink_to)]:
         if not is_loopback(one) and settings.signing_key_file is None:
             raise UsageError(
-                f"{one[0]} lets other machines fly the aircraft, and nothing signs what they send",
+                f"{one[0]} lets other machines fly the aircraft, and their messages are unsigned",
                 remedy="give --signing-key-file, or an address of this machine: 127.0.0.1",
             )
     _signer(settings)

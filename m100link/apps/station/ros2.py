@@ -36,8 +36,8 @@ def nodes_of(settings: Settings, aircraft: list[str]) -> dict[str, Names]:
             if full in owners:
                 raise UsageError(
                     f"{owners[full]} and {owner} would both be {full}",
-                    cause="whoever calls one would move by the other, too",
-                    remedy="give them names of their own by --remap",
+                    cause="a call to one would move the other, too",
+                    remedy="give them different names by --remap",
                 )
             owners[full] = owner
     return found

@@ -105,7 +105,7 @@ class ChildProcess:
         except ValueError:
             raise M100Error(
                 f"{self._called}: the process ended before it served",
-                remedy="see what it wrote above; try --single-process, which shows more",
+                remedy="read its output above; try --single-process, which shows more",
             ) from None
         if "fault" in answer:
             raise RemoteError(**answer["fault"]).error()

@@ -124,7 +124,7 @@ def test_what_has_to_be_above_0_is(given: dict[str, float]) -> None:
         ("app_id = 1.5", "app_id cannot be"),
         ("sim = 1", "sim cannot be"),
         ("url = 5", "url cannot be"),
-        ("key = 5", "key cannot be what is there"),
+        ("key = 5", "key cannot be its value"),
         ("colour = 'red'", "no setting 'colour'"),
         ("origins = {}", "no setting 'origins'"),
         ("x = [", "cannot be read"),

@@ -184,12 +184,12 @@ class AccessControl:
     def _objection(self, scope: Scope, headers: dict[str, list[str]]) -> str | None:
         hosts = headers.get("host", [])
         if len(hosts) != 1 or host_of(hosts[0]) not in self._hosts:
-            return "this station does not go by that name (Host); see --allow-host"
+            return "this station does not have that name (Host); see --allow-host"
         origins = headers.get("origin", [])
         if len(origins) > 1 or (origins and not self._is_welcome(origins[0], hosts[0], scope)):
-            return "pages from elsewhere may not connect (Origin); see --allow-origin"
+            return "pages of other sites may not connect (Origin); see --allow-origin"
         if not origins and _is_fetched_elsewhere(scope, headers):
-            return "from other pages this one can only be opened for itself (Sec-Fetch)"
+            return "another page can open this one, but not embed or request it (Sec-Fetch)"
         return None
 
     def _is_welcome(self, origin: str, host: str, scope: Scope) -> bool:

@@ -206,7 +206,7 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
         elif self._strain.take(now, wait):
             self._loop.call_later(wait, self._intake.put, self)
         else:
-            _log.warning("%s is cut off: it sends too much", self.get_extra_info("peername"))
+            _log.warning("%s is disconnected: it sends too much", self.get_extra_info("peername"))
             self.abort()
 
     def step(self) -> None:

@@ -51,11 +51,11 @@ _STATES = ("connecting", "connected", "lost", "silent", "gone")
 
 _COUNTED: tuple[tuple[str, str, str, Mapping[str, str]], ...] = (
     (
-        *("m100_link_bytes", "Bytes on the line to the aircraft", "direction"),
+        *("m100_link_bytes", "Bytes on the link to the aircraft", "direction"),
         {"received": "bytes_received", "sent": "bytes_sent"},
     ),
     (
-        *("m100_link_frames", "Frames on the line to the aircraft", "direction"),
+        *("m100_link_frames", "Frames on the link to the aircraft", "direction"),
         {"received": "frames_received", "sent": "frames_sent"},
     ),
     (
@@ -68,15 +68,15 @@ _COUNTED: tuple[tuple[str, str, str, Mapping[str, str]], ...] = (
         },
     ),
     (
-        *("m100_link_discarded_bytes", "Bytes that were part of no frame", ""),
+        *("m100_link_discarded_bytes", "Bytes outside any frame", ""),
         {"": "discarded_bytes"},
     ),
     (
-        *("m100_link_dropped_writes", "Frames not written because the line did not drain", ""),
+        *("m100_link_dropped_writes", "Frames not written because the link did not drain", ""),
         {"": "dropped_writes"},
     ),
     (
-        *("m100_missed_setpoints", "Setpoints that did not go out in their time", ""),
+        *("m100_missed_setpoints", "Setpoints sent too late", ""),
         {"": "missed_setpoints"},
     ),
     ("m100_link_repeats", "Transmissions beyond the first of a request", "", {"": "repeats"}),
@@ -115,7 +115,7 @@ class StationMetrics(Collector):
             if agent.link is not None and agent.is_connected
         ]
         yield (
-            *(StateSetMetricFamily, "m100_connection", "Where the connection to the aircraft is"),
+            *(StateSetMetricFamily, "m100_connection", "State of the connection to the aircraft"),
             ["aircraft"],
             [([name], {one: one == _state_of(agent) for one in _STATES}) for name, agent in agents],
         )
@@ -142,13 +142,13 @@ class StationMetrics(Collector):
         )
         yield (
             *(GaugeMetricFamily, "m100_agent_loop_lag_seconds"),
-            "How late the process that flies was at worst in the last second",
+            "Largest delay of the agent in the last second",
             ["aircraft"],
             [([name], link.loop_lag) for name, link in links],
         )
         yield (
             *(HistogramMetricFamily, "m100_link_round_trip_seconds"),
-            "How long answered requests took, repeats included",
+            "Round trips of answered requests, repeats included",
             ["aircraft"],
             [([name], _buckets(link), link.round_trips_s) for name, link in links],
         )
@@ -187,7 +187,7 @@ class StationMetrics(Collector):
         )
         yield (
             *(CounterMetricFamily, "m100_console_dropped_pictures"),
-            "Pictures of telemetry that a tab of the console did not get because it is slow",
+            "Telemetry frames that a tab of the console did not get because it is slow",
             ["tab"],
             [([name], count) for name, count in self._dropped_by_tabs().items()],
         )

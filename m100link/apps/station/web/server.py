@@ -135,7 +135,7 @@ class RosbridgeServer:
         if goes is None:
             return False
         goes.disconnect(
-            f"another client needs the place; here it was {now - goes.heard_at:.1f} s silent"
+            f"another client needs the place; this one was silent for {now - goes.heard_at:.1f} s"
         )
         goes.close(now)
         return True
@@ -153,7 +153,7 @@ class RosbridgeServer:
             heaviest = max(sessions, key=lambda one: one.recent_work, default=None)
             if heaviest is not None and lag >= _LAG and heaviest.recent_work >= _LAG / 2:
                 heaviest.disconnect(
-                    f"it kept the station from running for {1000 * heaviest.recent_work:.0f} ms"
+                    f"it blocked the station for {1000 * heaviest.recent_work:.0f} ms"
                 )
                 heaviest.close(self.agent.now)
             for one in sessions:
@@ -330,7 +330,7 @@ class Server(uvicorn.Server):
             raise UsageError(
                 f"the TLS files cannot be used: {getattr(error, 'strerror', None) or error}",
                 remedy=f"the certificate is {settings.tls_cert}, its key {key}: check both paths, "
-                "who may read them, and that both are PEM",
+                "their permissions, and that both are PEM",
             ) from error
         return cls(config)
 

@@ -354,14 +354,14 @@ PANELS = {
     "Bytes per second": ("rate(m100_link_bytes_total", "Bps"),
     "Frames per second": ("rate(m100_link_frames_total", "cps"),
     "Damage by cause": ("rate(m100_link_discards_total", "cps"),
-    "Bytes that were part of no frame": ("rate(m100_link_discarded_bytes_total", "Bps"),
+    "Bytes outside any frame": ("rate(m100_link_discarded_bytes_total", "Bps"),
     "Repeats, expired requests, unwritten frames": ("rate(m100_link_repeats_total", "cps"),
     "Acks": ("rate(m100_link_acks_total", "cps"),
     "Telemetry rates": ("m100_telemetry_rate_hertz", "hertz"),
     "Telemetry that does not fit the firmware": ("rate(m100_telemetry_mismatches_total", "cps"),
-    "Lag of the process that flies": ("m100_agent_loop_lag_seconds", "s"),
+    "Lag of the agent": ("m100_agent_loop_lag_seconds", "s"),
     "Clients": ("m100_clients", "short"),
-    "What slow clients and tabs lost": ("rate(m100_client_dropped_messages_total", "cps"),
+    "Dropped for slow clients and tabs": ("rate(m100_client_dropped_messages_total", "cps"),
 }
 """Units by Grafana's names; bytes per second are not bits, times are not milliseconds."""
 

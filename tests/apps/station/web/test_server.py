@@ -340,7 +340,7 @@ async def test_who_keeps_the_loop_from_running_is_let_go(monkeypatch: pytest.Mon
             with pytest.raises(ConnectionClosed) as caught:
                 await drain_all(hostile)
             assert caught.value.rcvd is not None
-            assert "kept the station from running" in caught.value.rcvd.reason
+            assert "blocked the station" in caught.value.rcvd.reason
         await send(calm, "subscribe", topic="/flight_status")
         await receive(calm)
 
