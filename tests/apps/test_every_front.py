@@ -102,7 +102,7 @@ BRAKES, LASTS_02, LASTS_03, LASTS_05 = 1.2, 1.4, 1.5, 1.7
 LANDED = 7.0
 H, L, G = Does
 FRONT, OTHERS, NOBODY, UNHEARD = Has
-PAD_HELD = "something is still held; it was not flown"
+PAD_HELD = "you still hold a key or stick; it was not flown"
 UNTOLD = ""
 
 TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
@@ -162,7 +162,7 @@ TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
     Event.SILENCE: {
         Console: End(H, LASTS_03, FRONT, UNTOLD, "let go"),
         Rosbridge: End(H, LASTS_02, FRONT, UNTOLD, "let go"),
-        Mavlink: End(H, LASTS_05, FRONT, "Offboard: no setpoint any more", "control"),
+        Mavlink: End(H, LASTS_05, FRONT, "Offboard: setpoints stopped", "control"),
         Ros2: End(H, LASTS_03, FRONT, UNTOLD, "let go"),
         FleetPilot: End(H, LASTS_02, FRONT, UNTOLD, "let go"),
         FarConsole: End(H, LASTS_03, FRONT, UNTOLD, "let go"),
@@ -210,12 +210,12 @@ TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
         Sync: End(H, LASTS_05, UNHEARD, "LinkLost"),
     },
     Event.STALE: {
-        Console: End(H, 0.0, FRONT, "a key press was 1.0 s late on its way"),
-        Rosbridge: End(H, 0.0, FRONT, "a setpoint was 1.0 s late on its way"),
-        Mavlink: End(H, 0.0, FRONT, "Offboard: no setpoint any more"),  # they fly nothing in Hold
+        Console: End(H, 0.0, FRONT, "a key press arrived 1.0 s late"),
+        Rosbridge: End(H, 0.0, FRONT, "a setpoint arrived 1.0 s late"),
+        Mavlink: End(H, 0.0, FRONT, "Offboard: setpoints stopped"),  # they fly nothing in Hold
         Ros2: End(H, 0.0, FRONT, "~/cmd_vel: "),
         FleetPilot: End(H, 0.0, FRONT, UNTOLD),
-        FarConsole: End(H, 0.0, FRONT, "a key press was 1.0 s late on its way"),
+        FarConsole: End(H, 0.0, FRONT, "a key press arrived 1.0 s late"),
         Performer: End(G, 0.0, FRONT, "a1 is flying and cannot place"),
         Sync: Cannot("there is no way between a program and its own control"),
     },

@@ -16,7 +16,7 @@ from tests.browser.conftest import Console, until
 from tests.waiting import PATIENCE, again_and_again
 
 NOT_TAKEN = (
-    *("stood still", "on its way", "shifted", "not offered", "was withdrawn"),
+    *("stood still", "s late", "shifted", "not offered", "was withdrawn"),
     "has no time",  # its connection has just come back, and the station's clock with the next word
 )
 """What the page says when it asks for another press."""
@@ -136,7 +136,7 @@ async def steer(
     async def answered() -> bool:
         if moves() or not await page.evaluate(STEERS):
             return True
-        return "still held" in await page.inner_text("#problem")
+        return "still hold" in await page.inner_text("#problem")
 
     for _ in again_and_again():
         await begin()

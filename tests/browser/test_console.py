@@ -122,7 +122,7 @@ async def test_buttons_stay_where_the_finger_is_or_say_that_they_moved(console: 
     await page.wait_for_selector("#why-not", state="hidden")
     assert await page.evaluate(places) == before
     await page.evaluate(PRESS_AS_IT_SHIFTS)
-    await shows(page, "#problem", "the page shifted as the button was pressed")
+    await shows(page, "#problem", "the page shifted during the press")
     assert console.watch.status == 1
     await take_off(page, console)
 
@@ -197,7 +197,7 @@ async def test_nobody_steers_with_a_second_each_way_and_the_page_says_why(
     await page.click("#pad")
     await page.keyboard.press("Digit4")
     await page.keyboard.down("w")
-    await shows(page, "#problem", "to the page and back it takes")
+    await shows(page, "#problem", "the round trip to the page takes")
     await page.wait_for_function("document.body.classList.contains('station-lost')")
     assert is_still(console)
     assert await page.evaluate("window.m100.socket.age") > 0.9

@@ -43,7 +43,7 @@ class LeaseHeld(
     LeaseRefused,
     code="M100-LEASE-HELD",
     cause="another client steers the aircraft",
-    remedy="wait until it lets go, or ask whoever sits there",
+    remedy="wait until it releases control, or ask its operator",
 ):
     """Another client holds the lease.
 
@@ -145,7 +145,7 @@ class LeaseManager:
         self._count = leases_before
         # When it was last called.
         self._advanced_at: float | None = None
-        # What one client asks does not push out what another asked.
+        # The request of one client does not cancel that of another.
         self._take_overs: list[TakeOver] = []
 
     def holder(self, now: float) -> Lease | None:
@@ -182,7 +182,7 @@ class LeaseManager:
             raise LeaseHeld(
                 f"{self._lease.name} has control",
                 holder=self._lease.name,
-                remedy="ask there to let go, or take over and confirm it",
+                remedy="ask its operator to release control, or take over and confirm it",
             )
         return self._grant(LeaseChange.ACQUIRED, name, now)
 

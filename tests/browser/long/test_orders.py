@@ -82,7 +82,7 @@ async def test_an_answer_that_comes_late_ends_what_was_told(console: Console) ->
     await page.evaluate("window.socket.connect()")
     await page.wait_for_selector("#unanswered", state="hidden")
     await look_at(page, "events")
-    await shows(page, "#events", "s on its way; nothing was done")
+    await shows(page, "#events", "s late; nothing was done")
 
 
 async def test_what_flies_by_itself_is_held_and_a_short_press_says_so(console: Console) -> None:

@@ -302,8 +302,8 @@ class Agent:
             raise GuardRefused(
                 f"{self._begin_anew}; setpoints that go on are not flown",
                 guard="stopped",
-                cause="whoever sends them has not begun anew since",
-                remedy="ask for control once more; at a page letting go of the keys is enough",
+                cause="the sender has not begun anew since",
+                remedy="ask for control again; at a page, let go of the keys",
             )
         self.connection.require_aircraft()  # which says why control is over, if the line is lost
         self.holding.require().steer(setpoint, lifetime)

@@ -156,7 +156,7 @@ class Tab:
         now = self._agent.now
         late = self.way.oldest(at, now)
         if late > MAX_ORDER_LATE or now - late < self.session.stopped_at:
-            waited = f"was {late:.1f} s on its way" if late < math.inf else "has no time"
+            waited = f"arrived {late:.1f} s late" if late < math.inf else "has no time"
             if late <= MAX_ORDER_LATE:
                 waited += ", and STOP came first"
             # A page that is loaded anew when the network is back does not show the problem.
@@ -239,19 +239,19 @@ class Tab:
         """
         trip = self.way.round_trip
         for guard, measured, limit, seen in (
-            ("way_late", late, MAX_LATE, "a key press was {:.1f} s late on its way"),
+            ("way_late", late, MAX_LATE, "a key press arrived {:.1f} s late"),
             ("way_unheard", held, MAX_UNHEARD, "the page did not hear the station for {:.1f} s"),
             (
                 "way_round_trip",
                 math.inf if trip is None else trip,
                 MAX_ROUND_TRIP,
-                "to the page and back it takes {:.1f} s",
+                "the round trip to the page takes {:.1f} s",
             ),
         ):
             if measured > limit:
                 self._late_since = at if self._late_since is None else self._late_since
                 if at - self._late_since > SPENT_AFTER:
-                    self._has_to_let_go = self._has_to_let_go or "the way was too slow"
+                    self._has_to_let_go = self._has_to_let_go or "the network was too slow"
                 raise GuardRefused(
                     f"{seen.format(measured)}; it was not flown",
                     guard=guard,
@@ -263,7 +263,7 @@ class Tab:
         self._late_since = None
         if self._has_to_let_go:
             raise GuardRefused(
-                f"{self._has_to_let_go}, and something is still held; it was not flown",
+                f"{self._has_to_let_go}, and you still hold a key or stick; it was not flown",
                 guard="let_go",
                 measured=None,
                 limit=None,

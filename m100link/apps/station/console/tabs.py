@@ -100,7 +100,7 @@ class Tabs:
                 agent.halt(f"{name} turned to {to}")
             agent.note(
                 f"{name} turned to {to} and keeps control: "
-                + ("what this aircraft flies by itself goes on" if flies else "it hovers")
+                + ("the mission or task that it flies goes on" if flies else "it hovers")
             )
         code = secrets.token_urlsafe(16)
         move = self._moves[code] = _Move(name, tab.hand_on())

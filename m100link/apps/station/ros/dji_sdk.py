@@ -230,12 +230,12 @@ def _check_way(session: GraphListener, stamp: Message, now: float) -> None:
     late = way.late(sent_at, now)
     if late > MAX_LATE:
         raise GuardRefused(
-            f"a setpoint was {late:.1f} s late on its way; it was not flown",
+            f"a setpoint arrived {late:.1f} s late; it was not flown",
             guard="way_late",
             measured=late,
             limit=MAX_LATE,
-            cause="the network is slow or blocked, or the stamps are not times of sending",
-            remedy="stamp each setpoint when it is sent, or leave the stamp away",
+            cause="the network is slow or blocked, or the stamps are not send times",
+            remedy="stamp each setpoint when you send it, or omit the stamp",
         )
 
 

@@ -145,7 +145,7 @@ class Clients:
             if self.admits(call.session):
                 self._agent.background.spawn(answer(call), name)
             else:
-                call.fail("more than the orders that one client may give")
+                call.fail("more orders than one client may give")
 
         self._graph.add_service(f"/dji_sdk/{name}", f"dji_sdk/{kind}", on_call)
 
@@ -165,7 +165,7 @@ class Clients:
             call.fail(f"there is no action {action[:32]!r}: status, acquire, renew, release, …")
             return
         if action in ("acquire", "take_over", "confirm") and not self.admits(call.session):
-            call.fail("more than the orders that one client may give")
+            call.fail("more orders than one client may give")
             return
         self._agent.background.spawn(self._answer(call, handler), f"lease {action}")
 

@@ -197,7 +197,7 @@ def test_a_wish_over_what_flies(running: FlightSource, mode: Mode) -> None:
         assert manager.mode is Mode.MISSION
     if step is ModeTransition.STOP:
         # The executor stops the mission first; setpoints have no order of their own.
-        assert manager.orders == [ORDERS[mode] or HoldPosition(why=f"{mode.value} was asked for")]
+        assert manager.orders == [ORDERS[mode] or HoldPosition(why=f"{mode.value} was requested")]
         assert not manager.is_flown_by_aircraft
     if step is ModeTransition.REPLACE and ORDERS[mode] is not None:
         assert manager.orders == [ORDERS[mode]]
@@ -426,7 +426,7 @@ def test_disarming_while_authority_is_obtained_gives_it_back() -> None:
     manager.orders.clear()
     assert isinstance(first, ObtainControl)
     manager.armed(first, None, 1.0)
-    assert "disarmed before it was armed" in told[-1][1]
+    assert "disarmed before arming" in told[-1][1]
     assert manager.orders == [], "nothing begins"
     assert manager.phase is VehiclePhase.DISARMED
 
@@ -470,7 +470,7 @@ def test_a_remembered_wish_ends() -> None:
     assert shown(manager) is Mode.MISSION
     manager.advance(REMEMBERED_S)
     assert shown(manager) is Mode.POSCTL
-    assert "nobody armed" in told[-1][1]
+    assert "not armed" in told[-1][1]
     world.now_phase = VehiclePhase.ARMED
     manager._arming = order = ObtainControl(PEER.name)
     manager.armed(order, None, REMEMBERED_S + 1)

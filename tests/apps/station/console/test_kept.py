@@ -171,7 +171,9 @@ async def test_what_the_aircraft_flies_by_itself_goes_on(fleet: Fleet) -> None:
     )
     await rig.until(lambda: bool(rig.front.state.task))
     fleet.page("crow", fleet.tabs.move(first.tab, "crow"))
-    assert any(event.text.endswith("flies by itself goes on") for event in await told(rig))
+    assert any(
+        event.text.endswith("mission or task that it flies goes on") for event in await told(rig)
+    )
     await rig.until(lambda: rig.aircraft.height < 0.1)
 
 

@@ -130,21 +130,21 @@ _STOP = "(event) => emit({press: event.detail})"
 
 _NOT_TAKEN = {
     "shifted": GuardRefused(
-        "the page shifted as the button was pressed; nothing was done",
+        "the page shifted during the press; nothing was done",
         guard="page_shifted",
-        cause="where the finger came down, another button had been just before",
-        remedy="see which button is under the finger, then hold it again",
+        cause="another button had just been where the finger came down",
+        remedy="check which button is under the finger, then hold it again",
     ),
     "withdrawn": GuardRefused(
         "the order was withdrawn while its button was held; nothing was done",
         guard="not_offered",
-        cause="the checklist, the task or who has control changed in that second",
-        remedy="see what the page says, then hold it again",
+        cause="the checklist, the task or the operator changed in that second",
+        remedy="read the page, then hold it again",
     ),
     "unsure": GuardRefused(
         "the page stood still while the button was held; nothing was done",
         guard="order_late",
-        cause="nobody knows whether it was held: the browser was busy with something else",
+        cause="the browser was busy, so it is unknown whether you held the button",
         remedy="look at the aircraft, then hold it again",
     ),
 }
@@ -374,7 +374,7 @@ class PageContext:
         if not checklist.may_take_off:
             raise UsageError(
                 "take-off is not offered: the checklist is not green",
-                remedy="mend what it shows, or say there why you fly all the same",
+                remedy="fix what it shows, or write there why you take off anyway",
             )
         if not checklist.is_green:
             english = Translator()

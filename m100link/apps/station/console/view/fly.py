@@ -246,8 +246,8 @@ MISSIONS = frozenset({"mission_pause", "mission_resume", "mission_stop"})
 
 HELD = FLIGHTS | {"mission_resume"}
 """What has to be held for a second: all that makes the aircraft fly by itself, home and down too.
-A click that nobody meant must not; a second costs an aircraft that hovers nothing. What ends a
-motion is a single press."""
+A stray click must not; a second's hold does no harm while the aircraft hovers. One press ends a
+motion."""
 
 ACTIONS = FLIGHTS | MISSIONS | {"stop", "activate", "obtain", "release", "mission_upload", "hover"}
 """Every button that is an order."""
