@@ -177,10 +177,7 @@ class Actions:
             who = ", ".join(sorted({one.node_name for one in goal.clients.values()}))
             self._agent.note(f"{goal.action.name} for {who}")
         else:
-            self._agent.note(
-                f"{goal.action.name} for an unknown node: its loss will not cancel the goal",
-                "warning",
-            )
+            self._agent.note(f"{goal.action.name}: its node is unknown, and not watched", "warning")
         self._agent.background.spawn(self._fly(goal), goal.action.name)
 
     async def _fly(self, goal: _Goal) -> None:

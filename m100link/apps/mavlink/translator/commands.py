@@ -459,7 +459,7 @@ COMMANDS: Mapping[int, CommandRow] = {
         CommandProtocol.set_current, "the item to continue from"
     ),
     MavCommand.SET_MESSAGE_INTERVAL: CommandRow(
-        CommandProtocol.set_interval, "up to 50 Hz, for the sender of the command"
+        CommandProtocol.set_interval, "up to 50 Hz, for the sender"
     ),
     MavCommand.GET_MESSAGE_INTERVAL: CommandRow(
         CommandProtocol.get_interval, "answers MESSAGE_INTERVAL"
