@@ -627,7 +627,7 @@ async def test_a_button_that_was_pressed_before_stop_and_came_after_it_is_refuse
     await anyio.sleep(0.3)
     await rig.agent.stop()
     await anyio.sleep(0.3)
-    with pytest.raises(GuardRefused, match=r"0\.7 s on its way, and STOP came first"):
+    with pytest.raises(GuardRefused, match=r"arrived 0\.7 s late, and STOP came first"):
         browser.tab.check_order(said_at)
     browser.tab.check_order(1000 * rig.agent.now)
 
