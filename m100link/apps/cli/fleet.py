@@ -1,4 +1,4 @@
-"""What verbs of a fleet share: which fleet, who asks, whose lease, what an order leaves behind."""
+"""Shared by the verbs of a fleet: options, borrowed leases, and reports after Ctrl-C."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from m100link.errors import M100Error, OutcomeUnknown, UsageError
 from m100link.errors.texts import read_json
 from m100link.log.folder import state_folder
 
-# -- what goes on on board when a verb of the fleet is ended by Ctrl-C, and how to see and end  ----
+# -- what goes on on board after Ctrl-C, how to see it, and how to end it --------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """What an order leaves behind that was given, and whose end nobody waited for."""
+    """What goes on on board when Ctrl-C ends the wait for an order."""
 
     seen: str  # what goes on, or ends
     remedy: str  # how to see it and how to end it, with ``{name}`` for the aircraft
 
     def of(self, name: str) -> OutcomeUnknown:
-        """What is told of one aircraft: nobody knows what became of the order."""
+        """The report for one aircraft: the outcome of the order is unknown."""
         return OutcomeUnknown(f"interrupted: {self.seen}", remedy=self.remedy.format(name=name))
 
 
@@ -67,7 +67,7 @@ class Begun:
 
 @contextmanager
 def told_when_interrupted(name: str, left: Left) -> Iterator[None]:
-    """Tell what one order leaves behind, if the block is ended by Ctrl-C."""
+    """Print what one order leaves behind, if Ctrl-C ends the block."""
     try:
         yield
     except asyncio.CancelledError:
@@ -76,9 +76,8 @@ def told_when_interrupted(name: str, left: Left) -> Iterator[None]:
         raise
 
 
-# -- A lease that one command of a pilot holds, and others of the same account order under ---------
-# The proof of it lies in a file that nobody else can read, as long as the command runs that holds
-# it.
+# -- a lease that one command holds, and other commands of the same account use --------------------
+# Its secret lies in a file that nobody else can read, until the command that holds it ends.
 
 
 def lease_file(site: str, name: str) -> Path:
@@ -124,7 +123,7 @@ def borrowed(site: str, name: str) -> tuple[int, str]:
     except FileNotFoundError:
         raise UsageError(
             f"no command of this account has control of {name}",
-            cause="orders to a mission come under the lease of who flies",
+            cause="orders to a mission need the lease of the operator who flies",
             remedy=f"m100link fleet lease {name}, or fleet mission fly {name} FILE, in another "
             f"shell; m100link fleet stop {name} needs no lease",
         ) from None
@@ -137,23 +136,23 @@ def borrowed(site: str, name: str) -> tuple[int, str]:
 ROUTER = "tcp/127.0.0.1:7447"
 
 Names = Annotated[str, Parameter(help="Names of aircraft.")]
-All = Annotated[bool, Parameter(name="--all", help="Every aircraft that is there.")]
+All = Annotated[bool, Parameter(name="--all", help="All aircraft that are present.")]
 
 
 @Parameter(name="*", group=panel("Fleet"))
 @dataclass(frozen=True)
 class FleetOptions:
-    """Which fleet, and who asks.
+    """The fleet to connect to, and the operator's identity.
 
     Attributes:
-        connect: Endpoint of a router (M100LINK_FLEET); several times for several, of which the
-            first that answers serves.
+        connect: Endpoint of a router (M100LINK_FLEET); may be repeated: the first one that answers
+            serves.
         site: Name of the site (M100LINK_SITE).
-        name: Who asks, for other people; the identity, or user and host, by default.
-        identity: Who signs orders, and whose certificate is shown to a router behind tls/.
+        name: Operator's name, shown to other people; the identity, or user and host, by default.
+        identity: Identity that signs orders and shows its certificate to a router behind tls/.
         pki: Folder with that certificate and key (M100LINK_PKI).
-        patience: Seconds without any answer after which it is unknown what became of an order; over
-            a way of 3 s an answer takes 6.5 s.
+        patience: Seconds without any answer after which the outcome of an order is unknown. With a
+            delay of 3 s in each direction an answer takes 6.5 s.
         log: What is logged.
     """
 
@@ -180,7 +179,7 @@ class FleetOptions:
 
     @property
     def who(self) -> str:
-        """Who asks, for other people."""
+        """The operator's name, for other people."""
         user = f"{getpass.getuser()}@{platform.node() or 'host'}"
         return self.name or self.identity or user
 
@@ -252,7 +251,7 @@ def tell_results(results: dict[str, Result], options: FleetOptions) -> int:
     """Print what became of an order to each; 0 only when all is well."""
     as_json = options.json_output
     if not results:
-        err.print(f"no agent is there at site {options.site}")
+        err.print(f"there is no agent at site {options.site}")
         return ExitCode.NO_LINK
     for name in in_order(results):
         result = results[name]

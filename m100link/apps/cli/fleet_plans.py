@@ -1,4 +1,4 @@
-"""``m100link fleet mission``: plans that an aircraft of a fleet flies by itself."""
+"""``m100link fleet mission`` and ``fleet show``: plans and formations."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from m100link.missions.plan import AtEnd, WaypointPlan
 
 missions = group(
     "mission",
-    "Let an aircraft fly a plan by itself, and act on a mission that flies (firmware 3.1).",
+    "Let an aircraft fly a plan by itself, and act on a mission in flight (firmware 3.1).",
 )
 
 
@@ -62,12 +62,12 @@ def fly(
 ) -> int:
     """Upload a plan, let the aircraft fly it, and watch. Ctrl-C stops it, and the aircraft hovers.
 
-    It flies as long as this command holds the lease. Killed, or cut off from the network, it loses
-    that within three seconds: the mission is stopped, and the agent's --lost says what follows.
-    Meanwhile `pause`, `resume` and `stop` act on it from another shell.
+    The mission flies as long as this command holds the lease. If the command is killed or cut off
+    from the network, the lease ends within three seconds: the agent stops the mission, and its
+    --lost says what follows. `pause`, `resume` and `stop` act on the mission from another shell.
 
     Args:
-        name: Which aircraft.
+        name: Name of the aircraft.
         plan: A file, JSON or .plan; - is standard input.
         take_off: Take off first, from the ground.
         take_over: Take control from its holder, in one step.
@@ -114,7 +114,7 @@ def _confirm(name: str, plan: WaypointPlan, *, take_off: bool) -> None:
 def _ask(what: str, question: str) -> None:
     """Whether it may begin. Raises UsageError: nobody says so."""
     if not sys.stdin.isatty():
-        raise UsageError(f"nobody can be asked whether {what}", remedy="--yes")
+        raise UsageError(f"no terminal to ask whether {what}", remedy="--yes")
     if input(f"{question} [y/N] ").lower() != "y":
         raise UsageError("nothing was begun")
 
@@ -163,14 +163,12 @@ class _Show:
 
 
 _SEE = "m100link fleet mission progress {name} shows it"
-_END = f"{_SEE}, m100link fleet stop {{name}} ends it: it hovers"
+_END = f"{_SEE}; after m100link fleet stop {{name}} the aircraft hovers"
 _UPLOAD = Left("the plan may be on board; it does not fly", _SEE)
-_START = Left("a mission that it has heard of flies while the lease lasts", _END)
-_PAUSE = Left("it may be paused, or fly on", _END)
-_RESUME = Left("it may be paused still, or fly on", _END)
-_STOP = Left(
-    "it stops if it has heard of it", f"{_SEE}, m100link fleet mission stop {{name}} again"
-)
+_START = Left("if the order arrived, the mission flies while the lease lasts", _END)
+_PAUSE = Left("the mission may be paused, or fly on", _END)
+_RESUME = Left("the mission may still be paused, or fly on", _END)
+_STOP = Left("it stops if the order arrived", f"{_SEE}, m100link fleet mission stop {{name}} again")
 
 
 def _ordering(
@@ -178,7 +176,7 @@ def _ordering(
     options: FleetOptions,
     left: Left,
     do: Callable[[MissionOrders, FleetAircraft], Awaitable[str | None]],
-    done: str = "",  # what is told when the order itself says nothing
+    done: str = "",  # the report when the order itself gives none
 ) -> int:
     async def run() -> int:
         fence, token = borrowed(options.site, name)
@@ -202,10 +200,10 @@ def _ordering(
 def upload(
     name: str, plan: File, /, *, file: FileOptions | None = None, options: FleetOptions = NO_OPTIONS
 ) -> int:
-    """Bring a plan on board, where it waits for its start. Control is that of `fleet lease`.
+    """Upload a plan to the agent, where it waits for its start. Needs a running `fleet lease`.
 
     Args:
-        name: Which aircraft.
+        name: Name of the aircraft.
         plan: A file, JSON or .plan; - is standard input.
     """
     found = read_plan(plan, file)
@@ -227,10 +225,10 @@ def start(
     take_off: bool = False,
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
-    """Let a plan fly that `upload` brought on board; it goes on while `fleet lease` runs.
+    """Start the plan that `upload` sent; it flies while `fleet lease` runs.
 
     Args:
-        name: Which aircraft.
+        name: Name of the aircraft.
         plan: The file that was uploaded: another plan on board does not fly.
         take_off: Take off first, from the ground.
     """
@@ -245,33 +243,33 @@ def start(
 
 @missions.command
 def pause(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
-    """Pause the mission that flies; the aircraft hovers in it.
+    """Pause the mission in flight; the aircraft hovers.
 
     Args:
-        name: Which aircraft.
+        name: Name of the aircraft.
     """
     return _ordering(name, options, _PAUSE, lambda orders, _: orders.pause(), "paused")
 
 
 @missions.command
 def resume(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
-    """Let a mission that is paused go on.
+    """Resume a paused mission.
 
     Args:
-        name: Which aircraft.
+        name: Name of the aircraft.
     """
     return _ordering(name, options, _RESUME, lambda orders, _: orders.resume(), "it goes on")
 
 
-# -- for everybody --------------------------------------------------------------------------------
+# -- without a lease -------------------------------------------------------------------------------
 
 
 @missions.command
 def stop(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
-    """Stop whatever mission flies, whoever started it; the aircraft hovers. Needs no lease.
+    """Stop any mission, also one that somebody else started; the aircraft hovers. Needs no lease.
 
     Args:
-        name: Which aircraft.
+        name: Name of the aircraft.
     """
 
     async def run() -> int:
@@ -286,10 +284,10 @@ def stop(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
 
 @missions.command
 def progress(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
-    """Say how far the mission is.
+    """Show the progress of the mission.
 
     Args:
-        name: Which aircraft.
+        name: Name of the aircraft.
     """
 
     async def run() -> int:
@@ -305,7 +303,7 @@ def _progress(card: MissionCard) -> str:
     """Where a mission is, in words."""
     if card.stage is MissionStage.NONE:
         is_none = card.kind in ("", "no mission")
-        return "no mission" if is_none else f"a {card.kind}, which no pilot of the fleet started"
+        return "no mission" if is_none else f"a {card.kind}, which no operator of the fleet started"
     words = f"{card.stage.value}, {len(set(card.reached))} of {card.points} waypoints"
     if card.is_paused:
         words += ", paused"
@@ -316,12 +314,10 @@ def _progress(card: MissionCard) -> str:
     return words if card.fault is None else f"{words}: {card.fault.seen}"
 
 
-# -- ``m100link fleet show``: look at shows and check them, and let a fleet fly them ---------------
+# -- ``m100link fleet show``: check, draw and fly formations ---------------------------------------
 
 
-shows = group(
-    "show", "Formations whose aircraft fly timed tracks: check them, draw them, fly them."
-)
+shows = group("show", "Check, draw and fly formations, whose aircraft fly timed tracks.")
 
 
 @Parameter(name="*")
@@ -330,9 +326,9 @@ class EnvelopeOptions:
     """How far the agents' guards let each aircraft fly.
 
     Attributes:
-        max_height: Above its take-off point, m.
-        max_radius: From its take-off point, m.
-        max_speed: Horizontally, m/s; tracks may have four fifths of it.
+        max_height: Greatest height above its take-off point, m.
+        max_radius: Greatest distance from its take-off point, m.
+        max_speed: Greatest horizontal speed, m/s; tracks may use four fifths of it.
     """
 
     max_height: Annotated[float, Above0] = Envelope().max_height_m
@@ -341,7 +337,7 @@ class EnvelopeOptions:
 
     @property
     def envelope(self) -> Envelope:
-        """As the guards have it."""
+        """The same as a value."""
         return Envelope(self.max_height, self.max_radius, self.max_speed)
 
 
@@ -355,9 +351,9 @@ def _read(file: File) -> Show:
 def check(
     show: File, /, *, guards: EnvelopeOptions = EnvelopeOptions(), json: AsJson = None
 ) -> int:
-    """Say what is wrong with a show: limits of each aircraft, and who comes too near to whom, when.
+    """Check a show: the limits of each aircraft, and which two come too near to each other, when.
 
-    Ends with 0 if it may be flown, with 2 if not.
+    The exit status is 0 if the show may be flown, 2 if not.
 
     Args:
         show: A file of JSON; - is standard input.
@@ -416,8 +412,8 @@ def preview(
 ) -> int:
     """Draw a show: its tracks from above, and the least distance of any two over time.
 
-    Without a file it is drawn in the terminal. A show that must not be flown is drawn as well; what
-    is wrong with it is told on standard error, and it ends with 2.
+    Without a file the command draws in the terminal. It also draws a show that must not be flown,
+    prints its problems on standard error, and exits with 2.
 
     Args:
         show: A file of JSON; - is standard input.
@@ -444,22 +440,23 @@ def fly_show(
     guards: EnvelopeOptions = EnvelopeOptions(),
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
-    """Let the aircraft of a fleet fly a show: all take their places, or none begins.
+    """Let the aircraft of a fleet fly a show: either all begin, or none.
 
-    It is checked first. Whoever leaves its track hovers or lands by itself, is named, and the
-    others fly on. Ctrl-C before the beginning lets all of them leave and hover; later it changes
-    nothing: m100link fleet stop --all stops them. Ends with 0 if all have flown it to the end.
+    The command checks the show first. An aircraft that has to leave its track hovers or lands by
+    itself; the command names it, and the others fly on. After Ctrl-C before the beginning all leave
+    and hover. After Ctrl-C later they fly on: m100link fleet stop --all stops them. The exit status
+    is 0 if all flew to the end.
 
     Args:
         show: A file of JSON; - is standard input.
-        leave: What each does at its end, and when it has to leave: hover or land.
+        leave: What each aircraft does after its track, and when it has to leave: hover or land.
     """
     found = _read(show)
     report = report_on(found, guards.envelope)
     for problem in report.problems:
         say(f"✗ {problem.seen}", to=err)
     if not report.ok:
-        raise UsageError("this show is not flown", remedy="m100link fleet show check FILE")
+        raise UsageError("this show must not be flown", remedy="m100link fleet show check FILE")
     if not yes:
         names = ", ".join(track.name for track in found.tracks)
         question = f"{names} take off and fly for {found.duration:g} s. Go on?"

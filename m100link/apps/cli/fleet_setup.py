@@ -1,4 +1,4 @@
-"""``m100link fleet router`` and ``fleet agent``: what runs beside the pilots."""
+"""``m100link fleet router``, ``agent``, ``console``, ``pki`` and ``acl``: set up a fleet."""
 
 from __future__ import annotations
 
@@ -90,10 +90,10 @@ _FromSettings: Any = layer_of_settings(
 class AgentOptions(_FromSettings):  # type: ignore[misc] # a class that is made has no type
     """Where the aircraft is, how far it may fly, and where its flights are recorded.
 
-    Each aircraft has a folder of its name in that of the logs.
+    Each aircraft has a folder of its name in the folder of the logs.
 
     Attributes:
-        run: How the agent is run and told of.
+        run: How the agent runs and reports.
     """
 
     run: RunOptions = AS_USUAL
@@ -109,32 +109,32 @@ def router(
     json_output: Json = False,
     log: LogOptions = AS_IT_IS,
 ) -> int:
-    """Be the router that agents and pilots connect to, until Ctrl-C. Any zenohd does as well.
+    """Run the router that agents and operators connect to, until Ctrl-C. A zenohd works, too.
 
     Everybody who reaches it can fly every aircraft behind it: let it listen on loopback, in a
     network of your own, or behind certificates.
 
     Args:
-        listen: Where, such as tcp/0.0.0.0:7447, or tls/… with --pki; several times for several.
-        connect: Endpoint of another router, so that whoever is at one meets who is at the other;
-            several times for several. They begin in any order.
-        name: Of its certificate.
-        pki: Folder with its certificate and key (M100LINK_PKI): who comes by tls/ needs one, too.
-        rights: File of rights: what it does not allow is not routed. Needs --pki, because who
-            somebody is stands in the certificate. Who is in revoked.list there may do nothing; a
-            newer list counts from the next start.
+        listen: Where to listen, such as tcp/0.0.0.0:7447, or tls/… with --pki; may be repeated.
+        connect: Endpoint of another router to link with, so that clients of both see each other;
+            may be repeated. Routers may start in any order.
+        name: Name of its certificate.
+        pki: Folder with its certificate and key (M100LINK_PKI). Clients by tls/ need one, too.
+        rights: File of rights: the router passes on only what it allows. Needs --pki, because the
+            router knows clients by their certificates. Names in revoked.list there have no rights;
+            the router reads a newer list at its next start.
     """
     options = {} if pki is None else tls_options(pki, name, listens=True)
     if rights is not None and connect:
         raise UsageError(
-            "the rules of --rights know no other router: nothing would pass between the two",
-            remedy="let agents and pilots --connect to both, without a way between them",
+            "--rights and linked routers cannot be combined: nothing would pass between the two",
+            remedy="let agents and operators --connect to both routers, and do not link them",
         )
     if rights is not None:
         if pki is None or not all(place.startswith("tls/") for place in listen):
             raise UsageError(
-                "the rules of --rights know everybody by a certificate",
-                remedy="--pki FOLDER, and --listen tls/… alone",
+                "--rights needs certificates: the router knows clients by them",
+                remedy="--pki FOLDER, and only --listen tls/…",
             )
         revoked = Revocations.of_folder(pki).revoked
         options["access_control"] = json.dumps(
@@ -170,19 +170,19 @@ def agent(
     3 m/s it takes more than a second to hover. The lease ends after 3 s; then --lost applies.
 
     Args:
-        name: What it is called in the fleet.
-        count: So many virtual ones of sim://, called NAME1, NAME2 and so on.
-        connect: Endpoint of a router (M100LINK_FLEET); several times for several.
+        name: Name of the aircraft in the fleet.
+        count: Number of virtual aircraft of sim://, called NAME1, NAME2 and so on.
+        connect: Endpoint of a router (M100LINK_FLEET); may be repeated.
         site: Name of the site (M100LINK_SITE).
-        lost: What happens when the pilot is lost: hover, land or home.
+        lost: What the aircraft does when its operator is lost: hover, land or home.
         lost_after: Seconds of hovering before that.
-        ledger: Folder in which orders that were begun are kept, so that none is carried out twice
-            when the agent is killed; by default in the user's folder for the state of programs,
-            and nowhere for virtual aircraft.
+        ledger: Folder in which the agent records orders that it begins, so that none runs twice
+            after a restart; by default in the user's state folder, for real aircraft only.
         pki: Folder with its certificate and key, for a router behind tls/ (M100LINK_PKI).
-        rights: File of rights: orders that are not signed by who may are refused. With --pki so
-            are those of who is in revoked.list there, which fleet pki push brings up to date.
-        log_rate: Megabytes of flight logs a second that each aircraft gives away at most.
+        rights: File of rights: the agent refuses orders that are not signed by an identity with the
+            right to them. With --pki it also refuses those of names in revoked.list there, which
+            fleet pki push updates.
+        log_rate: Megabytes of flight logs a second that leave each aircraft at most.
     """
     words = url
     if count > 1:
@@ -210,7 +210,7 @@ def agent(
 
 
 def _checking(rights: Rights, names: Iterable[str], pki: Path | None) -> dict[str, Any]:
-    """What agents look at orders with, and whom they believe nothing any more."""
+    """How agents verify orders, and the names that are revoked."""
     found = None if pki is None else Revocations.of_folder(pki, rights)
     revoked = nobody if found is None else found.since
     return {"verify": verifying(rights, names, time.time, revoked), "revocations": found}
@@ -249,12 +249,12 @@ def console(
     page: PageOptions = IN_BROWSER,
     access: AccessOptions = AccessOptions(),
 ) -> int:
-    """Serve the console for a fleet, until Ctrl-C: all on a list and a map, one to look at and fly.
+    """Serve the console of a fleet, until Ctrl-C: a list and a map of all, one aircraft to fly.
 
-    Without names it shows whoever is there and whoever comes. What is steered flies on board, under
-    the lease and the guards of that aircraft's agent. The one that is looked at sends every
-    package, the others what suffices for a wall. When this ends, control that was taken here is
-    given back: that aircraft hovers.
+    Without names it shows all aircraft that are present and those that appear later. The agent on
+    board flies what you steer, under its lease and its guards. The aircraft that you look at sends
+    every package, the others each item five times a second. When the command ends, it gives control
+    back: the aircraft that was flown hovers.
 
     Args:
         names: Names of aircraft.
@@ -288,11 +288,9 @@ async def _serve_console(
 # -- ``m100link fleet pki`` and ``fleet acl``: certificates of a fleet, and who may do what in  ----
 
 
-pki = group(
-    "pki", "Certificates and signing keys of a fleet: an authority of its own, and what it issues."
-)
+pki = group("pki", "Certificates and signing keys of a fleet, and an authority that issues them.")
 acl = group(
-    "acl", "Who may do what with which aircraft: look at a file of rights, make a router's rules."
+    "acl", "Check a file of rights (who may do what with which aircraft); write a router's rules."
 )
 
 Pki = Annotated[Path | None, Parameter(env_var="M100LINK_PKI")]
@@ -302,11 +300,12 @@ Pki = Annotated[Path | None, Parameter(env_var="M100LINK_PKI")]
 def init(folder: Path, /, *, force: bool = False, json: AsJson = None) -> int:
     """Make an authority: the key that every certificate of the fleet comes from.
 
-    Whoever has ca.key can be anybody. Keep the folder on a machine that does not fly.
+    Anybody who has ca.key can issue certificates in any name. Keep the folder on a machine that
+    does not fly.
 
     Args:
-        folder: Where its files go; for you alone.
-        force: Write over an authority that is there. All that it issued is worth nothing then.
+        folder: Folder for its files; readable by you alone.
+        force: Overwrite an existing authority. All certificates that it issued become worthless.
     """
     made = make_authority(folder, now=datetime.now(UTC), force=force)
     return _tell(made, json)
@@ -323,14 +322,14 @@ def issue(
     force: bool = False,
     json: AsJson = None,
 ) -> int:
-    """Make a certificate for 30 days; for a pilot also a key that signs orders.
+    """Make a certificate for 30 days; for a pilot (an operator) also a key that signs orders.
 
     Args:
-        kind: What it is for.
-        name: Of the aircraft, the pilot or the router, as the file of rights has it.
-        folder: Of the authority.
-        host: Name or address by which a router is reached; several times for several.
-        force: Write over the certificate of that name; a pilot's signing key stays.
+        kind: Whether it is for a router, an agent, or a pilot: a remote operator.
+        name: Name of the aircraft, the operator or the router, as in the file of rights.
+        folder: Folder of the authority.
+        host: Name or address by which a router is reached; may be repeated.
+        force: Overwrite the certificate of that name; an operator's signing key stays.
     """
     now = datetime.now(UTC)
     return _tell(make_certificate(folder, kind, name, now=now, hosts=host, force=force), json)
@@ -338,42 +337,44 @@ def issue(
 
 @pki.command
 def revoke(
-    *names: Annotated[str, Parameter(help="Names of certificates: of pilots, aircraft, routers.")],
+    *names: Annotated[str, Parameter(help="Certificates of operators, aircraft or routers.")],
     folder: Path = Path(),
     json: AsJson = None,
 ) -> int:
-    """Shut out who lost a key before the certificate ends; for good, under that name.
+    """Revoke certificates and keys before they expire; a revoked name stays revoked.
 
-    Writes revoked.list, which the authority signs. Bring it to the agents by fleet pki push and
-    start routers anew with it: nothing else tells them.
+    The command writes revoked.list, which the authority signs. Then bring the list to the agents by
+    fleet pki push, and restart routers with it: nothing else informs them.
 
     Args:
-        names: Which.
-        folder: Of the authority.
+        names: Names of certificates.
+        folder: Folder of the authority.
     """
     if not names:
-        raise UsageError("nobody is named", remedy="m100link fleet pki revoke NAME --folder FOLDER")
+        raise UsageError(
+            "no name is given", remedy="m100link fleet pki revoke NAME --folder FOLDER"
+        )
     found = revoke_names(folder, names, now=datetime.now(UTC))
     return tell(
         {"number": found.number, "names": dict(found.names)},
         f"{folder / LIST}: list {found.number}",
         *(f"  {name}: revoked since {since}" for name, since in found.names.items()),
-        "m100link fleet pki push --all brings it to the agents; start routers anew with it",
+        "m100link fleet pki push --all brings it to the agents; restart routers with it",
         as_json=wants_json(json),
     )
 
 
 @pki.command(name="list")
 def list_(*, folder: Path = Path(), json: AsJson = None) -> int:
-    """List the certificates of a folder: when each ends, and who is revoked.
+    """List the certificates in a folder: when each expires, and which are revoked.
 
     Args:
-        folder: Of the authority, or of whoever has its own there.
+        folder: Folder of the authority, or another one with certificates and ca.pem.
     """
     for name, ends, since in listed(folder):
         facts = {"name": name, "ends": ends.isoformat(), "revoked": since or None}
-        over = " already" if ends <= datetime.now(UTC) else ""
-        text = f"revoked since {since}" if since else f"ends{over} {ends:%Y-%m-%d}"
+        over = "d" if ends <= datetime.now(UTC) else "s"
+        text = f"revoked since {since}" if since else f"expire{over} {ends:%Y-%m-%d}"
         tell(facts, f"{name}: {text}", as_json=wants_json(json))
     return ExitCode.OK
 
@@ -385,22 +386,23 @@ def push(
     folder: Path | None = None,
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
-    """Bring revoked.list to agents: whoever is in it steers no more, and what he flew hovers.
+    """Bring revoked.list to agents: they refuse revoked operators, and what these flew hovers.
 
-    Who may stop an aircraft may bring it there. An aircraft that is not there has the list before:
-    bring it once more when it is back.
+    It needs the right to stop the aircraft. An aircraft that is absent keeps its older list: push
+    again when it is back.
 
     Args:
-        names: Which aircraft.
-        everybody: All that are there.
-        folder: With revoked.list; that of --pki by default.
+        names: Names of aircraft.
+        everybody: All that are present.
+        folder: Folder with revoked.list; that of --pki by default.
     """
     place = (options.pki if folder is None else folder) / LIST
     try:
         data = place.read_bytes()
     except OSError as error:
         raise UsageError(
-            f"{place} cannot be read: {error.strerror}", remedy="m100link fleet pki revoke makes it"
+            f"{place} cannot be read: {error.strerror}",
+            remedy="m100link fleet pki revoke writes it",
         ) from error
 
     async def run() -> int:
@@ -431,12 +433,12 @@ def check(
     pki: Pki = None,
     json: AsJson = None,
 ) -> int:
-    """Say what identities may do with each aircraft.
+    """Say what each identity may do with each aircraft.
 
     Args:
         file: A file of rights, TOML.
-        who: Name of an identity, several times for several; all of them by default.
-        pki: Folder with revoked.list and ca.pem (M100LINK_PKI): who is revoked may do nothing.
+        who: Name of an identity; may be repeated. All identities by default.
+        pki: Folder with revoked.list and ca.pem (M100LINK_PKI): revoked names have no rights.
     """
     rights = Rights.read(file)
     as_json = wants_json(json)
@@ -445,9 +447,9 @@ def check(
         one = rights.identities.get(name)
         if one is None:
             raise BadRights(
-                f"nobody in {file} is called {name}",
-                cause="agents and routers know nobody of that name: all is refused",
-                remedy=f"one of {', '.join(rights.identities) or 'none'}",
+                f"{file} has no identity {name}",
+                cause="agents and routers refuse everything from an unknown name",
+                remedy=f"name one of {', '.join(rights.identities) or 'none'}",
             )
         found = explain(rights, name)
         since = "" if revocations is None else revocations.since(name)
@@ -478,15 +480,15 @@ def _words(right: Right | None) -> str:
 
 @acl.command
 def zenoh(file: File, target: File, /, *, pki: Pki = None, force: Force = False) -> int:
-    """Write the rules of a router of zenoh that a file of rights means.
+    """Write the rules of a zenoh router from a file of rights.
 
-    They are the value of access_control in its configuration. The router knows everybody by the
+    They are the value of access_control in its configuration. The router knows clients by the
     common name of the certificate, so it has to ask for one.
 
     Args:
         file: A file of rights, TOML.
         target: The JSON file to write; - is standard output.
-        pki: Folder with revoked.list and ca.pem (M100LINK_PKI): who is revoked has no rules.
+        pki: Folder with revoked.list and ca.pem (M100LINK_PKI): revoked names get no rules.
     """
     rights = Rights.read(file)
     if pki is not None:

@@ -1,4 +1,4 @@
-"""``m100link fleet``: who is there, orders to many at once, and the verbs of the other files."""
+"""``m100link fleet``: the list, orders to many aircraft at once, and the verbs of other files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from m100link.apps.fleet.keys import in_order
 from m100link.apps.fleet.payloads import Card
 
 app = group(
-    "fleet", "Many aircraft on many machines: a router, agents on board, pilots, formations."
+    "fleet", "Fly many aircraft on many machines: a router, agents on board, operators, formations."
 )
 
 
@@ -41,19 +41,19 @@ app = group(
 
 @app.command(name="list")
 def list_(*, options: FleetOptions = NO_OPTIONS) -> int:
-    """List the aircraft that are there: where each stands, and who has control."""
+    """List the aircraft that are present: the state of each, and who has control."""
 
     async def run() -> None:
         async with options.open() as fleet:
             names, cards = await fleet.names(), await fleet.cards()
-        # An agent of an older release shows another token, and tells where it stands all the same.
+        # An agent of an older release shows another token, but publishes its state all the same.
         names = in_order({*names, *cards})
         if options.json_output:
             for name in names:
                 print_json(asdict(cards[name]) if name in cards else {"name": name})
             return
         if not names:
-            err.print(f"no agent is there at site {options.site}")
+            err.print(f"there is no agent at site {options.site}")
         else:
             out.print(_table(names, cards))
 
@@ -83,15 +83,15 @@ def _table(names: list[str], cards: dict[str, Card]) -> Table:
 
 _GOES_BACK = "control goes back, within 3 s at the latest: "
 _TAKE_OFF = Left(
-    f"{_GOES_BACK}what has left the ground hovers",
+    f"{_GOES_BACK}an aircraft in the air hovers",
     "m100link fleet list shows it, m100link fleet land {name} lands it",
 )
 _LANDING = Left(
-    "a landing that it has heard of goes on",
-    "m100link fleet list shows it, m100link fleet stop {name} ends it: it hovers",
+    "a landing goes on if the order arrived",
+    "m100link fleet list shows it; after m100link fleet stop {name} the aircraft hovers",
 )
 _STOP = Left(
-    "it stops if it has heard of it",
+    "it stops if the order arrived",
     "m100link fleet list shows it, m100link fleet stop {name} again",
 )
 _GOTO = Left(
@@ -125,7 +125,7 @@ def takeoff(*names: Names, everybody: All = False, options: FleetOptions = NO_OP
     """Let aircraft take off, all at once; each hovers at about 1.2 m, and control goes back.
 
     Args:
-        names: Which.
+        names: Names of aircraft.
         everybody: All of them.
     """
     return _each(names, everybody, options, FleetAircraft.take_off, _TAKE_OFF)
@@ -133,10 +133,10 @@ def takeoff(*names: Names, everybody: All = False, options: FleetOptions = NO_OP
 
 @app.command
 def land(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
-    """Let aircraft land, all at once, whoever has control of them. Nobody is asked.
+    """Land aircraft, all at once, also those that others control; nobody is asked.
 
     Args:
-        names: Which.
+        names: Names of aircraft.
         everybody: All of them.
     """
     return _each(names, everybody, options, FleetAircraft.land, _LANDING)
@@ -144,10 +144,10 @@ def land(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIO
 
 @app.command
 def stop(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
-    """Stop whatever aircraft do, all at once, whoever has control: each hovers.
+    """Stop aircraft, all at once, also those that others control: each hovers.
 
     Args:
-        names: Which.
+        names: Names of aircraft.
         everybody: All of them.
     """
     return _each(names, everybody, options, FleetAircraft.stop, _STOP)
@@ -164,14 +164,14 @@ def goto(
     speed: Annotated[float, Above0] = 5.0,
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
-    """Let one fly straight to a place and hover there; the way is flown on board.
+    """Let one aircraft fly straight to a position and hover there; its agent steers on board.
 
     Args:
-        name: Which.
+        name: Name of the aircraft.
         latitude: Degrees, WGS 84.
         longitude: Degrees, WGS 84.
         height: Metres above the take-off point.
-        speed: At most, m/s.
+        speed: Greatest horizontal speed, m/s.
     """
 
     async def fly(aircraft: FleetAircraft) -> None:

@@ -1,4 +1,4 @@
-"""``m100link fleet monitor``, ``watch`` and ``lease``: what goes on until Ctrl-C."""
+"""``m100link fleet monitor``, ``watch``, ``lease`` and ``log``."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ def monitor(
     duration: AtMost = None,
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
-    """Watch all aircraft until Ctrl-C: what each said last, and how old that is.
+    """Watch all aircraft until Ctrl-C: the newest values of each, and their age.
 
-    Agents send each item five times a second for this, whatever its own rate is. With --json one
-    object for each aircraft and second.
+    Agents send each item five times a second for this, or at its own rate if that is lower. With
+    --json the command prints one object for each aircraft and second.
 
     Args:
         rate: Times a second that the table is drawn.
@@ -134,7 +134,7 @@ def watch(
     """Print every telemetry package of one aircraft until Ctrl-C: one JSON object for each.
 
     Args:
-        name: Which.
+        name: Name of the aircraft.
     """
 
     async def run() -> None:
@@ -148,7 +148,7 @@ def watch(
             try:
                 print_json(_package(sample))
             except ReaderGone as error:
-                # Whoever brings a sample takes no error, and later ones would go nowhere for ever.
+                # The subscription that calls this takes no error, and later samples would be lost.
                 gone = error
                 ended.set()
 
@@ -181,8 +181,8 @@ def lease(name: str, /, *, take_over: bool = False, options: FleetOptions = NO_O
     Meanwhile `fleet mission upload` and `start` of the same account act under this lease.
 
     Args:
-        name: Which.
-        take_over: Take it from its holder, in one step.
+        name: Name of the aircraft.
+        take_over: Take control from its holder, in one step.
     """
 
     async def run() -> None:
@@ -216,7 +216,7 @@ def list_(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTI
     """List the flight logs on board, the newest first.
 
     Args:
-        names: Which aircraft.
+        names: Names of aircraft.
         everybody: All of them.
     """
 
@@ -251,17 +251,17 @@ def fetch(
     to: Path = Path(),
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
-    """Bring a flight log of each aircraft here, into a file NAME-LOG.
+    """Fetch a flight log of each aircraft into a file NAME-LOG.
 
-    What was cut off, by Ctrl-C or by the network, stays in a file that ends in .part; the same
-    command goes on there. Of a log that is being written still comes what there is of it.
+    If Ctrl-C or the network cuts it off, the part stays in a file that ends in .part, and the same
+    command continues. A log that is still being written is fetched up to its current end.
 
     Args:
-        names: Of which aircraft.
-        everybody: Of all of them.
+        names: Names of aircraft.
+        everybody: All of them.
         last: The newest log of each, as without --file.
         file: The log of that name, as `m100link fleet log list` shows it.
-        to: Folder for it.
+        to: Folder for the file.
     """
     if last and file:
         raise UsageError("--last and --file name two logs", remedy="leave out one of them")
@@ -313,14 +313,14 @@ class _Shown:
         self._at.pop(fetched.name, None)
         told = f"{fetched.size:,} bytes"
         if fetched.came < fetched.size:
-            told += f", {fetched.size - fetched.came:,} of them were here"
+            told += f", of which {fetched.size - fetched.came:,} were here already"
         if fetched.is_written:
-            told += "; it is being written still, and this is what there was of it"
+            told += "; the log is still being written, and this is its part so far"
         facts = asdict(fetched) | {"path": str(fetched.path), "outcome": "ok"}
         tell(facts, f"{fetched.name}: {fetched.path}: {told}", as_json=self._is_json)
 
     def interrupted(self) -> None:
         """What is here of those that were not finished."""
         for name, (at, size) in self._at.items():
-            text = f"{name}: {at:,} of {size:,} bytes are here; the same command goes on there"
+            text = f"{name}: {at:,} of {size:,} bytes are here; the same command continues"
             say(text, to=err)

@@ -247,7 +247,7 @@ async def names_of(fleet: Fleet, names: Sequence[str] = ()) -> list[str]:
         )
     if not there:
         raise UsageError(
-            f"no agent is there at site {fleet.keys.site}",
+            f"there is no agent at site {fleet.keys.site}",
             remedy="start one: m100link fleet agent sim:// --name a1",
         )
     shown = list(dict.fromkeys(names or there))

@@ -37,7 +37,7 @@ async def rig() -> AsyncIterator[Rig]:
 
 async def test_who_is_there_is_shown_and_who_is_not_is_named(rig: Rig) -> None:
     pilot = await rig.pilot()
-    with pytest.raises(UsageError, match="no agent is there at site field"):
+    with pytest.raises(UsageError, match="there is no agent at site field"):
         await names_of(pilot)
     for name in ("a2", "a1"):
         await rig.served(name)
