@@ -7,8 +7,8 @@
         async with fleet["a1"].control(stop="land") as control:
             await control.fly_to(latitude_deg=47.0, longitude_deg=8.0, height=10.0)
 
-Control, guards, lease and log are on board, at the agent of each aircraft. A network that is lost
-is a hover.
+Control, guards, lease and log are on board, at the agent of each aircraft. When the network is
+lost, the aircraft hovers.
 """
 
 from m100link.apps.fleet.client import Change, Fleet, FleetAircraft, connect

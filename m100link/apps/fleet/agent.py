@@ -1,8 +1,8 @@
 """The agent of a fleet, on board: one aircraft under keys of its own.
 
-It is a front like any other: what it knows comes from an
-:class:`~m100link.apps.agent.client.AgentClient`, what is asked of it goes there. Control, guards,
-lease and log are the agent's, so that a network that is lost costs a hover.
+It is a client of the agent like any other, by an
+:class:`~m100link.apps.agent.client.AgentClient`. Control, guards, lease and log belong to the
+agent: when the network is lost, the aircraft hovers.
 """
 
 from __future__ import annotations
@@ -60,19 +60,19 @@ _MAX_LONG_ORDERS = 16
 _MOST_WAITING = 16
 """Questions about its mission; of a flood the oldest are dropped."""
 _AS_GOOD_AS_NEW_S = 0.05
-"""Seconds in which all who ask that hear the same: whoever flies must not wait for who asks."""
+"""Seconds in which all questions about it get the same answer: flying comes before questions."""
 _LONG_ORDER_PAUSE_S = 0.02
 
 T = TypeVar("T")
 
 Verify = Callable[[OrderMessage], None]
-"""Looks at an order before anything is done; raises :class:`~m100link.errors.NotAllowed`."""
+"""Checks an order before anything is done; raises :class:`~m100link.errors.NotAllowed`."""
 
 
 def admit(order: OrderMessage, keys: Keys, kind: type[T], verify: Verify | None) -> T:
-    """What is asked; refused of another kind, for another aircraft, or of who may not."""
+    """Return what an order asks for; refuse another kind, another aircraft, or a missing right."""
     if not isinstance(order.order, kind):
-        raise MessageError(f"nobody asks for {type(order.order).__name__} under this key")
+        raise MessageError(f"{type(order.order).__name__} does not belong under this key")
     if (order.site, order.aircraft) != (keys.site, keys.name):
         there, here = f"{order.site}/{order.aircraft}", f"{keys.site}/{keys.name}"
         raise NotAllowed(f"an order to {there} came to {here}")
@@ -89,7 +89,7 @@ class FleetAgent:
         keys: Keys,
         ledger: Ledger,  # what outlives it
         *,
-        lost: LostLinkPlan | None = None,  # what happens when whoever flies is lost
+        lost: LostLinkPlan | None = None,  # what happens when the operator is lost
         # Looks at each order; without it the router alone decides who may ask.
         verify: Verify | None = None,
         revoked: Since = nobody,  # who is shut out
@@ -165,7 +165,7 @@ class FleetAgent:
         return self._orders.missions
 
     def shut_out(self) -> None:
-        """Somebody was revoked: what he flies hovers, and his lease ends as if he fell silent."""
+        """An operator was revoked: the aircraft hovers, and the lease ends as after silence."""
         who = self._orders.shut_out()
         if who:
             self._ages.revoke(self.client.now)
@@ -175,21 +175,21 @@ class FleetAgent:
     def _tell_damage(self) -> None:
         if self._ledger.damaged:
             self.client.note(
-                f"{self._ledger.damaged} words of the ledger are damaged or gone: orders of before "
-                "are told as unknown and not carried out, and nobody is landed for who flew then",
+                f"{self._ledger.damaged} records of the ledger are damaged or gone: earlier orders "
+                "are unknown and not carried out, and no aircraft is landed for an earlier run",
                 "error",
             )
 
     async def require_alone(self) -> None:
         """Refuse a name that another agent has: both would obey.
 
-        One whose agent was killed is seen for a while yet.
+        The token of a killed agent can still be seen for a while.
         """
         deadline = self.client.now + _NAMESAKE_S
         while await self._bus.tokens(self._keys.live, timeout=1.0):
             if self.client.now >= deadline:
                 raise UsageError(
-                    f"an agent named {self._keys.name} is there already",
+                    f"another agent is named {self._keys.name}",
                     remedy="give this aircraft another --name, or end the other agent",
                 )
             await asyncio.sleep(0.2)
@@ -231,7 +231,7 @@ class FleetAgent:
         self._look_for_namesakes()
 
     def _look_for_namesakes(self) -> None:
-        """Whoever steers sees two aircraft as one: what he flies hovers, and he is told."""
+        """An operator would see two aircraft as one: the aircraft hovers, and reports it."""
         client, had = self.client, self._has_namesake
         self._has_namesake = self.namesakes.is_there(client.now)
         if self._has_namesake and not had:
@@ -288,7 +288,7 @@ class FleetAgent:
             self._long.append(question)
             self._has_long.set()
         else:
-            question.drop()  # whoever waits for it asks again
+            question.drop()  # its sender asks again
 
     async def _answer_long(self) -> None:
         """Long orders one after the other, with time between them: STOP is short."""
@@ -438,7 +438,7 @@ class FleetAgent:
         self.client.steer(self._orders.leases[steer.fence].lease, steer.setpoint, steer.lifetime)
 
     def _steer_refused(self, fence: int, error: M100Error) -> None:
-        """Whoever steers hears of it as its lease is renewed, twice a second."""
+        """The operator learns it with the next renewal of the lease, twice a second."""
         self._orders.refused = error
 
 
@@ -448,9 +448,9 @@ def _package(sample: Sample) -> bytes:
 
 def _begun_before() -> OutcomeUnknown:
     return OutcomeUnknown(
-        "the agent was started anew after it had begun this, or may have",
-        cause="it was killed, or its computer was",
-        remedy="look at the aircraft: it may or may not have been done",
+        "the agent restarted after it had begun this order, or may have",
+        cause="the agent was killed, or its computer restarted",
+        remedy="look at the aircraft: the order may or may not have been carried out",
     )
 
 
@@ -498,7 +498,6 @@ class DuplicateNames:
         if self.is_there(now):
             raise UsageError(
                 f"two agents are named {self._name}: neither moves its aircraft",
-                cause="they began behind different routers, which were joined later",
-                remedy="end one of them, and give its aircraft another --name; stop and land are "
-                "done by both",
+                cause="they began behind different routers, which were linked later",
+                remedy="end one of them and give its aircraft another --name; both stop and land",
             )

@@ -1,8 +1,8 @@
-"""Asks one aircraft of a fleet for something, and finds out what became of it.
+"""Asks one aircraft of a fleet for something, and finds out the outcome.
 
-An answer that does not come says nothing. Then it is asked what became of the order, by its id: an
-agent that never heard it is given the same order again, one that did says how it ended. A new id is
-never given to what may have been done.
+A missing answer says nothing. The asker then asks for the outcome by the id of the order: an agent
+that never heard of it gets the same order again, any other agent says how it ended. An order that
+may have been carried out never gets a new id.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, StaleLease, U
 PATIENCE_S = 10.0
 """Seconds without any answer after which the outcome counts as unknown.
 
-Over a way of 3 s an answer needs 6.5 s, and what is lost is asked for again.
+With a delay of 3 s in each direction an answer takes 6.5 s, and lost messages are repeated.
 """
 
 _AGAIN_S = 0.1
@@ -46,10 +46,10 @@ Sign = Callable[[OrderMessage, str], OrderMessage]
 
 
 def nobody_there(name: str) -> Unreachable:
-    """What is said of an aircraft whose agent does not show itself."""
+    """The error for an aircraft whose agent is absent."""
     return Unreachable(
         f"no agent named {name} is there; nothing was sent",
-        remedy="m100link fleet list shows who is there",
+        remedy="m100link fleet list shows the aircraft that are present",
     )
 
 
@@ -81,7 +81,7 @@ class Asker:
         self._clock = asyncio.get_running_loop().time
         # The agent's own clock by the event loop's, from every answer that says what it shows.
         self.its_clock = ClockEstimate()
-        # Clocks of several agents that answered; nobody knows which is the aircraft.
+        # Clocks of several agents that answered; which is the aircraft is unknown.
         self.doubtful_clocks: list[float] = []
 
     async def is_there(self) -> bool:
@@ -113,7 +113,7 @@ class Asker:
 
         Raises:
             Unreachable: No agent of that name is there; nothing was sent.
-            OutcomeUnknown: Nobody knows what became of it.
+            OutcomeUnknown: Its outcome is unknown.
             StaleLease: The lease is not in force.
             NotAllowed: The agent refused who asked.
             M100Error: What the agent tells.
@@ -223,7 +223,7 @@ class Asker:
                     questions.ask(status, within=left)
                 number, reply = await self._next(questions, order, began, min(left, questions.left))
                 if isinstance(reply, MessageError):
-                    # Whoever answered may well have done it, and what he says cannot be read.
+                    # The agent may well have done it, but its answer cannot be read.
                     raise OutcomeUnknown(reply.seen, cause=reply.cause, remedy=reply.remedy)
                 if reply is None:
                     if questions.is_due:
@@ -242,8 +242,8 @@ class Asker:
                     await asyncio.sleep(_AGAIN_S)
         raise OutcomeUnknown(
             f"{self.keys.name} gave no answer for {patience:g} s",
-            cause="the way there or back is cut or takes longer, its agent hangs, or the router "
-            "lets no answer pass to this identity",
+            cause="the link is cut or slower than that, the agent hangs, or the router lets no "
+            "answer pass to this identity",
         )
 
     async def _next(
@@ -267,12 +267,12 @@ class Asker:
         """It answers what became of the order, and does not know it, or not any more."""
         if has_begun:
             return OutcomeUnknown(
-                f"{self.keys.name} began the order, and has not heard of it by now",
-                cause="its agent was started anew without its ledger",
+                f"{self.keys.name} began the order, and does not know it any more",
+                cause="its agent restarted without its ledger",
             )
         return OutcomeUnknown(
-            f"{self.keys.name} answers, and has not heard of the order",
-            cause="the router routes no such order of this identity, or the way there loses it",
+            f"{self.keys.name} answers, but has not heard of the order",
+            cause="the router lets no such order of this identity pass, or the link loses it",
             remedy="m100link fleet acl check FILE --who NAME, with the router's file of rights",
         )
 
@@ -295,7 +295,7 @@ class Asker:
 
 
 def reason_of(name: str, fault: RemoteError | None) -> M100Error:
-    """Why an agent of that name refused, as it says itself."""
+    """The reason that the agent of that name gives for a refusal."""
     return MessageError(f"{name} gave no reason") if fault is None else fault.error()
 
 
@@ -452,8 +452,8 @@ def believed(
             replies.append(reply)
     if replies and (len(sessions) > 1 or len({one.boot for one in replies}) > 1):
         raise OutcomeUnknown(
-            f"two agents are named {keys.name}: nobody knows which of them answered",
-            cause="two were given one name, or a stranger says to be it",
+            f"two agents are named {keys.name}: it is unknown which of them answered",
+            cause="two agents were given one name, or a stranger poses as the aircraft",
             remedy="end one of them, and look at both aircraft",
         )
     # One agent gives one answer. When it was given, and whether it had been before, may differ.
@@ -462,12 +462,12 @@ def believed(
         raise OutcomeUnknown(
             f"two answers of {keys.name} to one order disagree",
             cause="a stranger answers in its name",
-            remedy="look at the aircraft; the rules of a router keep strangers out",
+            remedy="look at the aircraft; a router with --rights keeps strangers out",
         )
     if replies and replies[0].order not in (b"", digest):
         raise OutcomeUnknown(
-            f"{keys.name} tells of another order of the same id",
+            f"{keys.name} has another order under the same id",
             cause="a stranger heard the id and used it",
-            remedy="look at the aircraft, and ask anew",
+            remedy="look at the aircraft, and give the order again",
         )
     return replies[0] if replies else unread

@@ -1,9 +1,9 @@
-"""The way of a front to an agent of a fleet: a console on the ground flies what is far away.
+"""The channel from a client, such as a console on the ground, to an agent of a fleet.
 
-A front says what it would say to an agent on its own machine. Here that becomes orders of the
-fleet, with ids, signatures and the age that the agent looks at, and setpoints stamped by its clock.
-What the agent tells comes back with its times by the front's own clock: nobody takes what is old
-for new because two clocks differ.
+The client says what it would say to an agent on its own machine. Here that becomes orders of the
+fleet, with ids, signatures and ages, and setpoints stamped by the agent's clock. Messages of the
+agent come back with times by the client's own clock: where two clocks differ, nothing old passes
+for new.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ class FleetChannel:
         elif isinstance(message, Steer):
             self._steer(message)
         else:
-            raise MessageError(f"a front does not send {type(message).__name__}")
+            raise MessageError(f"a client does not send {type(message).__name__}")
 
     def close(self, reason: str = "") -> None:
         """Close it. Leases that were granted here end by silence; see :meth:`let_go`."""
@@ -192,7 +192,7 @@ class FleetChannel:
             except StaleLease:
                 pass  # it was on its way back already
             except M100Error as error:
-                _logger.warning("%s is left to silence: %s", self._keys.name, error.seen)
+                _logger.warning("%s: the lease ends by silence: %s", self._keys.name, error.seen)
 
     # -- what comes in ---------------------------------------------------------------------------
 
@@ -208,7 +208,7 @@ class FleetChannel:
 
     def _token(self, _key: str, is_there: bool) -> None:
         if not is_there:
-            self._end(f"{self._keys.name} is not there any more")
+            self._end(f"the agent of {self._keys.name} is gone")
 
     async def _keep_clock(self) -> None:
         while True:
@@ -233,9 +233,9 @@ class FleetChannel:
         """Whether it is still the agent that it was."""
         self._boot = self._boot or hello.name
         if hello.version != VERSION:
-            self._end(f"it speaks version {hello.version}, this front {VERSION}")
+            self._end(f"it speaks version {hello.version}, this client {VERSION}")
         elif hello.name != self._boot:
-            self._end(f"the agent of {self._keys.name} was started anew")
+            self._end(f"the agent of {self._keys.name} restarted")
         return not self._is_closed
 
     def _read(self, payload: bytes) -> Message | None:
@@ -244,7 +244,7 @@ class FleetChannel:
         except MessageError as error:
             if not self.unread:
                 _logger.warning(
-                    "what is told of %s cannot be read (more of it is counted): %s",
+                    "a message of %s cannot be read (more are only counted): %s",
                     self._keys.name,
                     error.seen,
                 )
@@ -299,8 +299,8 @@ class FleetChannel:
         try:
             self._on_message(message)
         except Exception:
-            # As with a socket: what goes wrong at one end does not happen to the other. Whoever
-            # tells it again and again would fill a disk.
+            # As with a socket: an error at one end does not happen to the other. Logged again and
+            # again, it would fill a disk.
             if not self.untaken:
                 _logger.exception("a %s was not taken", type(message).__name__)
             self.untaken += 1
@@ -328,7 +328,7 @@ class FleetChannel:
             return
         # What ends a movement is never refused here, however much waits for answers.
         if self._asks >= _MOST_ASKS and order.right is not Right.STOP:
-            error = UsageError(f"{self._asks} questions of this front wait already")
+            error = UsageError(f"{self._asks} orders of this client wait for answers already")
             self._answer(ask.id, None, error)
             return
         self._asks += 1
@@ -358,7 +358,7 @@ class FleetChannel:
         try:
             lease = self._leases.get(steer.fence)
             # Who steers renews nothing else meanwhile. What comes too late to be flown renews no
-            # lease, and that it was not flown, and how slow the way is, is told by renewals alone.
+            # lease. Only renewals report that it was not flown, and how slow the link is.
             if lease is None or steer.fence != self._holder.number:
                 raise LeaseRefused(f"lease {steer.fence} is not in force")
             self._keep(lease)
@@ -386,15 +386,15 @@ class FleetChannel:
         if known is None or max(known.bound, self._its_clock.way_s) > MOST_CLOCK_BOUND_S:
             raise UsageError(
                 f"the clock of {self._keys.name} is not known to {MOST_CLOCK_BOUND_S:g} s",
-                cause="the way there and back takes too long for setpoints",
+                cause="the round trip is too long for setpoints",
                 remedy="fly by tasks and fly_to(), whose loops are closed on board",
             )
         # What its clock showed long ago says nothing of how slow the way is by now.
         if (silent := self._its_clock.silent_s(now)) > _UNANSWERED_S:
             raise UsageError(
-                f"{self._keys.name} has answered nothing for {silent:.0f} s: nobody knows whether "
-                "it flies what is sent",
-                cause="the way there and back is cut, or takes too long",
+                f"{self._keys.name} has answered nothing for {silent:.0f} s: it is unknown whether "
+                "it flies the setpoints",
+                cause="the link is cut, or the round trip is too long",
                 remedy="let go, and look where the aircraft is",
             )
         if begins is None:

@@ -1,4 +1,4 @@
-"""A pilot's end of a fleet: who is there, and what each of them is asked."""
+"""An operator's end of a fleet: which aircraft are present, and orders to each."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ _MOST_DOUBTFUL = 8
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """An agent appeared, or is gone."""
+    """An agent appeared or disappeared."""
 
     name: str  #: the aircraft
-    is_there: bool  #: which of both
-    silent_s: float | None = None  #: seconds since it was heard last; None when it was never heard
+    is_there: bool  #: whether it appeared, else it disappeared
+    silent_s: float | None = None  #: seconds since its last message; None without one
 
 
 class FleetAircraft:
@@ -64,20 +64,20 @@ class FleetAircraft:
     def control(
         self, *, stop: Literal["hover", "land"] = "hover", take_over: bool = False
     ) -> FleetControl:
-        """Control of it, as ``async with``: the lease, authority, and what flies.
+        """Control of it, as ``async with``: the lease, authority, and orders to fly.
 
         Args:
-            stop: What is done when the block is left: ``hover`` or ``land``.
-            take_over: Take the lease from whoever has it.
+            stop: What the aircraft does when the block is left: ``hover`` or ``land``.
+            take_over: Take the lease from its holder.
 
         Raises (when it is entered):
-            LeaseHeld: Another pilot has the lease.
+            LeaseHeld: Another operator has the lease.
             M100Error: As :meth:`m100link.Control.obtain`, and :class:`m100link.errors.FleetError`.
         """
         return FleetControl(self.asker, self._name, stop=stop, take_over=take_over)
 
     async def take_off(self) -> None:
-        """Take control, take off, give control back: it hovers.
+        """Take control, take off, give control back: the aircraft hovers.
 
         Raises:
             M100Error: As :meth:`control` and :meth:`m100link.Control.take_off`.
@@ -86,11 +86,11 @@ class FleetAircraft:
             await control.take_off()
 
     async def land(self) -> None:
-        """Land in place, whoever has control: it is taken over for that long. Needs no lease.
+        """Land in place. Needs no lease: the agent takes it over until the aircraft is down.
 
         Raises:
-            GuardRefused: It came there more than 5 s after it was asked for, three times, and was
-                not begun: the way there and back takes longer.
+            GuardRefused: The order arrived more than 5 s after it was made, three times, and the
+                agent did not begin it: the round trip is too long.
             M100Error: As :meth:`m100link.Control.land`, and :class:`m100link.errors.FleetError`.
         """
         self.asker.doubtful_clocks = []
@@ -98,7 +98,7 @@ class FleetAircraft:
             try:
                 await self.asker.ask(Land())
             except GuardRefused as error:
-                # It was not begun, and the answer told what time it is there: that is known now.
+                # It was not begun, and the answer had the time there: that is known now.
                 if error.guard != ORDER_AGE or not left:
                     raise
             except OutcomeUnknown:
@@ -108,15 +108,15 @@ class FleetAircraft:
                 return
 
     async def _land_each(self, clocks: list[float]) -> None:
-        """Where nobody knows which of them is the aircraft, each is asked by its own time."""
+        """Ask each by its own time: it is unknown which of them is the aircraft."""
         asked = (self.asker.ask(Land(), clock=one) for one in clocks[:_MOST_DOUBTFUL])
         await asyncio.gather(*asked, return_exceptions=True)
 
     async def stop(self) -> None:
-        """Stop whatever happens: motion, program, task. Needs no lease.
+        """Stop all motion, programs and tasks: the aircraft hovers. Needs no lease.
 
         Raises:
-            FleetError: Unreachable, not allowed, or nobody knows.
+            FleetError: Unreachable, not allowed, or the outcome is unknown.
         """
         await self.asker.ask(Stop())
 
@@ -124,43 +124,43 @@ class FleetAircraft:
         """The flight logs on board, the newest first.
 
         Raises:
-            Unreachable, NotAllowed: It is not there, or refused who asked.
+            Unreachable, NotAllowed: Its agent is absent, or refused the question.
         """
         return await LogFetcher(self.asker).logs()
 
     async def fetch_log(
         self, log: str = "", to: Path | str = "", progress: Progress | None = None
     ) -> Fetched:
-        """Bring a flight log here; what was cut off goes on where it ended.
+        """Fetch a flight log; a transfer that was cut off continues where it ended.
 
         Args:
-            log: Its name on board; that of the newest by default.
-            to: The folder for it, where it is ``NAME-LOG``; until it is whole, ``NAME-LOG.part``.
-            progress: Told how many bytes are here, and how many there will be.
+            log: Its name on board; the newest by default.
+            to: Folder for the file ``NAME-LOG``; ``NAME-LOG.part`` until it is complete.
+            progress: Called with the bytes that are here and the bytes that there will be.
 
         Raises:
             UsageError: There is no such log, or it cannot be written here.
-            Unreachable: It is not there, or gives no answer any more. What came is kept.
-            NotAllowed: It refused who asked.
-            FleetError: What came is not what it has.
+            Unreachable: Its agent is absent, or stopped answering. The part that came is kept.
+            NotAllowed: It refused the question.
+            FleetError: What came differs from the log on board.
         """
         return await LogFetcher(self.asker).fetch(log, to, progress)
 
     async def mission(self) -> MissionCard:
-        """Where its mission is.
+        """The state of its mission.
 
         Raises:
-            Unreachable, OutcomeUnknown: It is not there, or gives no answer.
+            Unreachable, OutcomeUnknown: Its agent is absent, or gives no answer.
         """
         if not await self.asker.is_there():
             raise nobody_there(self.name)
         return await mission_card(self.asker, patience=self.asker.patience)
 
     async def card(self) -> Card:
-        """Where its agent stands.
+        """The state of its agent and aircraft.
 
         Raises:
-            Unreachable, OutcomeUnknown: It is not there, or gives no answer.
+            Unreachable, OutcomeUnknown: Its agent is absent, or gives no answer.
         """
         found = await cards(self.bus, self.keys)
         if self.name not in found:
@@ -170,16 +170,16 @@ class FleetAircraft:
 
 
 async def cards(bus: Bus, keys: Keys) -> dict[str, Card]:
-    """Where agents stand, by name: those that answered in time and can be read."""
+    """States of agents, by name: those that answered in time."""
     found = {}
     for answer in await bus.ask(keys.state, timeout=_ANSWER_S):
         name = name_in(answer.key)
         try:
             card: Card = unpack(Card, answer.payload)
             if card.name != name:  # rules of a router go by the key
-                raise MessageError(f"under the key of {name} somebody tells of {card.name}")
+                raise MessageError(f"the key of {name} has a state of {card.name}")
         except MessageError as error:
-            # Another version, or a lie: it is told as what is wrong, not left out.
+            # Another version, or a lie: it is listed with what is wrong, not left out.
             card = Card(name, "", 0.0, "unreadable", fault=fault_of(error))
         found[name] = card
     return found
@@ -193,7 +193,7 @@ class Fleet:
         bus: Bus,
         *,
         site: str = DEFAULT_SITE,
-        name: str = "pilot",
+        name: str = "operator",
         sign: Sign | None = None,
         # Seconds without any answer after which an outcome is unknown. An order over a way of so
         # many seconds needs more than twice as long.
@@ -256,16 +256,16 @@ class Fleet:
 
     @property
     def present(self) -> frozenset[str]:
-        """Names of the agents that are there, as far as is known."""
+        """Names of the agents that are known to be present."""
         return frozenset(self._present)
 
     async def names(self) -> list[str]:
-        """Names of the agents that are there: those that were seen come, and who is found now."""
+        """Names of the agents that are present: those known already, and those found now."""
         found = filter(None, map(name_in, await self._tokens()))
         return in_order(set(self._present).union(found))
 
     async def changes(self) -> AsyncIterator[Change]:
-        """Who appears and who is gone, without end; first those that are there."""
+        """Agents that appear and disappear, without end; first those that are present."""
         waiting: deque[Change] = deque(
             (Change(name, True) for name in in_order(self._present)), maxlen=_MOST_CHANGES
         )
@@ -282,7 +282,7 @@ class Fleet:
             self._listeners.remove(listener)
 
     async def cards(self) -> dict[str, Card]:
-        """Where the agents stand, by name: those that answered in time."""
+        """States of the agents, by name: those that answered in time."""
         found = await cards(self.bus, self.keys)
         # A router with rules lets nobody ask all who may not ask each.
         others = [Keys(self.keys.site, name) for name in await self.names() if name not in found]
@@ -293,7 +293,7 @@ class Fleet:
     # -- what they are asked ---------------------------------------------------------------------
 
     def __getitem__(self, name: str) -> FleetAircraft:
-        """One aircraft, whether it is there or not.
+        """One aircraft, present or not.
 
         Raises:
             UsageError: That cannot be a name.
@@ -328,11 +328,11 @@ class Fleet:
     ) -> dict[str, Result]:
         """Do something with each aircraft, all at once.
 
-        Nobody waits for another one, and what goes wrong with one is its result.
+        None waits for another one. An error of one aircraft is its result, and raises nothing.
 
         Args:
-            do: What; an error of this package that it raises is that aircraft's result.
-            names: Which; all that are there by default.
+            do: Called with each; if it raises an error of this package, that is the result.
+            names: Names of aircraft; all that are present by default.
 
         Returns:
             A result for every name.
@@ -349,11 +349,11 @@ class Fleet:
         return {result.name: result for result in results}
 
     async def land(self, names: Iterable[str] | None = None) -> dict[str, Result]:
-        """Let each land, whoever has control."""
+        """Land each. Needs no lease; see :meth:`FleetAircraft.land`."""
         return await self.each(FleetAircraft.land, names)
 
     async def stop(self, names: Iterable[str] | None = None) -> dict[str, Result]:
-        """Stop each, whatever it does."""
+        """Stop each. Needs no lease; see :meth:`FleetAircraft.stop`."""
         return await self.each(FleetAircraft.stop, names)
 
 
@@ -361,23 +361,23 @@ class Fleet:
 async def connect(
     *endpoints: str,
     site: str = DEFAULT_SITE,
-    name: str = "pilot",
+    name: str = "operator",
     sign: Sign | None = None,
     options: dict[str, str] | None = None,
     patience: float = PATIENCE_S,
 ) -> AsyncIterator[Fleet]:
-    """A fleet, by the routers that its agents know.
+    """Connect to a fleet, as ``async with``, by the routers of its agents.
 
     Args:
         endpoints: Of routers, such as ``tcp/127.0.0.1:7447``; the first that answers serves.
-        site: Which site.
-        name: Who this is, for people.
+        site: Name of the site.
+        name: Name of the operator, shown to other people.
         sign: Signs orders; see :func:`m100link.apps.fleet.signing.signing`.
         options: More options of zenoh, by name, as JSON: certificates, for example.
         patience: Seconds without any answer after which an outcome is unknown.
 
     Raises:
-        UsageError: The package is missing, an endpoint or option cannot be, or no router answered
+        UsageError: The package is missing, an endpoint or option is wrong, or no router answered
             within 2 s.
     """
     async with (
@@ -428,8 +428,8 @@ def open_fleet(
         "mode": json.dumps(mode),
         "connect/endpoints": json.dumps(list(connect)),
         # Each of them is tried once, in turn. With any other time zenoh tries the first alone until
-        # that is over, and whoever begins while that one is dead never comes to the second.
-        # A router looks for the others without end, and serves whoever is there meanwhile.
+        # that is over, and a session that begins while that one is dead never tries the second.
+        # A router looks for the others without end, and serves clients meanwhile.
         "connect/timeout_ms": "-1" if mode == "router" else "0",
         "connect/exit_on_failure": json.dumps(mode != "router"),
         "transport/unicast/open_timeout": str(ANSWER_MS),

@@ -1,7 +1,7 @@
 """Control of one aircraft of a fleet: the shape of :class:`m100link.Control`, over the network.
 
-What flies, flies at the agent on board: tasks, closed loops and missions go on there as long as the
-lease is renewed. Setpoints go over the network, stamped by the agent's clock.
+The agent on board flies: tasks, closed loops and missions go on there as long as the lease is
+renewed. Setpoints go over the network, stamped by the agent's clock.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class FleetControl:
 
     @property
     def proof(self) -> tuple[int, str]:
-        """Number and secret of the lease; a program that has both can order under it.
+        """Number and secret of the lease; a program that has both can give orders under it.
 
         Raises:
             StaleLease: It has ended.
@@ -144,13 +144,12 @@ class FleetControl:
             return StaleLease(
                 f"{self._keys.name} answered no renewal within {LEASE_LIFETIME:g} s: the lease "
                 "cannot be held",
-                cause="the way there and back takes longer than a lease lasts without a word, or "
-                "is cut",
+                cause="the round trip is longer than a lease lasts, or the link is cut",
                 remedy="land and stop need no lease",
             )
         return OutcomeUnknown(
             f"{self._keys.name} gave no answer for {LEASE_LIFETIME:g} s: the lease has ended",
-            remedy="it hovers, then does what its agent was told by --lost",
+            remedy="the aircraft hovers, then does what --lost of its agent says",
         )
 
     def _held(self) -> Lease:
@@ -168,7 +167,7 @@ class FleetControl:
         return await self._asker.ask(order, fence=lease.number, token=lease.token)
 
     async def take_off(self) -> None:
-        """Start the motors and climb to about 1.2 m; done when it is seen to be done.
+        """Start the motors and climb to about 1.2 m; returns when telemetry shows it done.
 
         Raises:
             M100Error: As :meth:`m100link.Control.take_off`, and :class:`FleetError`.
@@ -192,13 +191,13 @@ class FleetControl:
         speed: float = 5.0,
         yaw_deg: float | None = None,
     ) -> None:
-        """Fly straight to a place and hover there; the loop is closed on board.
+        """Fly straight to a position and hover there; the loop is closed on board.
 
         Args:
             latitude_deg: WGS 84.
             longitude_deg: WGS 84.
             height: Metres above the take-off point.
-            speed: Horizontally, at most, m/s up to 10.
+            speed: Greatest horizontal speed, m/s, up to 10.
             yaw_deg: Heading to fly with, °; None for the present one.
 
         Raises:
@@ -210,16 +209,16 @@ class FleetControl:
 
     @property
     def missions(self) -> MissionOrders:
-        """What is ordered about missions, one by one."""
+        """Orders about missions, one by one."""
         return MissionOrders(self.ask)
 
     def waypoint_mission(self, plan: WaypointPlan, *, take_off: bool = False) -> FleetMission:
         """Let the aircraft fly a plan by itself, as ``async with``.
 
-        It flies as long as this block has the lease: whoever loses it loses the mission.
+        The mission flies as long as this block has the lease.
 
         Args:
-            plan: What to fly.
+            plan: The plan.
             take_off: Take off first, from the ground.
 
         Raises (when it is entered):
@@ -228,11 +227,11 @@ class FleetControl:
         return FleetMission(self._asker, self.missions, plan, take_off=take_off)
 
     async def pause_mission(self) -> None:
-        """Pause whatever mission flies. Raises: see :meth:`take_off`."""
+        """Pause the mission in flight. Raises: see :meth:`take_off`."""
         await self.missions.pause()
 
     async def resume_mission(self) -> None:
-        """Let whatever mission is paused go on. Raises: see :meth:`take_off`."""
+        """Resume a paused mission. Raises: see :meth:`take_off`."""
         await self.missions.resume()
 
     async def stop_mission(self) -> None:
@@ -240,24 +239,24 @@ class FleetControl:
         await self.missions.stop()
 
     async def stop(self) -> None:
-        """Stop whatever happens; needs no lease."""
+        """Stop all motion, programs and tasks; needs no lease."""
         await self._asker.ask(orders.Stop())
 
     # -- setpoints -------------------------------------------------------------------------------
 
     def send(self, setpoint: Setpoint, *, lifetime: float = SETPOINT_LIFETIME) -> None:
-        """Send a setpoint once. It flies until it is renewed or expires; then the aircraft brakes.
+        """Send a setpoint once; without another one the aircraft brakes when it expires.
 
-        One that follows another within half a second goes on with a stream: when the agent heard
-        none of it for a second it is not flown, and the next call says so.
+        A setpoint within half a second of another one continues a stream. The agent does not fly
+        it if the stream was silent there for a second; the next call says so.
 
         Args:
-            setpoint: What to fly.
-            lifetime: Seconds that it lasts at the agent, at most 1.
+            setpoint: The setpoint.
+            lifetime: Its lifetime at the agent, s, at most 1.
 
         Raises:
             StaleLease: Control is lost.
-            GuardRefused, NoAuthority, UsageError: The agent did not fly one of those before.
+            GuardRefused, NoAuthority, UsageError: The agent did not fly an earlier setpoint.
             UsageError: The agent's clock is not known well enough to say how old a setpoint is.
         """
         self._send(setpoint, lifetime)
@@ -271,11 +270,11 @@ class FleetControl:
 
     @asynccontextmanager
     async def hold(self, setpoint: Setpoint, *, rate_hz: float = 20.0) -> AsyncIterator[FleetHold]:
-        """A task keeps sending a setpoint while the block runs, and the neutral at its end.
+        """Keep sending a setpoint while the block runs; the aircraft hovers at its end.
 
         Args:
             setpoint: The first one; :meth:`FleetHold.set` replaces it.
-            rate_hz: Times a second, at least 10 so that one may be lost.
+            rate_hz: Setpoints a second, at least 10 so that one may be lost.
 
         Raises: as :meth:`send`.
         """
@@ -309,20 +308,20 @@ class FleetControl:
                 await self._halt()
 
     async def _halt(self) -> None:
-        """Ask for what happens by itself as well, only later: a setpoint expires."""
+        """Ask for the hover that follows anyway when the setpoint expires, only later."""
         halt = orders.Halt(f"{self._name} ended a hold")
         try:
             await self._asker.ask(halt, patience=LEASE_LIFETIME)
         except FleetError as error:
-            _logger.warning("%s is left to silence: %s", self._keys.name, error.seen)
+            _logger.warning("%s: the setpoint expires: %s", self._keys.name, error.seen)
 
 
 class FleetHold:
     """The setpoint that is held."""
 
     def __init__(self, setpoint: Setpoint) -> None:
-        self.setpoint = setpoint  #: that one
+        self.setpoint = setpoint  #: the setpoint
 
     def set(self, setpoint: Setpoint) -> None:
-        """Hold another one from now on."""
+        """Hold another setpoint from now on."""
         self.setpoint = setpoint

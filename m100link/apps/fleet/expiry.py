@@ -1,8 +1,8 @@
-"""Which orders and setpoints come too late to be wanted still.
+"""Which orders and setpoints come too late.
 
-What moves the aircraft says when it was made, by the agent's own clock. It may wait in a network,
-or before an agent that stands still, longer than whoever asked: then somebody may have pressed
-STOP, or asked for something else, or have given up. Pure logic: times are arguments.
+An order that moves the aircraft says when it was made, by the agent's own clock. It may wait in a
+network, or for an agent that stands still, longer than its operator: meanwhile somebody may have
+pressed STOP, asked for something else, or given up. Pure logic: times are arguments.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MOST_AGE_S = 5.0
 
 MOST_AHEAD_S = 1.0
 """Seconds by which an order may seem to be made later than now. More is a time of before the
-agent's computer was started anew, and says nothing of its age."""
+agent's computer restarted, and says nothing of its age."""
 
 
 class OrderExpiry:
@@ -59,15 +59,15 @@ def require_young(made_at: float, now: float) -> None:
     ``made_at``: when it was made at the earliest, s. ``now``: s.
     """
     if not now - made_at <= MOST_AGE_S:  # NaN is no time
-        raise _late("nobody waits for it any more", made_at, now)
+        raise _late(f"it is older than {MOST_AGE_S:g} s", made_at, now)
     if made_at - now > MOST_AHEAD_S:
         raise GuardRefused(
-            f"an order that was made {made_at - now:.1f} s from now was not carried out",
+            f"an order from {made_at - now:.1f} s in the future was not carried out",
             guard=ORDER_AGE,
             measured=now - made_at,
             limit=-MOST_AHEAD_S,
-            cause="the agent's computer was started anew, and whoever asked knew its old clock",
-            remedy="ask anew: the answer told what time it is there",
+            cause="the agent's computer restarted, and the operator's program knew its old clock",
+            remedy="give the order again: the answer had the new time",
         )
 
 
@@ -77,15 +77,15 @@ def _late(why: str, made_at: float, now: float) -> GuardRefused:
         guard=ORDER_AGE,
         measured=now - made_at,
         limit=MOST_AGE_S,
-        cause="the way here takes long, or the agent stood still",
-        remedy="look at the aircraft, and ask anew",
+        cause="the link is slow, or the agent stood still",
+        remedy="look at the aircraft, and give the order again",
     )
 
 
 # -- which setpoints fly ---------------------------------------------------------------------------
-# A stream of setpoints is begun by its pilot and ends by silence. One that was cut, by a network or
-# by a process that stood still, does not go on when the way is whole again: the aircraft hovers by
-# then, and whoever wants it to move begins anew.
+# An operator begins a stream of setpoints, and silence ends it. After a cut, by a network or by a
+# process that stood still, it does not go on by itself: the aircraft hovers by then, until
+# an operator begins another stream.
 
 
 MAX_AGE_S = 0.2
@@ -103,7 +103,7 @@ class Dropped(Enum):
     LATE = "late"  # too long on its way, or from the future
     REPEATED = "repeated"  # or overtaken by a newer one
     BROKEN = "broken"  # of a stream that had ended
-    NAMESAKE = "namesake"  # another agent has the same name: its pilot sees two aircraft as one
+    NAMESAKE = "namesake"  # another agent has the same name: operators see two aircraft as one
 
 
 class SetpointStream:
@@ -130,10 +130,10 @@ class SetpointStream:
 
 
 def broken() -> GuardRefused:
-    """What whoever sends on is told."""
+    """The error for an operator who goes on with an ended stream."""
     return GuardRefused(
-        "the stream of setpoints had ended; those that go on are not flown",
+        "the stream of setpoints had ended; the aircraft does not fly the rest of it",
         guard="stream",
         cause=f"none came for {BROKEN_S:g} s: the network was cut, or a process stood still",
-        remedy="look where the aircraft is, and begin anew",
+        remedy="look where the aircraft is, and begin another stream",
     )

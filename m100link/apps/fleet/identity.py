@@ -1,7 +1,7 @@
-"""Orders that are signed: who gave one, that nobody changed it, and that it is not an old one.
+"""Signed orders: who gave one, that it was not changed, and that it is not an old one.
 
 The router's rules are the fence, and the signature is the lock: an agent verifies it by itself,
-whatever stands between it and the pilot. Pure logic; the time is an argument.
+whatever stands between it and the operator. Pure logic; the time is an argument.
 """
 
 from __future__ import annotations
@@ -51,15 +51,15 @@ _FIELDS = ("common_name", "public_key", "watch", "stop", "fly")
 class BadRights(
     UsageError,
     code="M100-BAD-RIGHTS",
-    cause="a word in the file of rights that means nothing, or a file that is none",
+    cause="an unknown field or a wrong value in the file of rights, or another kind of file",
     remedy="`m100link fleet acl check FILE` says what each identity may do",
 ):
-    """A file of rights that says what cannot be."""
+    """A file of rights with an error."""
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Somebody who is known."""
+    """An operator or a program with rights."""
 
     name: str  # by which orders are signed
     common_name: str  # of the certificate
@@ -68,11 +68,11 @@ class Identity:
     patterns: Mapping[Right, tuple[str, ...]]
 
     def may(self, right: Right, aircraft: str) -> bool:
-        """Whether it may do this with that aircraft."""
+        """Whether it has that right to that aircraft."""
         return any(fits(pattern, aircraft) for pattern in self.allowed(right))
 
     def allowed(self, right: Right) -> tuple[str, ...]:
-        """With which aircraft it may do this, as the file names them."""
+        """The aircraft to which it has that right, as the file names them."""
         found = [pattern for one in Right if one >= right for pattern in self.patterns[one]]
         return tuple(dict.fromkeys(found))
 
@@ -93,7 +93,7 @@ class Rights:
     identities: Mapping[str, Identity]
 
     def without(self, names: Collection[str]) -> Self:
-        """The same without who has a name, or a certificate of a name, among these."""
+        """The same without identities and aircraft whose name or certificate is among these."""
         return replace(
             self,
             aircraft={one: cn for one, cn in self.aircraft.items() if cn not in names},
@@ -105,7 +105,7 @@ class Rights:
         )
 
     def identity(self, name: str) -> Identity | None:
-        """Who has the name; None for nobody."""
+        """The identity of that name, or None."""
         return self.identities.get(name)
 
     @classmethod
@@ -113,7 +113,7 @@ class Rights:
         """Read a file.
 
         Raises:
-            BadRights: It cannot be read, or says what cannot be.
+            BadRights: It cannot be read, or has an error.
         """
         try:
             with Path(path).open("rb") as file:
@@ -132,10 +132,10 @@ class Rights:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read what such a file holds.
+        """Read the text of such a file.
 
         Raises:
-            BadRights: It says what cannot be.
+            BadRights: It has an error.
         """
         try:
             found = read_toml(text)
@@ -150,9 +150,9 @@ class Rights:
         for name in shared:
             if shared.count(name) > 1:
                 raise BadRights(
-                    f"two have the common name {name}",
-                    cause="the router knows who somebody is by the certificate alone",
-                    remedy="a certificate for each of them",
+                    f"two entries have the common name {name}",
+                    cause="the router knows clients by their certificates alone",
+                    remedy="give each of them a certificate of its own",
                 )
         return cls(site, aircraft, people)
 
@@ -160,7 +160,7 @@ class Rights:
 def _table(found: Mapping[str, Any], name: str) -> dict[str, dict[str, Any]]:
     tables = found.get(name, {})
     if not isinstance(tables, dict) or not all(isinstance(one, dict) for one in tables.values()):
-        raise BadRights(f"{name} is no table of tables", remedy=f"[{name}.NAME]")
+        raise BadRights(f"{name} is not a table of tables", remedy=f"write [{name}.NAME]")
     return tables
 
 
@@ -180,7 +180,7 @@ def _identity(name: str, table: Mapping[str, Any]) -> Identity:
     _require(NAME, common_name, f"common_name of {name}")
     key = table.get("public_key")
     if key is not None:
-        _require(_KEY, key, f"public_key of {name}", "64 hex digits, as `fleet pki issue` tells")
+        _require(_KEY, key, f"public_key of {name}", "64 hex digits, as `fleet pki issue` prints")
     patterns = {}
     for right in Right:
         listed = table.get(right.name.lower(), [])
@@ -220,7 +220,7 @@ LARGEST = 32 * 1024
 """Bytes of a list at most: some 700 names."""
 
 Since = Callable[[str], str]
-"""Since when somebody is revoked, in words; empty for who is not."""
+"""Since when a name is revoked, in words; empty if it is not."""
 
 _KIND = "revoked 1"
 _MOST_NUMBER = 1 << 53
@@ -234,15 +234,15 @@ def nobody(name: str) -> str:
 class BadRevoked(
     UsageError,
     code="M100-BAD-REVOKED",
-    cause="the list was made by another authority, was changed, or a newer one is in force",
+    cause="another authority made the list, it was changed, or a newer one is in force",
     remedy="`m100link fleet pki push` brings the list of the authority",
 ):
-    """A list of revoked names that is not believed; the one before it stays in force."""
+    """A list of revoked names that an agent does not accept; the earlier one stays in force."""
 
 
 @dataclass(frozen=True, slots=True)
 class Revoked:
-    """What a list says."""
+    """The content of a list."""
 
     number: int  # greater than that of every list before, from 1; 0 for none
     names: Mapping[str, str]  # who is revoked, and since which day, in words
@@ -250,14 +250,14 @@ class Revoked:
 
     @classmethod
     def verified(cls, data: bytes, authority: x509.Certificate) -> Self:
-        """What a list of this authority says.
+        """Read and verify a list of this authority.
 
         Raises:
-            BadRevoked: It is none of its lists.
+            BadRevoked: It is not a list of this authority.
         """
         line, _, signature = data[: LARGEST + 1].partition(b"\n")
         if len(data) > LARGEST:
-            raise BadRevoked(f"more than {LARGEST} bytes are no list of revoked names")
+            raise BadRevoked(f"a list of revoked names has at most {LARGEST} bytes")
         try:
             key = authority.public_key()
             if not isinstance(key, ec.EllipticCurvePublicKey):
@@ -269,7 +269,7 @@ class Revoked:
                 raise
             raise BadRevoked(
                 "the signature of a list of revoked names is not that of the authority",
-                cause="it was made by another authority, or changed on its way",
+                cause="another authority made it, or it was changed on its way",
             ) from error
         return cls(*_read(line), data)
 
@@ -283,7 +283,7 @@ def sign_revoked(number: int, names: Mapping[str, str], key: ec.EllipticCurvePri
         raise BadRevoked(
             f"{len(names)} names are too many for a list",
             cause="names stay in it for good",
-            remedy="make a new authority, and issue all certificates anew",
+            remedy="make a new authority, and issue all certificates again",
         )
     return data
 
@@ -302,7 +302,7 @@ def _read(line: bytes) -> tuple[int, dict[str, str]]:
                 raise ValueError(f"{name!r} is no name")
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise BadRevoked(
-            f"a list of revoked names says what this release cannot read: {error}",
+            f"this release cannot read a list of revoked names: {error}",
             cause="the authority has a newer release, or signed something else",
             remedy="install the same release on both",
         ) from error
@@ -321,7 +321,7 @@ _PURGED_AT = 1024
 
 
 class Reason(Enum):
-    """Why an order is not obeyed."""
+    """Why an agent refuses an order."""
 
     UNKNOWN_KEY = "unknown key"
     BAD_SIGNATURE = "bad signature"
@@ -335,10 +335,10 @@ class Reason(Enum):
 class OrderRefused(
     NotAllowed,
     code="M100-ORDER-REFUSED",
-    cause="a key that the agent does not know, a clock that is wrong, or a right that is missing",
+    cause="an unknown key, a wrong clock, or a missing right",
     remedy="look at `reason`; nothing was done",
 ):
-    """A signed order is not obeyed."""
+    """An agent refuses a signed order."""
 
     def __init__(
         self, seen: str, *, reason: Reason, signer: str, cause: str = "", remedy: str = ""
@@ -354,7 +354,7 @@ class Signer:
     ``key``: the secret, 32 bytes.
 
     Raises:
-        UsageError: The key is none.
+        UsageError: The key has another length.
     """
 
     def __init__(self, name: str, key: bytes) -> None:
@@ -380,7 +380,7 @@ class Signer:
 
 
 class Gate:
-    """Lets orders through that somebody gave who may, for this aircraft, now, and once."""
+    """Accepts each order once that an identity with the right to it gave now, for this aircraft."""
 
     def __init__(
         self,
@@ -407,12 +407,12 @@ class Gate:
         self._purged_at = _PURGED_AT
 
     def check(self, order: OrderMessage, now: float) -> None:
-        """Whether an order may be obeyed; the id of one that may is used up.
+        """Accept an order, and remember its id.
 
         ``now``: POSIX time, s.
 
         Raises:
-            OrderRefused: It may not, with the reason.
+            OrderRefused: It is not acceptable, for that reason.
         """
         self._require_signature(order)
         who, right = order.signer, order.order.right
@@ -421,8 +421,8 @@ class Gate:
                 f"an order of {who} to {order.aircraft} came to {self._aircraft}",
                 reason=Reason.WRONG_AIRCRAFT,
                 signer=who,
-                cause="somebody sent on what was meant for another aircraft",
-                remedy="give the order to the aircraft it is for",
+                cause="somebody forwarded an order for another aircraft",
+                remedy="send the order to its own aircraft",
             )
         since = self._revoked(who)
         if since:
@@ -430,8 +430,8 @@ class Gate:
                 f"{who} is revoked since {since}",
                 reason=Reason.REVOKED,
                 signer=who,
-                cause="its certificate and key are said to be lost, or it may not be here any more",
-                remedy="whoever it is needs a certificate, a key and rights under another name",
+                cause="its key was lost, or its owner has no rights any more",
+                remedy="issue a certificate and a key under another name, and give that one rights",
             )
         identity = self._rights.identity(who)
         if identity is None or not identity.may(right, self._aircraft):
@@ -440,7 +440,7 @@ class Gate:
                 reason=Reason.NOT_ALLOWED,
                 signer=who,
                 cause="the file of rights on board does not allow it",
-                remedy=f"[identity.{who}] {right.name.lower()} = [{self._aircraft!r}] in it",
+                remedy=f"write [identity.{who}] {right.name.lower()} = [{self._aircraft!r}] there",
             )
         until = self._require_fresh(order, now)
         if (who, order.id) in self._seen:
@@ -448,8 +448,8 @@ class Gate:
                 f"order {order.id} of {who} came a second time",
                 reason=Reason.REPLAYED,
                 signer=who,
-                cause="somebody recorded and repeats it, or an id was used twice",
-                remedy="ask what became of the order; a new one has a new id",
+                cause="somebody recorded and repeats it, or a program used an id twice",
+                remedy="ask for the outcome of the first one; a new order has a new id",
             )
         self._purge(now)
         self._seen[who, order.id] = until
@@ -463,7 +463,7 @@ class Gate:
                 reason=Reason.UNKNOWN_KEY,
                 signer=order.signer,
                 cause="the file of rights on board has no public_key of that name",
-                remedy="put it there, as `m100link fleet pki issue pilot` told it",
+                remedy="put it there, as `m100link fleet pki issue pilot` printed it",
             )
         try:
             key.verify(order.signature, order.signed())
@@ -472,7 +472,7 @@ class Gate:
                 f"the signature of {order.signer} does not fit the order",
                 reason=Reason.BAD_SIGNATURE,
                 signer=order.signer,
-                cause="the order was changed on its way, or signed by another key",
+                cause="the order was changed on its way, or another key signed it",
                 remedy="compare the public_key on board with that of the signer",
             ) from error
 
@@ -492,8 +492,8 @@ class Gate:
                 f"the order of {order.signer} is {seen}",
                 reason=Reason.EXPIRED,
                 signer=order.signer,
-                cause=f"clocks may differ by {window:g} s; or somebody recorded and repeats it",
-                remedy="let chrony or ntpd set the clocks of both, and order anew",
+                cause=f"clocks differ by more than {window:g} s, or the order was recorded before",
+                remedy="let chrony or ntpd set both clocks, and give the order again",
             )
         return order.at + window
 

@@ -42,7 +42,7 @@ def in_order(names: Iterable[str]) -> list[str]:
 def name_in(key: str) -> str:
     """The name of the aircraft in a key of :class:`Keys`; empty in any other.
 
-    Whoever reaches the router may show a token with any word in that place: it is no aircraft.
+    Any client of the router may show a token with another word in that place: no aircraft.
     """
     words = key.split("/")
     is_one = (len(words) > 3 and words[0] == "m100") or (len(words) == 4 and words[0] == LIVE)
@@ -105,7 +105,7 @@ class Keys:
         """Its tokens: there as long as agents are that have its name, one for each session.
 
         Not among the other keys: zenoh compares each message with all tokens beside its key that
-        whoever hears it watches. Of a thousand aircraft that cost ten times the message itself.
+        its receiver watches. Of a thousand aircraft that cost ten times the message itself.
         """
         return self.live_by("*")
 

@@ -1,13 +1,13 @@
-"""What happens to an aircraft whose pilot is lost.
+"""What an aircraft does when its operator is lost.
 
-First of all it hovers, with no code for it: a setpoint that nobody renews expires in a fifth of a
-second. What this adds is the end of the hovering: when the lease ended because its holder fell
-silent while it flew, and nobody else took it, the aircraft lands or goes home after a while. It
-stands down for everybody who shows that he is there: who takes the lease, who presses STOP, and the
-pilot who moves a stick of the remote control, or its mode switch.
+It hovers first, without any code here: a setpoint that nobody renews expires in a fifth of a
+second. This module ends the hovering: when the lease ended because its holder fell silent in
+flight, and nobody else took it, the aircraft lands or goes home after a while. That is cancelled
+when anybody is present: an operator takes the lease or presses STOP, or the pilot moves a stick of
+the remote control or its mode switch.
 
-An agent that is killed takes its pilot's lease with it. So that the next one knows whom it lost,
-the ledger has under which lease the aircraft is flown, from when it obeys until somebody lets go.
+A killed agent takes its operator's lease with it. For the next agent the ledger says under which
+lease the aircraft is flown, from the moment at which it obeys until somebody lets go.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from m100link.errors import AuthorityLost, LossReason, M100Error, UsageError
 from m100link.protocol.records import FlightPhase, RemoteControl
 
 INHERITED_S = 300.0
-"""Seconds after which an aircraft in the air is not taken for the one that the agent before flew:
-whoever has the remote control may have flown it since, and nobody here saw him."""
+"""Seconds after which the next agent leaves an aircraft in the air alone: the pilot with the remote
+control may have flown it since, unseen by the agent."""
 
 LostAction = Literal["hover", "land", "home"]
 
@@ -43,7 +43,7 @@ _MOST_S = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class LostLinkPlan:
-    """What is done when whoever flies is lost."""
+    """What the aircraft does when its operator is lost."""
 
     # ``hover``, and control authority goes back to the pilot with the remote control; ``land`` in
     # place, or go ``home``.
@@ -53,12 +53,12 @@ class LostLinkPlan:
     def __post_init__(self) -> None:
         if self.action not in get_args(LostAction):
             raise UsageError(
-                f"nothing is known about {self.action!r} when the pilot is lost",
+                f"there is no action {self.action!r} for a lost operator",
                 remedy="choose hover, land or home",
             )
         if not 0.0 <= self.after_s <= _MOST_S:
             raise UsageError(
-                f"the pilot cannot be lost for {self.after_s:g} s",
+                f"lost_after is {self.after_s:g} s",
                 remedy=f"choose 0 to {_MOST_S:g} s",
             )
 
@@ -117,7 +117,7 @@ class LostLinkAction:
             self._aloft.flown_under(0)
         elif not self._is_waiting:
             self._somebody = ""
-            self._waiting = self._client.background.spawn(self._bring_down(task), "pilot lost")
+            self._waiting = self._client.background.spawn(self._bring_down(task), "operator lost")
 
     def _authority_taken(self, error: AuthorityLost) -> None:
         self._is_line_lost = error.reason == LossReason.LINK
@@ -139,24 +139,24 @@ class LostLinkAction:
     # -- whom the agent before lost --------------------------------------------------------------
 
     def inherit(self, left: LastFlightRecord | None) -> None:
-        """Take care of what the agent before left in the air.
+        """Take care of an aircraft that the previous agent left in the air.
 
-        ``left``: what its ledger says; None: nobody of the fleet flew.
+        ``left``: what its ledger says; None: no operator of the fleet flew.
         """
         if left is not None:
-            self._waiting = self._client.background.spawn(self._inherit(left), "pilot lost before")
+            self._waiting = self._client.background.spawn(self._inherit(left), "operator lost")
 
     async def _inherit(self, left: LastFlightRecord) -> None:
         client, task = self._client, _TASKS.get(self._plan.action)
-        whose = f"the agent before ended while lease {left.fence} flew the aircraft"
+        whose = f"the previous agent ended while the aircraft flew under lease {left.fence}"
         ago = INHERITED_S if left.ago_s is None else left.ago_s
         phase = await self._phase_within(INHERITED_S - ago)
         if phase in _GROUND:
             client.note(f"{whose}, which is on the ground now")
         elif phase is None:
             client.note(
-                f"{whose}, and nobody knows that this was less than {INHERITED_S:g} s ago: if it "
-                "is in the air, it is left to the pilot with the remote control",
+                f"{whose}, perhaps more than {INHERITED_S:g} s ago: if the aircraft is in the air, "
+                "it is left to the pilot with the remote control",
                 "error",
             )
         elif task is None:
@@ -182,16 +182,16 @@ class LostLinkAction:
 
     async def _bring_down(self, task: Order) -> None:
         after = self._plan.after_s
-        text = f"the pilot is lost: it hovers, and {_WHAT[task]} in {after:g} s"
+        text = f"the operator is lost: the aircraft hovers, and {_WHAT[task]} in {after:g} s"
         self._client.note(text, "warning")
         while await self._nobody_came(after):
             self._is_descending = True
             try:
-                await self._descend(task, f"pilot lost ({self._plan.action})")
+                await self._descend(task, f"operator lost ({self._plan.action})")
             except LeaseHeld:
                 return  # by somebody who is there
             except M100Error as error:
-                self._client.note(f"the pilot is lost, and it did not land: {error.seen}", "error")
+                self._client.note(f"the operator is lost; no landing: {error.seen}", "error")
             else:
                 self._aloft.flown_under(0)
                 return
@@ -200,7 +200,7 @@ class LostLinkAction:
             if self._client.holder.number:
                 return
             after = _AGAIN_S
-        self._client.note(f"the pilot is lost, but {self._somebody}: it is left alone", "warning")
+        self._client.note(f"the operator is lost, but {self._somebody}: no landing", "warning")
         self._aloft.flown_under(0)
 
     async def _nobody_came(self, within: float) -> bool:
@@ -215,7 +215,7 @@ class LostLinkAction:
             await asyncio.sleep(min(_LOOK_S, left))
 
     def _by_remote(self) -> str:
-        """What the remote control shows of its pilot; empty when he leaves it alone."""
+        """What the pilot does with the remote control; empty when it is left alone."""
         remote = self._client.view.get(RemoteControl)
         if remote is None:
             return ""
@@ -264,4 +264,4 @@ class LastFlight:
                 is_kept = True
             except M100Error as error:
                 is_kept = False
-                self._client.note(f"who flies is not kept: {error.seen}", "error")
+                self._client.note(f"the ledger does not keep who flies: {error.seen}", "error")

@@ -1,9 +1,9 @@
-"""What an agent must know after it was killed: orders that were begun, its fence, who was flying.
+"""What an agent must know after it was killed: orders that it began, its fence, who was flying.
 
-One sealed line for each in a file that grows to some megabytes and is written anew then, through
-to the disk before what it says happens, in a thread: a disk that hangs holds up no setpoint. Ages
-are those of a clock that nobody sets. Of what is from before the computer was started nobody knows
-how old it is: it is kept for as long again.
+Each is one sealed line in a file, written through to the disk before what it says happens. At some
+megabytes the file is rewritten. A thread writes, so a disk that hangs holds up no setpoint. Ages
+are those of a clock that nobody sets. The age of lines from before the computer started is unknown:
+they are kept for as long again.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ MOST_KEPT = 20_000
 """Orders that are kept at most: more than an agent can begin in the time in which one is young."""
 
 FENCES_AT_ONCE = 1000
-"""Numbers of leases that are reserved at once: an agent that begins anew starts above them."""
+"""Numbers of leases that are reserved at once: a restarted agent begins above them."""
 
 _MOST_FENCE = 1 << 53
 _CLOSE_S = 5.0
@@ -84,7 +84,7 @@ class MemoryOrderLog:
         self.begun[identity] = 0.0
 
     async def granted(self, fence: int) -> None:
-        """Whoever takes this over begins above what was reserved."""
+        """The next agent begins above the reserved numbers."""
 
     async def flies(self, fence: int) -> None:
         """Keep the lease it is flown under, 0 for none of the fleet."""
@@ -184,7 +184,7 @@ class FileOrderLog:
         if up is not None:
             ago = seconds - up
         elif isinstance(at, int | float):
-            ago = self._utc() - at  # the computer began anew: its calendar is all there is
+            ago = self._utc() - at  # the computer restarted: its calendar is all there is
         else:
             return LastFlightRecord(fence, None)  # nobody is landed for this one
         return LastFlightRecord(fence, ago if ago >= 0 else None)
@@ -237,7 +237,7 @@ class FileOrderLog:
                 contents = (*contents, self._flown)
             self._append(contents)
             self._is_flown_kept = True
-        return "" if is_there else f"{self._path} was removed or changed: it was made again"
+        return "" if is_there else f"{self._path} was removed or changed: it was written again"
 
     def _append(self, contents: tuple[dict[str, Any], ...]) -> None:
         """Write words to the end, all of them or none: what is refused must not be read later."""
@@ -328,8 +328,8 @@ def _up_of(kept: dict[str, object], boot: str) -> float | None:
 def _failed(path: Path, error: Exception) -> UsageError:
     return UsageError(
         f"{path}: {getattr(error, 'strerror', None) or str(error) or type(error).__name__}",
-        cause="without it an order could be carried out twice after the agent was killed",
-        remedy="let it be written, or name another folder by --ledger",
+        cause="without this file a restarted agent could carry out an order twice",
+        remedy="make it writable, or name another folder by --ledger",
     )
 
 
@@ -346,7 +346,7 @@ _MOST = 20_000
 class OrderCache:
     """The orders of one agent.
 
-    ``before``: ids that an agent of this name begun; what became of them nobody knows.
+    ``before``: ids that an earlier agent of this name began; their outcomes are unknown.
     ``unsure_before``: some of them are lost: what was made before that time may be one, s.
     """
 
@@ -373,9 +373,9 @@ class OrderCache:
         ended = self.reply(identity)
         if digest != (self._running[identity] if ended is None else ended.order):
             raise MessageError(
-                f"another order came under the id {identity}, and this one was not carried out",
+                f"another order came under the id {identity}; this one was not carried out",
                 cause="a stranger heard the id and used it first",
-                remedy="ask anew: each order has an id of its own",
+                remedy="give the order again: it then has a new id",
             )
         return True
 

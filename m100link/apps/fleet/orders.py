@@ -1,7 +1,7 @@
-"""What an agent on board does when somebody of the fleet asks for it.
+"""Carries out orders of the fleet, on board.
 
 Stop, hover and landing need no lease and wait for nobody. Everything else that moves the aircraft
-comes under the lease in force, and with the proof of it.
+needs the lease in force, and its proof.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class OrderService:
                 refused, self.refused = self.refused, None
                 return Done(lease.name, lease.number, fault=fault_of(refused))
             case orders.LeaseOrder():  # its token, which is no proof here, goes to no agent
-                raise MessageError(f"nobody asks a fleet for {asked.label}")
+                raise MessageError(f"a fleet has no order {asked.label}")
             case orders.Stop():
                 await client.stop()
             case orders.Halt():
@@ -191,7 +191,7 @@ class OrderService:
     async def descend(
         self, task: orders.Order, who: str, *, take_over: bool = True, signer: str = ""
     ) -> None:
-        """Land, here or at home, whoever has the lease: it is taken over for that long.
+        """Land, here or at home: the lease is taken over for that long.
 
         Who asks while the aircraft lands already waits for the same landing.
 

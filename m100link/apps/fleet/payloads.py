@@ -1,10 +1,10 @@
-"""The bytes of a fleet: a version, and the messages of agent and front as they are.
+"""The bytes of a fleet: a version, and the messages between agent and client.
 
-The first byte of every payload is :data:`VERSION`; who reads another one says so and reads no more.
-Behind it telemetry, events and setpoints are the messages of :mod:`m100link.apps.agent.messages`,
-by :mod:`m100link.apps.agent.codec`. What a fleet adds are values as JSON: :class:`OrderMessage`,
-:class:`OrderReply` and :class:`Card`. The bytes of an order as they are sent are what is proved and
-signed: nobody writes them again, and JSON that two readers could understand differently is refused.
+The first byte of every payload is :data:`VERSION`; a reader of another version says so and reads no
+more. Behind it telemetry, events and setpoints are the messages of
+:mod:`m100link.apps.agent.messages`, by :mod:`m100link.apps.agent.codec`. A fleet adds values as
+JSON: :class:`OrderMessage`, :class:`OrderReply` and :class:`Card`. Proof and signature are over the bytes of an
+order as they are sent: nobody encodes them again, and readers refuse ambiguous JSON.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ from m100link.errors import (
 class Outcome(Enum):
     """What became of an order."""
 
-    OK = "ok"  # carried out, and seen to be
-    REFUSED = "refused"  # not carried out, or it failed: the reason says which
-    STALE_LEASE = "stale_lease"  # not carried out: somebody else may steer, or nobody
-    NOT_ALLOWED = "not_allowed"  # not carried out: this identity may not
-    UNREACHABLE = "unreachable"  # never sent: there is no such agent
-    UNKNOWN = "unknown"  # sent; nobody knows
+    OK = "ok"  # carried out, and observed to be
+    REFUSED = "refused"  # not carried out, or failed: the reason says which
+    STALE_LEASE = "stale_lease"  # not carried out: its lease is not in force
+    NOT_ALLOWED = "not_allowed"  # not carried out: this identity has no right to it
+    UNREACHABLE = "unreachable"  # never sent: no agent of that name is present
+    UNKNOWN = "unknown"  # sent; no outcome is known
 
 
 # The first class that fits decides, so subclasses stand before their bases.
@@ -79,13 +79,13 @@ def outcome_of(error: M100Error | None) -> Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What became of an order to one aircraft."""
+    """The outcome of an order to one aircraft."""
 
-    name: str  #: which one
-    outcome: Outcome  #: what became of it
+    name: str  #: the aircraft
+    outcome: Outcome  #: what became of the order
     #: why it is not ``ok``, with what was seen, the likely cause, and what to do
     error: M100Error | None = None
-    value: object = None  #: what the order gave, where it gives something
+    value: object = None  #: the result of the order, if it has one
 
     @classmethod
     def of(cls, name: str, error: M100Error | None, value: object = None) -> Result:
@@ -107,13 +107,13 @@ class Result:
 
 
 class MissionStage(Enum):
-    """How far a mission is."""
+    """The stage of a mission."""
 
     NONE = "none"  # there is no plan
-    UPLOADED = "uploaded"  # it waits on board; the aircraft has not heard of it
-    STARTING = "starting"  # it is told to the aircraft, which takes off first if it has to
+    UPLOADED = "uploaded"  # the plan waits at the agent; the aircraft does not have it yet
+    STARTING = "starting"  # the aircraft gets the plan, and takes off first if it has to
     FLYING = "flying"
-    OVER = "over"  # flown, stopped, or failed; the plan is there still
+    OVER = "over"  # flown, stopped or failed; the plan is still on board
 
 
 class MissionInput(Enum):
@@ -162,7 +162,7 @@ def after(stage: MissionStage, happens: MissionInput) -> MissionStage:
         what = "a plan" if happens is MissionInput.UPLOADED else "the start of a mission"
         raise MissionRunning(
             f"{what} came while a mission is {stage.value}; nothing was changed",
-            cause="whoever has the lease flies one already",
+            cause="the holder of the lease flies a mission already",
             remedy="stop it first, or wait for its end",
         )
     return found
@@ -265,7 +265,7 @@ class OrderMessage:
     fence: int  # number of the lease that it is asked under; 0 for none
     at: float  # when it was made, POSIX time, s
     order: Asked  # what is asked
-    # When it was made at the earliest, by the agent's own clock, s; 0: nobody knows.
+    # When it was made at the earliest, by the agent's own clock, s; 0: unknown.
     clock: float = 0.0
     signer: str = ""  # whose signature it is; empty for none
     # Public half of the secret of the lease that it asks for; see
@@ -305,7 +305,7 @@ class OrderMessage:
 
 
 class ShowStage(Enum):
-    """How far an aircraft is in a show."""
+    """The stage of an aircraft in a show."""
 
     EMPTY = "empty"
     LOADED = "loaded"
@@ -313,7 +313,7 @@ class ShowStage(Enum):
     READY = "ready"  # it hovers there
     FLYING = "flying"  # it waits for the beginning, or flies
     FLOWN = "flown"
-    LEFT = "left"  # it gave up: the reason stands beside it
+    LEFT = "left"  # it left; `why` has the reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -359,7 +359,7 @@ class OrderReply:
 
 @dataclass(frozen=True, slots=True)
 class Card:
-    """Where an agent stands, for a list."""
+    """The state of an agent and its aircraft, for a list."""
 
     name: str  #: the aircraft
     boot: str  #: which run of its agent this is
@@ -367,42 +367,41 @@ class Card:
     connection: str = "connecting"  #: ``"connecting"``, ``"connected"`` or ``"lost"``
     fault: RemoteError | None = None  #: why it is not connected
     firmware: str = ""  #: firmware profile; empty when not connected
-    holder: str = ""  #: who has the lease; empty for nobody
+    holder: str = ""  #: name of the operator who has the lease; empty without one
     fence: int = 0  #: number of the lease; 0 for none
     has_authority: bool = False  #: whether the aircraft obeys the agent
-    task: str = ""  #: what it flies by itself, or what flies it; empty for nothing
-    phase: str = ""  #: whether it is on the ground or in the air, in words; empty when nobody knows
-    height_m: float | None = None  #: above the take-off point; None when nobody knows
-    latitude_deg: float | None = None  #: none when nobody knows
+    task: str = ""  #: task, program or mission in flight; empty without one
+    phase: str = ""  #: whether it is on the ground or in the air, in words; empty when unknown
+    height_m: float | None = None  #: above the take-off point; None when unknown
+    latitude_deg: float | None = None  #: None when unknown
     longitude_deg: float | None = None  #: likewise
     battery_percent: int | None = None  #: likewise
-    lost: str = "hover"  #: ``"hover"``, ``"land"`` or ``"home"``, when whoever flies is lost
-    lost_after: float = 10.0  #: seconds until then
-    version: str = ""  #: of its program
+    lost: str = "hover"  #: ``"hover"``, ``"land"`` or ``"home"``, when the operator is lost
+    lost_after: float = 10.0  #: seconds of hovering before that
+    version: str = ""  #: release of its program
 
 
 @dataclass(frozen=True, slots=True)
 class MissionCard:
-    """Where the mission of an aircraft is."""
+    """The state of an aircraft's mission."""
 
     name: str  #: the aircraft
     boot: str  #: which run of its agent this is
-    stage: MissionStage = MissionStage.NONE  #: how far the mission is that came over the fleet
-    by: str = ""  #: who uploaded it, for people
-    digest: str = ""  #: what names its plan; empty without one
-    points: int = 0  #: waypoints of the plan that came last; 0 when none came
-    reached: bytes = b""  #: waypoints that were reached, in their order, a byte each; the last 1024
-    is_paused: bool = False  #: it hovers in it
-    is_finished: bool = False  #: every waypoint was flown
-    fault: RemoteError | None = None  #: what ended it before
-    #: the kind of mission that the aircraft says it flies, whoever started it; empty when nobody
-    #: knows
+    stage: MissionStage = MissionStage.NONE  #: stage of the mission that came over the fleet
+    by: str = ""  #: name of the operator who uploaded it
+    digest: str = ""  #: digest of its plan; empty without one
+    points: int = 0  #: waypoints of the newest plan; 0 without one
+    reached: bytes = b""  #: waypoints reached, in order, a byte each; the last 1024
+    is_paused: bool = False  #: whether it is paused, hovering
+    is_finished: bool = False  #: whether every waypoint was flown
+    fault: RemoteError | None = None  #: what ended it early
+    #: kind of mission that the aircraft reports, whoever started it; empty when unknown
     kind: str = ""
-    index: int | None = None  #: waypoint that it flies to, counted from 0; None when nobody knows
-    status: int | None = None  #: status of the mission as on the wire; None when nobody knows
+    index: int | None = None  #: waypoint that it flies to, counted from 0; None when unknown
+    status: int | None = None  #: status of the mission as on the wire; None when unknown
     elapsed_s: float = 0.0  #: seconds since it began, until it ended
-    distance_m: float | None = None  #: horizontally to that waypoint; None when nobody knows
-    height_m: float | None = None  #: above the take-off point; None when nobody knows
+    distance_m: float | None = None  #: horizontally to that waypoint; None when unknown
+    height_m: float | None = None  #: above the take-off point; None when unknown
 
 
 Value = OrderMessage | OrderReply | Card | MissionCard
@@ -451,10 +450,10 @@ def body(payload: bytes, most: int = _MOST) -> bytes:
         raise MessageError(f"{len(payload)} bytes are no payload of a fleet")
     if payload[0] != VERSION:
         raise MessageError(
-            # Agent and pilot both read this sentence: it has no "this side".
+            # Agent and operator both read this sentence: it has no "this side".
             f"version {payload[0]} of the fleet's messages came to a program that reads version "
             f"{VERSION}",
-            cause="an old agent and a new pilot, or the other way round",
+            cause="agent and operator have different releases",
             remedy="install the same release on both",
         )
     return payload[1:]
@@ -476,7 +475,7 @@ def unpack_message(payload: bytes) -> Message:
 
 
 def pack_steer(steer: Steer, token: str, *, begins: bool) -> bytes:
-    """The bytes of a setpoint, with the proof that whoever sends it has the lease."""
+    """The bytes of a setpoint, with the proof that its sender has the lease."""
     data = bytes([begins]) + encode(steer)
     return bytes([VERSION]) + _proof(token, data) + data
 
@@ -525,8 +524,8 @@ class Half:
             shared = self._key.exchange(X25519PublicKey.from_public_bytes(theirs))
         except ValueError:
             raise MessageError(
-                "whoever asks for a lease sends a public key of X25519, and its agent one back",
-                cause=f"{len(theirs)} bytes came that are none",
+                "a request for a lease, and its answer, have an X25519 public key each",
+                cause=f"{len(theirs)} bytes came that are not one",
                 remedy="use the same release on both sides",
             ) from None
         return hmac.new(shared, _ABOUT + agents + order.document, hashlib.sha256).hexdigest()

@@ -1,7 +1,7 @@
-"""Certificates of a fleet: an authority of its own, and what it issues for 30 days.
+"""Certificates of a fleet: an authority of its own, and certificates for 30 days.
 
-Keys are ECDSA over P-256. Every file is made anew and readable for its owner alone; what is there
-is never written over unless somebody says so. Where time comes from is up to the caller.
+Keys are ECDSA over P-256. Only the owner can read the files; existing files are never overwritten
+without ``force``. The caller gives the time.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ _CA = "ca"
 class BadAuthority(
     UsageError,
     code="M100-BAD-AUTHORITY",
-    cause="the folder is another one, or its files are there already",
+    cause="the folder is the wrong one, or its files exist already",
     remedy="`m100link fleet pki init FOLDER` makes an authority, `issue` its certificates",
 ):
-    """Certificates that cannot be made, or must not be made again."""
+    """Certificates that cannot be made, or must not be overwritten."""
 
 
 class Kind(Enum):
-    """What a certificate is for."""
+    """What a certificate is for; ``pilot`` is for a remote operator."""
 
     ROUTER = "router"
     AGENT = "agent"
@@ -60,24 +60,24 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Issued:
-    """What was made."""
+    """The files that were made."""
 
     certificate: Path
     key: Path  # PEM file with its key; mode 0600
-    ends: datetime  # when it is not valid any more
-    signing_key: Path | None = None  # file with the key that signs orders, for pilots; mode 0600
-    public_key: str = ""  # what belongs to it, for the file of rights, 64 hex digits
+    ends: datetime  # when it expires
+    signing_key: Path | None = None  # file with an operator's key that signs orders; mode 0600
+    public_key: str = ""  # its public key, for the file of rights, 64 hex digits
 
 
 def init(folder: Path, *, now: datetime, force: bool = False) -> Issued:
-    """Make an authority, in a folder that is its owner's alone.
+    """Make an authority, in a folder that its owner alone can read.
 
-    ``force`` writes over one that is there: whatever it has issued is worth nothing then. Who was
-    revoked stays so.
+    ``force`` overwrites an existing one: all certificates that it issued become worthless. Revoked
+    names stay revoked.
 
     Raises:
-        BadAuthority: One is there, or the folder cannot be written.
-        BadRevoked: The list of revoked names there is not its.
+        BadAuthority: One exists, or the folder cannot be written.
+        BadRevoked: The list of revoked names there is not the authority's.
     """
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "m100link fleet")])
@@ -105,17 +105,17 @@ def init(folder: Path, *, now: datetime, force: bool = False) -> Issued:
 def issue(
     folder: Path,
     kind: Kind,
-    name: str,  # common name: of an aircraft, a pilot, a router
+    name: str,  # common name: of an aircraft, an operator, a router
     *,
     now: datetime,
     hosts: Sequence[str] = (),  # of a router: names and addresses by which others reach it
-    force: bool = False,  # write over what is there; the signing key of a pilot stays
+    force: bool = False,  # overwrite existing files; an operator's signing key stays
 ) -> Issued:
-    """Make a certificate, its key, and for a pilot a key that signs orders.
+    """Make a certificate, its key, and for an operator a key that signs orders.
 
     Raises:
-        BadAuthority: There is no authority, it has ended, a file is there, or the name or the hosts
-            cannot be.
+        BadAuthority: There is no authority, it has expired, a file exists, or the name or the hosts
+            are not possible.
     """
     if not NAME.fullmatch(name) or name == _CA:
         raise BadAuthority(
@@ -126,15 +126,15 @@ def issue(
         raise BadAuthority(
             f"a certificate for {'a router' if kind is Kind.ROUTER else f'the {kind.value} {name}'}"
             f" with {len(hosts)} hosts",
-            remedy="name the hosts of a router, and of nobody else: --host base --host 10.0.0.1",
+            remedy="give --host for a router, and only for a router: --host base --host 10.0.0.1",
         )
     authority, its_key = _authority(folder, now)
     since = _revoked(folder, authority).names.get(name)
     if since is not None:
         raise BadAuthority(
             f"{name} is revoked since {since}",
-            cause="who is revoked once stays so: nobody could tell the new key from the lost one",
-            remedy="give whoever it is another name, here and in the file of rights",
+            cause="a revoked name stays revoked: nobody could tell the new key from the lost one",
+            remedy="give its owner another name, here and in the file of rights",
         )
     key = ec.generate_private_key(ec.SECP256R1())
     ends = min(now + timedelta(days=ISSUED_DAYS), authority.not_valid_after_utc)
@@ -170,17 +170,19 @@ def issue(
 
 
 def revoke(folder: Path, names: Sequence[str], *, now: datetime) -> Revoked:
-    """Shut out names before their certificates end: write the next list, with all before them.
+    """Revoke names before their certificates expire: write the next list, with all earlier names.
 
     Raises:
-        BadAuthority: There is no authority, it has ended, or a name cannot be.
-        BadRevoked: The list that lies there is not the authority's, or is full.
+        BadAuthority: There is no authority, it has expired, or a name is not possible.
+        BadRevoked: The list in the folder is not the authority's, or is full.
     """
     authority, its_key = _authority(folder, now)
     before = _revoked(folder, authority)
     for name in names:
         if not NAME.fullmatch(name):
-            raise BadAuthority(f"{name!r} is no name of a certificate", remedy="as issue named it")
+            raise BadAuthority(
+                f"{name!r} is no name of a certificate", remedy="name it as issue did"
+            )
     since = now.astimezone(UTC).date().isoformat()
     found = {**dict.fromkeys(names, since), **before.names}
     if found == before.names:
@@ -191,10 +193,10 @@ def revoke(folder: Path, names: Sequence[str], *, now: datetime) -> Revoked:
 
 
 def listed(folder: Path) -> list[tuple[str, datetime, str]]:
-    """Certificates of a folder: name, when it ends, and since when it is revoked, or empty.
+    """Certificates in a folder: name, when it expires, and since when it is revoked, or empty.
 
     Raises:
-        UsageError: There is no authority, or a list of revoked names that is not its.
+        UsageError: There is no authority, or the list of revoked names is not the authority's.
     """
     revoked = Revocations.of_folder(folder).revoked.names
     found = {}
@@ -204,7 +206,7 @@ def listed(folder: Path) -> list[tuple[str, datetime, str]]:
         try:
             ends = x509.load_pem_x509_certificate(place.read_bytes()).not_valid_after_utc
         except (OSError, ValueError) as error:
-            raise BadAuthority(f"{place} holds no certificate") from error
+            raise BadAuthority(f"{place} has no certificate") from error
         found[place.stem] = ends
     return [(name, ends, revoked.get(name, "")) for name, ends in found.items()]
 
@@ -220,7 +222,7 @@ def _kept(path: Path) -> bytes:
     try:
         return bytes.fromhex(read_token(path))
     except ValueError as error:
-        raise BadAuthority(f"{path} holds no signing key", remedy="move it away") from error
+        raise BadAuthority(f"{path} has no signing key", remedy="move it away") from error
 
 
 def _host(host: str) -> x509.GeneralName:
@@ -284,8 +286,8 @@ def _authority(folder: Path, now: datetime) -> tuple[x509.Certificate, ec.Ellipt
         raise BadAuthority(f"{_CA}.key in {folder} does not belong to {_CA}.pem")
     if now >= certificate.not_valid_after_utc:
         raise BadAuthority(
-            f"the authority in {folder} ended on {certificate.not_valid_after_utc:%Y-%m-%d}",
-            remedy="make a new one in another folder, and issue all certificates anew",
+            f"the authority in {folder} expired on {certificate.not_valid_after_utc:%Y-%m-%d}",
+            remedy="make a new one in another folder, and issue all certificates again",
         )
     return certificate, key
 
@@ -304,12 +306,12 @@ def _write(files: dict[Path, bytes], *, force: bool) -> None:
     if there and not force:
         raise BadAuthority(
             f"{there[0]} is there already",
-            cause="it was made before; what was written over could not be had back",
-            remedy="--force makes it anew",
+            cause="it was made before, and an overwritten key cannot be restored",
+            remedy="--force overwrites it",
         )
     for path, data in files.items():
         try:
-            # Nobody else reads it at any moment, and whoever reads it sees all of it.
+            # Nobody else can read it at any moment, and no reader sees a part of it.
             replace_file(path, data)
         except OSError as error:
             raise BadAuthority(f"{path} cannot be written: {error.strerror}") from error
@@ -332,7 +334,7 @@ _PLACES = ("place",)  # told by each aircraft of a show, to the others
 
 
 def router_config(rights: Rights) -> dict[str, Any]:
-    """What stands in a configuration of zenoh under ``access_control``."""
+    """The value of ``access_control`` in a configuration of zenoh."""
     rules: list[dict[str, Any]] = []
     subjects: list[dict[str, Any]] = []
     policies: list[dict[str, Any]] = []
@@ -433,11 +435,7 @@ def _of_identity(rights: Rights, one: Identity) -> Iterator[dict[str, Any]]:
 
 
 def explain(rights: Rights, who: str) -> list[tuple[str, Right | None]]:
-    """The most that somebody may do with each aircraft of the file; None for nothing.
-
-    Besides, by a pattern, with aircraft that are in the file by no name: those are listed as the
-    pattern has them.
-    """
+    """The highest right of an identity to each aircraft, and to patterns of others; or None."""
     one = rights.identities[who]
     names = [*rights.aircraft, *(p for p in one.allowed(Right.WATCH) if p not in rights.aircraft)]
     return [

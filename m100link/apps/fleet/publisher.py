@@ -1,8 +1,8 @@
-"""What an agent tells those who look from elsewhere, and how they hear it.
+"""What an agent publishes, and how others receive it.
 
-A console on the ground hears what a front of the agent hears. Telemetry and events have keys of
+A console on the ground receives what a client on board receives. Telemetry and events have keys of
 their own. :class:`StatePublisher` sends the rest as messages of the agent: its state, the holder of
-the lease, and the counters of the line. It sends while somebody listens.
+the lease, and the counters of the link. It sends while somebody listens.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class StatePublisher:
                 await asyncio.sleep(STATE_S)
 
     def _greet(self, question: Question) -> None:
-        """Whoever begins to listen learns whom it hears, what time it is there, and the version."""
+        """Answer a new listener with the run of the agent, its time, and the version."""
         question.answer(self._keys.told, pack(self._hello()))
 
     def _hello(self) -> Hello:
@@ -115,7 +115,7 @@ def _hold(stack: ExitStack, heard: list[Callable[[T], None]], tell: Callable[[T]
     stack.callback(heard.remove, tell)
 
 
-# -- telemetry of a fleet as a pilot sees it: the newest values of each aircraft -------------------
+# -- telemetry of a fleet as an operator sees it: the newest values of each aircraft ---------------
 
 
 _DEPTH = 20_000
@@ -140,7 +140,7 @@ class FleetTelemetry:
         self.received: Counter[str] = Counter()  # packages by name
         self.unread = 0  # packages that this version cannot read
         key = keys.telemetry if full else keys.thinned
-        # Whoever looks at one aircraft may fly it; a wall of a thousand is looked at by people.
+        # An operator who looks at one aircraft may fly it; an overview is for people.
         within = 0.0 if full else WALL_WITHIN_S
         self._held = bus.subscribe(key, self._heard, depth=_DEPTH, within=within)
 
@@ -170,10 +170,10 @@ class FleetTelemetry:
 
 
 WALL_HZ = 5.0
-"""Times a second that a wall is told of each item."""
+"""Times a second that an overview gets each item."""
 
 WALL_WITHIN_S = 0.05
-"""Seconds that what is told to a wall may wait for others to go, or to be taken, with it."""
+"""Seconds that a message to an overview may wait, to go or to be taken with others."""
 
 _BITS = 16  # of the word that says which items are in a package
 

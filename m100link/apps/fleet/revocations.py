@@ -1,8 +1,8 @@
-"""The list of revoked names that an agent believes, and how a newer one comes to it.
+"""The list of revoked names at an agent, and how a newer one comes to it.
 
-It is read as the agent begins, from the folder of its certificates. While it runs a newer one comes
-in two ways: the file is written anew, or somebody brings one over the network. Whoever brings it
-needs no right of his own beyond the router's: the authority has signed it.
+The agent reads it at its start, from the folder of its certificates. Later, a newer one comes as a
+new file, or over the network. Bringing it needs no right beyond the router's: the authority has
+signed it.
 """
 
 from __future__ import annotations
@@ -73,8 +73,8 @@ class Revocations:
         """Those of a folder with certificates: ``ca.pem``, and ``revoked.list`` if there is one.
 
         Raises:
-            UsageError: There is no authority, or no list that can be believed: beginning without
-                it would let in again who was shut out.
+            UsageError: There is no authority, or the list cannot be verified: without the list,
+                revoked names could give orders again.
         """
         place = folder / AUTHORITY
         try:
@@ -82,28 +82,28 @@ class Revocations:
         except OSError as error:
             raise UsageError(
                 f"{place} cannot be read: {error.strerror}",
-                remedy="name the folder that holds it, with your certificate",
+                remedy="name the folder with it and with your certificate",
             ) from error
         except ValueError as error:
-            raise UsageError(f"{place} holds no certificate") from error
+            raise UsageError(f"{place} has no certificate") from error
         found = cls(authority, folder / LIST, rights, apart=apart)
         found.read()
         return found
 
     @property
     def number(self) -> int:
-        """Of the list in force; 0 for none."""
+        """Number of the list in force; 0 without one."""
         return self.revoked.number
 
     def since(self, name: str) -> str:
-        """Since when somebody is revoked, by its own name or that of its certificate; or empty."""
+        """Since when a name is revoked, as itself or as that of its certificate; or empty."""
         names = self.revoked.names
         one = None if self._rights is None else self._rights.identity(name)
         common_name = name if one is None else one.common_name
         return names.get(name) or names.get(common_name, "")
 
     def take_in(self, data: bytes) -> bool:
-        """Believe a list from now on, if it is newer; whether it is.
+        """Put a list into force, if it is newer; whether it is.
 
         Raises:
             BadRevoked: It is not the authority's, or older than the one in force.
@@ -114,7 +114,7 @@ class Revocations:
         if found.number <= now:
             raise BadRevoked(
                 f"list {found.number} of revoked names came, and list {now} is in force",
-                cause="somebody brings an old one, or two lists were made from one",
+                cause="somebody pushed an old one, or two lists were made from the same one",
             )
         self.revoked = found
         for callback in list(self.on_change):
@@ -171,8 +171,8 @@ class Revocations:
             except OSError as error:
                 raise UsageError(
                     f"{path}: {error.strerror or error}",
-                    cause="the list is in force, and whoever runs this agent next has it no more",
-                    remedy="let the folder be written, and bring the list once more",
+                    cause="the list is in force, but the agent loses it when it restarts",
+                    remedy="make the folder writable, and push the list again",
                 ) from error
 
 
@@ -186,7 +186,7 @@ class RevocationService:
         boot: str,  # which run of the agent this is
         revocations: Revocations,  # what is believed; agents in one process share it
         *,
-        # Called in turn when there is a newer list: whoever is in it steers no more.
+        # Called in turn when there is a newer list: its names steer no more.
         shut_out: Sequence[Callable[[], None]],
         note: Callable[[str, str], None],  # tells people, at a level
     ) -> None:
@@ -267,7 +267,7 @@ async def bring(bus: Bus, keys: Keys, data: bytes = b"") -> int:
             return reply.number
     raise OutcomeUnknown(
         f"{keys.name} does not say which list of revoked names it has",
-        cause="its agent has no --rights, no --pki or an older release, the way is cut, or the "
-        "router lets nothing pass: who may stop it may bring a list",
+        cause="its agent has no --rights, no --pki or an older release, the link is cut, or the "
+        "router lets nothing pass: to bring a list needs the right to stop",
         remedy=f"copy {LIST} into the folder of its certificates",
     )

@@ -1,4 +1,4 @@
-"""Orders of a fleet as they are signed by pilots and verified on board."""
+"""How operators sign orders of a fleet, and how agents verify them on board."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from m100link.link.keyfile import read_key
 
 
 def signing(signer: Signer) -> Sign:
-    """What signs orders in somebody's name."""
+    """Return a function that signs orders in that name, for ``connect(sign=…)``."""
 
     def sign(order: OrderMessage, token: str) -> OrderMessage:
         named = replace(order, signer=signer.name).under(token)
@@ -30,7 +30,7 @@ def verifying(
     utc: Callable[[], float],  # POSIX time, s
     revoked: Since = nobody,
 ) -> Verify:
-    """What agents look at orders with."""
+    """Return a function that verifies orders on board."""
     gates = {name: Gate(rights, name, began_at=utc(), revoked=revoked) for name in names}
 
     def verify(order: OrderMessage) -> None:
@@ -40,18 +40,18 @@ def verifying(
 
 
 def read_signer(folder: Path, name: str) -> Signer:
-    """The signing key of a pilot, as ``fleet pki issue pilot`` made it.
+    """Read an operator's signing key, as ``fleet pki issue pilot`` made it.
 
     Raises:
-        UsageError: There is none, it is none, or others can read it.
+        UsageError: There is none, it is not a key, or others can read it.
     """
     return Signer(name, read_key(folder / f"{name}.signing.key").reveal())
 
 
 def tls_options(folder: Path, name: str, *, listens: bool = False) -> dict[str, str]:
-    """Options of a session that shows a certificate of ``fleet pki``, and wants to see one.
+    """Options of a session that shows a certificate of ``fleet pki`` and asks for one.
 
-    ``listens``: a router is connected to, and shows the same to other routers.
+    ``listens``: for a router, which also shows it to clients and other routers.
     """
     tls: dict[str, object] = {
         "root_ca_certificate": str(folder / "ca.pem"),

@@ -200,8 +200,8 @@ async def test_where_words_of_the_ledger_are_lost_orders_of_before_are_unknown_a
     damaged = MemoryOrderLog()
     damaged.damaged = 2
     one = await rig.aircraft("a1", virtual=with_camera(), ledger=damaged)
-    assert [e.text[:34] for e in one.client.events if "ledger" in e.text] == [
-        "2 words of the ledger are damaged "
+    assert [e.text[:35] for e in one.client.events if "ledger" in e.text] == [
+        "2 records of the ledger are damaged"
     ]
     [answer] = await rig.network.session().ask(KEYS.status(before.id), timeout=1.0)
     assert unpack(OrderReply, answer.payload).progress is Progress.NEVER, "it may be sent again"
@@ -476,7 +476,7 @@ async def test_two_agents_of_one_name_are_refused(rig: Rig) -> None:
     one = await rig.aircraft("a1")
     await anyio.sleep(0.1)
     twin = FleetAgent(one.client, rig.network.session(), KEYS, MemoryOrderLog())
-    with pytest.raises(UsageError, match="there already"):
+    with pytest.raises(UsageError, match="another agent is named a1"):
         await twin.require_alone()
 
 
@@ -552,4 +552,4 @@ async def test_what_is_asked_under_the_key_of_something_else_is_not_done(rig: Ri
             reply = await send(rig, made, key)
             assert reply.outcome is Outcome.REFUSED
             assert reply.fault is not None
-            assert reply.fault.seen == f"nobody asks for {type(asked).__name__} under this key"
+            assert reply.fault.seen == f"{type(asked).__name__} does not belong under this key"

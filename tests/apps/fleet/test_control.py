@@ -385,7 +385,7 @@ VERBS: dict[str, tuple[dict[str, object], orders.Order]] = {
     ),
     "pause_mission": ({}, orders.PauseMission()),
     "resume_mission": ({}, orders.ResumeMission()),
-    "stop_mission": ({}, orders.Halt("whoever flies stopped it")),  # waits for no disk
+    "stop_mission": ({}, orders.Halt("its operator stopped it")),  # waits for no disk
     "stop": ({}, orders.Stop()),
 }
 

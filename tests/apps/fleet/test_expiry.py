@@ -32,10 +32,10 @@ def test_what_is_in_order_is_heard(ages: OrderExpiry) -> None:
 
 
 def test_what_is_old_is_refused(ages: OrderExpiry) -> None:
-    with pytest.raises(GuardRefused, match="nobody waits") as caught:
+    with pytest.raises(GuardRefused, match="older than 5 s") as caught:
         ages.hear(1, 10.0, 10.1 + MOST_AGE_S)
     assert caught.value.guard == "order_age"
-    with pytest.raises(GuardRefused, match="nobody waits"):
+    with pytest.raises(GuardRefused, match="older than 5 s"):
         ages.hear(1, 0.0, 1e6)  # who does not say when
 
 
@@ -59,17 +59,17 @@ def test_a_landing_is_asked_for_its_age_alone(ages: OrderExpiry) -> None:
     ages.revoke(20.0)
     require_young(16.0, 20.5)  # STOP came between: both want it to be safe
     for made_at in (10.0, 0.0, float("nan"), -1.0):
-        with pytest.raises(GuardRefused, match="nobody waits"):
+        with pytest.raises(GuardRefused, match="older than 5 s"):
             require_young(made_at, 20.5)
 
 
 def test_what_was_made_by_the_clock_of_before_a_start_is_refused(ages: OrderExpiry) -> None:
     require_young(20.9, 20.0)  # who reckons its time from an answer is wrong by a little
-    with pytest.raises(GuardRefused, match=r"made 980\.0 s from now") as caught:
+    with pytest.raises(GuardRefused, match=r"980\.0 s in the future") as caught:
         ages.hear(1, 1000.0, 20.0)
     assert caught.value.guard == "order_age"
     ages.hear(1, 20.0, 20.1)
-    with pytest.raises(GuardRefused, match="from now"):
+    with pytest.raises(GuardRefused, match="in the future"):
         require_young(float("inf"), 20.0)
 
 

@@ -306,8 +306,8 @@ def test_names_keys_and_common_names_are_as_the_file_says() -> None:
         ("site = ", "is not TOML"),
         ('sight = "x"', "the file: there is no field 'sight'"),
         ('site = "a/b"', "site is 'a/b'"),
-        ("aircraft = 3", "aircraft is no table of tables"),
-        ("[identity]\nanna = 3", "identity is no table of tables"),
+        ("aircraft = 3", "aircraft is not a table of tables"),
+        ("[identity]\nanna = 3", "identity is not a table of tables"),
         ('[aircraft."a*"]', "aircraft is 'a*'"),
         ("[aircraft.a1]\nname = 3", "aircraft a1: there is no field 'name'"),
         ("[identity.anna]\nflies = []", "identity anna: there is no field 'flies'"),
@@ -316,8 +316,8 @@ def test_names_keys_and_common_names_are_as_the_file_says() -> None:
         ('[identity.anna]\nfly = ["a/b"]', "fly of anna is 'a/b'"),
         ("[identity.anna]\nfly = [1]", "fly of anna is 1"),
         ('[identity.anna]\npublic_key = "12"', "public_key of anna is '12'"),
-        ("[aircraft.a1]\n[identity.a1]", "two have the common name a1"),
-        ('[identity.x]\n[identity.y]\ncommon_name = "x"', "two have the common name x"),
+        ("[aircraft.a1]\n[identity.a1]", "two entries have the common name a1"),
+        ('[identity.x]\n[identity.y]\ncommon_name = "x"', "two entries have the common name x"),
     ],
 )
 def test_every_mistake_is_named(text: str, said: str) -> None:

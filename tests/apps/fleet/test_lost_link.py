@@ -110,7 +110,7 @@ async def test_a_lease_alone_flies_nothing_and_its_end_lands_nothing(rig: Rig) -
 
 async def test_a_pilot_of_any_name_is_somebody(rig: Rig) -> None:
     one = await rig.aircraft("a1", lost=LostLinkPlan("land", 3.0))
-    other = await rig.pilot("pilot lost (land)")
+    other = await rig.pilot("operator lost (land)")
     await lose_the_pilot(rig, one)
     async with other["a1"].control():
         await anyio.sleep(20.0)
@@ -220,7 +220,7 @@ async def test_the_next_agent_does_what_was_configured(rig: Rig, action: LostAct
     assert one.speed < 0.3
     await rig.until(lambda: one.height < 0.1, within=120.0)
     assert anyio.current_time() - began > 3.0
-    assert "the agent before ended while lease 1 flew" in said(one)
+    assert "the previous agent ended while the aircraft flew under lease 1" in said(one)
     await rig.until(lambda: one.client.holder.number == 0)
     await anyio.sleep(0.1)
     assert one.ledger.aloft is not None
@@ -290,7 +290,7 @@ async def test_one_on_the_ground_stays_there(rig: Rig) -> None:
     await anyio.sleep(20.0)
     assert one.height < 0.1
     assert "on the ground now" in said(one)
-    assert "the pilot is lost" not in said(one)
+    assert "the operator is lost" not in said(one)
 
 
 async def not_flown(rig: Rig, how: str) -> OnBoard:
@@ -321,7 +321,7 @@ async def test_one_that_nobody_of_the_fleet_flew_is_left_alone(rig: Rig, how: st
     one = await (await not_flown(rig, how)).next(lost=LAND)
     await anyio.sleep(60.0)
     assert one.height > 1.0
-    assert "agent before ended" not in said(one)
+    assert "previous agent ended" not in said(one)
 
 
 @pytest.mark.parametrize("ago", [None, INHERITED_S + 1.0])
@@ -379,7 +379,7 @@ async def test_it_is_written_again_while_it_flies_and_a_disk_that_fails_is_told(
         assert disk.kept == [1, 1, 1]
         disk.is_full = True
         await anyio.sleep(KEPT_AGAIN_S)
-        assert "who flies is not kept: the disk is full" in said(one)
+        assert "the ledger does not keep who flies: the disk is full" in said(one)
         disk.is_full = False
     await anyio.sleep(2 * KEPT_AGAIN_S)
     assert disk.kept == [1, 1, 1, 0]

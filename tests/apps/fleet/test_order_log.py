@@ -301,7 +301,7 @@ async def test_a_ledger_that_went_while_no_agent_ran_is_noticed(tmp_path: Path, 
     again = opened(path, utc, "boot", 51.0)
     assert again.damaged >= 1
     assert again.leases_before == utc, "above all that may have been granted"
-    assert again.aloft in (None, LastFlightRecord(17, None)), "nobody is landed for who flew"
+    assert again.aloft in (None, LastFlightRecord(17, None)), "the aircraft is not landed"
     again.close()
     after = opened(path, utc, "boot", 52.0)
     assert after.damaged == 0, "it was told once"

@@ -163,5 +163,5 @@ async def test_an_order_about_the_lease_that_a_fleet_does_not_know_reaches_no_ag
     async with pilot["a1"].control() as control:
         asked = BorrowLease("anything")
         order = pilot.asker("a1").around(orders.AskVersion(), *control.proof)
-        with pytest.raises(MessageError, match="nobody asks a fleet for borrow lease"):
+        with pytest.raises(MessageError, match="a fleet has no order borrow lease"):
             await one.fleet_agent._orders.carry_out(order, asked)

@@ -202,7 +202,7 @@ def test_an_authority_that_is_not_there_damaged_foreign_or_over(folder: Path) ->
         with pytest.raises(BadAuthority, match=said):
             issue(folder, Kind.AGENT, "a1", now=now)
 
-    refused("ended on 2028-11-21", NOW + timedelta(days=AUTHORITY_DAYS))
+    refused("expired on 2028-11-21", NOW + timedelta(days=AUTHORITY_DAYS))
     issue(folder, Kind.AGENT, "b1", now=NOW)
     key = (folder / "ca.key").read_bytes()
     (folder / "ca.key").write_bytes((folder / "b1.key").read_bytes())
@@ -216,7 +216,7 @@ def test_an_authority_that_is_not_there_damaged_foreign_or_over(folder: Path) ->
 def test_a_signing_key_that_is_none_is_not_replaced(folder: Path) -> None:
     issue(folder, Kind.PILOT, "anna", now=NOW)
     (folder / "anna.signing.key").write_text("no key")
-    with pytest.raises(BadAuthority, match="holds no signing key"):
+    with pytest.raises(BadAuthority, match="has no signing key"):
         issue(folder, Kind.PILOT, "anna", now=NOW, force=True)
     assert (folder / "anna.signing.key").read_text() == "no key"
 

@@ -1,1 +1,1 @@
-"""Flight logs of a fleet: they lie on board, and whoever may watch an aircraft fetches its own."""
+"""Flight logs of a fleet: they stay on board until an operator with the right fetches them."""

@@ -1,7 +1,7 @@
-"""Fetches logs of one aircraft of a fleet, and goes on where it was cut off.
+"""Fetches logs of one aircraft of a fleet; a transfer that was cut off continues.
 
-What has come is kept in a file whose name ends in ``.part``. Whatever ends a fetch, the next one of
-the same log goes on there; whether all of it is what the aircraft has, the digest at its end says.
+The part that came stays in a file whose name ends in ``.part``. However a transfer ends, the next
+one of the same log continues it. At the end the digests of both sides are compared.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ _MOST_AGAIN_S = 2.0
 _in_thread = asyncio.to_thread
 
 Progress = Callable[[int, int], None]
-"""Told how many bytes of a log are here, and how many there will be."""
+"""Called with the bytes of a log that are here, and the bytes that there will be."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fetched:
-    """A log that is here."""
+    """A log that was fetched."""
 
-    name: str  #: of which aircraft
+    name: str  #: name of the aircraft
     log: str  #: its name on board
     path: Path  #: the file
     size: int  #: bytes
-    came: int  #: bytes of them that came now; the others were here already
-    is_written: bool  #: whether it was being written still; this is what was there of it
+    came: int  #: bytes that came now; the others were here already
+    is_written: bool  #: whether it was still being written, so that this is its part so far
 
 
 class LogFetcher:
@@ -78,7 +78,7 @@ class LogFetcher:
         except M100Error as error:
             raise _with_rest(error, part, entry.size) from error
         finally:
-            part.close()  # at once: whoever was cancelled is cancelled at every wait
+            part.close()  # at once: a cancelled task is cancelled at every wait
 
     async def _entry(self, log: str) -> LogEntry:
         if log and not is_log_name(log):
@@ -89,13 +89,13 @@ class LogFetcher:
         if not entries:
             raise UsageError(
                 f"{self._keys.name} has no logs",
-                cause="nothing is recorded there (--no-record), or no aircraft was connected yet",
+                cause="its agent records nothing (--no-record), or no aircraft was connected yet",
             )
         found = next((one for one in entries if log in ("", one.log)), None)
         if found is None:
             raise UsageError(
                 f"{self._keys.name} has no log {log}",
-                cause="it made room for newer ones, or is of another aircraft",
+                cause="it made room for newer ones, or belongs to another aircraft",
                 remedy=f"m100link fleet log list {self._keys.name}",
             )
         return found
@@ -123,7 +123,7 @@ class LogFetcher:
             await _in_thread(part.forget)
             if not began_at:
                 raise FleetError(
-                    f"what came of {entry.log} is not what {name} has",
+                    f"the copy of {entry.log} differs from the log of {name}",
                     cause="it was changed on board meanwhile, or on its way",
                     remedy="fetch it again",
                 )
@@ -134,7 +134,7 @@ class LogFetcher:
         have, digest = await _in_thread(part.whole_digest)
         if have > entry.size or await self._digest(entry.log, have) != digest:
             raise UsageError(
-                f"{part.whole} is there already, and is not that log",
+                f"{part.whole} is there already, and is another log",
                 remedy="name another folder by --to",
             )
         return have
@@ -156,7 +156,7 @@ class LogFetcher:
     async def _ask(self, question: LogQuestion) -> tuple[LogReply, bytes]:
         """Ask until it is answered: nothing on board changes by it."""
         name = self._keys.name
-        # One that has answered may come back, with the router or by being started anew.
+        # An agent that has answered may come back, with the router or by a restart.
         if not self._has_answered and not await self._asker.is_there():
             raise nobody_there(name)
         silent_since = self._clock()
@@ -189,8 +189,8 @@ class LogFetcher:
             raise unread
         raise Unreachable(
             f"{name} gave no answer about its logs for {self._patience:g} s",
-            cause="the way there or back is cut, its agent hangs or is an old one, or the router "
-            "lets no answer pass to this identity",
+            cause="the link is cut, its agent hangs or is an old one, or the router lets no answer "
+            "pass to this identity",
             remedy="m100link fleet acl check FILE --who NAME, with the router's file of rights",
         )
 
@@ -200,6 +200,6 @@ def _with_rest(error: M100Error, part: LogPart, size: int) -> M100Error:
     told = error.again()
     if part.at:
         told.seen = f"{error.seen}; {part.at:,} of {size:,} bytes are in {part.path}"
-        told.remedy = error.remedy or "the same command goes on there"
+        told.remedy = error.remedy or "the same command continues"
         told.args = (told.seen, told.cause, told.remedy)
     return told

@@ -1,8 +1,8 @@
-"""The logs of one aircraft, for whoever may watch it.
+"""The logs of one aircraft, for operators with the right to watch it.
 
-Whoever flies comes first. Threads of its own read the disk, so many bytes a second leave it and
-no more, and few questions wait: of a flood most are dropped before they are read. Nothing is kept
-for who asks; who is slow, or gone, costs nothing.
+Flying comes first. Threads of its own read the disk, the rate is limited, and few questions wait:
+of a flood most are dropped before they are read. Nothing is kept for a client, so one that is slow
+or gone costs nothing.
 """
 
 from __future__ import annotations
@@ -170,7 +170,7 @@ class LogService:
         return self._told(order, data, offset=offset, size=entry.size, is_written=is_written)
 
     async def _digest(self, question: LogQuestion, order: OrderMessage) -> bytes:
-        """Of one log at a time: whoever asks comes again until it is ready."""
+        """Of one log at a time: the client asks again until it is ready."""
         wanted = (question.log, question.length)
         task = self._digests.get(wanted)
         if task is None:
@@ -196,7 +196,7 @@ class LogService:
         return pack_reply(LogReply(order.id, self._keys.name, **fields), data)
 
 
-# -- the folder of logs on board, as whoever asks over the network sees it -------------------------
+# -- the folder of logs on board, as clients over the network see it -------------------------------
 # Only what a recorder of this package would name so is there, and only if it is a file: a name
 # never leads out of the folder, and a link in it leads nowhere. Everything here waits for a disk:
 # it is to be called in a thread.
@@ -204,7 +204,7 @@ class LogService:
 
 _BLOCK = 1 << 20
 _IDLE = 1.0
-"""Seconds without reading for each second of reading: whoever flies has the processor, too."""
+"""Seconds without reading for each second of reading: flying needs the processor, too."""
 
 
 class LogDirectory:
@@ -287,7 +287,7 @@ class LogDirectory:
 
 def _no_log(log: str, why: str) -> UsageError:
     return UsageError(
-        f"there is no log {log} to be read: {why}",
+        f"there is no log {log} to read: {why}",
         cause="it made room for newer ones, or was never there",
         remedy="m100link fleet log list NAME",
     )

@@ -62,9 +62,9 @@ class LogEntry:
     """One log on board."""
 
     log: str  #: its name
-    size: int  #: bytes that it has now
+    size: int  #: its bytes now
     at: float  #: when it was written last, POSIX time of the computer on board, s
-    is_written: bool  #: whether it is being written still
+    is_written: bool  #: whether it is still being written
 
 
 def require_possible(question: LogQuestion) -> None:
@@ -144,7 +144,7 @@ class LogPart:
         with self._lock, _telling(self.path):
             file = self._locked()
             while not is_at(file.fileno(), self.path):
-                # Whoever had it made it the log meanwhile, or removed it: that is not this part.
+                # Its owner made it the log meanwhile, or removed it: that is not this part.
                 file.close()
                 file = self._locked()
             self._file, self.at = file, file.seek(0, os.SEEK_END)
@@ -158,7 +158,7 @@ class LogPart:
         except BlockingIOError:
             file.close()
             raise UsageError(
-                f"{self.path}: another program fetches it", remedy="wait for its end"
+                f"{self.path}: another program fetches it", remedy="wait until it has ended"
             ) from None
         return file
 

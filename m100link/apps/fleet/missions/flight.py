@@ -1,7 +1,7 @@
 """A mission of an aircraft of a fleet, in the shape of :class:`m100link.WaypointFlight`.
 
-What is ordered goes under the lease of a control block. What happens is asked for twice a second:
-whatever the network loses, the next answer has all of it.
+Orders go under the lease of a control block. The program asks for the progress twice a second: if
+the network loses an answer, the next one has all of it.
 """
 
 from __future__ import annotations
@@ -66,21 +66,21 @@ async def mission_card(asker: Asker, *, patience: float = PATIENCE_S) -> Mission
     if unread is not None:
         raise unread
     raise OutcomeUnknown(
-        f"{keys.name} does not tell where its mission is",
-        cause="the way there or back is cut, its agent is gone or an old one, or the router lets "
-        "no answer pass to this identity",
+        f"{keys.name} does not report its mission",
+        cause="the link is cut, its agent is gone or an old one, or the router lets no answer pass "
+        "to this identity",
         remedy="look at the aircraft; m100link fleet stop",
     )
 
 
 class MissionOrders:
-    """What is ordered about missions under one lease."""
+    """Orders about missions under one lease."""
 
     def __init__(self, ask: OrderUnderLease) -> None:
         self._ask = ask
 
     async def upload(self, plan: WaypointPlan) -> str:
-        """Bring a plan on board, where it waits; the aircraft has not heard of it.
+        """Upload a plan to the agent, where it waits; the aircraft does not have it yet.
 
         Returns:
             Its digest.
@@ -91,7 +91,7 @@ class MissionOrders:
         return (await self._ask(orders.UploadPlan.of(plan))).text
 
     async def start(self, digest: str, *, take_off: bool = False) -> None:
-        """Let the plan of that digest fly; done when it has begun.
+        """Start the plan of that digest; returns when it has begun.
 
         Raises:
             M100Error: As :meth:`m100link.Control.waypoint_mission`, and :class:`FleetError`.
@@ -99,16 +99,16 @@ class MissionOrders:
         await self._ask(orders.StartMission(digest, take_off))
 
     async def pause(self) -> None:
-        """Let it hover in the mission."""
+        """Pause the mission; the aircraft hovers."""
         await self._ask(orders.PauseMission())
 
     async def resume(self) -> None:
-        """Let it go on."""
+        """Resume it."""
         await self._ask(orders.ResumeMission())
 
     async def stop(self, why: str = "") -> None:
-        """End it: the aircraft hovers. Waits for no disk, and for nothing that it leads to."""
-        await self._ask(orders.Halt(why or "whoever flies stopped it"))
+        """End it: the aircraft hovers. Does not wait for a disk, nor for the end."""
+        await self._ask(orders.Halt(why or "its operator stopped it"))
 
     async def set_speed(self, speed: float) -> float:
         """Change its speed, m/s; returns the one in force."""
@@ -118,8 +118,8 @@ class MissionOrders:
 class FleetMission:
     """A waypoint mission: ``async with control.waypoint_mission(plan) as mission``.
 
-    Entering uploads and starts it. ``async for event in mission`` gives the events that a mission
-    of one aircraft gives, until its end. Leaving the block before stops it.
+    Entering uploads and starts it. ``async for event in mission`` gives the same events as a
+    mission of one aircraft, until its end. Leaving the block earlier stops it.
     """
 
     def __init__(
@@ -137,7 +137,7 @@ class FleetMission:
 
     @property
     def has_begun(self) -> bool:
-        """Whether it was told to start, whatever came of that."""
+        """Whether the start was ordered, whatever its outcome."""
         return self._has_begun
 
     @property
@@ -169,7 +169,7 @@ class FleetMission:
         except M100Error as error:
             if not is_quiet:
                 raise
-            # What ends the block is told. The mission ends with the lease, if it flies still.
+            # The error that ends the block counts. A mission in flight ends with the lease.
             _logger.warning("%s: its mission was not stopped: %s", self._keys.name, error.seen)
 
     def __aiter__(self) -> Self:
@@ -180,7 +180,7 @@ class FleetMission:
 
         Raises:
             MissionAborted, NotObserved: What ended it before its end.
-            OutcomeUnknown: Nobody knows where it is, or its agent was started anew.
+            OutcomeUnknown: Its state is unknown, or its agent restarted.
         """
         while not self._events:
             if self._end is not None:
@@ -199,7 +199,7 @@ class FleetMission:
         card = await mission_card(self._asker)
         if card.boot != self._boot:
             raise OutcomeUnknown(
-                f"the agent of {self._keys.name} was started anew while its mission flew",
+                f"the agent of {self._keys.name} restarted while its mission flew",
                 remedy="look at the aircraft: it may fly on; m100link fleet stop",
             )
         if card.digest not in (self._digest, "") or card.stage is MissionStage.UPLOADED:
@@ -228,7 +228,7 @@ class FleetMission:
     # -- orders ----------------------------------------------------------------------------------
 
     async def pause(self) -> None:
-        """Let it hover in the mission.
+        """Pause it; the aircraft hovers.
 
         Raises:
             M100Error: As :meth:`m100link.MissionFlight.pause`, and :class:`FleetError`.
@@ -236,7 +236,7 @@ class FleetMission:
         await self._orders.pause()
 
     async def resume(self) -> None:
-        """Let it go on. Raises: as a pause."""
+        """Resume it. Raises: as a pause."""
         await self._orders.resume()
 
     async def set_speed(self, speed: float) -> float:
@@ -244,7 +244,7 @@ class FleetMission:
         return await self._orders.set_speed(speed)
 
     async def stop(self) -> None:
-        """End it; done when something else may fly, and the aircraft hovers.
+        """End it; returns when the aircraft hovers and other orders may fly it.
 
         Raises:
             FleetError: It may be flying on.
@@ -256,8 +256,7 @@ class FleetMission:
         while not self.is_over:
             if clock() > until:
                 raise OutcomeUnknown(
-                    f"{self._keys.name} was told to stop its mission, and did not say that it is "
-                    "over",
+                    f"{self._keys.name} was asked to stop its mission, and did not report its end",
                     remedy="look at the aircraft; m100link fleet stop",
                 )
             await asyncio.sleep(_AGAIN_S)

@@ -47,7 +47,7 @@ class MissionManager:
     # -- orders ----------------------------------------------------------------------------------
 
     async def upload(self, lease: Lease, plan: UploadPlan, by: str) -> str:
-        """Take a plan; nothing is told to the aircraft.
+        """Take a plan; the aircraft does not get it yet.
 
         Returns its digest, by which it is started.
 
@@ -85,13 +85,13 @@ class MissionManager:
         if self._telling.locked():
             # Not to be waited for: somebody may press STOP meanwhile, and it would start behind it.
             raise UsageError(
-                "a plan is being uploaded; nothing was started", remedy="start it then"
+                "a plan is being uploaded; nothing was started", remedy="start it afterwards"
             )
         async with self._telling:
             if not self._digest or order.digest != self._digest:
                 raise UsageError(
-                    "the plan that is to start is not the one on board; nothing was started",
-                    cause="another one was uploaded since, or the lease under which it came ended",
+                    "the plan to start is not the one on board; nothing was started",
+                    cause="another plan was uploaded since, or the lease of the upload ended",
                     remedy="upload it again, then start",
                 )
             self.stage = after(self.stage, MissionInput.ASKED)
@@ -138,7 +138,7 @@ class MissionManager:
 
     def _lease_changed(self, change: LeaseChanged) -> None:
         self.stage = after(self.stage, MissionInput.LEASE_ENDED)
-        self.void()  # whoever comes next starts nothing of it
+        self.void()  # the next holder starts nothing of it
 
     # -- what is told ----------------------------------------------------------------------------
 

@@ -1,8 +1,8 @@
-"""Lets the aircraft of a fleet fly a show: all of them are ready, or none begins.
+"""Conducts a show of a fleet: either all aircraft begin, or none.
 
-Every aircraft confirms the hash of its track, takes its place, and is told when to begin by its own
-clock, which is measured here. From then on nobody here is needed: who leaves is told, and the
-others fly on.
+Every aircraft confirms the hash of its track, takes its place, and gets the time to begin by its
+own clock, which is measured here. From then on the conductor is not needed: it reports aircraft
+that leave, and the others fly on.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ _PIECE = 800
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Where one aircraft stands in a show."""
+    """The state of one aircraft in a show."""
 
-    name: str  #: which one
-    stage: ShowStage | None  #: how far it is; None when nobody knows, for it does not answer
-    digest: str = ""  #: of its track
-    farthest_m: float = 0.0  #: farthest from its track, by its own telemetry
-    why: str = ""  #: why it left, or tells nothing
+    name: str  #: the aircraft
+    stage: ShowStage | None  #: its stage; None when unknown, because it does not answer
+    digest: str = ""  #: digest of its track
+    farthest_m: float = 0.0  #: greatest distance from its track, by its own telemetry
+    why: str = ""  #: why it left, or does not report
     clock: float = 0.0  #: its own clock as it answered, s
 
 
@@ -66,12 +66,12 @@ class Conductor:
 
     Args:
         bus: The network.
-        site: Whose aircraft.
-        who: Who conducts, for people.
-        show: What they fly; checked by whoever calls.
-        leave: What each does at the end, and when it has to leave.
-        sign: Signs orders; without it the router alone decides who may.
-        tell: What happens, for people.
+        site: Name of the site.
+        who: Name of the operator who conducts, shown to other people.
+        show: The show; the caller has checked it.
+        leave: What each aircraft does at the end, and when it has to leave.
+        sign: Signs orders; without it only the router decides who may give them.
+        tell: Called with progress reports for people.
         utc: POSIX time, s.
     """
 
@@ -106,7 +106,7 @@ class Conductor:
             How it ended for each: ``FLOWN``, ``LEFT``, or None for one that fell silent.
 
         Raises:
-            M100Error: One of them could not begin; none has, and all that flew hover.
+            M100Error: One of them could not begin. None has begun, and all that flew hover.
         """
         attending = asyncio.create_task(self._attend(), name="m100link: conductor of a show")
         try:
@@ -133,7 +133,7 @@ class Conductor:
             await asyncio.gather(*asked, return_exceptions=True)
 
     async def leave(self) -> None:
-        """Let all of them leave, wherever they are; who does not answer is not waited for."""
+        """Let all of them leave, at any stage; does not wait for those that do not answer."""
         await asyncio.gather(
             *(self._ask(track, LeaveShow(self._run)) for track in self._tracks.values()),
             return_exceptions=True,
@@ -167,7 +167,7 @@ class Conductor:
             await asyncio.sleep(0.1)
         raise Unreachable(
             f"{track.name} does not answer",
-            cause="no agent of that name is there, or the router routes nothing to it",
+            cause="no agent of that name is present, or the router lets nothing pass to it",
             remedy="m100link fleet list; m100link fleet acl check",
         )
 
@@ -194,7 +194,7 @@ class Conductor:
             raise BadShow(
                 f"{track.name} has another track than was sent to it",
                 aircraft=(track.name,),
-                remedy="look who else conducts a show, and begin anew",
+                remedy="look for another program that conducts a show, and begin again",
             )
 
     async def _place(self, track: TimedTrack) -> None:
@@ -240,7 +240,7 @@ class Conductor:
                 if self._clock() - heard_at >= _GONE_S:
                     # One that answers and tells nothing flies on: that is no cable.
                     why = "" if isinstance(error, Unreachable) else error.seen
-                    refuses = f"tells nothing more: {why}" if why else "is silent"
+                    refuses = f"reports nothing more: {why}" if why else "is silent"
                     self._tell(f"{track.name} {refuses}; the others fly on")
                     return Part(track.name, None, why=why)
                 await asyncio.sleep(_LOOK_S)
@@ -258,5 +258,5 @@ class Conductor:
 def _part(reply: OrderReply) -> Part:
     told = reply.show
     if told is None:
-        raise MessageError(f"{reply.name} does not say where it stands in the show")
+        raise MessageError(f"{reply.name} does not report its stage in the show")
     return Part(reply.name, told.stage, told.digest, told.farthest_m, told.why, reply.clock)

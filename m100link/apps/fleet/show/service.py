@@ -1,7 +1,7 @@
-"""What an agent of a fleet is asked of a show, and what it answers.
+"""Orders about a show at one agent, and its answers.
 
-Orders are those of the fleet, signed as all are; each is admitted by the stage that the aircraft is
-in, so that one that comes twice does nothing. Whoever conducts learns by asking where it stands.
+Orders are those of the fleet, signed as all are. The stage of the aircraft admits each, so that an
+order that comes twice does nothing. The conductor asks for the stage.
 """
 
 from __future__ import annotations
@@ -177,8 +177,8 @@ class ShowService:
         if not 0 <= at <= len(self._pieces) or at + len(data) > _MOST_BYTES:
             raise MessageError(
                 f"a piece of a track at {at} comes behind {len(self._pieces)} bytes",
-                cause="two upload tracks to the same aircraft, or one is far too long",
-                remedy="upload it anew from its beginning",
+                cause="two programs upload tracks to the same aircraft, or a track is far too long",
+                remedy="upload the track again from its beginning",
             )
         self._pieces[at:] = data
 

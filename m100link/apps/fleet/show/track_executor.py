@@ -1,10 +1,10 @@
 """An aircraft of a fleet in a show: on board, beside its agent, which has control and the guards.
 
-It is loaded with a track, takes its place, is told when to begin, and flies by its own clock: the
-network is not needed any more from then on; until then it leaves when whoever conducts falls
-silent. When it has to leave (its tube, the clock, telemetry, a guard, another one that it would
-come too near to) what was chosen follows, hover or land. When somebody else wants the aircraft
-(STOP, a take-over, the pilot) it lets go of it and does nothing more.
+It loads a track, takes its place, gets the time to begin, and flies by its own clock. From then on
+it does not need the network; until then it leaves when the conductor falls silent. When it has to
+leave (its tube, the clock, telemetry, a guard, another aircraft that it would come too near to), it
+hovers or lands, as chosen. When somebody else wants the aircraft (STOP, a take-over, the pilot), it
+lets go of the aircraft and does nothing more.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from m100link.protocol.setpoint import Setpoint
 Leave = Literal["hover", "land"]
 
 ATTENDED_S = 10.0
-"""Seconds without a word of whoever conducts after which an aircraft that takes or has its place
+"""Seconds without a message of the conductor after which an aircraft that takes or has its place
 leaves: nobody waits for it there any more."""
 
 _LOOK_S = 0.2
@@ -62,7 +62,7 @@ ALLOWED: dict[type[ShowOrder], frozenset[ShowStage]] = {
     LoadTrack: frozenset({ShowStage.EMPTY, ShowStage.LOADED, ShowStage.FLOWN, ShowStage.LEFT}),
     TakePlace: frozenset({ShowStage.LOADED}),
     StartShow: frozenset({ShowStage.READY}),
-    # Whoever wants out gets out, and may say so any number of times.
+    # Leaving is always possible, any number of times.
     LeaveShow: frozenset(ShowStage),
 }
 
@@ -93,7 +93,7 @@ class TrackExecutor:
         self._control.on_refused = self._steer_refused
         self._refused: M100Error | None = None  # why the last setpoint was not flown
         self._work: asyncio.Task[None] | None = None
-        self._heard_at = client.now  # whoever conducts, or asks where it stands
+        self._heard_at = client.now  # the conductor, or a question for its stage
         client.on_event.append(self._hear)
         client.on_authority_taken.append(self.give_way)
 
@@ -118,7 +118,7 @@ class TrackExecutor:
         self._refused = error
 
     def give_way(self, error: M100Error) -> None:
-        """Another pilot has the aircraft, or its conductor was revoked: it leaves."""
+        """Somebody else has the aircraft, or its conductor was revoked: it leaves."""
         if self.stage in _IN_SHOW:
             self.fault = error
             self.leave()
@@ -127,7 +127,7 @@ class TrackExecutor:
             self.fault = error
 
     def heard(self, run: str = "") -> None:
-        """Whoever conducts is there; another one who asks is not waited for."""
+        """The conductor is present; questions of another run do not count."""
         if run in ("", self.run):
             self._heard_at = self._client.now
 
@@ -138,8 +138,8 @@ class TrackExecutor:
         is_over = self.stage is ShowStage.LOADED and silent > ATTENDED_S
         if run not in ("", self.run) and self.stage in _IN_SHOW and not is_over:
             raise UsageError(
-                f"{self._name} is {self.stage.value} in a show that another one conducts",
-                cause="two conduct shows with the same aircraft, or an order came late",
+                f"{self._name} is {self.stage.value} in a show of another conductor",
+                cause="two programs conduct shows with the same aircraft, or an order came late",
                 remedy=f"wait until that show is over, or end it: m100link fleet stop {self._name}",
             )
 
@@ -152,8 +152,8 @@ class TrackExecutor:
             left = "" if self.fault is None else f"it left: {self.fault.seen}"
             raise UsageError(
                 f"{self._name} is {stage} and cannot {what}",
-                cause=left or "two conduct the same show, or an order came late",
-                remedy="let it leave, and begin anew: load, place, start",
+                cause=left or "two programs conduct the same show, or an order came late",
+                remedy="let it leave, and begin again: load, place, start",
             )
 
     def load(
@@ -161,9 +161,9 @@ class TrackExecutor:
     ) -> str:
         """Take a track.
 
-        Returns its digest: whoever sent it compares. ``leave``: what follows the track, or whatever
-        ends it. ``neighbours``: the others of the show; None: they are not looked at. ``run``: who
-        conducts; until it is over orders of nobody else are carried out.
+        Returns its digest, for the sender to compare. ``leave``: what follows the track, or its
+        early end. ``neighbours``: the others of the show; None: they are not looked at. ``run``:
+        of the conductor; until it is over, orders of others are refused.
 
         Raises:
             BadShow: It is none, or another aircraft's.
@@ -203,7 +203,7 @@ class TrackExecutor:
         self._require(StartShow, "start")
         track = self._loaded()
         if digest != track.digest:
-            raise UsageError(f"{self._name} is loaded with another track", remedy="load it anew")
+            raise UsageError(f"{self._name} is loaded with another track", remedy="load it again")
         steering = TrackSteering(track, self._fastest)
         steering.require_ready(start_at - self._client.now, bound, self._here(track))
         self.stage, self._start_at = ShowStage.FLYING, start_at
@@ -302,13 +302,13 @@ class TrackExecutor:
 
     async def _abandoned(self) -> None:
         raise LeftShow(
-            f"{self._name} left the show before it began: whoever conducts was silent for "
+            f"{self._name} left the show before it began: the conductor was silent for "
             f"{ATTENDED_S:g} s",
             why=Why.CONDUCTOR,
             at=0.0,
             measured=self._client.now - self._heard_at,
             limit=ATTENDED_S,
-            cause="its program was ended, or the network between is cut",
+            cause="its program ended, or the network is cut",
         )
 
     async def _fly(
@@ -347,12 +347,12 @@ class TrackExecutor:
         missing = 0 if others is None else others.missing(self._client.now)
         if missing:
             raise LeftShow(
-                f"{self._name} does not begin the show: {missing} of the others are not heard to",
+                f"{self._name} does not begin the show: {missing} of the others are silent",
                 why=Why.NEAR,
                 at=0.0,
                 measured=missing,
                 limit=0,
-                cause="they were not told to, have been killed, or the network between is cut",
+                cause="they have no order to begin, were killed, or the network is cut",
             )
 
     def _require_apart(self) -> None:
@@ -363,7 +363,7 @@ class TrackExecutor:
         near = others.near(own, self._client.now, self._rest)
         if near is None:
             return
-        told, cause = "", f"{near.name} or this one is beside its track, or has left it"
+        told, cause = "", f"{near.name} or {self._name} is beside its track, or has left it"
         if near.silent_s:
             told = f"{near.name} has been silent for {near.silent_s:.1f} s and may stand there: "
             cause = f"{near.name} was killed, or one of the two is cut off"
@@ -379,7 +379,7 @@ class TrackExecutor:
         )
 
     async def _end(self) -> None:
-        """What follows: it hovers, or lands; and whoever comes next may have control."""
+        """What follows: it hovers or lands, and lets go of control."""
         control = self._control
         if self._leave == "land" and control.has_control:
             try:
@@ -394,12 +394,12 @@ class TrackExecutor:
     def _here(self, track: TimedTrack) -> Vector:
         found = self._client.view.to_steer_by(Position)
         if found is None:
-            raise TelemetryStalled(f"where {self._name} is, is not known")
+            raise TelemetryStalled(f"the position of {self._name} is unknown")
         north, east = LocalFrame(*track.origin).to_local(found.latitude_deg, found.longitude_deg)
         return north, east, found.height_m + track.ground_m
 
     def _heading(self) -> float:
         found = self._client.view.to_steer_by(Attitude)
         if found is None:
-            raise TelemetryStalled(f"where the nose of {self._name} points is not known")
+            raise TelemetryStalled(f"the heading of {self._name} is unknown")
         return found.yaw_deg

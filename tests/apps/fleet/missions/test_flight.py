@@ -156,7 +156,7 @@ async def test_an_agent_that_is_killed_meanwhile_is_an_unknown_end(rig: Rig) -> 
 
 async def test_an_agent_that_was_started_anew_is_said(rig: Rig) -> None:
     one = await on_board(rig)
-    with pytest.raises(OutcomeUnknown, match="started anew"):
+    with pytest.raises(OutcomeUnknown, match="restarted"):
         async with (await rig.pilot())["a1"].control() as control:
             async with control.waypoint_mission(away(one, 20, 140), take_off=True) as mission:
                 async for _ in mission:
@@ -167,7 +167,7 @@ async def test_where_nobody_tells_it_is_said_with_what_to_do(rig: Rig) -> None:
     pilot, key = await rig.pilot(), Keys(SITE, "a7")
     with pytest.raises(Unreachable):
         await pilot["a7"].mission()
-    with pytest.raises(OutcomeUnknown, match="does not tell where its mission is"):
+    with pytest.raises(OutcomeUnknown, match="does not report its mission"):
         await mission_card(pilot.asker("a7"), patience=1.0)
     junk = rig.network.session()
     junk.serve(key.mission, lambda q: q.answer(key.mission, b"\x01{]"))

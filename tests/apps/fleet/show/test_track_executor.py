@@ -380,7 +380,7 @@ async def test_what_is_no_number_is_neither_flown_by_nor_told_to_the_others() ->
         agents_before=0,
     )
     performer = TrackExecutor(client, "a1")
-    with pytest.raises(TelemetryStalled, match="nose"):
+    with pytest.raises(TelemetryStalled, match="heading"):
         performer._heading()
     performer.track, performer.stage, performer._start_at = FLOWN, LEFT, 0.0
     performer.neighbours = cast(Any, SimpleNamespace(show="show"))

@@ -1,10 +1,10 @@
-"""Who comes too near to whom in the next ten seconds of a show (pure logic, times are arguments).
+"""Which aircraft come too near in the next ten seconds of a show (pure logic, times are arguments).
 
-What the check of a show found holds for tracks. In the air one may be blown off its track, one may
-have left and hover in another's way, or land through it. So each tells where it will be, and looks
-at what the others tell; whoever would come nearer to another one than the show allows, leaves.
-Nobody counts on the other one to give way. One that is silent may stand anywhere on the way that it
-told last: :mod:`~m100link.apps.fleet.show.plan.conflicts` says why whoever misses it decides soon.
+The check of a show holds for its tracks. In the air an aircraft may be blown off its track, or may
+have left and hover or land in the path of another one. So each publishes where it will be and
+compares that with the others; one that would come nearer to another than the show allows, leaves.
+None relies on the other to give way. An aircraft that is silent may stand anywhere on the path that
+it published last; below, :class:`RestOfTrack` decides about it.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ AHEAD_S = 10.0
 """Seconds that are looked ahead."""
 
 SILENT_S = 1.0
-"""Seconds without a word after which nobody knows whether an aircraft flies on."""
+"""Seconds of silence after which it is unknown whether an aircraft flies on."""
 
 SETTLED_S = 8.0
-"""Seconds without a word after which one has to know whether it flies on: whoever leaves then has
-stopped on the way that it told last, which is as long as :data:`AHEAD_S`."""
+"""Seconds of silence after which the others decide: one that leaves then has stopped on the path
+that it published last, which is as long as :data:`AHEAD_S`."""
 
 _THERE_S = 2.0
 _EVADED_S = 5.0
@@ -89,10 +89,10 @@ class ConflictMonitor:
             found = tuple((float(n), float(e), float(h)) for n, e, h in places)
             times = float(at), float(down_from)
         except (ValueError, TypeError, OverflowError) as error:
-            raise BadShow(f"where an aircraft will be cannot be read: {error}") from None
+            raise BadShow(f"the path of an aircraft cannot be read: {error}") from None
         numbers = [*times, *(one for place in found for one in place)]
         if not found or not all(abs(one) <= _MOST_M for one in numbers):  # NaN is no number
-            raise BadShow("where an aircraft will be is nowhere")
+            raise BadShow("the path of an aircraft has no possible positions")
         return cls(str(show), str(name), times[0], found, times[1])
 
 
@@ -139,7 +139,7 @@ class Neighbours:
 
     def __init__(self, show: str, name: str, least_m: float, count: int = 0) -> None:
         if not 0 <= least_m <= 1000:
-            raise BadShow(f"two aircraft cannot have {least_m:g} m between them")
+            raise BadShow(f"{least_m:g} m is no distance between two aircraft: 0 to 1000 m")
         self.show, self.name, self.least_m, self.count = show, name, least_m, count
         self._heard: dict[str, tuple[ConflictMonitor, float]] = {}
         # Of silent ones that were decided about: their last word.
@@ -218,13 +218,13 @@ class Neighbours:
         return None
 
 
-# -- whether the rest of a track comes near to where one may stand who is not heard any more -------
-# Nobody knows what became of an aircraft that is silent. It may have been killed, and hovers or
-# lands where it was; it may be cut off and fly on, as was checked; and while it finds out that it
-# is cut off, it may stop anywhere on the way that it told last. So whoever misses it decides within
-# that time, too: either the rest of its own track keeps away from that way, and it flies on to the
-# end, or it leaves while it is still on the way that itself told last. Then whatever the silent one
-# does, the two do not meet. Pure logic, no clock.
+# -- whether the rest of a track comes near to where a silent aircraft may stand -------------------
+# The state of a silent aircraft is unknown. It may have been killed, and hover or land on the spot.
+# It may be cut off and fly on, as was checked. While it finds out that it is cut off, it may stop
+# anywhere on the path that it published last. So each other aircraft decides within that time, too.
+# Either the rest of its own track keeps away from that path, and it flies on to the end. Or it
+# leaves while it is still on the path that it published last itself. Then the two do not meet,
+# whatever the silent one does. Pure logic, no clock.
 
 
 _MOST_MOMENTS = 4096

@@ -1,7 +1,7 @@
-"""Shows as JSON: who flies where, and when.
+"""Shows as JSON: which aircraft flies where, and when.
 
-What stands in a file and is not read would be flown without being seen, so nothing is passed over:
-a field that does not exist, or stands there twice, is refused by its name.
+Nothing in a file is passed over, because nobody would notice it in flight: unknown and repeated
+fields are refused by name.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ _BY_DEGREES = ("at", "latitude_deg", "longitude_deg", "height")
 
 @dataclass(frozen=True, slots=True)
 class Show:
-    """What several aircraft fly together."""
+    """A show: several aircraft that fly together."""
 
     name: str  #: for people
-    tracks: tuple[TimedTrack, ...]  #: what each of them flies, in the file's order
-    #: how near two aircraft may come to each other in the air, m, from centre to centre; what GPS
-    #: is wrong by is not in it
+    tracks: tuple[TimedTrack, ...]  #: the track of each aircraft, in the file's order
+    #: how near two aircraft may come to each other in the air, m, from centre to centre; without
+    #: the error of GPS
     least_distance_m: float = 3.0
 
     @property
@@ -61,7 +61,7 @@ class Show:
         """Read a file.
 
         Raises:
-            BadShow: It cannot be read, or is no show.
+            BadShow: It cannot be read, or is not a show.
         """
         try:
             text = read_file(path)
@@ -71,10 +71,10 @@ class Show:
 
     @classmethod
     def parse(cls, text: str | bytes) -> Self:
-        """Read what such a file holds.
+        """Read the text of such a file.
 
         Raises:
-            BadShow: It is no show: not JSON, a field is missing, unknown or out of its range.
+            BadShow: It is not JSON, or a field is missing, unknown or out of its range.
         """
         try:
             found = load_object(text)
@@ -89,7 +89,7 @@ def _values(found: Mapping[str, Any]) -> dict[str, Any]:
     if kind != (FORMAT, VERSION) or isinstance(kind[1], bool):
         raise BadShow(
             f"the format is {_short(kind[0])}, version {_short(kind[1])}",
-            cause="the file is something else, or another version of m100link wrote it",
+            cause="the file is not a show, or another version of m100link wrote it",
             remedy=f'"format": "{FORMAT}", "version": {VERSION}',
         )
     _refuse_unknown(found, _FIELDS, "the show")
@@ -112,9 +112,9 @@ def _values(found: Mapping[str, Any]) -> dict[str, Any]:
     for one in names:
         if names.count(one) > 1:
             raise BadShow(
-                f"{one} stands twice among the aircraft",
+                f"two of the aircraft have the name {one}",
                 aircraft=(one,),
-                remedy="one track for each aircraft, by its name in the fleet",
+                remedy="give one track for each aircraft, by its name in the fleet",
             )
     return {"name": name, "tracks": tracks, "least_distance_m": least}
 
@@ -128,7 +128,7 @@ def _origin(found: Mapping[str, Any], listed: Sequence[Any]) -> tuple[float, flo
         if not isinstance(origin, dict) or "latitude_deg" not in origin:
             raise BadShow(
                 "the show has no origin",
-                cause="where on the earth metres north and east count from is not said",
+                cause="metres north and east need a place on the earth to count from",
                 remedy='"origin": {"latitude_deg": …, "longitude_deg": …}, or the first waypoint '
                 "of the first aircraft in degrees",
             )
@@ -227,21 +227,21 @@ _SAMPLES = 240
 
 @dataclass(frozen=True, slots=True)
 class Closest:
-    """The nearest that any two come to each other."""
+    """The least distance of any two aircraft."""
 
     at: float  #: seconds from the beginning of the show
-    first: str  #: name of one of them
-    second: str  #: of the other one
+    first: str  #: name of one aircraft
+    second: str  #: name of the other one
     distance_m: float  #: between their tracks
-    needed_m: float  #: what these two need there
+    needed_m: float  #: distance that these two need there
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What the check of a show found."""
+    """Result of the check of a show."""
 
-    problems: tuple[BadShow, ...]  #: why it must not be flown; none if it may be
-    remarks: tuple[str, ...]  #: what may surprise
+    problems: tuple[BadShow, ...]  #: why it must not be flown; empty if it may be
+    remarks: tuple[str, ...]  #: what is allowed and may surprise
     closest: Closest | None  #: the nearest pair; None if there is only one aircraft
 
     @property
@@ -261,11 +261,11 @@ def needed_m(show: Show, first: TimedTrack, second: TimedTrack) -> float:
 
 
 def check(show: Show, envelope: Envelope | None = None) -> Report:
-    """Look at each aircraft by itself, and at all of them together.
+    """Check each aircraft by itself, and all of them together.
 
     Args:
         show: The show.
-        envelope: Of the agents' guards; by default the guards' own.
+        envelope: Envelope of the agents' guards; by default that of :class:`m100link.Guards`.
     """
     problems = [
         problem for track in show.tracks for problem in _alone(track, envelope or Envelope())
@@ -278,7 +278,7 @@ def check(show: Show, envelope: Envelope | None = None) -> Report:
 
 
 def _alone(track: TimedTrack, envelope: Envelope) -> Iterator[BadShow]:
-    """What its guards and its autopilot would not fly."""
+    """What its guards or its autopilot would not fly."""
     spots = [(point.north, point.east) for point in track.points]
     far = max(math.dist(spots[0], spot) for spot in spots)  # it takes off below its first point
     highest = max(point.height for point in track.points) - track.ground_m
@@ -305,12 +305,12 @@ def _alone(track: TimedTrack, envelope: Envelope) -> Iterator[BadShow]:
         if leg.hardest_m_s2 > ACCELERATION_M_S2:
             yield BadShow(
                 f"{track.name} accelerates by {leg.hardest_m_s2:.1f} m/s² between {leg.begin:g} "
-                f"and {leg.end:g} s, {ACCELERATION_M_S2:g} m/s² are flown",
+                f"and {leg.end:g} s; {ACCELERATION_M_S2:g} m/s² are allowed",
                 aircraft=(track.name,),
                 at=leg.begin,
                 measured=leg.hardest_m_s2,
                 limit=ACCELERATION_M_S2,
-                remedy=f"give it {leg.duration * _slower(leg.hardest_m_s2):.1f} s, or put points "
+                remedy=f"give it {leg.duration * _slower(leg.hardest_m_s2):.1f} s, or add points "
                 "where it turns",
             )
             return  # the others are mostly neighbours of the same corner
@@ -327,13 +327,13 @@ def _too_much(track: TimedTrack, which: int, speed: float, limit: float) -> BadS
     does = "climbs or descends at" if which else "flies"
     return BadShow(
         f"{track.name} {does} {speed:.1f} m/s between {leg.begin:g} and {leg.end:g} s, "
-        f"{limit:g} m/s may be flown",
+        f"{limit:g} m/s are allowed",
         aircraft=(track.name,),
         at=leg.begin,
         measured=speed,
         limit=limit,
         cause="between two points it begins and ends slowly and is 1.5 times as fast in the middle",
-        remedy=f"give it {leg.duration * speed / limit:.1f} s, or a shorter way",
+        remedy=f"give it {leg.duration * speed / limit:.1f} s, or a shorter path",
     )
 
 
@@ -410,7 +410,7 @@ def distances(show: Show) -> list[tuple[float, float]]:
 
 
 def _remarks(show: Show) -> Iterator[str]:
-    """Who flies over whom: what breaks down above somebody comes down there."""
+    """Aircraft above others: one that fails falls on whatever is below."""
     told: set[tuple[int, int]] = set()
     for at, there in places(show):
         for (i, first), (j, second) in combinations(enumerate(there), 2):
@@ -420,7 +420,7 @@ def _remarks(show: Show) -> Iterator[str]:
                 told.add((upper, lower))
                 yield (
                     f"{show.tracks[upper].name} is above {show.tracks[lower].name} at {at:.1f} s: "
-                    "if it has to land there, it comes down on it"
+                    "if it fails or lands there, it falls on it"
                 )
 
 

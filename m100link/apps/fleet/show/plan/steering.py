@@ -1,7 +1,7 @@
-"""Where to steer to keep to a track that is timed, and when to leave it. No I/O, no clock.
+"""Where to steer to keep to a timed track, and when to leave it. No I/O, no clock.
 
-Whoever flies gives the time and the place, and gets the velocity that is wanted or an error that
-says why the aircraft does not belong to the show any more.
+The caller gives the time and the place. It gets the wanted velocity, or an error that says why the
+aircraft leaves the show.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Why(Enum):
 class ShowRefused(
     M100Error,
     code="M100-SHOW-REFUSED",
-    cause="a clock that nobody knows well enough, or an aircraft that stands elsewhere",
+    cause="a clock that is not known well enough, or an aircraft at another place",
     remedy="look at `why`; nothing has begun",
 ):
     """An aircraft does not begin its track."""
@@ -60,27 +60,27 @@ class ShowRefused(
         remedy: str = "",
     ) -> None:
         super().__init__(seen, cause=cause, remedy=remedy)
-        self.why = why  #: what is in the way
-        self.measured = measured  #: as a number
-        self.limit = limit  #: what it may be
+        self.why = why  #: the reason
+        self.measured = measured  #: the measured value
+        self.limit = limit  #: its limit
 
 
 class LeftShow(
     M100Error,
     code="M100-LEFT-SHOW",
-    cause="wind, a battery that does not give enough, or a line that stood still",
-    remedy="it hovers or lands where it is, as its control block was told; the others fly on",
+    cause="wind, a weak battery, or a link that stood still",
+    remedy="it hovers or lands where it is, as --leave says; the others fly on",
 ):
-    """An aircraft flew its track and could not keep to it."""
+    """An aircraft left its show."""
 
     def __init__(
         self, seen: str, *, why: Why, at: float, measured: float, limit: float, cause: str = ""
     ) -> None:
         super().__init__(seen, cause=cause)
-        self.why = why  #: what went wrong
+        self.why = why  #: the reason
         self.at = at  #: seconds from the beginning of the show
-        self.measured = measured  #: metres from its track, or s by which the clock may be wrong
-        self.limit = limit  #: what it may be
+        self.measured = measured  #: the measured value, in m, s or aircraft
+        self.limit = limit  #: its limit
 
 
 class TrackSteering:
@@ -102,9 +102,9 @@ class TrackSteering:
                 why=Why.PLACE,
                 measured=aside,
                 limit=tube,
-                cause="it was put elsewhere, or the show has another origin",
-                remedy="carry it below its first point: on the way there by air it could meet "
-                "another one",
+                cause="it stands elsewhere, or the show has another origin",
+                remedy="carry it below its first point: if it flew there, it could meet another "
+                "aircraft",
             )
 
     def require_fast_enough(self) -> None:
@@ -112,12 +112,12 @@ class TrackSteering:
         needed = self._track.fastest[0]
         if needed > self._fastest:
             raise ShowRefused(
-                f"the track of {self._track.name} is flown at {needed:.1f} m/s; "
-                f"{self._fastest:.1f} m/s are allowed there",
+                f"the track of {self._track.name} needs {needed:.1f} m/s; "
+                f"its guards allow {self._fastest:.1f} m/s",
                 why=Why.SPEED,
                 measured=needed,
                 limit=self._fastest,
-                cause="the guards of its agent are narrower than those the show was checked with",
+                cause="the guards of its agent are narrower than those of the check",
                 remedy="m100link fleet show check FILE --max-speed",
             )
 
@@ -139,7 +139,7 @@ class TrackSteering:
                 why=Why.CLOCK,
                 measured=bound,
                 limit=SKEW_S,
-                cause="the way to the fleet's clock is slow or lossy, or it has not answered",
+                cause="the link to the conductor is slow or lossy, or the conductor is silent",
                 remedy="wait for more round trips, or bring both into one network",
             )
         if early > MOST_EARLY_S:
@@ -148,8 +148,7 @@ class TrackSteering:
                 why=Why.EARLY,
                 measured=early,
                 limit=MOST_EARLY_S,
-                cause="the order names a time of another clock, or somebody means to wait in the "
-                "air",
+                cause="the order has a time of another clock, or the show begins much later",
                 remedy="name a time within two minutes; wait on the ground for a later one",
             )
         if not early > 0:
@@ -158,7 +157,7 @@ class TrackSteering:
                 why=Why.LATE,
                 measured=-early,
                 limit=0.0,
-                cause="the order took too long, or names a time of another clock",
+                cause="the order took too long, or has a time of another clock",
                 remedy="begin some seconds from now",
             )
         off = math.dist(here, self._track.moment(0.0).place)
@@ -205,7 +204,7 @@ class TrackSteering:
                 at=at,
                 measured=bound,
                 limit=SKEW_S,
-                cause="the fleet's clock has not answered for long",
+                cause="the conductor has been silent for long",
             )
 
     def _require_near(self, at: float, off: float) -> None:

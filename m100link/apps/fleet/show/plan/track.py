@@ -41,15 +41,15 @@ Cubic = tuple[Vector, Vector, Vector, Vector]
 class BadShow(
     UsageError,
     code="M100-BAD-SHOW",
-    cause="a show that would bring aircraft too near to each other, or a file that is none",
+    cause="a show that brings aircraft too near to each other, or a file that is not a show",
     remedy="`m100link fleet show check FILE` names what is wrong, the aircraft and the time",
 ):
-    """A show that must not be flown, or a file that is none."""
+    """A show that must not be flown, or a file that is not a show."""
 
-    aircraft: tuple[str, ...] = ()  #: names of those it is about; none if it is the whole
-    at: float | None = None  #: seconds from the beginning of the show, None if of no moment
-    measured: float | None = None  #: what it is, as a number
-    limit: float | None = None  #: what it may be
+    aircraft: tuple[str, ...] = ()  #: names of the aircraft concerned; empty for the whole show
+    at: float | None = None  #: seconds from the beginning of the show; None without a moment
+    measured: float | None = None  #: the measured value
+    limit: float | None = None  #: its limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,10 +140,10 @@ class TrackSegment:
 
 @dataclass(frozen=True)
 class TimedTrack:
-    """What one aircraft flies.
+    """The timed track of one aircraft.
 
     Raises:
-        BadShow: These are no track.
+        BadShow: The values make no track.
     """
 
     name: str  #: of the aircraft
@@ -154,7 +154,7 @@ class TimedTrack:
     #: height of its take-off point above the show's origin, m; the aircraft's own heights count
     #: from there. It takes off below its first point.
     ground_m: float = 0.0
-    #: where the nose points, None for wherever it points when the show begins
+    #: heading of the nose, °; None for its heading when the show begins
     heading_deg: float | None = None
     tube_m: float = 1.5  #: how far it may be from its track before it leaves the show
 
@@ -218,7 +218,7 @@ class TimedTrack:
         return max(across for across, _ in each), max(upright for _, upright in each)
 
     def to_bytes(self) -> bytes:
-        """What is uploaded and hashed: the same bytes for the same track on every machine.
+        """The bytes to upload and hash: the same for the same track on every machine.
 
         ``m100link track 1`` and a line feed; the length of the name in two bytes, and it; latitude
         and longitude of the origin, height of the ground and width of the tube; one byte that says
@@ -264,7 +264,7 @@ class TimedTrack:
             raise BadShow(
                 f"the bytes of a track cannot be read: {error}",
                 cause="another version wrote them, or they were damaged on their way",
-                remedy="upload the track again, by the same version as the agent's",
+                remedy="upload the track again, with the same release as the agent's",
             ) from error
         made = cls(
             name, (latitude, longitude), points, ground, heading if has_heading else None, tube

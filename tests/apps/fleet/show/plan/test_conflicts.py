@@ -212,7 +212,7 @@ def test_what_is_told_comes_out_as_it_went_in() -> None:
     ],
 )
 def test_nonsense_is_refused(data: bytes) -> None:
-    with pytest.raises(BadShow, match="where an aircraft will be"):
+    with pytest.raises(BadShow, match="the path of an aircraft"):
         ConflictMonitor.from_bytes(data)
 
 

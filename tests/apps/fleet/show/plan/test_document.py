@@ -96,7 +96,7 @@ POINT = ("aircraft", 1, "waypoints", 2)
         (at("aircraft")([]), "aircraft is []"),
         (at("aircraft")([{}] * 201), "aircraft is [{}"),
         (at("aircraft", 1)(7), "aircraft 1 is 7"),
-        (at("aircraft", 1, "name")("a1"), "a1 stands twice"),
+        (at("aircraft", 1, "name")("a1"), "two of the aircraft have the name a1"),
         (at("aircraft", 1, "colour")("red"), 'a2: there is no field "colour"'),
         (at("aircraft", 1, "waypoints")("x"), 'a2: waypoints is "x"'),
         (at("aircraft", 1, "heading_deg")(270), "a2: the heading is 270°"),
@@ -207,7 +207,7 @@ def test_the_envelope_may_be_another_one() -> None:
     far = show_of(track("a1", (0, 0, 0, 5), (100, 160, 0, 5)))
     assert len(said(far)) == 1
     assert said(far, Envelope(max_radius_m=200)) == []
-    assert "1.6 m/s may be flown" in said(far, Envelope(max_radius_m=200, max_speed_m_s=2))[0]
+    assert "1.6 m/s are allowed" in said(far, Envelope(max_radius_m=200, max_speed_m_s=2))[0]
 
 
 # -- together -------------------------------------------------------------------------------------
@@ -250,7 +250,7 @@ def test_who_is_above_whom_is_remarked() -> None:
     assert report.ok
     [remark] = report.remarks
     assert remark.startswith("a2 is above a1 at ")
-    assert remark.endswith("if it has to land there, it comes down on it")
+    assert remark.endswith("if it fails or lands there, it falls on it")
 
 
 def test_the_curve_of_distances_never_goes_below_the_nearest() -> None:
