@@ -386,7 +386,7 @@ def push(
     folder: Path | None = None,
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
-    """Bring revoked.list to agents: they refuse revoked operators, and what these flew hovers.
+    """Bring revoked.list to agents: they refuse revoked operators, whose aircraft hover.
 
     It needs the right to stop the aircraft. An aircraft that is absent keeps its older list: push
     again when it is back.

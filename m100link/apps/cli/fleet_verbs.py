@@ -133,7 +133,7 @@ def takeoff(*names: Names, everybody: All = False, options: FleetOptions = NO_OP
 
 @app.command
 def land(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
-    """Land aircraft, all at once, also those that others control; nobody is asked.
+    """Land aircraft, all at once, even while others control them; nobody is asked.
 
     Args:
         names: Names of aircraft.
@@ -144,7 +144,7 @@ def land(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIO
 
 @app.command
 def stop(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
-    """Stop aircraft, all at once, also those that others control: each hovers.
+    """Stop aircraft, all at once, even while others control them: each hovers.
 
     Args:
         names: Names of aircraft.
