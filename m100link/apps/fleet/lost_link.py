@@ -191,7 +191,9 @@ class LostLinkAction:
             except LeaseHeld:
                 return  # by somebody who is there
             except M100Error as error:
-                self._client.note(f"the operator is lost; no landing: {error.seen}", "error")
+                self._client.note(
+                    f"the operator is lost, and it did not land: {error.seen}", "error"
+                )
             else:
                 self._aloft.flown_under(0)
                 return
@@ -200,7 +202,8 @@ class LostLinkAction:
             if self._client.holder.number:
                 return
             after = _AGAIN_S
-        self._client.note(f"the operator is lost, but {self._somebody}: no landing", "warning")
+        text = f"the operator is lost, but {self._somebody}: the aircraft is left alone"
+        self._client.note(text, "warning")
         self._aloft.flown_under(0)
 
     async def _nobody_came(self, within: float) -> bool:
