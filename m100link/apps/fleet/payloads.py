@@ -3,8 +3,8 @@
 The first byte of every payload is :data:`VERSION`; a reader of another version says so and reads no
 more. Behind it telemetry, events and setpoints are the messages of
 :mod:`m100link.apps.agent.messages`, by :mod:`m100link.apps.agent.codec`. A fleet adds values as
-JSON: :class:`OrderMessage`, :class:`OrderReply` and :class:`Card`. Proof and signature are over the bytes of an
-order as they are sent: nobody encodes them again, and readers refuse ambiguous JSON.
+JSON: :class:`OrderMessage`, :class:`OrderReply` and :class:`Card`. Proof and signature are over the
+bytes of an order as they are sent: nobody encodes them again, and readers refuse ambiguous JSON.
 """
 
 from __future__ import annotations

@@ -12,7 +12,13 @@ import pytest
 
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.expiry import Dropped
-from m100link.apps.fleet.lost_link import INHERITED_S, KEPT_AGAIN_S, Lost, LostAction, LostLinkPlan
+from m100link.apps.fleet.lost_link import (
+    INHERITED_S,
+    KEPT_AGAIN_S,
+    LostAction,
+    LostLinkAction,
+    LostLinkPlan,
+)
 from m100link.apps.fleet.order_log import LastFlightRecord, MemoryOrderLog
 from m100link.errors import FleetError, GuardRefused, M100Error, UsageError
 from m100link.protocol.records import RcMode, RemoteControl
@@ -154,7 +160,7 @@ def test_a_stick_is_moved_to_either_side(axis: int, value: int, is_moved: bool) 
     roll, pitch, yaw, throttle = (value if one == axis else 0 for one in range(4))
     remote = RemoteControl(roll, pitch, yaw, throttle, RcMode.F, -4545)
     view = SimpleNamespace(get=lambda record: remote)
-    lost = object.__new__(Lost)
+    lost = object.__new__(LostLinkAction)
     lost._client = cast(Any, SimpleNamespace(view=view))
     assert lost._by_remote() == ("a stick was moved" if is_moved else "")
 

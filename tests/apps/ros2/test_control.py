@@ -173,16 +173,16 @@ def test_of_very_many_who_send_when_control_is_obtained_nobody_has_the_stick() -
 @pytest.mark.parametrize("state", ControlState)
 def test_a_stop_ends_the_stick_with_the_control(state: ControlState) -> None:
     """Whoever pressed it: who sends setpoints does not fly on by them."""
-    helm = object.__new__(Helm)
+    control = object.__new__(RosControl)
     view = SimpleNamespace(is_on_ground=False)
     agent = SimpleNamespace(now=0.1, view=view, state=SimpleNamespace(task=""))
-    helm._agent, helm.goal, helm.stick = cast(Any, agent), "", Stick()
-    helm.session = cast(Any, SimpleNamespace(state=state, heard=lambda *, is_idle: None))
-    helm.stick.begin(0.0)
-    helm.stick.hear(ONE, 0.0, 0.0)
-    helm.advance()
+    control._agent, control.goal, control.mux = cast(Any, agent), "", SetpointMux()
+    control.session = cast(Any, SimpleNamespace(state=state, heard=lambda *, is_idle: None))
+    control.mux.begin(0.0)
+    control.mux.hear(ONE, 0.0, 0.0)
+    control.advance()
     is_kept = state is ControlState.HOLDING
-    assert (helm.stick.is_open, helm.stick.holder) == (is_kept, ONE if is_kept else None)
+    assert (control.mux.is_open, control.mux.holder) == (is_kept, ONE if is_kept else None)
 
 
 def twist(x: float, y: float, z: float, turn: float) -> dict[str, Any]:

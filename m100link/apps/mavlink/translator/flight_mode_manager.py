@@ -91,7 +91,9 @@ class FlightModeManager:
     def phase(self) -> VehiclePhase:
         """Where the flight stands; a take-off that was ordered counts as flown."""
         phase = self._world.phase
-        if phase is VehiclePhase.ARMED and isinstance(self._current, ReleaseControl | CancelTakeOff):
+        if phase is VehiclePhase.ARMED and isinstance(
+            self._current, ReleaseControl | CancelTakeOff
+        ):
             return VehiclePhase.DISARMED  # it was requested, and holds before it is carried out
         is_flying = self.running not in (FlightSource.NOTHING, FlightSource.STREAM)
         return VehiclePhase.AIRBORNE if phase is VehiclePhase.ARMED and is_flying else phase

@@ -17,7 +17,7 @@ _REAL32, _INT32 = 9, 6
 
 
 @dataclass(frozen=True, slots=True)
-class MavlinkParameter:
+class ParamRow:
     value: float | None  # at first; of one that tells of the aircraft, None
     meaning: str  # for the manual
     least: float = 0.0  # what it may be set to
@@ -31,30 +31,30 @@ class MavlinkParameter:
         return self.most > self.least
 
 
-PARAMETERS: Mapping[str, MavlinkParameter] = {
-    "MAV_SYS_ID": MavlinkParameter(
+PARAMETERS: Mapping[str, ParamRow] = {
+    "MAV_SYS_ID": ParamRow(
         None, "system id of this aircraft", told=lambda _, system: system, is_whole=True
     ),
-    "MIS_TAKEOFF_ALT": MavlinkParameter(2.5, "height of a take-off without one, m", 1.5, 100.0),
-    "RTL_RETURN_ALT": MavlinkParameter(-1.0, "DJI's own setting, unknown here: -1"),
-    "COM_OF_LOSS_T": MavlinkParameter(0.5, "s without a setpoint until OFFBOARD holds", 0.1, 2.0),
-    "MPC_XY_CRUISE": MavlinkParameter(5.0, "speed of flights to a place and of missions, m/s", 0.5, 10.0),
-    "MPC_XY_VEL_MAX": MavlinkParameter(5.0, "greatest speed of OFFBOARD and of sticks, m/s", 0.5, 10.0),
-    "MPC_Z_VEL_MAX_UP": MavlinkParameter(2.0, "greatest climb of OFFBOARD and of sticks, m/s", 0.2, 4.0),
-    "MPC_Z_VEL_MAX_DN": MavlinkParameter(1.5, "greatest descent of them, m/s", 0.2, 3.0),
-    "MPC_MAN_Y_MAX": MavlinkParameter(60.0, "greatest turn of sticks, degrees/s", 5.0, 100.0),
-    "MPC_MAN_TILT_MAX": MavlinkParameter(15.0, "greatest tilt of sticks in ALTCTL, degrees", 1.0, 30.0),
-    "GF_MAX_HOR_DIST": MavlinkParameter(
+    "MIS_TAKEOFF_ALT": ParamRow(2.5, "height of a take-off without one, m", 1.5, 100.0),
+    "RTL_RETURN_ALT": ParamRow(-1.0, "DJI's own setting, unknown here: -1"),
+    "COM_OF_LOSS_T": ParamRow(0.5, "s without a setpoint until OFFBOARD holds", 0.1, 2.0),
+    "MPC_XY_CRUISE": ParamRow(5.0, "speed of flights to a place and of missions, m/s", 0.5, 10.0),
+    "MPC_XY_VEL_MAX": ParamRow(5.0, "greatest speed of OFFBOARD and of sticks, m/s", 0.5, 10.0),
+    "MPC_Z_VEL_MAX_UP": ParamRow(2.0, "greatest climb of OFFBOARD and of sticks, m/s", 0.2, 4.0),
+    "MPC_Z_VEL_MAX_DN": ParamRow(1.5, "greatest descent of them, m/s", 0.2, 3.0),
+    "MPC_MAN_Y_MAX": ParamRow(60.0, "greatest turn of sticks, degrees/s", 5.0, 100.0),
+    "MPC_MAN_TILT_MAX": ParamRow(15.0, "greatest tilt of sticks in ALTCTL, degrees", 1.0, 30.0),
+    "GF_MAX_HOR_DIST": ParamRow(
         None,
         "the agent's envelope: m from where control was obtained; 0 without",
         told=lambda world, _: world.known.view.state.limits.max_radius_m,
     ),
-    "GF_MAX_VER_DIST": MavlinkParameter(
+    "GF_MAX_VER_DIST": ParamRow(
         None,
         "the agent's envelope: m above the take-off point; 0 without",
         told=lambda world, _: world.known.view.state.limits.max_height_m,
     ),
-    "COM_ARM_BAT_MIN": MavlinkParameter(
+    "COM_ARM_BAT_MIN": ParamRow(
         None,
         "the agent's floor of the battery, 0 to 1",
         told=lambda world, _: (world.known.view.state.limits.battery_floor_percent or 0) / 100,

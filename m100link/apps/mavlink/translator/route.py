@@ -170,7 +170,9 @@ ITEMS: Mapping[int, ItemRow] = {
     MavCommand.NAV_LOITER_UNLIM: ItemRow(Route.loiter, "straight there, and the end"),
     MavCommand.NAV_DELAY: ItemRow(Route.delay, "seconds, at the waypoint before"),
     MavCommand.DO_CHANGE_SPEED: ItemRow(Route.change_speed, "of the following items, up to 10 m/s"),
-    MavCommand.NAV_RETURN_TO_LAUNCH: ItemRow(Route.go_home, "the autopilot's return home at the end"),
+    MavCommand.NAV_RETURN_TO_LAUNCH: ItemRow(
+        Route.go_home, "the autopilot's return home at the end"
+    ),
     MavCommand.NAV_LAND: ItemRow(Route.land, "the autopilot's landing at the end"),
 }
 """By number. Other NAV and CONDITION items refuse the mission; all else is left out by name."""

@@ -511,7 +511,7 @@ async def test_a_peer_that_asks_for_a_kilohertz_changes_nothing_for_another(
     assert await ground.ask(MavCommand.GET_MESSAGE_INTERVAL, number) is MavResult.ACCEPTED
     assert ground.last("MESSAGE_INTERVAL")["interval_us"] == -1
     number = LAYOUTS["ATTITUDE"].number  # asked for each millisecond, and told what it gets
-    assert await ground.ask(Command.GET_MESSAGE_INTERVAL, number) is Result.ACCEPTED
+    assert await ground.ask(MavCommand.GET_MESSAGE_INTERVAL, number) is MavResult.ACCEPTED
     assert ground.last("MESSAGE_INTERVAL")["interval_us"] == 20_000
 
 
