@@ -478,7 +478,7 @@ def test_each_message_that_is_defined_is_sent_or_read() -> None:
 
 def test_each_message_that_is_sent_or_read_is_defined() -> None:
     """A message without a definition would end the bridge when it is sent for the first time."""
-    made = set(re.findall(r'\bMessage\(\s*"(\w+)"', ROOM))
+    made = set(re.findall(r'\bMavlinkMessage\(\s*"(\w+)"', ROOM))
     assert len(made) > 15
     assert made - LAYOUTS.keys() == set()
     known: Any = Known()
