@@ -66,8 +66,6 @@ class Held(Protocol):
 
 
 class Outlet(Held, Protocol):
-    """Where messages under one key go."""
-
     def put(self, payload: bytes, attachment: bytes | None = None) -> None:
         """Send one; never waits, and what the network does not take is lost."""
 

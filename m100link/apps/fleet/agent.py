@@ -123,7 +123,6 @@ class FleetAgent:
         client.on_steer_refused.append(self._steer_refused)
 
     async def run(self) -> None:
-        """Be there, until this is cancelled."""
         keys, bus = self._keys, self._bus
         with ExitStack() as stack:
 

@@ -25,8 +25,6 @@ agent's computer restarted, and says nothing of its age."""
 
 
 class OrderExpiry:
-    """The orders that one agent hears."""
-
     def __init__(self) -> None:
         self.not_before = -math.inf  # what was made before that time has been revoked
         # Of the order that was made last of those that were heard: number of its lease, and when.

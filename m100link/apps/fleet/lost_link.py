@@ -64,8 +64,6 @@ class LostLinkPlan:
 
 
 class LostLinkAction:
-    """Watches the lease of one aircraft."""
-
     def __init__(
         self,
         client: AgentClient,  # what knows the agent

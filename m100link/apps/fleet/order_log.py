@@ -437,7 +437,6 @@ class Mark:
 
 
 def seal(number: int, first: int, content: dict[str, Any]) -> str:
-    """Return a line of a file."""
     body = f"{number} {first} {json.dumps(content)}"
     return f"{crc32(body.encode()):08x} {body}\n"
 
@@ -452,7 +451,6 @@ class Words:
 
 
 def words(data: bytes, mark: bytes) -> Words:
-    """Read a file and its mark."""
     # What has no end was cut off by the loss of power as it was written: it had not begun.
     lines = data.decode("ascii", "replace").split("\n")[:-1]
     read = [_unsealed(line) for line in lines]

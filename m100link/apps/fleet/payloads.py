@@ -218,8 +218,6 @@ class SendTrack(ShowOrder):
 
 @dataclass(frozen=True, slots=True)
 class LoadTrack(ShowOrder):
-    """Take the pieces for its track."""
-
     leave: str  # ``"hover"`` or ``"land"`` behind the track, or when it has to leave
     show: str = ""  # names the show, for the others that fly it; empty to look at none
     least_m: float = 0.0  # least distance to another one, m
@@ -256,8 +254,6 @@ class Progress(Enum):
 
 @dataclass(frozen=True)
 class OrderMessage:
-    """Something is asked of one aircraft."""
-
     id: str  # chosen by who asks, 32 hex digits. An order is carried out once for each id
     site: str  # where the aircraft is for which it is meant
     aircraft: str  # its name

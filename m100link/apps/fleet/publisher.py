@@ -122,8 +122,6 @@ _DEPTH = 20_000
 
 
 class FleetTelemetry:
-    """Hears aircraft until it is closed."""
-
     def __init__(
         self,
         bus: Bus,

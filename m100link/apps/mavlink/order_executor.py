@@ -60,8 +60,6 @@ _CLOSE_M = 0.3  # a climb of less than this after the take-off is not asked for
 
 
 class OrderExecutor:
-    """Asks the agent of one aircraft."""
-
     def __init__(
         self,
         agent: AgentClient,

@@ -67,8 +67,6 @@ class PublishedTopic:
 
 
 class Input:
-    """A topic that is listened to."""
-
     def __init__(self, inbox: Inbox[Received], kind: str) -> None:
         self._inbox, self._kind = inbox, kind
         self.refused = 0

@@ -80,7 +80,6 @@ class NodeName:
 
     @property
     def token(self) -> str:
-        """What says that it is there."""
         return self._token(self.number, EntityKind.NODE)
 
     def token_of(self, number: int, end: EntityKind, topic: str, kind: str, qos: Qos) -> str:

@@ -49,8 +49,6 @@ ACTIONS: Mapping[str, Callable[[float], WaypointAction]] = {
 
 
 class MissionServices:
-    """What the services of missions do."""
-
     def __init__(self, control: RosControl) -> None:
         self._control = control
 

@@ -22,8 +22,6 @@ EVENTS = Qos(depth=100)
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """A topic that the node publishes."""
-
     kind: str
     qos: Qos  # its quality of service
     hz: float  # messages per second at most; 0 where they come when there is something to say

@@ -107,7 +107,6 @@ class Viewer:
         self._texts = deque((json.dumps(info), json.dumps({"op": "advertise", "channels": told})))
 
     def wants(self, channel: int) -> bool:
-        """Whether it subscribed to a channel."""
         return channel in self._by_subscription.values()
 
     def receive(self, frame: str | bytes, now: float) -> None:

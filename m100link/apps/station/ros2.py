@@ -72,7 +72,6 @@ def prepare(stack: AsyncExitStack, settings: Settings) -> list[socket.socket]:
 
 
 async def serve(fronts: Fronts) -> None:
-    """Serve a node for each aircraft."""
     agents = await fronts.reached("ROS 2")
     await fronts.stack.enter_async_context(serving_ros2(agents, fronts.settings))
 

@@ -85,7 +85,6 @@ class AgentServer:
         front.greet(self._state())
 
     def close(self) -> None:
-        """Close the channels of all fronts."""
         for front in list(self._fronts):
             front.close("the agent ends")
 

@@ -368,8 +368,6 @@ class MessageReader:
 
 
 class _Found(NamedTuple):
-    """What stands behind a start byte."""
-
     message: MavlinkMessage | None  # the message, if it is one for us
     end: int  # where the frame ends; 0 if there is none
     checked: int  # bytes that were looked at

@@ -54,8 +54,6 @@ _CONTROLLED = (VehiclePhase.ARMED, VehiclePhase.AIRBORNE)
 
 
 class FlightModeManager:
-    """The flight manager of one aircraft."""
-
     def __init__(
         self,
         world: VehicleState,  # what is known of it
@@ -272,7 +270,6 @@ class FlightModeManager:
             self.orders.append(self._arming)
 
     def disarm(self, peer: Peer) -> MavResult:
-        """Give authority back, on the ground."""
         if self.is_others(peer, "disarm"):
             return MavResult.TEMPORARILY_REJECTED
         # An ordered take-off counts as flown for all other requests. For this one it does not: a
@@ -466,7 +463,6 @@ class FlightModeManager:
 
     @property
     def flies_mission(self) -> bool:
-        """Whether the mission is flown now."""
         return self._mode is Mode.MISSION and self.phase is VehiclePhase.AIRBORNE
 
     def steer_refused(self, error: M100Error) -> None:

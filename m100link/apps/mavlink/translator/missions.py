@@ -217,7 +217,6 @@ class MissionProtocol:
         self.flies_to(number)
 
     def flies_to(self, number: int) -> None:
-        """The item that is flown to."""
         if number != self.current:
             self.current = number
             self._told_at = float("-inf")

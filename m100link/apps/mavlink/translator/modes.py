@@ -83,8 +83,6 @@ REMEDIES: dict[VehiclePhase, str] = {
 
 
 class ModeVerdict(Enum):
-    """What becomes of a mode request."""
-
     START = "it begins"
     OBTAIN = "control authority is obtained, then it begins"
     REMEMBER = "it begins when the aircraft is armed, if that is soon"

@@ -54,8 +54,6 @@ class CancelTakeOff(VehicleOrder):
 
 @dataclass(frozen=True, slots=True)
 class LandInPlace(VehicleOrder):
-    """Let the autopilot land in place."""
-
     running: ClassVar[FlightSource] = FlightSource.LAND
 
     # End the autopilot's task first, by giving authority back and asking anew.
@@ -127,8 +125,6 @@ class Drop:
 
 @dataclass(frozen=True, slots=True)
 class ModeRequest:
-    """What somebody wants to be flown."""
-
     mode: Mode  # in which mode
     order: VehicleOrder | None  # what the agent is asked for; None where setpoints fly
     peer: Peer | None = None  # who wants it; None for the bridge itself

@@ -19,7 +19,6 @@ class Peer:
 
     @property
     def name(self) -> str:
-        """What it is called for people."""
         return f"MAVLink {self.system} at {self.address[0]}:{self.address[1]}"
 
     @property

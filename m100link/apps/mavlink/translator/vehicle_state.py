@@ -30,8 +30,6 @@ class Home:
 
 
 class VehicleState:
-    """One aircraft as it is now."""
-
     def __init__(self, known: AgentClient, session: ControlSession) -> None:
         self.known = known
         self.session = session  # control by the bridge
@@ -74,7 +72,6 @@ class VehicleState:
         return None if attitude is None else attitude.yaw_deg
 
     def look(self) -> None:
-        """Note where it stands, for home."""
         view = self.known.view
         if not view.is_on_ground or (position := view.place) is None:
             return

@@ -312,7 +312,6 @@ class Tab:
             session.close()
 
     def close(self) -> None:
-        """The tab is gone for good."""
         self.lost()
         self.session.close()
 

@@ -122,13 +122,11 @@ class Tabs:
                 session.close()
 
     def close(self, key: str) -> None:
-        """A tab is gone for good."""
         tab = self.tabs.pop(key, None)
         if tab is not None:
             tab.close()
 
     def shown(self) -> frozenset[str]:
-        """The aircraft that somebody looks at."""
         return frozenset(tab.aircraft for tab in self.tabs.values())
 
     def dropped(self) -> dict[str, int]:

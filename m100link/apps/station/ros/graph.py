@@ -173,7 +173,6 @@ class Graph:
         self.services[name] = RosService(name, SERVICES[type_name], on_call)
 
     def publish(self, topic: RosTopic, message: Message, now: float) -> None:
-        """Give a message to every subscriber."""
         if topic.subscribers:
             publication = Publication(topic, message)
             for session in topic.subscribers:

@@ -37,8 +37,6 @@ _KINDS = {"no mission": 0, "waypoint mission": 1, "hotpoint": 2, "follow mission
 
 
 class MissionTopics:
-    """The topics and services of missions."""
-
     def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
         self._agent, self._graph, self._clients = agent, graph, clients
         self._task: Message | None = None  # what was uploaded last, as it came

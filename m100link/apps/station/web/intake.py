@@ -324,7 +324,6 @@ class SocketListener:
         self.intake.put(self)
 
     def step(self) -> None:
-        """Accept some of the waiting connections."""
         if self._is_closed:
             return
         for _ in range(_AT_ONCE):

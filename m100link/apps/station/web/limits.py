@@ -87,7 +87,6 @@ class SparingLogger(logging.LoggerAdapter[logging.Logger]):
         return level >= self._least and super().isEnabledFor(level)
 
     def log(self, level: int, msg: object, *args: object, **keywords: Any) -> None:
-        """Write a line, or count it."""
         if not self.isEnabledFor(level):
             return
         kind, now = str(msg), self._clock()

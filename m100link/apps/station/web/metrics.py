@@ -98,7 +98,6 @@ class StationMetrics(Collector):
         self._dropped_by_tabs = dropped_by_tabs
 
     def collect(self) -> Iterator[Metric]:
-        """All families, each with its samples."""
         for kind, name, text, labels, samples in self._families():
             family = kind(name, text, labels=labels)
             for values, *told in samples:

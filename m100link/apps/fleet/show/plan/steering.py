@@ -71,8 +71,6 @@ class LeftShow(
     cause="wind, a weak battery, or a link that stood still",
     remedy="it hovers or lands where it is, as --leave says; the others fly on",
 ):
-    """An aircraft left its show."""
-
     def __init__(
         self, seen: str, *, why: Why, at: float, measured: float, limit: float, cause: str = ""
     ) -> None:
@@ -84,8 +82,6 @@ class LeftShow(
 
 
 class TrackSteering:
-    """Keeps one aircraft to one track."""
-
     def __init__(self, track: TimedTrack, fastest_m_s: float) -> None:
         self._track = track
         self._fastest = fastest_m_s

@@ -473,7 +473,6 @@ class WholePart:
             wording.button("plan.lines", "data-plan=lines", self._make_lines)
 
     def show(self, draft: Draft) -> None:
-        """Show what holds for a draft."""
         self._draft, self._is_showing = draft, True
         self._speed.set(draft.speed)
         for name, select in self._selects.items():

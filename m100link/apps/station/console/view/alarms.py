@@ -37,8 +37,6 @@ class AlarmState(Enum):
 
 
 class AlarmInput(Enum):
-    """What can happen to an alarm."""
-
     BEGINS = "it is so"
     ENDS = "it is so no more"
     SEEN = "the operator acknowledges it"
@@ -275,8 +273,6 @@ ALARMS: tuple[Definition, ...] = (
 
 @dataclass(frozen=True, slots=True)
 class ActiveAlarm:
-    """An alarm as it stands now."""
-
     name: AlarmName
     level: AlarmLevel  # how urgent it is
     state: AlarmState  # where it stands; quiet only where it is told that it became so

@@ -57,7 +57,6 @@ class LinkView:
 
 
 def link_of(inputs: Inputs) -> LinkView:
-    """The numbers as they are now."""
     state, holder, counted = inputs.vehicle.state, inputs.vehicle.holder, inputs.link
     texts = dict.fromkeys(LINK_ITEMS, tr("link.nothing"))
     texts["connection"] = Text(f"link.{inputs.vehicle.connection}")
@@ -309,7 +308,6 @@ class EventLine:
     text: str | Text
 
     def said(self, speaker: Translator) -> str:
-        """What happened, as it is shown."""
         return self.text if isinstance(self.text, str) else speaker(self.text)
 
     def time(self, utc_offset_min: int) -> datetime:

@@ -299,8 +299,6 @@ class FieldSpec:
 
 @dataclass(frozen=True, slots=True)
 class FieldReading:
-    """A field as it is now."""
-
     text: Text  # the value, or a dash
     is_stale: bool  # whether it is too old to be believed, or was never there
     note: Text | None = None  # its age when it is stale; None where there is nothing to add

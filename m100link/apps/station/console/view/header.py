@@ -29,15 +29,12 @@ _NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class MissionView:
-    """What is known of the mission."""
-
     plan: Text  # the plan in one line
     state: Text
     part: float  # how much of it is flown, 0 to 1
 
 
 def mission_of(inputs: Inputs) -> MissionView:
-    """The mission as it is now."""
     plan, state = inputs.plan, inputs.vehicle.state
     text, part = progress(plan, state.mission, state.mission_index)
     return MissionView(summary(plan), text, part)

@@ -28,7 +28,6 @@ class Chart:
 
 
 def chart_of(inputs: Inputs) -> Chart:
-    """The chart as it is now."""
     points = inputs.plan.waypoints if inputs.plan is not None else ()
     return Chart(
         _fence(inputs), tuple((point.latitude_deg, point.longitude_deg) for point in points)
@@ -59,8 +58,6 @@ _FARTHEST_M = 5000.0
 
 
 class GuidedKind(Enum):
-    """What is wanted of a point."""
-
     PLACE = "place"
     CIRCLE = "circle"
     HEIGHT = "height"
@@ -192,7 +189,6 @@ def click_of(
     has_control: bool,  # whether what this page wants is obeyed
     problem: M100Error | None = None,
 ) -> ClickView:
-    """What stands beside the point now."""
     refusals = [] if foreseen is None else [_refusal(error) for error in foreseen.refusals]
     if foreseen is not None and not has_control:
         refusals.insert(0, MapRefusal(None, tr("click.remedy.control")))

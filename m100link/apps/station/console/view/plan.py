@@ -177,7 +177,6 @@ class Checked:
     estimate: PlanEstimate | None  # of the plan; None without one
 
     def at(self, point: int) -> tuple[PlanNote, ...]:
-        """What is said of one waypoint."""
         return tuple(note for note in self.notes if note.point == point)
 
 
@@ -307,7 +306,6 @@ def row_of(number: int, point: Waypoint) -> Text:
 
 
 def drawing(draft: Draft, found: Checked, chosen: int | None) -> dict[str, object]:
-    """What the map draws of it."""
     return {
         "points": [
             [point.latitude_deg, point.longitude_deg, any(n.is_error for n in found.at(index))]

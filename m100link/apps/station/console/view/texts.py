@@ -80,8 +80,6 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """The units that an operator chose."""
-
     length: LengthUnit = LengthUnit.METRE  # of lengths and heights
     speed: SpeedUnit = SpeedUnit.M_S
 
@@ -256,7 +254,6 @@ class DisplaySettings:
 
     @property
     def speaker(self) -> Translator:
-        """Says texts as it was chosen."""
         return Translator(self.language, self.units)
 
     def to_text(self) -> str:
