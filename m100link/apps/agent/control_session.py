@@ -160,8 +160,8 @@ class ControlSession:
         # One request for control, or its end, at a time: they would cross.
         self._changing = asyncio.Lock()
         self._let_gos = 0  # what was asked for before the newest one is not wanted any more
-        #: When the newest STOP was heard of, s of the client's clock: what was wanted before it is
-        #: not wanted any more, and letting go before it says nothing of it.
+        #: Time of the newest STOP that this session heard of, s by the client's clock. An older
+        #: request counts no more, and keys that a person released before it do not undo the STOP.
         self.stopped_at = -math.inf
         self._renewed_at = self._used_at = agent.now
         self._heard: list[tuple[list[Any], Callable[..., None]]] = [
