@@ -280,7 +280,7 @@ class Autopilot:
     def reboot(self) -> None:
         """Restart: silence, then a fresh start with nobody active or in control.
 
-        In the air the motors keep it up meanwhile. What the server allowed stays known.
+        In the air the motors keep it up meanwhile. Permissions from the server stay known.
         """
         self.vehicle.restart()
         self.endpoint = self._fresh_endpoint()

@@ -179,8 +179,8 @@ class _LockstepSelector(_JumpingSelector):
 class LockstepEventLoop(VirtualClockEventLoop):
     """A virtual clock for a program in another thread: it stands still unless that one waits.
 
-    What the program does between two calls takes no time, however long it takes. So a flight from
-    another thread is as exact and repeatable as one on the virtual clock.
+    The program's own work between two calls takes no virtual time. So a flight from another thread
+    is as exact and repeatable as one on the virtual clock.
     """
 
     _selector_class = _LockstepSelector

@@ -1,4 +1,4 @@
-"""What the aircraft does with each command of the onboard device, and what it answers.
+"""The aircraft's side of each command of the onboard device: the action and the answer.
 
 The order of the checks is the order of this list: no such command (0xFF00), not activated (0xFF01),
 level too low (0xFF02), a value that cannot be read, then the command's own codes.
@@ -76,7 +76,7 @@ class LastCommand(NamedTuple):
 
 @dataclass(slots=True)
 class Counters:
-    """What went over the line and what became of it.
+    """Counts of the frames on the line and of their outcomes.
 
     Attributes:
         movements: Movement commands received.
@@ -92,7 +92,7 @@ class Counters:
 
 
 class CommandedAircraft(Protocol):
-    """What carrying commands out needs: a vehicle, what it is asked beside it, and a record."""
+    """The needs of a command's execution: a vehicle, the questions beside it, and a record."""
 
     vehicle: Vehicle
     profile: FirmwareProfile

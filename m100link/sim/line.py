@@ -1,4 +1,4 @@
-"""A line that loses, damages, delays and repeats, between the aircraft and whoever talks to it.
+"""A line that loses, damages, delays and repeats, between the aircraft and its peer.
 
 No I/O and no clock: bytes go in with the present time, bytes come out when they are due. Every
 random choice comes from the one :class:`random.Random` that is passed in, so a seed repeats a bad
@@ -140,7 +140,7 @@ def _probability() -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineFaults:
-    """What is wrong with a line. Probabilities are per frame.
+    """The faults of a line. Probabilities are per frame.
 
     A field added here is an option of ``m100link sim`` and a word of its ``faults`` order, and its
     range is checked; ``LineDirection`` gives it its effect.
@@ -153,8 +153,8 @@ class LineFaults:
         jitter: Up to so many seconds more, differently for each frame; the order stays.
         noise: Bursts of random bytes per second.
         noise_bytes: Longest burst.
-        baud_rate: Bits per second of something slow on the way (8N1). What a sender cannot place
-            within half a second is dropped.
+        baud_rate: Bits per second of a slow device in between (8N1). Bytes that it cannot place
+            within half a second are dropped.
         radio: The half-duplex 433 MHz modules of the document's quick start: while one side
             transmits, the other cannot, and half of what starts in that time is lost.
         mute: The wire from the aircraft carries nothing.
@@ -308,7 +308,7 @@ class LineDirection:
         return bytes(damaged)
 
     def take(self, now: float) -> list[bytes]:
-        """What has arrived by now, in order."""
+        """The frames that have arrived by now, in order."""
         if self.is_stalled:
             return []
         self._make_noise(now)

@@ -39,18 +39,18 @@ class VirtualAircraft:
         activated: Activated for that app already, as by an earlier program.
         settings: The aircraft, its site and the open questions of the protocol.
         assistant: Settings of the PC assistant.
-        faults: What is wrong with the line.
+        faults: The faults of the line.
         paced: Bytes take the time that they need at the assistant's baud rate, in both directions.
             By default they take none: exact times for tests. ``m100link sim`` is paced.
         server: A registry to share among aircraft; by default one of its own.
         serial_number: Of the autopilot; by default drawn from the seed.
 
     Attributes:
-        autopilot: What is at the other end of the cable.
-        vehicle: The aircraft itself, without what answers on its line.
+        autopilot: The autopilot at the other end of the cable.
+        vehicle: The aircraft itself, without the autopilot that answers on its line.
         line: The cable.
         remote, app, server: The remote control, the mobile app, the registry.
-        credentials: What the onboard device needs for activation.
+        credentials: The onboard device's credentials for activation.
         seed: As given.
     """
 
@@ -279,7 +279,7 @@ class VirtualAircraft:
         self.line.stall(to_host=stalled, to_aircraft=stalled)
 
     def unplug(self) -> None:
-        """Pull the plug: the port of whoever is connected goes away."""
+        """Pull the plug: the peer's port goes away."""
         self.line.unplug()
 
     def replug(self) -> None:

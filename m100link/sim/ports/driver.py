@@ -36,7 +36,7 @@ class Port(Protocol):
         ...
 
     def unplug(self) -> None:
-        """Go away for whoever is connected."""
+        """Disconnect the peer."""
         ...
 
     def replug(self) -> None:
@@ -49,7 +49,7 @@ class Port(Protocol):
 
 
 class TimedScenario(Protocol):
-    """What happens to an aircraft in its time."""
+    """The events of an aircraft in its time."""
 
     def advance(self, aircraft: VirtualAircraft) -> object:
         """Do what is due; an order that cannot be done raises ``UsageError``."""
@@ -363,7 +363,7 @@ LINE_OPTIONS: dict[str, str] = {
     one.name: {"baud_rate": "line-baud"}.get(one.name, one.name.replace("_", "-"))
     for one in fields(LineFaults)
 }
-"""What the fields of :class:`LineFaults` are called as options."""
+"""The option name of each field of :class:`LineFaults`."""
 
 _SITE_NAMES = {
     "latitude_deg": "latitude",
@@ -379,14 +379,14 @@ SITE_OPTIONS: dict[str, str] = {
         "gimbal_follows",
     )
 }
-"""What the fields of :class:`AircraftSettings` are called that are options."""
+"""The option name of each field of :class:`AircraftSettings` that is an option."""
 
 MISSION_OPTIONS: dict[str, str] = {
     **{"status_hz": "mission-status-hz", "takes_off_by_itself": "mission-takes-off"},
     **{name: name.replace("_", "-") for name in ("hotpoint_acks", "follow_yaw_reversed")},
     **{"radius_limit": "radius-limit", "never_logged_in": "never-logged-in"},
 }
-"""What the fields of :class:`MissionSettings` are called that are options."""
+"""The option name of each field of :class:`MissionSettings` that is an option."""
 
 _EXAMPLE = "sim://?firmware=3.1&speed=10&loss=0.1&seed=7"
 _OWN: dict[str, Any] = {

@@ -47,7 +47,7 @@ class PtyPort:
 
     Attributes:
         device: Path of the terminal, such as ``/dev/pts/3``.
-        name: What to open: the link if there is one, else the device.
+        name: The path to open: the link if there is one, else the device.
         backlog: Frames that wait for the reader.
         flushes: How often a full terminal was emptied because nobody had read for a second.
     """
@@ -70,7 +70,7 @@ class PtyPort:
 
     @property
     def name(self) -> str:
-        """What a program opens."""
+        """The path that a program opens."""
         return self.device if self._link is None else str(self._link)
 
     def _open(self) -> None:
@@ -196,7 +196,7 @@ class PtyPort:
         elif written:
             self._blocked_since = now
         elif now - self._blocked_since > _STALE_S:
-            # Nobody reads. What lies in the terminal is old: throw it away, begin afresh.
+            # Nobody reads. The bytes in the terminal are old: throw them away, begin afresh.
             termios.tcflush(self._slave, termios.TCIFLUSH)
             self._blocked_since = now
             self._partial = b""
@@ -220,7 +220,7 @@ class PtyPort:
         return rate is not None and rate != self._driver.aircraft.vehicle.assistant.baud_rate
 
     def _garbled(self, data: bytes) -> bytes:
-        """What a UART makes of bytes at the wrong rate: as many, and nonsense."""
+        """The bytes that a UART receives at the wrong rate: as many, and nonsense."""
         return bytes((byte * 0x1D ^ 0xE6 ^ index * 7) & 0xFF for index, byte in enumerate(data))
 
     @property

@@ -55,7 +55,7 @@ class Refusal(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Grant:
-    """What an autopilot learns when the server says yes."""
+    """The knowledge of an autopilot after the server said yes."""
 
     app_id: int
     key: Key
@@ -171,7 +171,7 @@ _MOST_ASKED = 16
 
 
 class ActivationState:
-    """What this aircraft knows about apps: who is active, who was allowed before.
+    """The apps that this aircraft knows: the active one, and those that were allowed before.
 
     The first request of an app that this aircraft does not know is answered 3 while the server is
     asked through the mobile app; the next one, ``server_delay`` or more later, is answered 0. An
@@ -228,7 +228,7 @@ class ActivationState:
             return ActivationCode.LEVEL_TOO_HIGH if is_level else ActivationCode.SERVER_REFUSED
         del self._asking[request.app_id]
         self._server.activate(request.app_id, self._serial_number, level)
-        # What is remembered has the registered level: a later request may ask for it.
+        # The aircraft remembers the registered level: a later request may ask for it.
         self.known[request.app_id] = replace(verdict, level=self._server.apps[request.app_id].level)
         self.active = verdict
         return ActivationCode.SUCCESS

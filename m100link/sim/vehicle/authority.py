@@ -1,4 +1,4 @@
-"""Who may fly: remote control before mobile app before onboard device.
+"""Control authority: remote control before mobile app before onboard device.
 
 (Document, *Remote Controller, Onboard API & Mobile API*, and 2.2.2.1.) The remote control decides
 whether the other two may ask at all; the mobile app may take control from the onboard device.
@@ -53,7 +53,7 @@ class ControlArbiter:
         self.is_requested = self.is_pending = self.is_releasing = self.failsafe = False
 
     def obstacle(self) -> Obstacle | None:
-        """What keeps the API out, or None; the app is not looked at."""
+        """The reason that keeps the API out, or None; the app is not looked at."""
         if not self.assistant.api_control_enabled:
             return Obstacle.API_DISABLED
         if self.failsafe or not self.remote.is_connected:

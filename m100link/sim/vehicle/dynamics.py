@@ -79,7 +79,7 @@ STEP_S = 1.0 / STEPS_PER_SECOND
 
 
 class ModelHorizontal(IntEnum):
-    """What the two horizontal values of a :class:`DynamicsInput` mean."""
+    """The meaning of the two horizontal values of a :class:`DynamicsInput`."""
 
     TILT = 0  # roll and pitch in radians
     VELOCITY = 1  # m/s
@@ -88,7 +88,7 @@ class ModelHorizontal(IntEnum):
 
 
 class ModelVertical(IntEnum):
-    """What the vertical value of a :class:`DynamicsInput` means."""
+    """The meaning of the vertical value of a :class:`DynamicsInput`."""
 
     VELOCITY = 0  # m/s, up
     HEIGHT = 1  # metres above the ground at the origin
@@ -96,7 +96,7 @@ class ModelVertical(IntEnum):
 
 
 class ModelYaw(IntEnum):
-    """What the yaw value of a :class:`DynamicsInput` means."""
+    """The meaning of the yaw value of a :class:`DynamicsInput`."""
 
     ANGLE = 0  # radians from north, clockwise
     RATE = 1  # radians per second, clockwise
@@ -104,7 +104,7 @@ class ModelYaw(IntEnum):
 
 @dataclass(slots=True, eq=False)
 class DynamicsInput:
-    """What the aircraft is to do now. Values are of the kinds that the three modes name."""
+    """The present order to the aircraft. Values are of the kinds that the three modes name."""
 
     horizontal: ModelHorizontal = ModelHorizontal.BRAKE  # kind of ``a`` and ``b``
     a: float = 0.0  # roll, or north / forward
@@ -223,7 +223,7 @@ class Dynamics:
             self.on_ground = False
         cos_yaw, sin_yaw = cos(self.yaw), sin(self.yaw)
         if guidance.horizontal == ModelHorizontal.TILT:
-            self._brake = False  # whoever brakes next stays where it stops then
+            self._brake = False  # the next order that brakes holds the place where it stops then
             roll, pitch = self._commanded_tilt(guidance, cos_yaw, sin_yaw)
         else:
             roll, pitch = self._tilt_for(guidance, lift, cos_yaw, sin_yaw)

@@ -1,7 +1,7 @@
-"""What the flight controller makes of orders: take-off, landing, go-home, hovering, setpoints.
+"""The flight controller: take-off, landing, go-home, hovering, setpoints.
 
 It owns the motion (:mod:`m100link.sim.vehicle.dynamics`), the battery and the flight status, and
-decides each step which guidance the aircraft follows. Who may give orders is not its business
+decides each step which guidance the aircraft follows. It does not judge the right to give orders
 (:mod:`m100link.sim.vehicle.authority`).
 """
 
@@ -94,7 +94,7 @@ _STILL = 0.01  # m/s: a velocity below it asks to stop
 
 
 class Maneuver(Enum):
-    """What the flight controller does by itself; the onboard device's setpoints wait meanwhile."""
+    """A manoeuvre of the flight controller's own; the onboard device's setpoints wait meanwhile."""
 
     NONE = "follows orders"
     SPIN_UP = "starts the motors"
@@ -127,7 +127,7 @@ class FlightController:
         self.setpoint: wire.Setpoint | None = None  # the last movement command that was accepted
         self.timeouts = self.interruptions = 0
         self.now = 0.0
-        # What the last setpoint asks for, and until when it counts.
+        # The last setpoint's guidance, and the time until which it counts.
         self._guidance = self._hover = self._mission_guidance = DynamicsInput()
         self._setpoint_until = -math.inf
         # Without GPS it cannot hold a place: level, it drifts with the wind.
@@ -256,7 +256,7 @@ class FlightController:
             self.start_motors()
 
     def take_off(self) -> None:
-        """Start the motors and climb to the take-off height, whoever wants it."""
+        """Start the motors and climb to the take-off height, on anybody's order."""
         self.start_motors()
         self.phase = FlightPhase.TAKING_OFF
         self._begin(Maneuver.SPIN_UP, self.now + _SPIN_UP_S)

@@ -21,7 +21,7 @@ _CORNER_S = 2.0  # for how long the sticks are held there; our estimate
 
 
 class Sticks(NamedTuple):
-    """What the autopilot receives from a remote control.
+    """The input that the autopilot receives from a remote control.
 
     Attributes:
         roll, pitch, yaw, throttle: Deflection, -1 (left or down) to 1 (right or up).
@@ -192,7 +192,7 @@ class PilotRemote:
         return self.is_switched_on
 
     def sticks(self) -> Sticks:
-        """What the autopilot receives: the virtual remote control's channels before the real ones.
+        """The autopilot's input: the virtual remote control's channels before the real ones.
 
         A remote control that is lost reads as centred sticks.
         """

@@ -1,4 +1,4 @@
-"""What the aircraft believes about itself: the values that telemetry reports, with sensor noise.
+"""The aircraft's belief about itself: the values that telemetry reports, with sensor noise.
 
 How they travel is not its business (:mod:`m100link.sim.line`).
 """
@@ -71,8 +71,8 @@ class Wander:
 
 Values = tuple[float, ...]  # the fields of one item
 
-# With noise = 1: decent sensors, well fused. What a filter makes of them wanders: standard
-# deviation, and memory in seconds. What an inertial sensor says itself is white.
+# With noise = 1: decent sensors, well fused. The noise of a filtered value wanders: standard
+# deviation, and memory in seconds. The noise of an inertial sensor itself is white.
 _ACCELERATION_NOISE = 0.05
 _RATE_NOISE = 0.005
 _PLACE = 0.2, 60.0
@@ -90,7 +90,7 @@ _FIELD_NORTH, _FIELD_DOWN = 1100.0, 1020.0
 
 
 class _Errors:
-    """What is wrong with the fused values now.
+    """The present errors of the fused values.
 
     A fourth of them moves on at each step, in turn: they change slowly, and draws cost time.
     """
@@ -112,7 +112,7 @@ class _Errors:
 
 
 class Sensors:
-    """What the aircraft believes about itself: the values of every item, in its record's order."""
+    """The aircraft's belief about itself: the values of every item, in its record's order."""
 
     def __init__(
         self,

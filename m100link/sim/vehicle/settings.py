@@ -1,4 +1,4 @@
-"""What can be chosen about a virtual aircraft.
+"""The settings of a virtual aircraft.
 
 :class:`AssistantSettings` is what DJI's PC assistant sets on a real one (document, *Setup Steps*
 and 2.2.3.1). :class:`AircraftSettings` is everything else: the physical aircraft and its site, and

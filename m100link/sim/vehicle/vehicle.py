@@ -7,7 +7,7 @@
     vehicle.sensors                 what it measures
 
 It knows values of the protocol (setpoints, codes, records), but nothing of frames, sessions or
-whoever is connected: that is :mod:`m100link.sim.autopilot`, which looks at it after each step.
+peers: that is :mod:`m100link.sim.autopilot`, which looks at it after each step.
 Everything that chance decides comes from the one :class:`random.Random` that is passed in.
 """
 
@@ -249,7 +249,7 @@ class Vehicle:
     def restart(self) -> None:
         """Restart the autopilot: silence, then a fresh start with nobody active or in control.
 
-        In the air the motors keep it up meanwhile. What the server allowed stays known.
+        In the air the motors keep it up meanwhile. Permissions from the server stay known.
         """
         self.log("autopilot restarts")
         self._silent_until = self.time + self.settings.reboot_seconds

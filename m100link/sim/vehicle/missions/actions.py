@@ -1,4 +1,4 @@
-"""What the aircraft does at a waypoint: one action after the other, all within a time limit."""
+"""The actions at a waypoint: one after the other, all within a time limit."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def aim_gimbal(gimbal: GimbalMount, pitch_deg: float, seconds: float) -> None:
 
 @dataclass(slots=True)
 class MissionPayload:
-    """What hangs below, as far as a mission uses it."""
+    """The payload below the aircraft, as far as a mission uses it."""
 
     gimbal: GimbalMount
     camera: Camera

@@ -5,7 +5,7 @@
     upload, add                     a waypoint mission and its points
     start, stop, pause, resume      waypoints; the same for hotpoint and follow
     advance()                       once per step of the dynamics, before it
-    news(now)                       what the onboard device is told, oldest first
+    news(now)                       the notifications for the onboard device, oldest first
 
 A mission lives here and not with who ordered it: it goes on when the program ends or the line
 breaks (DJI's samples leave after the start). It ends when the flight controller does something
@@ -63,7 +63,7 @@ class MissionComputer:
 
     def __init__(
         self,
-        flight: FlightController,  # what flies, and is told where to
+        flight: FlightController,  # flies where the missions guide it
         settings: AircraftSettings,  # the aircraft and its site
         authority: ControlArbiter,  # who may give orders, and where the pilot's sticks are
         payload: MissionPayload,
@@ -391,7 +391,7 @@ class MissionComputer:
         return None
 
     def _why(self) -> MissionCode:
-        """What has broken the mission off: whatever the flight controller does instead."""
+        """The code of the break-off: the flight controller flies a manoeuvre of its own."""
         flight = self._flight
         if self._authority.failsafe:
             return _OK
@@ -404,7 +404,7 @@ class MissionComputer:
         return self._conditions.control() or MissionCode.UNKNOWN
 
     def news(self, now: float) -> list[Notification]:
-        """What the onboard device is told, once per step."""
+        """The notifications for the onboard device, once per step."""
         rate = self._missions.status_hz
         if rate <= 0.0:
             self._events.clear()
@@ -419,7 +419,7 @@ class MissionComputer:
         return told
 
     def status(self) -> MissionStatus:
-        """What the status push shows now."""
+        """The present content of the status push."""
         running = self.running
         return MissionStatus(self.last if running is None else running.status(self.is_paused))
 

@@ -56,7 +56,7 @@ def largest_rate(radius: float) -> float:
 def hotpoint_code(
     command: HotpointStart, site: Site, here: LocalPlace, home: LocalPlace
 ) -> MissionCode:
-    """What is wrong with 0x03/0x20 by itself and where the aircraft is."""
+    """The code for 0x03/0x20, judged by its values and by where the aircraft is."""
     numbers = command.latitude, command.longitude, command.altitude, command.radius
     if not all(map(math.isfinite, (*numbers, command.angular_rate))):
         return MissionCode.BAD_NUMBER
@@ -87,7 +87,7 @@ def hotpoint_code(
 
 
 class _Phase(Enum):
-    """What the aircraft does; the value is the status that the push shows."""
+    """A phase of the flight; the value is the status that the push shows."""
 
     CLIMB = "climbs", 0
     APPROACH = "flies to the circle", 0
@@ -133,7 +133,7 @@ class HotpointExecution:
     # --- what others see and do -------------------------------------------------------------
 
     def status(self, is_paused: bool) -> HotpointStatus:
-        """What the push shows."""
+        """The content of the push."""
         state = 2 if is_paused else self._phase.value[1]
         motion, rate = self._motion, 0.0
         if self._phase is _Phase.CIRCLE and not is_paused and self.distance > 0.1:
@@ -149,7 +149,7 @@ class HotpointExecution:
 
     @property
     def doing(self) -> str:
-        """What it does, in words."""
+        """The present activity, in words."""
         return self._phase.value[0]
 
     @property
@@ -190,7 +190,7 @@ class HotpointExecution:
         self._flown_radius = self.distance if self._phase is _Phase.CIRCLE else self._flown_radius
 
     def guide(self, sticks: Sticks) -> DynamicsInput:
-        """What the aircraft is to do now."""
+        """The present order to the aircraft."""
         if self._phase is _Phase.CLIMB:
             if self._motion.height < self._height - 0.3:
                 above = self._from._replace(up=self._height)
@@ -298,7 +298,7 @@ _MOVING_S = 1.5  # how long the speed between two targets is believed
 def follow_code(
     command: FollowStart, site: Site, here: LocalPlace, home: LocalPlace
 ) -> MissionCode:
-    """What is wrong with 0x03/0x30 by itself and where the aircraft is."""
+    """The code for 0x03/0x30, judged by its values and by where the aircraft is."""
     if not is_on_earth(command.latitude, command.longitude):
         return MissionCode.BAD_PARAMETERS
     target = site.place(command.latitude, command.longitude, 0.0)
@@ -350,12 +350,12 @@ class FollowExecution:
         self._heed_altitude(command.altitude)
 
     def status(self, is_paused: bool) -> FollowStatus:
-        """What the push shows."""
+        """The content of the push."""
         return FollowStatus()
 
     @property
     def doing(self) -> str:
-        """What it does, in words."""
+        """The present activity, in words."""
         is_silent = self.silence > self._settings.follow_silence
         return "hovers: the target is silent" if is_silent else "follows"
 
@@ -392,7 +392,7 @@ class FollowExecution:
         """Go on after a pause with the distance that was kept before."""
 
     def guide(self, sticks: Sticks) -> DynamicsInput:
-        """What the aircraft is to do now."""
+        """The present order to the aircraft."""
         self.silence += STEP_S
         motion, target = self._motion, self._target
         yaw_mode, yaw = ModelYaw.RATE, sticks.yaw * math.radians(self._airframe.yaw_rate_deg)

@@ -1,6 +1,6 @@
 """A waypoint mission as it was uploaded, and the checks that it has to pass.
 
-What is wrong with one command alone is found at once, what is wrong with the whole when the last
+The aircraft finds a fault of one command at once, and a fault of the whole plan when the last
 point arrives (DJI's test of the hardware): its ack carries the code.
 """
 
@@ -24,17 +24,17 @@ from m100link.sim.vehicle.missions.route import (
 )
 
 STOP_S = 4.0
-"""What braking, arriving and starting again cost at each stop, for the estimate, seconds."""
+"""The time that braking, arriving and starting again cost at each stop, estimated, seconds."""
 
 
 class ActionKind:
-    """What the aircraft can be told to do at a waypoint."""
+    """The actions that the aircraft knows at a waypoint."""
 
     STAY, PHOTO, START_VIDEO, STOP_VIDEO, YAW, GIMBAL_PITCH = range(6)
 
 
 class FinishAction:
-    """What comes after the last waypoint."""
+    """The actions after the last waypoint."""
 
     NONE, GO_HOME, LAND, FIRST_POINT, ENDLESS = range(5)
 
@@ -46,7 +46,7 @@ class YawMode:
 
 
 def mission_code(mission: WaypointMission) -> MissionCode:
-    """What is wrong with 0x03/0x10 by itself.
+    """The code for 0x03/0x10, judged by its values alone.
 
     More runs than two are taken, and yaw mode 4, which DJI's ROS demonstration sends for 0; the
     focus is not looked at.
@@ -66,7 +66,7 @@ def mission_code(mission: WaypointMission) -> MissionCode:
 
 
 def point_code(point: WaypointPoint) -> MissionCode:
-    """What is wrong with 0x03/0x11 by itself; the index is judged elsewhere."""
+    """The code for 0x03/0x11, judged by its values alone; the index is judged elsewhere."""
     is_legal = (
         is_on_earth(point.latitude, point.longitude)
         and -200.0 <= point.altitude <= 500.0
@@ -119,7 +119,7 @@ class StoredPlan:
         return legs_between(list(self.places), dampings)
 
     def check(self, settings: MissionSettings, home: LocalPlace | None, site: Site) -> MissionCode:
-        """What is wrong with the whole."""
+        """The code for the whole plan."""
         lengths = [distance(a, b) for a, b in pairwise(self.places)]
         if min(lengths) < settings.closest_points:
             return MissionCode.POINTS_TOO_CLOSE
@@ -148,7 +148,7 @@ class StoredPlan:
 
     @property
     def cruise_speed(self) -> float:
-        """What the aircraft flies while nobody touches the stick, or could, m/s."""
+        """The speed that the aircraft flies, or could, while nobody touches the stick, m/s."""
         mission = self.mission
         return mission.idle_speed if mission.idle_speed > 0.0 else mission.max_speed
 
@@ -239,7 +239,7 @@ class WaypointUpload:
 
 
 # -- how far missions are, and which orders each stage refuses: two tables -------------------------
-# What a table does not refuse is taken, or judged by its contents and the state of the aircraft.
+# An order that no table refuses is taken, or judged by its contents and the state of the aircraft.
 
 
 class MissionPhase(Enum):
@@ -256,7 +256,7 @@ class MissionPhase(Enum):
 
 
 class MissionOrder(Enum):
-    """What can be asked for."""
+    """The orders of a mission."""
 
     UPLOAD = auto()
     ADD = auto()

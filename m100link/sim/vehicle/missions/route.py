@@ -34,9 +34,9 @@ class NoFlyZone:
 class MissionSettings:
     """How the flight controller takes missions.
 
-    What documents or real aircraft settle has no switch. The others have: their defaults are the
-    best reading of sources that are silent or disagree (``docs/explanation/simulator-limits.md``
-    tells which).
+    Only questions that neither documents nor real aircraft settle have a switch: the defaults are
+    the best reading of sources that are silent or disagree, which
+    ``docs/explanation/simulator-limits.md`` lists.
 
     Attributes:
         status_hz: Rate of the status push 0x02/0x03; 0 is the box *Ground Station Status* of the

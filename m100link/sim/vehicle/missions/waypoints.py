@@ -32,7 +32,7 @@ _GIMBAL_EVERY_S = 0.5
 
 
 class WaypointPhase(Enum):
-    """What the aircraft does for its mission; the value is the status that the push shows."""
+    """A phase of the mission; the value is the status that the push shows."""
 
     CLIMB = "climbs to the height of the first point", 0
     APPROACH = "flies to the first point", 0
@@ -72,7 +72,7 @@ class WaypointExecution:
         self.index = 0  # the waypoint it flies to, or is at
         # M/s while nobody touches the stick; a command may change it on the way.
         self.idle_speed = mission.idle_speed
-        # What has happened and was not fetched yet, oldest first.
+        # The events that nobody fetched yet, oldest first.
         self.events: list[WaypointEvent] = []
         self.then = FinishAction.NONE  # what comes after a mission that is over
         self._motion = motion
@@ -110,12 +110,12 @@ class WaypointExecution:
     # --- what others see --------------------------------------------------------------------
 
     def status(self, is_paused: bool) -> WaypointStatus:
-        """What the push shows."""
+        """The content of the push."""
         return WaypointStatus(index=self.index, status=self.phase.status, error=0)
 
     @property
     def doing(self) -> str:
-        """What it does, in words."""
+        """The present activity, in words."""
         return self.phase.value[0]
 
     @property
@@ -131,7 +131,7 @@ class WaypointExecution:
     # --- each step --------------------------------------------------------------------------
 
     def guide(self, sticks: Sticks) -> DynamicsInput:
-        """What the aircraft is to do now."""
+        """The present order to the aircraft."""
         return self._steps[self.phase](sticks)
 
     def resume(self) -> None:
