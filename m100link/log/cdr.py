@@ -1,7 +1,7 @@
 """Messages of ROS 2 as bytes: CDR made of their definitions, and read by them.
 
-What is sent a hundred times a second goes through a :class:`Template`: everything that does not
-change is encoded once, and numbers are filled in.
+Messages that are sent a hundred times a second go through a :class:`Template`: it encodes once all
+that does not change, and fills in numbers.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _HEAD = b"\x00\x01\x00\x00"  # CDR, little-endian
 _MOST = 65536  # values of a sequence and bytes of a text that are read: nothing here has more
 
 _EMPTY = "uint8 structure_needs_at_least_one_member"
-"""What rosidl puts into a message without fields."""
+"""The field that rosidl puts into a message without fields."""
 
 # Letter of struct, and number of the type in a type description.
 _SCALARS = {
@@ -71,7 +71,7 @@ def full_name(name: str) -> str:
 
 
 def _nested_in(name: str) -> dict[str, None]:
-    """What stands in a message, and in that, in the order of its fields."""
+    """The messages in a message, and in those, in the order of its fields."""
     found: dict[str, None] = {}
 
     def look(one: str) -> None:

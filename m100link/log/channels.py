@@ -30,13 +30,13 @@ FIX, TELEMETRY = "/m100/fix", "/m100/telemetry"
 COMMAND, EVENT, LINK = "/m100/command", "/m100/event", "/m100/link"
 
 TRANSFORM, MESSAGE, STATE = "/tf", "/m100/log", "/m100/state"
-"""What is told live besides, to who watches a flight."""
+"""The topics that a client that watches a flight gets live besides."""
 
 Told = tuple[str, dict[str, Any]]  # a topic, and what is said on it
 
 
 class Schema(NamedTuple):
-    """What stands on a topic."""
+    """The schema of the messages on a topic."""
 
     name: str
     text: str  # JSON schema
@@ -121,7 +121,7 @@ def row_of(sample: Sample) -> dict[str, float]:
 
 
 class Thinned(NamedTuple):
-    """What is let through."""
+    """A row that the limiter lets through."""
 
     packages: list[Sample]  # those whose items are in the row; the last one is that which was due
     row: dict[str, float]  # its numbers by their columns, and when it was received
@@ -148,7 +148,7 @@ class RateLimiter:
     def hear(self, value: bytes, profile: FirmwareProfile, now: float) -> Thinned | None:
         """A package, given by its value; what is let through when that is due.
 
-        What does not fit the profile is passed over: the link counts it.
+        Packages that do not fit the profile are passed over: the link counts them.
         """
         is_due = now - self._at >= self._interval_s
         flags = int.from_bytes(value[:2], "little")
@@ -296,12 +296,12 @@ class FrameInterpreter:
     def __init__(self, rate_hz: float) -> None:
         self._sent, self._received = FrameDecoder(), FrameDecoder()
         self._thinning = RateLimiter(1.0 / rate_hz if rate_hz else 0.0)
-        # What was asked by session and sequence; the answer does not say it. A number is used again
+        # The requests by session and sequence; the answer does not say it. A number is used again
         # within 65536 requests, so there are never more.
         self._asked: dict[tuple[int, int, bool], type[Command]] = {}
 
     def sent(self, data: bytes, cipher: Cipher | None, profile: FirmwareProfile) -> Iterator[Told]:
-        """What the bytes of a write say."""
+        """The messages in the bytes of a write."""
         self._sent.cipher = cipher
         for frame in self._sent.feed(data):
             yield from self._frame(frame, profile, is_ours=True)
@@ -309,7 +309,7 @@ class FrameInterpreter:
     def received(
         self, data: bytes, now: float, cipher: Cipher | None, profile: FirmwareProfile
     ) -> Iterator[Told]:
-        """What the bytes of a read say."""
+        """The messages in the bytes of a read."""
         self._received.cipher = cipher
         for frame in self._received.feed(data):
             if is_telemetry(frame):

@@ -22,8 +22,8 @@ class Damage:
         places: Byte ranges of the file that cannot be read, or are not as they were written.
         missing: Messages that are missing at least, by topic; ``""`` where no topic is known.
         spans_utc: Between which messages that are there others are missing, POSIX time, s; None
-            for the beginning and the end of the file. What arrives together is written together,
-            so a time may be half a second off.
+            for the beginning and the end of the file. Messages that arrive together are written
+            together, so a time may be half a second off.
         is_changed: The checksum of the whole file is wrong, though each of its parts can be read.
         is_ended: Whether the end is there.
         cut_bytes: Size of the unfinished record at the end of a file without one.
@@ -143,8 +143,8 @@ class Losses:
     def hear(self, channel: int, number: int, at_ns: int, is_known: bool) -> None:
         """A message was read.
 
-        ``at_ns``: when it was written, POSIX time in ns. ``is_known``: whether it is told on which
-        topic it is; else it is lost.
+        ``at_ns``: when it was written, POSIX time in ns. ``is_known``: whether the file names its
+        topic; else it is lost.
         """
         row = self._rows.get(channel)
         if row is None:
@@ -170,7 +170,7 @@ class Losses:
             self._unnamed[channel] += 1
 
     def damage(self) -> Damage:
-        """What was found."""
+        """The damage found so far."""
         missing: Counter[str] = Counter()
         for channel in sorted(self._rows.keys() | self.told.keys()):
             row = self._rows.get(channel) or _Row()

@@ -1,4 +1,4 @@
-"""A folder of flight logs that stays of a bounded size, for whoever records without being asked."""
+"""A folder of flight logs that stays of a bounded size, for recording that nobody asked for."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Flights:
         self._told = ""  # why it is not recorded: once is enough
 
     async def begin(self) -> Recorder | None:
-        """A log for the next connection; None when it cannot be, which is told.
+        """A log for the next connection; None, with a warning, when it cannot be.
 
         Beside the event loop, in which others may fly: a disk may stand still.
         """
@@ -89,7 +89,7 @@ class Flights:
         return Recorder(self.folder)
 
     def _abandon(self, making: asyncio.Future[Recorder]) -> None:
-        """Whoever wanted it was cancelled: a log that nothing was noted in leaves no file."""
+        """The caller was cancelled: a log that nothing was noted in leaves no file."""
         if not making.cancelled() and making.exception() is None:
             ending = asyncio.ensure_future(making.result().aclose())
             self._ending.add(ending)

@@ -24,7 +24,7 @@ def write_parquet(
 
     Args:
         flight: The log.
-        stream: What takes the bytes.
+        stream: The file that takes the bytes.
         records: Record classes; none at all: every item.
         firmware: As for :meth:`FlightLog.samples`.
 

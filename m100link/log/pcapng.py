@@ -37,7 +37,7 @@ _SAME_S = 2e-6  # times are written to a microsecond
 
 
 def in_order(chunks: Iterable[Chunk]) -> Iterator[Chunk]:
-    """What was sent before what came in the same moment, as it does on virtual time."""
+    """The chunks; of those of the same moment sent ones come first, as they do on virtual time."""
     group: list[Chunk] = []
     for chunk in chunks:
         if group and chunk.at - group[0].at > _SAME_S:
@@ -60,13 +60,13 @@ def read_frames(
     """The frames of both directions in order of time, as ``m100link decode`` describes them.
 
     Each has ``utc`` and ``at`` (POSIX time and the event loop's clock, s, of the read or write that
-    ended it) and ``direction`` (``rx`` or ``tx``) besides. What belongs to no frame is told where
-    it was passed over: ``discarded_bytes``, with the cause.
+    ended it) and ``direction`` (``rx`` or ``tx``) besides. Bytes that belong to no frame come where
+    they were passed over: ``discarded_bytes``, with the cause.
 
     Args:
         flight: The log.
         firmware: Profile to read them by; by default that of the flight.
-        cipher: Decrypts; without one encrypted data is told as it travelled.
+        cipher: Decrypts; without one encrypted data stays as it travelled.
 
     Raises:
         UsageError: The firmware of the flight was never known, and none is given.
@@ -100,7 +100,7 @@ def read_frames(
 def _lost(
     head: dict[str, Any], describer: Describer, before: dict[Any, int]
 ) -> Iterator[dict[str, Any]]:
-    """What was passed over since."""
+    """The bytes passed over since."""
     now = describer.decoder.discards
     if now == before:
         return
@@ -132,7 +132,7 @@ def write_pcapng(
 
     Args:
         flight: The log.
-        stream: What takes the bytes.
+        stream: The file that takes the bytes.
         firmware: Profile to name; by default that of the flight.
         cipher: Decrypts.
 
@@ -217,7 +217,7 @@ def _write(
 
 
 def _plain(piece: bytes, cipher: Cipher) -> Iterator[bytes]:
-    """What an encrypted frame says, as a frame that is not."""
+    """The content of an encrypted frame, as a frame that is not."""
     for frame in FrameDecoder(cipher).feed(piece):
         if frame.encrypted:
             yield encode_frame(
@@ -248,7 +248,7 @@ def _padded(data: bytes) -> bytes:
 
 
 # -- A dissector for Wireshark, made of the firmware profiles and the layouts of the commands ------
-# What a command without a layout of its own holds is declared here once more, for Wireshark alone;
+# The layouts of commands that have none of their own are declared here once more, for Wireshark;
 # the golden vectors judge it.
 
 
@@ -302,7 +302,7 @@ def dissector() -> str:
 
 
 class _Tables:
-    """What the Lua part reads."""
+    """The tables that the Lua part reads."""
 
     def __init__(self) -> None:
         self._kinds: dict[str, str] = {}
@@ -423,7 +423,7 @@ class _Tables:
     def _part(
         self, abbreviation: str, offset: int, format_: str, many: int, size: int, kind: str
     ) -> dict[str, Any]:
-        # What is a whole number in one firmware and not in another is shown as the latter.
+        # A value that is a whole number in one firmware and not in another is shown as the latter.
         known = self._kinds.setdefault(abbreviation, kind)
         if known != kind:
             self._kinds[abbreviation] = "double"

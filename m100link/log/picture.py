@@ -63,7 +63,7 @@ class Panel(NamedTuple):
 
 
 def panels(story: FlightSummary) -> list[Panel]:
-    """What is drawn over time."""
+    """The panels that are drawn over time."""
     curves = story.curves
     return [
         Panel("Height, m", (PlotLine("height", "#3b7dd8", curves.height_m),), (0.0, 2.0)),
@@ -165,7 +165,7 @@ class Difference:
     """One value of both flights.
 
     Attributes:
-        name: What it is, with its unit at the end.
+        name: The value's name, with its unit at the end.
         first, second: Of each; None where it was never heard.
     """
 
@@ -536,7 +536,7 @@ def _path(line: PlotLine, duration: float, low: float, scale: float) -> str:
         x = _WIDTH * at / duration
         pieces.append(f"{pen}{x:.1f} {_HEIGHT - (value - low) * scale:.1f}")
         pen = "L"
-    # What was heard once is a dot that can be seen.
+    # A value that was heard once is a dot that can be seen.
     return "".join(pieces) + ("h2" if len(pieces) == 1 else "")
 
 

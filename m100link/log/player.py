@@ -23,7 +23,7 @@ SLOWEST, FASTEST = 0.1, 100.0
 """Times as fast as it was flown; besides them, infinity: as fast as it is taken."""
 
 RUN_UP_S = 2.5
-"""What came so long before where it begins comes at once: items of 1 Hz are known then."""
+"""Messages from so long before the beginning come at once: items of 1 Hz are known then."""
 
 _BATCH = 256  # frames until the event loop has its turn
 _EAGER = 20  # turns of the event loop in which a consumer may take what it got, before pauses
@@ -36,16 +36,16 @@ _VERSION = bytes(GetVersion.ADDRESS)
 
 
 class Begin(NamedTuple):
-    """What is known of a recording before it is played.
+    """The knowledge of a recording before it is played.
 
     Attributes:
-        at: The event loop's clock of then when it begins, s.
+        at: The time of the recording's event loop at which it begins, s.
         utc: The same as POSIX time, s.
         duration_s: How long it goes on.
-        damage: What is missing from the file; whether it was ended is there, too.
-        version: What the aircraft answered first; None when it did not in the first minute.
+        damage: The parts missing from the file; whether it was ended is there, too.
+        version: The aircraft's first answer; None when it did not answer in the first minute.
         firmware: By which telemetry was read; None when that was never known.
-        events: Who had control, and when; for what is played from elsewhere than its beginning.
+        events: Control authority over time; for playing from elsewhere than the beginning.
     """
 
     at: float
@@ -115,7 +115,7 @@ def _version(frame: Frame) -> Version | None:
 
 
 class PlaybackTarget(NamedTuple):
-    """Who is played to."""
+    """The consumer of what is played."""
 
     # Makes frames of the bytes of a read, and of the time when they came.
     decode: Callable[[bytes, float], Sequence[Frame]]
@@ -136,7 +136,7 @@ class Player:
 
     Args:
         flight: The recording.
-        begin: What is known of it.
+        begin: The knowledge of it before it is played.
         speed: Times as fast as it was flown; infinity: as fast as it is taken.
         from_s: Where to begin, seconds from its first byte.
         to_s: Where to end.
@@ -176,7 +176,7 @@ class Player:
         self._next: Chunk | Message | None = None
         self._frames: deque[tuple[Frame, float]] = deque()  # of the newest read
         self._timer: asyncio.Handle | None = None
-        # Between which times of then it plays, and what broke it off; set where it is opened.
+        # Between which recorded times it plays, and the fault that broke it off; set on opening.
         self._since, self._until, self._broken = -math.inf, math.inf, ""
         self._waits = 0  # for room, since there was some
         self._begins_by = 0.0

@@ -48,7 +48,7 @@ class Message(NamedTuple):
     """One message of a log.
 
     Attributes:
-        topic: What it is about, see ``docs: reference/log``.
+        topic: The subject, see ``docs: reference/log``.
         at: The event loop's clock when it was written, s.
         utc: The same as POSIX time, s.
         data: Its bytes; JSON, except on the raw topics.
@@ -60,7 +60,7 @@ class Message(NamedTuple):
     data: bytes
 
     def content(self) -> dict[str, Any]:
-        """What it says.
+        """The content of the message.
 
         Raises:
             UsageError: It is not JSON, or not an object: another program wrote it.
@@ -92,7 +92,7 @@ class Chunk(NamedTuple):
 
 @dataclass(frozen=True)
 class Summary:
-    """What a log holds.
+    """The content of a log in numbers.
 
     Attributes:
         began_utc: POSIX time of the first message, s; None when there is none.
@@ -101,7 +101,7 @@ class Summary:
         bytes_received, bytes_sent: Raw bytes of the line.
         is_whole: Whether the file was ended, and nothing of it is damaged or missing.
         firmware: Name of the firmware profile; None when it was never known.
-        damage: What is damaged or missing.
+        damage: The parts damaged or missing.
     """
 
     began_utc: float | None
@@ -117,7 +117,7 @@ class Summary:
 class FlightLog:
     """A log on disk. Each iterator reads it from its beginning.
 
-    What is damaged is passed over. The first iterator that comes to the end warns of it, and of an
+    Damaged parts are passed over. The first iterator that comes to the end warns of them, and of an
     end that is missing; :attr:`damage` has it, too.
 
     Args:
@@ -144,7 +144,7 @@ class FlightLog:
 
     @property
     def damage(self) -> Damage:
-        """What is damaged or missing in the file; reads all of it when nobody did so far."""
+        """The parts damaged or missing in the file; reads all of it when nobody did so far."""
         if self._damage is None:
             for _ in self.messages(LINK):
                 pass
@@ -172,11 +172,11 @@ class FlightLog:
         return self.path.open("rb")
 
     def chunks(self) -> Iterator[Chunk]:
-        """What was read and written, in order of time."""
+        """The bytes read and written, in order of time."""
         return (one for one in self.moments() if isinstance(one, Chunk))
 
     def moments(self, *, since_utc: float = 0.0) -> Iterator[Chunk | Message]:
-        """What was read and written, events, and counters, in order of time.
+        """Bytes read and written, events, and counters, in order of time.
 
         Args:
             since_utc: Not before that POSIX time, s, give or take a second.
@@ -217,7 +217,7 @@ class FlightLog:
         return None
 
     def nameless(self, remedy: str) -> UsageError:
-        """What is told where the firmware profile is needed and never known."""
+        """The error of a reader that needs the firmware profile of a log that never names it."""
         return UsageError(
             f"{self.path} does not say which firmware it is of",
             cause=f"damage: {self.damage}" if self.damage else "the aircraft never answered",
@@ -270,7 +270,7 @@ class FlightLog:
         return Table(names, list(rows))
 
     def summary(self) -> Summary:
-        """What it holds; reads the whole file."""
+        """The content in numbers; reads the whole file."""
         counts: dict[str, int] = defaultdict(int)
         sizes = {RX: 0, TX: 0}
         first = last = None
@@ -330,8 +330,8 @@ def read(path: str | os.PathLike[str]) -> FlightLog:
 def recover(path: str | os.PathLike[str], target: str | os.PathLike[str]) -> int:
     """Write a whole file from one that was cut off or damaged; the old one stays as it is.
 
-    What the old one lost is lost: ``read(path).damage`` tells it, and so does that of the new one,
-    as far as messages are missing.
+    Messages that the old one lost stay lost: ``read(path).damage`` reports them, and so does that
+    of the new one, as far as messages are missing.
 
     Returns:
         How many messages were saved.
@@ -423,7 +423,7 @@ def _copy(source: FlightLog, stream: IO[bytes]) -> int:
 
 
 def _renumbered(told: dict[str, str], channels: dict[str, int], writer: Any) -> dict[str, str]:
-    """What a recording says of itself, with the numbers that its topics have in the new file."""
+    """The recording's data on itself, with the numbers that its topics have in the new file."""
     for topic in (RX, TX, *SCHEMAS):
         if topic in told and topic not in channels:
             channels[topic] = registered(writer, topic)

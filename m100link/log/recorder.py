@@ -70,7 +70,7 @@ class Redaction:
     def __init__(self) -> None:
         self.count = 0  # places where something was taken out
         self._sent_at = -math.inf
-        # What must not be written down, the longest first, and what is written in its place.
+        # Secrets that must not be written down, the longest first, and the text in their place.
         self._secrets: dict[bytes, bytes] = {}
 
     def sent(self, data: bytes, now: float) -> bytes:
@@ -182,7 +182,7 @@ _LOOKS, _LOOK_S = 10, 0.001
 
 @dataclass
 class _Batch:
-    """What the loop heard since the last batch, and what was known then."""
+    """The loop's news since the last batch, and its knowledge at that time."""
 
     chunks: list[tuple[Direction, bytes, float]] = field(default_factory=list)
     told: list[tuple[float, Told]] = field(default_factory=list)
@@ -277,7 +277,7 @@ class Recorder:
         firmware: Callable[[], FirmwareProfile],
         look: Callable[[], Iterable[Told]],
     ) -> None:
-        """What is known of a connection besides its bytes.
+        """Log the state of a connection besides its bytes.
 
         Args:
             link: Whose key decrypts.
@@ -366,7 +366,7 @@ def is_being_written(path: Path) -> bool:
         with path.open("rb") as stream:
             return not _lock(stream)
     except OSError:
-        return True  # whoever asks leaves it alone
+        return True  # a caller leaves such a file alone
 
 
 def _lock(stream: IO[bytes]) -> bool:
@@ -418,8 +418,8 @@ class _Scribe:
     """Makes messages of batches. Runs in the thread of the recorder alone."""
 
     def __init__(self, writer: type[Writer], stream: IO[bytes], path: Path, rate_hz: float) -> None:
-        # What makes POSIX time of the event loop's, once: a wall clock that is set in flight must
-        # not bend the log.
+        # The difference of POSIX time and the event loop's, taken once: a wall clock that is set in
+        # flight must not bend the log.
         self.utc_offset_s = 0.0
         self.failure: Exception | None = None
         self._stream = stream
@@ -430,7 +430,7 @@ class _Scribe:
         self._writer: Any = writer(stream, chunk_size=PART_SIZE, enable_data_crcs=True)
         self._channels: dict[str, int] = {}
         self._sequences: dict[str, int] = {}
-        # What was read and may end within a secret, until more of it comes.
+        # Bytes that were read and may end within a secret, until more of them come.
         self._held: list[tuple[bytes, float]] = []
         self._flushed_at = self._synced_at = time.monotonic()
         self._is_begun = False
@@ -440,7 +440,7 @@ class _Scribe:
             if not (batch.chunks or batch.told):
                 return
             self._begin()
-        # What was sent first: an echo of it stands in the same batch.
+        # Sent bytes first: an echo of them stands in the same batch.
         for direction in (Direction.SENT, Direction.RECEIVED):
             chunks = [(data, now) for way, data, now in batch.chunks if way is direction]
             if direction is Direction.RECEIVED:

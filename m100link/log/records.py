@@ -1,9 +1,9 @@
 """The records of an MCAP file, as far as they are whole: of one that was cut off or damaged, too.
 
-What was lost is counted and passed over, and what stands behind it is looked for: a process is
+Lost records are counted and passed over, and the reader looks for those behind them: a process is
 killed while it writes, and disks turn bits over. No length that a file states is believed before it
-is seen to fit. What a checksum covers is passed on when that is right, and never in parts: which
-messages of a part a wrong one spoilt, nobody can say.
+is seen to fit. A part that a checksum covers is passed on when that is right, and never in pieces:
+which messages of a part a wrong one spoilt, nobody can say.
 """
 
 from __future__ import annotations
@@ -57,14 +57,14 @@ _LONGEST_PART_HEAD = 9 + _CHUNK_HEAD + 4 + 8
 
 
 class Header(NamedTuple):
-    """What the file says of whoever wrote it."""
+    """The file's data on its writer."""
 
     profile: str
     library: str
 
 
 class RecordedSchema(NamedTuple):
-    """What stands on some channels."""
+    """The schema of the messages on some channels."""
 
     id: int
     name: str
@@ -99,7 +99,7 @@ class Metadata(NamedTuple):
 
 
 class EndOfLog(NamedTuple):
-    """The file was ended by whoever wrote it."""
+    """The writer ended the file."""
 
 
 Record = Header | RecordedSchema | RecordedChannel | RawMessage | Metadata | EndOfLog
@@ -132,7 +132,7 @@ def records(
     stream: IO[bytes],  # the file, from anywhere
     topics: Collection[str] = (),  # messages of these alone; of all without any
     since_ns: int = 0,  # parts that end before it are passed over, POSIX time in ns
-    # What is not there is counted there, of all topics, when all were read.
+    # Counts the missing messages of all topics when all were read.
     losses: Losses | None = None,
 ) -> Iterator[Record]:
     """Every record of a file that can be read, in the order in which they were written."""
@@ -406,7 +406,7 @@ def _length_of_part(head: bytes) -> int | None:
 
 
 def _unpacked(body: bytes) -> bytes:
-    """What a part holds, whole by its checksum."""
+    """The content of a part, whole by its checksum."""
     _, _, size, checksum, name_size = _chunk_head(body)
     compression = body[_CHUNK_HEAD : _CHUNK_HEAD + name_size].decode(errors="replace")
     at = _CHUNK_HEAD + name_size + 8
@@ -427,7 +427,7 @@ def _unpacked(body: bytes) -> bytes:
         data = packed
     else:
         raise ValueError(f"the compression {compression!r}")
-    # What the checksum is right for is what was written, whatever size is told.
+    # Bytes with the right checksum are those that were written, whatever size the head states.
     if crc32(data) != checksum if checksum else len(data) != size:
         raise ValueError("its checksum is wrong")
     return bytes(data)

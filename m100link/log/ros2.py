@@ -34,7 +34,7 @@ from m100link.telemetry.sample import Sample
 
 # -- what an aircraft tells, as messages of ROS 2: for flight logs, and for who listens live -------
 # Frames and units of REP 103 and 105: east, north, up on the ground; forward, left, up in the body.
-# What the wire does not say is said to be unknown, as each message has it.
+# Values that the wire does not carry are marked as unknown, as each message defines it.
 
 
 Stamp = tuple[int, int]  # seconds and nanoseconds of POSIX time
@@ -392,7 +392,7 @@ TOPICS = {
     "/m100/events": "std_msgs/String",
     "/tf": "tf2_msgs/TFMessage",
 }
-"""What is in a bag: topic and message."""
+"""The content of a bag: topic and message."""
 
 _MESSAGES = Messages("map", "base_link")
 
@@ -407,7 +407,7 @@ def write_bag(
 
     Args:
         flight: The log.
-        stream: What takes the bytes.
+        stream: The file that takes the bytes.
         firmware: As for :meth:`FlightLog.samples`.
 
     Returns:

@@ -1,4 +1,4 @@
-"""What happened on a flight: its phases, who had control, alarms, commands, maxima, curves."""
+"""The story of a flight: its phases, control authority, alarms, commands, maxima, curves."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Curve:
     """One value over time: its least and its largest in each of at most 800 spans.
 
     Args:
-        gap_s: What is not heard for longer leaves a hole.
+        gap_s: A pause longer than this leaves a hole.
     """
 
     __slots__ = ("_buckets", "_gap_s", "_width_s")
@@ -159,7 +159,7 @@ class Moment(NamedTuple):
     Attributes:
         at_s: When it was first sent, s after the beginning of the log.
         command: Its name.
-        arguments: What was asked, by name.
+        arguments: The arguments of the request, by name.
         outcome: Name of the code it was answered with; None: no answer is in the log.
         after_s: Until the answer came, s; None without one.
     """
@@ -245,7 +245,7 @@ class Curves:
 
 @dataclass
 class FlightSummary:
-    """What happened; times are s after the beginning of the log.
+    """The summary of a flight; times are s after the beginning of the log.
 
     Attributes:
         name: Name of the file.
@@ -254,9 +254,9 @@ class FlightSummary:
         firmware: Name of the profile; None when it was never known: there is no telemetry then.
         packages: Telemetry packages.
         phases: ``ground``, ``take-off``, ``flight``, ``landing``, ``unknown``.
-        control: Who had control: ``pilot``, ``app``, ``program``.
-        alarms: What the console would have told, by the same names.
-        commands: What was asked for, and the answers; setpoints and questions apart.
+        control: The owner of control authority: ``pilot``, ``app``, ``program``.
+        alarms: The alarms that the console would have shown, by the same names.
+        commands: The requests, and the answers; setpoints and questions apart.
         streams: When setpoints and the like were sent.
         repeats: Commands that were sent again because no answer came.
         discarded_bytes: Received bytes that belonged to no frame.
@@ -579,7 +579,7 @@ class _SampleReader:
 
 
 def _spans(names: list[tuple[float, str]], end_s: float) -> list[Span]:
-    """What was so until it was something else."""
+    """The spans in which a name stayed the same."""
     spans: list[Span] = []
     for at, name in names:
         if spans:
