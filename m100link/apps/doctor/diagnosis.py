@@ -62,7 +62,7 @@ async def diagnose(
         authority: Obtain control authority for a moment, when all else is right and the aircraft
             stands on the ground with its motors off.
         tell: Gets each finding at once.
-        machine: What to look at the port with.
+        machine: The reader of the port's facts.
 
     Raises:
         BadURL: Not a connection string.
@@ -120,7 +120,7 @@ async def look_at_aircraft(
     """Connect and ask, stage by stage; to be closed at the first failure.
 
     Raises:
-        UsageError: What was asked for cannot be: that is no matter of the aircraft.
+        UsageError: The request cannot be fulfilled: that is no matter of the aircraft.
     """
     try:
         aircraft = await connect(url, firmware=firmware, baud_rate=baud_rate)
@@ -270,7 +270,7 @@ async def _activation(
 
 
 async def _key(aircraft: Aircraft, credentials: Credentials | None) -> Finding:
-    """An encrypted version query: harmless, and answered by whoever can read it."""
+    """An encrypted version query: harmless, and answered if the aircraft can read it."""
     if credentials is None:
         return Stage.KEY.skipped("no app id and key were given")
     try:

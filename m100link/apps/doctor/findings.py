@@ -1,4 +1,4 @@
-"""What a diagnosis finds: a stage, what was seen there, and what to do about it."""
+"""The findings of a diagnosis: a stage, its observation, and the remedy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Details = Mapping[str, Any]
 
 
 class Stage(Enum):
-    """What has to be right, in the order in which it is looked at."""
+    """The conditions of a flight, in the order in which they are looked at."""
 
     PORT = "the port exists"
     PERMISSION = "it may be opened"
@@ -34,7 +34,7 @@ class Stage(Enum):
 
     @property
     def title(self) -> str:
-        """What is asked, for people."""
+        """The condition, for people."""
         return self.value
 
     def good(self, seen: str, details: Details | None = None) -> Finding:
@@ -69,7 +69,7 @@ class Stage(Enum):
 
 
 class Verdict(StrEnum):
-    """What became of a stage."""
+    """The outcome of a stage."""
 
     GOOD = "good"
     DOUBTFUL = "doubtful"
@@ -113,7 +113,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What was found, in order; the last finding failed if one did."""
+    """The findings, in order; the last one failed if one did."""
 
     place: str  #: where the aircraft was looked for, without secrets
     findings: tuple[Finding, ...]  #: one for each stage that was reached
@@ -125,7 +125,7 @@ class Report:
 
     @property
     def doubts(self) -> tuple[Finding, ...]:
-        """What works and may still be a cause."""
+        """The findings that work and may still be a cause."""
         return tuple(one for one in self.findings if one.verdict is Verdict.DOUBTFUL)
 
     def to_json(self) -> dict[str, Any]:

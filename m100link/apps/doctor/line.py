@@ -314,7 +314,7 @@ _MAVLINK_STARTS = {0xFE: 8, 0xFD: 12}  # version: bytes of a frame beside its da
 
 @dataclass(frozen=True, slots=True)
 class Likeness:
-    """What bytes without one valid frame look like."""
+    """The likely source of bytes without one valid frame."""
 
     name: str  # one word for programs
     seen: str
@@ -324,7 +324,7 @@ class Likeness:
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """What was on the line for a while."""
+    """The bytes and frames of a line for a while."""
 
     data: bytes
     frames: tuple[Frame, ...]  # those with good checksums
@@ -341,7 +341,7 @@ class Heard:
         return sum(not one.is_ack and one.data[:2] == address for one in self.frames)
 
     def details(self) -> dict[str, object]:
-        """For programs, and for whoever reads a report."""
+        """The values for programs, and for readers of a report."""
         return {
             "bytes": len(self.data),
             "frames": len(self.frames),
@@ -356,7 +356,7 @@ class Heard:
         return sum(after < at + _length(self.data, at) for at, after in pairwise(starts))
 
     def likeness(self) -> Likeness | None:
-        """What it looks like; None for nothing known, which a wrong baud rate looks like."""
+        """The likely source; None for nothing known, which a wrong baud rate looks like."""
         for look in (_constant, _text, _mavlink, _inverted):
             found = look(self.data)
             if found is not None:
@@ -375,7 +375,7 @@ def hear(data: bytes) -> Heard:
 
 
 def _length(data: bytes, at: int) -> int:
-    """What the header there says that the frame's length is (document 1.3.1)."""
+    """The frame's length that the header there states (document 1.3.1)."""
     return int.from_bytes(data[at + 1 : at + 3], "little") & _LENGTH_MASK
 
 

@@ -1,4 +1,4 @@
-"""What this machine tells about a serial port, without opening it (Linux; elsewhere little).
+"""The facts of a serial port on this machine, without opening it (Linux; elsewhere little).
 
 Everything is read below a root folder, so that a test can bring a machine of its own.
 """
@@ -29,7 +29,7 @@ class Process:
 
 @dataclass(frozen=True, slots=True)
 class Permission:
-    """Who may open a device."""
+    """The rights to open a device."""
 
     mode: str  # as ``ls -l`` shows it
     owner: str  # name of the owner, or the number
@@ -71,7 +71,7 @@ class Machine:
         return Path(os.path.realpath(read_path(path)))
 
     def permission(self, path: str) -> Permission:
-        """Who may open it.
+        """The rights to open it.
 
         Raises:
             OSError: There is no such device.
@@ -101,7 +101,7 @@ class Machine:
     def holders(self, path: str) -> tuple[Process, ...]:
         """Other programs that have the device open, where the system tells.
 
-        Who holds the master of a pseudo-terminal is its other end.
+        The holder of the master of a pseudo-terminal is its other end.
         """
         wanted = str(self.device(path))
         found = []
@@ -165,7 +165,7 @@ class Machine:
     # -- the adapter -----------------------------------------------------------------------------
 
     def adapter(self, path: str) -> Adapter:
-        """What the port hangs on."""
+        """The adapter that the port hangs on."""
         port = self._root / "sys/class/tty" / self.device(path).name / "device"
         try:
             place = port.resolve(strict=True)

@@ -14,7 +14,7 @@ from m100link.link.transport import open_transport, serial_ports
 from m100link.link.url import ConnectionString
 
 MOST_LATENCY_MS: Final = 4
-"""What an FTDI adapter may collect bytes for; 16 is what it does by default."""
+"""The longest time for which an FTDI adapter may collect bytes; its default is 16."""
 
 
 def failed(stage: Stage, error: M100Error, *commands: str) -> Finding:
@@ -28,7 +28,7 @@ def failed(stage: Stage, error: M100Error, *commands: str) -> Finding:
 
 
 def look_at_port(device: str, machine: Machine) -> Iterator[Finding]:
-    """What the machine tells of a port without opening it; ends with the first failure."""
+    """The machine's findings on a port, without opening it; ends with the first failure."""
     for look in (_exists, _permission, _owner, _interference):
         finding = look(device, machine)
         yield finding
@@ -196,7 +196,7 @@ class Ear(asyncio.Protocol):
         """Give the line back."""
         if self.transport is not None:
             self.transport.abort()
-            # What lasts longer ends by itself; whoever opens it next finds it busy, and says so.
+            # A longer closing ends by itself; the next program that opens it reports it as busy.
             await self.listen(1.0)
 
 
