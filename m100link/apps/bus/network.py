@@ -1,4 +1,4 @@
-"""What fleets and nodes of ROS 2 need of a network.
+"""The network of fleets and nodes of ROS 2, as they need it.
 
 Keys are words with ``/`` between them; in a pattern ``*`` stands for one word and ``**`` for any
 number. There are two ways to hear. On a :class:`Bus` whatever comes is handed over in the event
@@ -23,7 +23,7 @@ _logger = logging.getLogger(__name__)
 T = TypeVar("T")
 
 DEPTH = 1024
-"""What waits at most for one taker; of more than that the oldest is lost."""
+"""The most messages that wait for one taker; of more than that the oldest is lost."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ class Inbox(Protocol[T]):
 
 
 class Session(Protocol):
-    """What both kinds of a session have."""
+    """The common part of both kinds of a session."""
 
     @property
     def session(self) -> str:
@@ -171,13 +171,12 @@ class PolledBus(Session, Protocol):
 
 
 # -- what waits between zenoh's threads and the event loop: on its way in, and on its way out ------
-# Where a thousand aircraft are told of, waking a thread for each message costs twenty times what
-# the message itself does. So what may wait a moment goes with others, and what comes can wait in
-# rings.
+# At a thousand aircraft, waking a thread for each message costs twenty times as much as the message
+# itself. So a message that may wait a moment goes with others, and incoming ones can wait in rings.
 
 
 AT_ONCE = 256
-"""What is taken from one queue before others have their turn."""
+"""The most messages that are taken from one queue before others have their turn."""
 
 TURN = 0.005
 """Seconds after which they have it in any case: a payload may be dear to read."""
@@ -240,7 +239,7 @@ class Ring(Inbox[T]):
         self._ended = ended
 
     def take(self) -> list[T]:
-        """What is in it, oldest first."""
+        """The items in it, oldest first."""
         found: list[T] = []
         try:
             # A flood fills it as fast as it is emptied: what comes meanwhile waits.
@@ -254,8 +253,8 @@ class Ring(Inbox[T]):
 class Bundle:
     """Messages that wait a moment for others: one wake-up of zenoh's thread sends all of them.
 
-    What is made when it goes costs a fraction of what it costs when it comes: the processor has all
-    of it at hand from the one before.
+    Packing a message when it goes costs a fraction of packing it when it comes: the processor has
+    all of it at hand from the one before.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:

@@ -1,8 +1,8 @@
 """The one place that knows zenoh: a session, what goes out and what comes in by it.
 
-zenoh runs on threads of its own. What comes for a :class:`~m100link.apps.bus.network.Bus` is put
-into a bounded queue there, and taken in the event loop; what comes for a
-:class:`~m100link.apps.bus.network.PolledBus` waits in rings of zenoh's own, outside of Python.
+zenoh runs on threads of its own. They put the messages of a :class:`~m100link.apps.bus.network.Bus`
+into a bounded queue, and the event loop takes them; those of a
+:class:`~m100link.apps.bus.network.PolledBus` wait in rings of zenoh's own, outside of Python.
 Nothing here blocks those threads, and a flood costs the oldest.
 """
 
@@ -63,7 +63,7 @@ class Opening:
     largest: int = LARGEST  # bytes of the longest payload that is read
     patience_s: float = 0.0  # seconds in which a client that found no router tries again
     is_patient: bool = False  # it tries as long as it takes
-    # What to do where no session can be, by the mode; ``""`` for all others.
+    # The remedy where no session can be, by the mode; ``""`` for all others.
     remedies: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -90,7 +90,7 @@ class _Outlet(_Declared, Outlet):
         self._listener: Any = None
         if not is_kept:
             # To ask costs 20 µs where a session has a thousand keys, and is asked a hundred times
-            # a second. What changes after the question is told by the listener, which is there.
+            # a second. The listener, which is there, reports what changes after the question.
             self._listener = declared.declare_matching_listener(self._matching)
             self._first = bool(declared.matching_status.matching)
 
@@ -136,7 +136,7 @@ class ZenohBus:
     """
 
     def __init__(self, session: zenoh.Session, largest: int = LARGEST) -> None:
-        import zenoh  # which whoever opened the session has loaded
+        import zenoh  # loaded already by the opening of the session
 
         self._zenoh = zenoh
         self._session, self._largest = session, largest
@@ -311,7 +311,7 @@ class ZenohBus:
     async def _replies(
         self, get: Callable[[Any], None], timeout: float
     ) -> list[tuple[str, zenoh.Sample]]:
-        """Who answered, and what, until zenoh says that no more comes, or the time is over."""
+        """The answers with their names, until zenoh says that no more come, or the time is over."""
         found: list[tuple[str, zenoh.Sample]] = []
         ended = asyncio.Event()
 
@@ -417,8 +417,8 @@ async def _opened(config: zenoh.Config) -> zenoh.Session:
 async def _closed(session: zenoh.Session) -> None:
     """Close a session; one whose router does not answer is left to a thread of its own.
 
-    There zenoh waits for its last try to connect, ten seconds long, and then raises: whoever
-    leaves the block would hear of it that much later why he had to, or of zenoh instead.
+    There zenoh waits for its last try to connect, ten seconds long, and then raises: the caller
+    that leaves the block would hear of its own error that much later, or of zenoh's instead.
     """
     loop, is_closed = asyncio.get_running_loop(), asyncio.Event()
 
@@ -462,7 +462,7 @@ _NO_SESSION = {
 
 
 def _refused(error: Exception, mode: str, opening: Opening) -> UsageError:
-    # What zenoh says ends with the place in its source.
+    # zenoh's text ends with the place in its source.
     seen = str(error).partition(" at /")[0].strip()
     what, cause = _NO_SESSION.get(mode, ("no session of zenoh", ""))
     remedy = opening.remedies.get(mode, opening.remedies.get("", ""))
