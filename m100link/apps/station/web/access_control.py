@@ -1,4 +1,4 @@
-"""Who is let in: the token and what stands for it, and the gate before every application."""
+"""Access control: the token and its substitutes, and the gate before every application."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MAX_CODES = 16
 
 
 class Access:
-    """What clients may show to get in.
+    """The secrets that clients may show to get in.
 
     A program shows the token. A browser is sent to an address with a *code* instead: addresses
     stand in histories, and on command lines that everybody on the machine can read. A code works

@@ -1,4 +1,4 @@
-"""What strangers may use: orders, log lines, connections, places and dear answers.
+"""Limits for strangers: orders, log lines, connections, places and dear answers.
 
 Each limit is a rule of its own; none waits or reads a clock, except for the last.
 """
@@ -121,8 +121,8 @@ class Visitor(Protocol):
 class ConnectionLimit:
     """Lets connections in; when there are too many, the one that was idle longest goes.
 
-    Who opens connections and asks nothing loses them to those who ask. WebSockets are counted by
-    whoever serves them: they have left the door.
+    A peer that opens connections and asks nothing loses them to those that ask. WebSockets are
+    counted by the application that serves them: they have left the door.
     """
 
     def __init__(self, *, per_peer: int = 32, total: int = 128) -> None:
@@ -188,7 +188,7 @@ def to_evict(guests: Collection[G], peer: str, now: float) -> G | None:
     """The guest whose place a newcomer gets; None if nobody has to go for it.
 
     First those that never said anything; then one of an address with at least two more places
-    than the newcomer's would have; then whoever was silent for long, and gets nothing rather than
+    than the newcomer's would have; then one that was silent for long, and gets nothing rather than
     something.
     """
     mute = [one for one in guests if not one.has_spoken and now - one.heard_at >= FIRST_WORD]
@@ -203,10 +203,10 @@ def to_evict(guests: Collection[G], peer: str, now: float) -> G | None:
 
 
 # -- dear answers one at a time --------------------------------------------------------------------
-# Building a page holds up the event loop, and with it the keys of whoever flies. One page costs a
+# Building a page holds up the event loop, and with it the keys of the operator. One page costs a
 # few lost key repeats, which the lifetime of a setpoint bridges; one after the other they would
 # cost the flight. So each is followed by a pause that is some times as long as it took, however
-# fast the machine is. Who comes while too many wait is told to come again.
+# fast the machine is. A client that comes while too many wait gets a request to come again.
 
 PAUSE = 3.0  # length of the pause after an answer, in times that it took
 LONGEST_PAUSE = 1.0  # seconds that a pause lasts at most

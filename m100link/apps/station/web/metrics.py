@@ -1,8 +1,8 @@
-"""The numbers of a station as OpenMetrics, for Prometheus and whoever else reads that.
+"""The numbers of a station as OpenMetrics, for Prometheus and other readers.
 
-What an agent counts comes to its fronts once a second; it is handed on as it is, with the name of
-the aircraft. Counters of a link begin anew with each connection, which is what readers of counters
-expect. Nothing here asks an aircraft or an agent anything: whoever scrapes costs them nothing.
+The agent sends its counters to its fronts once a second, and they come out unchanged, with the name
+of the aircraft. Counters of a link begin anew with each connection, as readers of counters
+expect. Nothing here asks an aircraft or an agent anything: a scrape costs them nothing.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ _Family = tuple[type[Any], str, str, list[str], list[tuple[Any, ...]]]
 
 
 class StationMetrics(Collector):
-    """What is counted in a station, taken when somebody scrapes."""
+    """The counters of a station, taken when somebody scrapes."""
 
     def __init__(
         self, bridge: RosbridgeServer, dropped_by_tabs: Callable[[], Mapping[str, int]] = dict
@@ -107,7 +107,7 @@ class StationMetrics(Collector):
     def _families(self) -> Iterator[_Family]:
         """Class, name, help, labels, and of each sample the labels' values and what it tells."""
         agents = self._bridge.agents.items()
-        # What was counted, of each aircraft of which it is known now.
+        # The counters of each aircraft that is known now.
         links = [
             (name, agent.link)
             for name, agent in agents

@@ -59,7 +59,7 @@ HEADERS = (
 
 
 class Config(uvicorn.Config):
-    """What the connections of one server share."""
+    """The state that the connections of one server share."""
 
     def __init__(self, app: Any, intake: Intake | None = None, **keywords: Any) -> None:
         # Proxy headers are not believed: anybody could say who and how he came.
@@ -159,7 +159,7 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
             self.schedule_ping()
             return
         super().keepalive_timeout()
-        # What it does not read must not keep the connection.
+        # A peer that does not read must not keep the connection.
         self.loop.call_later(_FLUSH_TIME, self.transport.abort)
 
     async def send_all(self, messages: Iterable[str | bytes]) -> None:
@@ -180,7 +180,7 @@ class _Requests(h11.Connection):
     is_too_much = False  # whether a request came with a body
 
     def next_event(self) -> Any:
-        """What comes next.
+        """The next event of the connection.
 
         Raises ``RemoteProtocolError``: it is not HTTP, or it has a body.
         """
@@ -216,7 +216,7 @@ class HttpConnection(H11Protocol):
 
     @property
     def events(self) -> int:
-        """What was parsed."""
+        """The number of parsed events."""
         return self.conn.count
 
     @property
@@ -277,7 +277,7 @@ class HttpConnection(H11Protocol):
             self._patience = self.loop.call_later(PATIENCE, self._look_again)
 
     def send_400_response(self, msg: str) -> None:
-        """What is not HTTP, or too much of it, has no application that could answer."""
+        """Answer here: bytes that are not HTTP, or too many, reach no application that could."""
         status = HTTPStatus.BAD_REQUEST
         if self.conn.is_too_much:
             status, msg = HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "A request has no body here."

@@ -125,7 +125,7 @@ class RosbridgeServer:
     def _make_room(self, peer: str) -> bool:
         """Whether one more client may come, for which another may have to go.
 
-        Whoever holds the lease needs no place, and loses none.
+        The holder of the lease needs no place, and loses none.
         """
         now = self.agent.now
         others = [one for one in self._sessions if not self._steers(one)]
@@ -250,7 +250,7 @@ def _health_of(agent: AgentClient) -> dict[str, Any]:
 
 
 def _frames(session: Client) -> list[str | bytes]:
-    """What waits for a client, as far as it can be packed in a short time and fits one write."""
+    """Frames that wait for a client, as many as pack in a short time and fit one write."""
     frames: list[str | bytes] = []
     size, until = 0, time.perf_counter() + _PACKING_TIME
     while size < _WRITE_SIZE and (frame := session.outbox.next_frame()) is not None:
@@ -262,7 +262,7 @@ def _frames(session: Client) -> list[str | bytes]:
 
 
 async def frames_of(websocket: WebSocket) -> AsyncIterator[str | bytes]:
-    """What a client sends, until it leaves."""
+    """The frames that a client sends, until it leaves."""
     while True:
         message = await websocket.receive()
         if message["type"] == "websocket.disconnect":
@@ -293,7 +293,7 @@ class Server(uvicorn.Server):
 
     @contextlib.contextmanager
     def capture_signals(self) -> Generator[None, None, None]:
-        """Leave the signals alone; whoever runs the server ends it by ``should_exit``."""
+        """Leave the signals alone; the program ends the server by ``should_exit``."""
         yield
 
     @classmethod
@@ -389,7 +389,7 @@ async def _serving(server: Server, sockets: list[socket.socket]) -> AsyncIterato
             await serving
         yield
     finally:
-        server.should_exit = True  # clients are told
+        server.should_exit = True  # uvicorn closes the clients' connections
         await asyncio.gather(serving, return_exceptions=True)
         for one in sockets:
             one.close()
