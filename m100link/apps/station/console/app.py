@@ -135,7 +135,7 @@ def _wait_to_hear(client: Client, unheard: dict[str, Client]) -> None:
 def _log_nothing_of_strangers() -> None:
     """NiceGUI builds a page for each path that there is not, and logs the address as it came.
 
-    What a page has to say it logs as well. Both may hold keys and tokens, and be without end.
+    It also logs the messages of pages. Both may hold keys and tokens, and be without end.
     """
     nicegui_app.add_exception_handler(404, _not_found)
     core.sio.on("log", _forget)
@@ -146,7 +146,7 @@ async def _not_found(request: Request, error: Exception) -> Response:
 
 
 async def _forget(sender: str, message: object) -> None:
-    """What a page wants logged is the affair of its browser."""
+    """The log messages of a page are the affair of its browser."""
 
 
 # -- content security policy -----------------------------------------------------------------------

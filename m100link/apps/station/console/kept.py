@@ -1,4 +1,4 @@
-"""What outlives a page: words before take-off, and the last minutes."""
+"""Data that outlives a page: words before take-off, and the last minutes."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ LINE_COLUMNS = (
 """Numbers of the way to the aircraft, beside those of the telemetry."""
 
 COLUMNS = (*columns_of(item.record for item in ITEMS), *LINE_COLUMNS)
-"""What can be drawn, as ``item.field``."""
+"""The values that can be drawn, as ``item.field``."""
 
 _READERS = [
     (item.record, [attrgetter(name) for name in (*item.record._fields, *item.views)])

@@ -1,4 +1,4 @@
-"""What the console's panel does to a virtual aircraft: the words of ``m100link sim ctl``."""
+"""Orders of the console's panel to a virtual aircraft: the words of ``m100link sim ctl``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The shell of the page: header, views, STOP. What stands in a view is a part.
+"""The shell of the page: header, views, STOP. A view consists of parts.
 
 Header and bottom bar are there at every size and above every dialog: the status line at the top,
 the views and STOP at the bottom, where a thumb is.
@@ -213,20 +213,20 @@ class Page:
 # telemetry, no answer of the station, no script of the console. Whatever shows a value was sent by
 # a station that runs.
 
-# With credentials: behind a token nothing is sent to whoever has no cookie.
+# With credentials: behind a token a client without the cookie gets nothing.
 _HEAD = (
     '<link rel="manifest" href="/console/manifest.webmanifest" crossorigin="use-credentials">'
     '<link rel="icon" type="image/svg+xml" href="/console/icon.svg">'
     '<meta name="theme-color" content="#12202f">'
     '<meta name="mobile-web-app-capable" content="yes">'
-    # What shell.js imports, asked for with it and not after it.
+    # The imports of shell.js, asked for with it and not after it.
     + "".join(
         f'<link rel="modulepreload" href="/console/{name}.js">'
         for name in ("shell", "press", "orders", "said", "socket", "steer", "instruments", "map")
     )
     + "<script>navigator.serviceWorker?.register('/sw.js').catch(() => {})</script>"
 )
-"""What the page has in its head. Beyond this machine workers need TLS; without, there is none."""
+"""The page's head. Beyond this machine workers need TLS; without, there is none."""
 
 
 async def worker(request: object) -> Response:

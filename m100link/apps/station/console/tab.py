@@ -5,9 +5,9 @@ lasts :data:`BEAT_LIFETIME`; without the next one the aircraft stops, whatever t
 released, focus lost, tab closed, socket gone, browser hanging. Between times the tab tells that it
 is alive, which keeps its lease.
 
-What counts is when the key was held, not when that became known: each message has the page's time,
-and the station's time that the page heard last. A beat that waited on its way is refused, and
-nobody steers by a picture that is old.
+The time at which the key was held counts, not the time at which that became known: each message
+has the page's time, and the station's time that the page heard last. A beat that waited on its
+way is refused, and nobody steers by a picture that is old.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _COMPLAINT_PAUSE = 1.0
 
 
 class Tab:
-    """What one tab may do, and has."""
+    """The rights and the state of one tab."""
 
     def __init__(
         self,
@@ -66,7 +66,7 @@ class Tab:
         self._agent = self.agent = agent
         self.aircraft = aircraft
         self.kept = {} if kept is None else kept  # lasts as long as this tab is heard
-        # Who looks at it, past a reload: see :mod:`~m100link.apps.station.console.kept`.
+        # The name of its user, past a reload: see :mod:`~m100link.apps.station.console.kept`.
         self.person = ""
         self.refusal: M100Error | None = None  # what was refused last; None for nothing
         self.beats = 0  # beats that were sent on
@@ -111,7 +111,7 @@ class Tab:
     async def attempt(self, work: Callable[[], Awaitable[Any]]) -> bool:
         """Do something for the operator; what goes wrong is kept as the problem.
 
-        What this tab ended by its own STOP went as it was wished.
+        Work that this tab's own STOP ended is no failure.
         """
         self.refusal, began = None, self._agent.now
         try:
@@ -360,7 +360,7 @@ _TOLD_FOR = 0.3  # as long as a beat lasts: it was refused just now
 
 
 class Fate(StrEnum):
-    """What the page shows of a held key, stick or gamepad."""
+    """The display of the page for a held key, stick or gamepad."""
 
     SENT = "sent"  # nobody knows yet
     FLOWN = "flown"

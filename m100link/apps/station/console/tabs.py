@@ -35,7 +35,7 @@ PLACES = 32  # tabs that may have a socket
 
 @dataclass(slots=True, eq=False)
 class _Place:
-    """A tab with its socket, as whoever gives places away sees it."""
+    """A tab with its socket, as the allocation of places sees it."""
 
     tab: Tab
     peer: str  # address that it comes from
@@ -89,7 +89,7 @@ class Tabs:
     def move(self, tab: Tab, to: str) -> str:
         """The operator of a tab turns to another aircraft; returns the address of its page.
 
-        What was steered here stops and hovers, now and not when the page has gone. A mission or a
+        A movement steered here stops and hovers, now and not when the page has gone. A mission or a
         task that the aircraft flies by itself goes on. Control of this aircraft is kept, if there
         was any, and given back when the other page is not there within :data:`MOVE_PATIENCE`.
         """
@@ -161,7 +161,7 @@ class Tabs:
     def _make_room(self, peer: str) -> bool:
         """Whether one more may come, for which another may have to go.
 
-        Whoever steers needs no place, and loses none.
+        The tab that steers needs no place, and loses none.
         """
         others = [one for one in self._places.values() if not one.tab.session.has_lease]
         if len(others) < PLACES:
