@@ -45,7 +45,7 @@ _APP: dict[str, Any] = {one.name: one.default for one in fields(Credentials)}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
-    """What the station needs to know.
+    """The settings of the station.
 
     The command line is made from these fields and their sentences; see
     ``m100link.apps.cli.common``.
@@ -157,7 +157,7 @@ class Settings:
     unused: tuple[str, ...] = ()
 
     def credentials(self) -> Credentials | None:
-        """What activation needs, or None when there is no app id.
+        """The credentials for activation, or None when there is no app id.
 
         Raises ``UsageError, BadKey``: the key is missing or cannot be one.
         """

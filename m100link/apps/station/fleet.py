@@ -52,7 +52,7 @@ def default_ledgers() -> Path:
 def recorded_apart(settings: Settings, name: str) -> Settings:
     """The settings with a folder of its own for the logs of this aircraft.
 
-    Whoever may watch one aircraft may fetch its logs, and those of no other.
+    A client that may watch one aircraft may fetch its logs, and those of no other.
     """
     if settings.record is None:
         return settings
@@ -67,7 +67,7 @@ class FleetSettings:
     site: str = DEFAULT_SITE
     lost: LostLinkPlan = field(
         default_factory=LostLinkPlan
-    )  # what happens when whoever flies is lost
+    )  # what happens when the client that flies is lost
     # Folder of what outlives an agent; None: nothing does, as for virtual aircraft.
     ledgers: Path | None = None
     options: dict[str, str] = field(default_factory=dict)  # more options of zenoh, by name, as JSON
@@ -118,7 +118,7 @@ def _services(
     fleet: FleetSettings,
     others: Beside,
 ) -> dict[str, Coroutine[Any, Any, None]]:
-    """What serves an aircraft beside its agent, by what it is."""
+    """The services of an aircraft beside its agent, by what they are."""
     verify, revocations = fleet.verify, fleet.revocations
     folder = None if settings.no_record else settings.record
     show = ShowService(one.client, bus, keys, verify=verify, namesakes=one.namesakes, beside=others)
@@ -180,7 +180,7 @@ class Ships:
 
     def __init__(self, fleet: Fleet, stack: AsyncExitStack) -> None:
         self._fleet, self._stack = fleet, stack
-        # What is known of each, by name; another one may stand there from the beginning.
+        # The agents by name; another one may stand there from the beginning.
         self.agents: dict[str, AgentClient] = {}
         self._channels: dict[str, FleetChannel] = {}
         self._unused: dict[str, FleetChannel] = {}

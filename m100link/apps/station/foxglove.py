@@ -68,7 +68,7 @@ class FoxgloveChannel:
     schema: str  # JSON schema of its messages
 
     def advertised(self) -> dict[str, Any]:
-        """As a viewer is told of it."""
+        """The channel as the protocol advertises it to a viewer."""
         return {
             "id": self.number,
             "topic": self.topic,
@@ -80,7 +80,7 @@ class FoxgloveChannel:
 
 
 class Viewer:
-    """What one viewer subscribed to, and what waits for it."""
+    """The subscriptions of one viewer, and the messages that wait for it."""
 
     def __init__(
         self,
@@ -110,7 +110,7 @@ class Viewer:
         return channel in self._by_subscription.values()
 
     def receive(self, frame: str | bytes, now: float) -> None:
-        """Take what it sent. Never raises: what is wrong with it is told to it."""
+        """Take a message of the viewer. Never raises: the viewer gets a status for a fault."""
         if not self._operations.take(now):
             self.close_reason = "too many messages: this server is read-only"
             self._on_output()
@@ -171,7 +171,7 @@ class Viewer:
         self._on_output()
 
     def next_frames(self, size: int) -> list[str | bytes]:
-        """What goes out next: texts first, then from each subscription in turn."""
+        """The next frames to send: texts first, then from each subscription in turn."""
         frames: list[str | bytes] = list(self._texts)
         self._texts.clear()
         taken = sum(map(len, frames))
@@ -186,7 +186,7 @@ class Viewer:
         return frames
 
 
-# -- what is told of the aircraft ------------------------------------------------------------------
+# -- the messages about the aircraft ---------------------------------------------------------------
 
 STATE_S = 0.5  # between two messages about the agent
 
@@ -223,7 +223,7 @@ class Feed:
             agent.on_event.append(partial(self.hear_event, name))
 
     def hear(self, name: str, sample: Sample) -> None:
-        """A telemetry package; at most twenty a second are told."""
+        """Send a telemetry package to the viewers; at most twenty a second."""
         at = sample.received_at
         told = self._thinning[name].hear(sample.value, sample.profile, at)
         if told is None:
@@ -312,7 +312,7 @@ class FoxgloveServer:
 
     @asynccontextmanager
     async def feeding(self) -> AsyncIterator[None]:
-        """While the block runs, viewers are told what the agents tell."""
+        """While the block runs, viewers get the telemetry and states of the agents."""
         tasks = [
             asyncio.create_task(work)
             for name, agent in self._agents.items()

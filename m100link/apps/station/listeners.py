@@ -1,4 +1,4 @@
-"""Who listens where: the fronts of a station, a row for each, and their sockets by name.
+"""The listeners: the fronts of a station, a row for each, and their sockets by name.
 
 :data:`FRONTS` is the registry. A row says on which TCP ports of the settings a front is served, and
 which module serves it. The process that owns the aircraft opens the sockets: a front that dies
@@ -55,7 +55,7 @@ class FrontSpec:
     name: str  # of its sockets
     module: str  # loaded in the process that serves it
     ports: Callable[[Settings], Sequence[int] | None]  # its TCP ports; None: it is not served
-    scheme: str = "tcp"  # of the addresses that are told; ``http`` and ``ws`` become those of TLS
+    scheme: str = "tcp"  # of the reported addresses; ``http`` and ``ws`` become those of TLS
     path: str = ""  # behind the port
     beside: str = ""  # another front, without which there is nothing that it could serve
     is_asked_for: bool = False  # whether it is served where a command says so, too
@@ -126,7 +126,7 @@ class Sockets:
         return [f"udp://{host}:{port}" for host, port in ends]
 
     def descriptors(self) -> dict[str, list[int]]:
-        """What another process needs that inherits them."""
+        """The descriptors for another process that inherits them."""
         return {name: [one.fileno() for one in row] for name, row in self.of.items()}
 
     @classmethod
@@ -225,7 +225,7 @@ class Fronts:
         # later is shown by the console of a fleet, too.
         self.agents: dict[str, AgentClient] = {}
         self.made: dict[str, object] = {}  # what a front is for others, by its name
-        # What the clients of a front did not get because they are slow, by the front's name.
+        # Messages that slow clients of a front did not get, by the front's name.
         self.dropped: dict[str, Callable[[], Mapping[str, int]]] = {}
         self.leave_port: list[Callable[[], None]] = []  # of each server; its connections stay
         self.access: Access | None = None  # what browsers have to show; None: nothing

@@ -1,4 +1,4 @@
-"""What a process of ours logs, on standard error: as text, or as one JSON object per line.
+"""The log of a process on standard error: as text, or as one JSON object per line.
 
 Another thread writes, and what nobody reads in time is counted instead of shown: a terminal that
 was stopped by Ctrl-S is no reason to hold up setpoints.
@@ -28,7 +28,7 @@ _LAST_WORDS = 1.0  # seconds that the end waits for what is still to be told
 
 @dataclass(frozen=True, slots=True)
 class LogOutput:
-    """What is shown of the log of a process, and how."""
+    """The level and the form of the log of a process."""
 
     level: str = "warning"  # the lowest level that is shown, one of :data:`LEVELS`
     as_json: bool = False  # one JSON object per line
@@ -39,7 +39,7 @@ _aircraft = ""
 
 
 def in_force() -> LogOutput | None:
-    """What this process shows, which those that it starts show too; None if nobody chose."""
+    """The log output of this process and of those that it starts; None if nobody chose."""
     return _in_force
 
 

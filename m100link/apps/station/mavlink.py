@@ -131,7 +131,7 @@ async def serving_mavlink(
 
 @asynccontextmanager
 async def _remembering(signer: PacketSigner, bridge: Bridge) -> AsyncIterator[None]:
-    """Keep on disk what was signed; where that cannot be it is told once, and flying goes on."""
+    """Keep on disk what was signed; warn once where that cannot be, and go on flying."""
     memory = SignatureMemory(state_folder() / "mavlink", signer)
     told = await asyncio.to_thread(memory.recall, signature_time())
 

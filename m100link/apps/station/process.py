@@ -56,7 +56,7 @@ async def _own(request: dict[str, Any], ended: asyncio.Event) -> None:
             orders = CtlServer([owner.virtual], Path(request["orders"]))
             await orders.start()
             stack.push_async_callback(orders.stop)
-        # First of all: the fronts are told, and whoever flies is let go.
+        # First of all: the fronts' channels close, which releases the leases of their clients.
         stack.callback(owner.service.close)
         leave_what_stays()
         answer(is_virtual=owner.virtual is not None)
@@ -83,7 +83,7 @@ async def _until_ended(ended: asyncio.Event, fronts: Fronts, parent_ended: async
         with suppress(TimeoutError):
             async with asyncio.timeout(_CHECK):
                 await ended.wait()
-        # One of several agents is started again as long as whoever starts them is there.
+        # One of several agents is started again as long as its supervisor is there.
         is_last = len(fronts.agents) == 1 or parent_ended.is_set()
         if is_last and all(agent.is_gone for agent in fronts.agents.values()):
             if not alone:

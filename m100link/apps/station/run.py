@@ -247,7 +247,7 @@ class RunningTwoProcess:
 
 
 def front_settings(settings: Settings) -> dict[str, Any]:
-    """What the fronts have to know, as JSON takes it: nothing of the app and its key.
+    """The settings for the fronts, as JSON takes it: nothing of the app and its key.
 
     Raises ``UsageError``: the token cannot be one.
     """
@@ -353,7 +353,7 @@ class RunningMultiVehicle:
 
 
 def agent_settings(settings: Settings) -> dict[str, Any]:
-    """What an agent has to know, as JSON takes it: nothing of who may connect."""
+    """The settings for an agent, as JSON takes it: nothing of who may connect."""
     found = {one.name: getattr(settings, one.name) for one in fields(settings)}
     return _as_json({name: found[name] for name in _FOR_AGENTS})
 

@@ -1,8 +1,8 @@
 """The supervisor of a station: processes that it starts, and starts again when they end.
 
-It is told by one line of JSON on its standard input what it has to know, and answers by one line
-when it runs, or with the fault that kept it from it. Its standard input stays open as long as the
-one that started it lives.
+A child reads its settings as one line of JSON on its standard input, and answers by one line when
+it runs, or with the fault that kept it from it. Its standard input stays open as long as the
+supervisor lives.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class ChildProcess:
         self,
         role: str,  # which of those of :mod:`m100link.apps.station.process` it is
         called: str,  # who it is, for people
-        # What it is told; ``starts``, how often it was started before, and ``log``, how it logs,
-        # come to it.
+        # The settings for it; ``starts``, how often it was started before, and ``log``, how it
+        # logs, are added.
         request: dict[str, Any],
         note: Callable[[str, str], None],  # takes a text and a level: what happens to it
         *,
@@ -198,7 +198,7 @@ def run_child(work: Callable[[dict[str, Any], asyncio.Event], Awaitable[None]]) 
 
 
 def answer(**values: Any) -> None:
-    """Tell whoever started this process that it runs, or what kept it from it."""
+    """Report to the supervisor that this process runs, or the fault that kept it from it."""
     sys.stdout.write(json.dumps(values) + "\n")
     sys.stdout.flush()
 
@@ -214,7 +214,7 @@ def leave_what_stays() -> None:
 
 
 def end_with_parent(ended: asyncio.Event) -> None:
-    """Set this when standard input ends: nobody writes to it, so whoever held it has gone."""
+    """Set this when standard input ends: nobody writes to it, so its holder has gone."""
     loop = asyncio.get_running_loop()
     number = sys.stdin.fileno()
 
