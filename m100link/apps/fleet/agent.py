@@ -386,7 +386,7 @@ class FleetAgent:
             await asyncio.wait({self._running[identity]}, timeout=HOLD_S)
 
     def _told(self, identity: str, *, is_repeated: bool) -> OrderReply:
-        """What is known of an order now."""
+        """The present reply to an order."""
         reply = self._book.reply(identity)
         if reply is None:
             if self._book.is_known(identity):
@@ -468,7 +468,7 @@ _MOST = 16
 
 
 class DuplicateNames:
-    """What one agent hears under its own name."""
+    """The other agents that one agent hears under its own name."""
 
     def __init__(self, name: str, boot: str) -> None:
         self._name, self._boot = name, boot

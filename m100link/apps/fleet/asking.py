@@ -115,8 +115,8 @@ class Asker:
             Unreachable: No agent of that name is there; nothing was sent.
             OutcomeUnknown: Its outcome is unknown.
             StaleLease: The lease is not in force.
-            NotAllowed: The agent refused who asked.
-            M100Error: What the agent tells.
+            NotAllowed: The agent refused the signer.
+            M100Error: The error that the agent reports.
         """
         if not await self.is_there():
             raise nobody_there(self.keys.name)

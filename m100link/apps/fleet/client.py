@@ -301,7 +301,7 @@ class Fleet:
         return FleetAircraft(self.asker(name), self._name)
 
     def asker(self, name: str, by: str = "") -> Asker:
-        """What asks one aircraft; ``by``: who of those that ask by this end, for people.
+        """The client of one aircraft; ``by``: the program that asks by this end, for people.
 
         Raises:
             UsageError: That cannot be a name.

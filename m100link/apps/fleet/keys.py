@@ -14,7 +14,7 @@ LIVE = "m100-live"
 """First word of tokens."""
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
-"""What may be a name in a fleet: of an aircraft, a site, an identity, a certificate."""
+"""The form of names in a fleet: of an aircraft, a site, an identity, a certificate."""
 
 _PARTS = re.compile(r"[0-9]+|[^0-9]+")
 
@@ -114,5 +114,5 @@ class Keys:
         return f"{LIVE}/{self.site}/{self.name}/{session}"
 
     def status(self, identity: str = "*") -> str:
-        """What became of an order is asked here."""
+        """The key of questions about the outcome of an order."""
         return self.of(f"status/{identity}")

@@ -1,4 +1,4 @@
-"""What an aircraft does when its operator is lost.
+"""The lost-link action: what does when does without its operator.
 
 It hovers first, without any code here: a setpoint that nobody renews expires in a fifth of a
 second. This module ends the hovering: when the lease ended because its holder fell silent in
@@ -167,7 +167,7 @@ class LostLinkAction:
         self._aloft.flown_under(0)
 
     async def _phase_within(self, seconds: float) -> FlightPhase | None:
-        """What the aircraft says of being in the air, as soon as it does; None: not in time."""
+        """The flight phase as soon as the aircraft reports one; None: not in time."""
         client = self._client
         until = client.now + seconds
         while client.now < until:
@@ -216,7 +216,7 @@ class LostLinkAction:
             await asyncio.sleep(min(_LOOK_S, left))
 
     def _by_remote(self) -> str:
-        """What the pilot does with the remote control; empty when it is left alone."""
+        """The control's action on the pilot does; empty when it is left alone."""
         remote = self._client.view.get(RemoteControl)
         if remote is None:
             return ""
@@ -249,7 +249,7 @@ class LastFlight:
     async def keep(self) -> None:
         """Write what changes, until this is cancelled.
 
-        What is asked for under a lease after control was obtained is written behind it, so no task
+        An order under a lease, given after control was obtained, is written behind it, so no task
         begins of which the agent after this one would not know whose it was.
         """
         is_kept = True

@@ -1,4 +1,4 @@
-"""What an agent must know after it was killed: orders that it began, its fence, who was flying.
+"""The memory of an agent that was killed: orders that it began, its fence, the last operator.
 
 Each is one sealed line in a file, written through to the disk before what it says happens. At some
 megabytes the file is rewritten. A thread writes, so a disk that hangs holds up no setpoint. Ages
@@ -278,7 +278,7 @@ class FileOrderLog:
         os.fsync(self._lock)
 
     def _needed(self) -> list[dict[str, Any]]:
-        """What is still needed, and the numbers that this run may give to leases."""
+        """The entries still needed, and the numbers that this run may give to leases."""
         boot, now = self._up()
         young = [(one, at) for one, at in self.begun.items() if now - at < KEPT_S]
         self.begun = dict(young[-MOST_KEPT:])
@@ -298,7 +298,7 @@ class FileOrderLog:
 
 
 Ledger = FileOrderLog | MemoryOrderLog
-"""What is kept, and done when it is kept: no later agent carries out twice what this one began."""
+"""The order log; it is written first: no later agent carries out twice what this one began."""
 
 
 def _write_all(handle: int, data: bytes, at: int) -> None:
@@ -401,7 +401,7 @@ class OrderCache:
         self._ended[reply.id] = now, reply
 
     def reply(self, identity: str) -> OrderReply | None:
-        """What became of it; None while it runs, or when it is not known."""
+        """The outcome of an order; None while it runs, or when it is not known."""
         ended = self._ended.get(identity)
         return None if ended is None else ended[1]
 
@@ -429,7 +429,7 @@ class Mark:
 
     @staticmethod
     def read(data: bytes) -> Mark | None:
-        """What was written; None when it is not what was."""
+        """The mark in these bytes; None when they are not as they were written."""
         found = _MARK.fullmatch(data.decode("ascii", "replace"))
         if found is None or crc32(found[2].encode()) != int(found[1], 16):
             return None

@@ -193,7 +193,7 @@ class OrderService:
     ) -> None:
         """Land, here or at home: the lease is taken over for that long.
 
-        Who asks while the aircraft lands already waits for the same landing.
+        An order that comes while the aircraft lands already waits for the same landing.
 
         Raises:
             LeaseHeld: Somebody has the lease, and it is not to be taken over.

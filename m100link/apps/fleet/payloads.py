@@ -42,7 +42,7 @@ from m100link.errors import (
 
 
 class Outcome(Enum):
-    """What became of an order."""
+    """The outcome of an order."""
 
     OK = "ok"  # carried out, and observed to be
     REFUSED = "refused"  # not carried out, or failed: the reason says which
@@ -79,7 +79,7 @@ def outcome_of(error: M100Error | None) -> Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """The outcome of an order to one aircraft."""
+    """The result of an order to one aircraft."""
 
     name: str  #: the aircraft
     outcome: Outcome  #: what became of the order
@@ -89,7 +89,7 @@ class Result:
 
     @classmethod
     def of(cls, name: str, error: M100Error | None, value: object = None) -> Result:
-        """What an error means."""
+        """The result that an error means."""
         return cls(name, outcome_of(error), error, value)
 
     @property
@@ -152,7 +152,7 @@ _NEXT: dict[MissionStage, dict[MissionInput, MissionStage | None]] = {
         MissionInput.ASKED: MissionStage.STARTING,
     },
 }
-"""What is not named changes nothing; None is refused."""
+"""An input without an entry changes nothing; None is refused."""
 
 
 def after(stage: MissionStage, happens: MissionInput) -> MissionStage:
@@ -180,7 +180,7 @@ _MOST = 64 * 1024
 
 
 class What(Enum):
-    """What is wanted of the logs on board."""
+    """The kinds of questions about the logs on board."""
 
     LIST = "list"
     PIECE = "piece"
@@ -241,7 +241,7 @@ class LeaveShow(ShowOrder):
 
 AboutShow = AskShow | SendTrack | LoadTrack | TakePlace | StartShow | LeaveShow
 Asked = orders.Order | LogQuestion | AboutShow
-"""What an order can ask for. Each has the right that it needs."""
+"""The contents of an order. Each has the right that it needs."""
 
 
 class Progress(Enum):
@@ -277,12 +277,12 @@ class OrderMessage:
         return to_json(self)
 
     def signed(self) -> bytes:
-        """What the signature is over. The proof is in it: nobody takes it away on the way."""
+        """The bytes that the signature is over, with the proof: nobody takes it away on the way."""
         return _SIGNED + self.proof + self.document
 
     @cached_property
     def digest(self) -> bytes:
-        """What a reply names the order by, 16 bytes: an id is heard by all, and said again."""
+        """The 16 bytes by which a reply names the order: an id is heard by all, and said again."""
         return hashlib.sha256(self.document).digest()[:16]
 
     def under(self, token: str) -> OrderMessage:
@@ -324,7 +324,7 @@ class ShowCard:
 
 @dataclass(frozen=True, slots=True)
 class OrderReply:
-    """What an agent says of an order."""
+    """An agent's reply to an order."""
 
     id: str  # of the order
     name: str
@@ -346,7 +346,7 @@ class OrderReply:
     def done(
         cls, identity: str, name: str, boot: str, error: M100Error | None, **more: Any
     ) -> OrderReply:
-        """What became of an order that is over; ``more``: the other fields that say something."""
+        """The reply to an order that is over; ``more``: the other fields that say something."""
         told: dict[str, Any] = more | {"outcome": outcome_of(error)}
         if error is not None:
             told["fault"] = fault_of(error)
@@ -437,7 +437,7 @@ def pack(value: Value | Message) -> bytes:
 
 
 def body(payload: bytes, most: int = _MOST) -> bytes:
-    """What stands behind the version.
+    """The bytes behind the version.
 
     Raises:
         MessageError: Nothing, more than ``most`` bytes, or what another version wrote.

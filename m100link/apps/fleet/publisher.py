@@ -186,8 +186,8 @@ class Thinner:
 
     A package has the items that were due at its time. It goes on for the sake of an item whose next
     one, by the time between its last two, would be farther from the interval of the wall than this
-    one. So what comes often waits for the package with what comes seldom, one package tells all of
-    them, and each is told at its own rate or that of the wall.
+    one. So an item that comes often waits for the package with a rare one, one package has all of
+    them, and each goes out at its own rate or that of the wall.
     """
 
     def __init__(self, rate_hz: float = WALL_HZ) -> None:

@@ -132,7 +132,7 @@ class Revocations:
         return data is not None and self.take_in(data)
 
     def _written(self) -> bytes | None:
-        """What was written since it was looked at; None: nothing."""
+        """The bytes written since the last look; None: nothing."""
         if self._path is None:
             return None
         try:

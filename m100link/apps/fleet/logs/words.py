@@ -1,4 +1,4 @@
-"""What is asked of the logs on board, and what is answered (pure logic).
+"""Questions about the logs on board, and their answers (pure logic).
 
 A question is an order, and signed as all are. An answer is the version, a line of JSON, and behind
 it the bytes of a log as they are.
@@ -45,7 +45,7 @@ _LAST_UTC = 253_402_300_799.0
 
 @dataclass(frozen=True, slots=True)
 class LogReply:
-    """What an agent says; the bytes stand behind it."""
+    """The head of an agent's answer; the bytes stand behind it."""
 
     id: str  # of the order
     name: str
@@ -179,7 +179,7 @@ class LogPart:
             left = left[written:]
 
     def forget(self) -> None:
-        """What is there is not of that log."""
+        """Drop the bytes that are there: they are not of that log."""
         with self._lock, _telling(self.path):
             self._opened.truncate(0)
             self.at = 0

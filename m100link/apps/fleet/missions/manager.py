@@ -144,7 +144,7 @@ class MissionManager:
 
     @property
     def words(self) -> str:
-        """What the aircraft flies by itself, in words; empty for nothing."""
+        """The mission that the aircraft flies by itself, in words; empty for none."""
         state = self._client.state
         if self.stage is MissionStage.FLYING:
             paused = ", paused" if self._is_paused else ""

@@ -193,8 +193,8 @@ class TrackExecutor:
     def start(self, digest: str, start_at: float, bound: float) -> None:
         """Begin the track at a time.
 
-        ``start_at``: by the agent's clock, s. ``bound``: by how much whoever says so may be wrong
-        about that clock, s.
+        ``start_at``: by the agent's clock, s. ``bound``: by how much the sender may be wrong about
+        that clock, s.
 
         Raises:
             ShowRefused: The clock, the time or the place is wrong.
@@ -212,7 +212,7 @@ class TrackExecutor:
     def leave(self) -> None:
         """End it, wherever it is: control is given back, and it hovers.
 
-        What lands because its show has ended lands on: STOP ends that.
+        An aircraft that lands because its show has ended lands on: STOP ends that.
         """
         self.ages.revoke(self._client.now)
         if self.stage not in _IN_SHOW:

@@ -128,7 +128,7 @@ class Near:
 
 
 class Neighbours:
-    """What one aircraft of a show hears of the others.
+    """The knowledge of one aircraft of a show about the others.
 
     ``least_m``: how near two may come to each other, m. ``count``: how many others there are; 0
     where that was not told.
@@ -235,7 +235,7 @@ _Box = tuple[float, float, float, float]
 
 
 class RestOfTrack:
-    """What one aircraft has to fly still."""
+    """The rest of the track that one aircraft has to fly."""
 
     def __init__(self, track: TimedTrack) -> None:
         self._track = track

@@ -238,7 +238,7 @@ class Closest:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Result of the check of a show."""
+    """The findings check of the check of a."""
 
     problems: tuple[BadShow, ...]  #: why it must not be flown; empty if it may be
     remarks: tuple[str, ...]  #: what is allowed and may surprise
@@ -253,7 +253,7 @@ class Report:
 def needed_m(show: Show, first: TimedTrack, second: TimedTrack) -> float:
     """How far apart the tracks of two have to be, m.
 
-    What the show wants between aircraft, both tubes, and the way that either flies in the time by
+    The show's distance between aircraft, both tubes, and the way that either flies in the time by
     which its clock may be wrong.
     """
     late = SKEW_S * sum(math.hypot(*track.fastest) for track in (first, second))
@@ -278,7 +278,7 @@ def check(show: Show, envelope: Envelope | None = None) -> Report:
 
 
 def _alone(track: TimedTrack, envelope: Envelope) -> Iterator[BadShow]:
-    """What its guards or its autopilot would not fly."""
+    """The faults of one track by its guards or its autopilot."""
     spots = [(point.north, point.east) for point in track.points]
     far = max(math.dist(spots[0], spot) for spot in spots)  # it takes off below its first point
     highest = max(point.height for point in track.points) - track.ground_m
@@ -439,7 +439,7 @@ def svg(show: Show, report: Report) -> str:
 
 
 def _colour(index: int, count: int) -> str:
-    """One that is told from its neighbours, on white and on black."""
+    """A colour unlike those of its neighbours, on white and on black."""
     return f"hsl({360 * index // count},70%,45%)"
 
 

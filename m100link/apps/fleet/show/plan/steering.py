@@ -168,7 +168,7 @@ class TrackSteering:
             )
 
     def step(self, at: float, bound: float, here: Vector) -> Vector | None:
-        """What to fly now: velocity north, east and up, m/s; None when the track is flown.
+        """The velocity to fly now, north, east and up, m/s; None when the track is flown.
 
         ``at``: seconds from the beginning of the show; negative before it. ``bound``: by how much
         that may be wrong, s.

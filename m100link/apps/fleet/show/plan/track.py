@@ -1,4 +1,4 @@
-"""What one aircraft of a show flies: a track that is timed, its bytes and their hash.
+"""The track of one aircraft of a show: a track that is timed, its bytes and their hash.
 
 Between its points it is a cubic in time for each axis, with slopes that no axis overshoots by
 (Fritsch and Carlson, 1980): it stays inside the box of any two neighbours, passes points without
@@ -120,7 +120,7 @@ class TrackSegment:
 
     @property
     def fastest(self) -> tuple[float, float]:
-        """What the speed never exceeds, horizontally and vertically, m/s.
+        """The speeds that are never exceeded, horizontally and vertically, m/s.
 
         Looked up at 33 moments. Between two of them it is at most their mean and half of what is
         accelerated on the way, so at most the greater of what each end says here.
@@ -213,7 +213,7 @@ class TimedTrack:
 
     @cached_property
     def fastest(self) -> tuple[float, float]:
-        """What the speed never exceeds, horizontally and vertically, m/s."""
+        """The speeds that are never exceeded, horizontally and vertically, m/s."""
         each = [leg.fastest for leg in self.legs]
         return max(across for across, _ in each), max(upright for _, upright in each)
 
@@ -353,7 +353,7 @@ def apart(first: Vector, second: Vector, *, first_ended: bool, second_ended: boo
 
 
 def _metric(first_ended: bool, second_ended: bool) -> tuple[Metric, float]:
-    """What counts as their distance, of the way from the first times a sign."""
+    """The measure of their distance, and the sign of the way from the first."""
     if first_ended and second_ended:
         return _on_the_ground, 1.0
     if first_ended:
