@@ -36,7 +36,7 @@ _VERSION = bytes(GetVersion.ADDRESS)
 
 
 class Begin(NamedTuple):
-    """The knowledge of a recording before it is played.
+    """The facts of a recording that are known before it is played.
 
     Attributes:
         at: The time of the recording's event loop at which it begins, s.
@@ -121,7 +121,7 @@ class PlaybackTarget(NamedTuple):
     decode: Callable[[bytes, float], Sequence[Frame]]
     deliver: Callable[[Frame, float], None]  # takes a frame, and the time when it came
     tell: Callable[[dict[str, Any]], None]  # takes what happened beside the bytes
-    forget: Callable[[], None]  # called before it begins anywhere: what was told so far is void
+    forget: Callable[[], None]  # called before it begins anywhere: all that was delivered is void
     end: Callable[[ReplayEnded], None]  # called with why there is no more
     has_consumers: Callable[[], bool]  # whether somebody takes what is delivered
     room: Callable[[], float]  # how many packages nobody would lose an older one by
@@ -136,7 +136,7 @@ class Player:
 
     Args:
         flight: The recording.
-        begin: The knowledge of it before it is played.
+        begin: Its facts, as read before.
         speed: Times as fast as it was flown; infinity: as fast as it is taken.
         from_s: Where to begin, seconds from its first byte.
         to_s: Where to end.

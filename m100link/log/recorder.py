@@ -182,7 +182,7 @@ _LOOKS, _LOOK_S = 10, 0.001
 
 @dataclass
 class _Batch:
-    """The loop's news since the last batch, and its knowledge at that time."""
+    """The events of the loop since the last batch, and the link's state at that time."""
 
     chunks: list[tuple[Direction, bytes, float]] = field(default_factory=list)
     told: list[tuple[float, Told]] = field(default_factory=list)

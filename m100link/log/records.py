@@ -153,10 +153,10 @@ class _Reader:
         self._size = stream.seek(0, 2)
         self._topics = topics
         self._losses = losses or Losses()
-        # Channels that were told, and which of them are passed on.
+        # Channels that the file declares, and which of them are passed on.
         self._known: set[int] = set()
         self._wanted: set[int] = set()
-        self._is_searched = False  # for channels that no part told
+        self._is_searched = False  # for channels that no part declares
         self._has_parts = False
         self._data_end = 0  # where all parts have ended
         self._is_summary_whole = False

@@ -1,4 +1,4 @@
-"""The story of a flight: its phases, control authority, alarms, commands, maxima, curves."""
+"""The summary of a flight: its phases, control authority, alarms, commands, maxima, curves."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ class Autopilot:
         # The caller's clock at the first call; steps are counted from there, so no error adds up.
         self._power_on: float | None = None
         self._ticks = 0
-        # Losses of authority that the onboard device was told of, out of vehicle.authority_losses.
+        # Losses of authority reported to the onboard device, out of vehicle.authority_losses.
         self._told_losses = 0
 
     def _fresh_endpoint(self) -> Endpoint:
@@ -221,7 +221,7 @@ class Autopilot:
             self._send(frame)
 
     def _tell_of_losses(self) -> None:
-        """Notify the onboard device of each loss of authority that it was not told of yet."""
+        """Notify the onboard device of each loss of authority not reported to it yet."""
         while self._told_losses < self.vehicle.authority_losses:
             self._told_losses += 1
             wants_ack = self.vehicle.settings.authority_push_session != 0

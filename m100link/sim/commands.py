@@ -92,7 +92,7 @@ class Counters:
 
 
 class CommandedAircraft(Protocol):
-    """The needs of a command's execution: a vehicle, the questions beside it, and a record."""
+    """An aircraft that carries out commands: a vehicle, answers of its own, and a record."""
 
     vehicle: Vehicle
     profile: FirmwareProfile

@@ -1,4 +1,4 @@
-"""The network of fleets and nodes of ROS 2, as they need it.
+"""The network interface of fleets and nodes of ROS 2.
 
 Keys are words with ``/`` between them; in a pattern ``*`` stands for one word and ``**`` for any
 number. There are two ways to hear. On a :class:`Bus` whatever comes is handed over in the event
@@ -88,9 +88,7 @@ class Session(Protocol):
     """The common part of both kinds of a session."""
 
     @property
-    def session(self) -> str:
-        """Id of the session."""
-        ...
+    def session(self) -> str: ...
 
     def declare(self, token: str) -> Held:
         """Show a token as long as the session is there, and no longer."""
@@ -138,9 +136,7 @@ class Bus(Session, Protocol):
         """See tokens come (True) and go (False), those first that are there."""
         ...
 
-    async def tokens(self, pattern: str, *, timeout: float) -> list[str]:
-        """The tokens that are there."""
-        ...
+    async def tokens(self, pattern: str, *, timeout: float) -> list[str]: ...
 
 
 class PolledBus(Session, Protocol):

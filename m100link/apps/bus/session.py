@@ -58,7 +58,7 @@ class Opening:
     extra: str  # the extra of this package that brings zenoh
     # Of zenoh, by name, as JSON: where it differs from the default or the file.
     options: Mapping[str, str]
-    # Configuration that is read first, and what told of it; none by default.
+    # Configuration that is read first, and the option that names it; none by default.
     file: tuple[str, str] | None = None
     largest: int = LARGEST  # bytes of the longest payload that is read
     patience_s: float = 0.0  # seconds in which a client that found no router tries again

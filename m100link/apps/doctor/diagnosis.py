@@ -62,7 +62,7 @@ async def diagnose(
         authority: Obtain control authority for a moment, when all else is right and the aircraft
             stands on the ground with its motors off.
         tell: Gets each finding at once.
-        machine: The reader of the port's facts.
+        machine: The machine that has the port.
 
     Raises:
         BadURL: Not a connection string.

@@ -14,7 +14,7 @@ Details = Mapping[str, Any]
 
 
 class Stage(Enum):
-    """The conditions of a flight, in the order in which they are looked at."""
+    """The stages of a diagnosis: conditions, in the order in which they are looked at."""
 
     PORT = "the port exists"
     PERMISSION = "it may be opened"

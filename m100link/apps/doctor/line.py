@@ -314,7 +314,7 @@ _MAVLINK_STARTS = {0xFE: 8, 0xFD: 12}  # version: bytes of a frame beside its da
 
 @dataclass(frozen=True, slots=True)
 class Likeness:
-    """The likely source of bytes without one valid frame."""
+    """A kind of bytes without one valid frame, and its likely causes."""
 
     name: str  # one word for programs
     seen: str
@@ -356,7 +356,7 @@ class Heard:
         return sum(after < at + _length(self.data, at) for at, after in pairwise(starts))
 
     def likeness(self) -> Likeness | None:
-        """The likely source; None for nothing known, which a wrong baud rate looks like."""
+        """The kind of its bytes; None for none known, which a wrong baud rate looks like."""
         for look in (_constant, _text, _mavlink, _inverted):
             found = look(self.data)
             if found is not None:

@@ -168,16 +168,13 @@ class Ear(asyncio.Protocol):
         self.made = asyncio.Event()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """The line is open."""
         self.transport = cast(asyncio.Transport, transport)  # it is a stream, whatever its class
         self.made.set()
 
     def data_received(self, data: bytes) -> None:
-        """More of it."""
         self.data += data
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """The line is gone."""
         self.is_lost, self.lost = True, exc
         self._ended.set()
 

@@ -386,7 +386,6 @@ class FleetAgent:
             await asyncio.wait({self._running[identity]}, timeout=HOLD_S)
 
     def _told(self, identity: str, *, is_repeated: bool) -> OrderReply:
-        """The present reply to an order."""
         reply = self._book.reply(identity)
         if reply is None:
             if self._book.is_known(identity):

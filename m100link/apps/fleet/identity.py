@@ -68,7 +68,6 @@ class Identity:
     patterns: Mapping[Right, tuple[str, ...]]
 
     def may(self, right: Right, aircraft: str) -> bool:
-        """Whether it has that right to that aircraft."""
         return any(fits(pattern, aircraft) for pattern in self.allowed(right))
 
     def allowed(self, right: Right) -> tuple[str, ...]:
@@ -86,8 +85,6 @@ def fits(pattern: str, aircraft: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Rights:
-    """A file of rights."""
-
     site: str  # whose aircraft they are
     aircraft: Mapping[str, str]  # name of each, and the common name of its agent's certificate
     identities: Mapping[str, Identity]

@@ -410,7 +410,7 @@ def _of_agent(rights: Rights, name: str) -> Iterator[dict[str, Any]]:
 
 
 def _of_identity(rights: Rights, one: Identity) -> Iterator[dict[str, Any]]:
-    """Watching hears; stopping asks, too; flying takes the lease and sends setpoints."""
+    """The right to watch hears; to stop asks, too; to fly takes the lease and sends setpoints."""
     watched, stopped, flown = (one.allowed(right) for right in Right)
     told = _keys(rights, watched, _TOLD)
     everybody = ["*"] if watched else []

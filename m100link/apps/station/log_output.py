@@ -23,7 +23,7 @@ from m100link.errors import M100Error
 LEVELS = ("debug", "info", "warning", "error")
 
 _MOST_UNREAD = 2000
-_LAST_WORDS = 1.0  # seconds that the end waits for what is still to be told
+_LAST_WORDS = 1.0  # seconds that the end waits for lines still to be written
 
 
 @dataclass(frozen=True, slots=True)

@@ -72,7 +72,6 @@ def _signer(settings: Settings) -> PacketSigner | None:
 
 
 async def serve(fronts: Fronts) -> None:
-    """Serve MAVLink."""
     agents = await fronts.reached("mavlink")
     bridge = serving_mavlink(agents, fronts.settings, fronts.take("mavlink"))
     await fronts.stack.enter_async_context(bridge)

@@ -389,7 +389,7 @@ async def running_several(
         agents: dict[str, AgentClient] = {}
 
         def note(name: str, text: str, level: str) -> None:
-            # Without an agent there is nobody to keep it: told here alone.
+            # Without an agent there is nobody to keep it: reported here alone.
             agent = agents.get(name)
             if agent is None or agent.is_gone:
                 tell(name, Event(0, asyncio.get_running_loop().time(), level, text))

@@ -49,7 +49,7 @@ class Port(Protocol):
 
 
 class TimedScenario(Protocol):
-    """The events of an aircraft in its time."""
+    """Events of an aircraft, by its own clock."""
 
     def advance(self, aircraft: VirtualAircraft) -> object:
         """Do what is due; an order that cannot be done raises ``UsageError``."""

@@ -55,7 +55,7 @@ class Refusal(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Grant:
-    """The knowledge of an autopilot after the server said yes."""
+    """The server's permission for an app, as the autopilot keeps it."""
 
     app_id: int
     key: Key

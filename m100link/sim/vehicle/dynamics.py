@@ -104,7 +104,7 @@ class ModelYaw(IntEnum):
 
 @dataclass(slots=True, eq=False)
 class DynamicsInput:
-    """The present order to the aircraft. Values are of the kinds that the three modes name."""
+    """The guidance that the aircraft follows now. The three modes name the kinds of its values."""
 
     horizontal: ModelHorizontal = ModelHorizontal.BRAKE  # kind of ``a`` and ``b``
     a: float = 0.0  # roll, or north / forward

@@ -35,7 +35,7 @@ class GimbalMount:
 
     ``yaw``: relative to the nose, degrees, clockwise; -320 to 320, so it may have gone round.
     ``roll``: degrees, held level against the ground. ``pitch``: degrees, -90 looks straight down.
-    ``heading``: where the nose points, radians, as :meth:`carry` was told last.
+    ``heading``: where the nose points, radians, as last given to :meth:`carry`.
     """
 
     def __init__(self, heading: float = 0.0, *, follows: bool = False) -> None:

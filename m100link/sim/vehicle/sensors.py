@@ -1,4 +1,4 @@
-"""The aircraft's belief about itself: the values that telemetry reports, with sensor noise.
+"""The estimated state of the aircraft: the values that telemetry reports, with sensor noise.
 
 How they travel is not its business (:mod:`m100link.sim.line`).
 """
@@ -112,7 +112,7 @@ class _Errors:
 
 
 class Sensors:
-    """The aircraft's belief about itself: the values of every item, in its record's order."""
+    """The estimated state of the aircraft: the values of every item, in its record's order."""
 
     def __init__(
         self,

@@ -79,7 +79,6 @@ def require_possible(question: LogQuestion) -> None:
 
 
 def pack_reply(reply: LogReply, data: bytes = b"") -> bytes:
-    """The bytes of an answer."""
     return bytes([VERSION]) + to_json(reply) + b"\n" + data
 
 

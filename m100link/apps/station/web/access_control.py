@@ -51,7 +51,6 @@ class Access:
         return f"__Host-{COOKIE}" if is_secure else COOKIE
 
     def set_cookie(self, *, is_secure: bool) -> str:
-        """The ``Set-Cookie`` header."""
         more = "; Secure" if is_secure else ""
         name = self.cookie_name(is_secure=is_secure)
         return f"{name}={self.cookie}; HttpOnly; SameSite=Strict; Path=/{more}"

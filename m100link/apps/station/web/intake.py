@@ -266,11 +266,9 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
         self._outer.abort()
 
     def is_closing(self) -> bool:
-        """Whether it is being closed."""
         return self._outer.is_closing()
 
     def write(self, data: Any) -> None:
-        """Write bytes."""
         self._outer.write(data)
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:

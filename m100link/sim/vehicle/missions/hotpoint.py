@@ -190,7 +190,7 @@ class HotpointExecution:
         self._flown_radius = self.distance if self._phase is _Phase.CIRCLE else self._flown_radius
 
     def guide(self, sticks: Sticks) -> DynamicsInput:
-        """The present order to the aircraft."""
+        """The guidance for the next step."""
         if self._phase is _Phase.CLIMB:
             if self._motion.height < self._height - 0.3:
                 above = self._from._replace(up=self._height)
@@ -392,7 +392,7 @@ class FollowExecution:
         """Go on after a pause with the distance that was kept before."""
 
     def guide(self, sticks: Sticks) -> DynamicsInput:
-        """The present order to the aircraft."""
+        """The guidance for the next step."""
         self.silence += STEP_S
         motion, target = self._motion, self._target
         yaw_mode, yaw = ModelYaw.RATE, sticks.yaw * math.radians(self._airframe.yaw_rate_deg)

@@ -131,7 +131,7 @@ class WaypointExecution:
     # --- each step --------------------------------------------------------------------------
 
     def guide(self, sticks: Sticks) -> DynamicsInput:
-        """The present order to the aircraft."""
+        """The guidance for the next step."""
         return self._steps[self.phase](sticks)
 
     def resume(self) -> None:

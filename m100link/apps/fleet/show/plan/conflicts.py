@@ -128,7 +128,7 @@ class Near:
 
 
 class Neighbours:
-    """The knowledge of one aircraft of a show about the others.
+    """The other aircraft of a show, as one of them hears them.
 
     ``least_m``: how near two may come to each other, m. ``count``: how many others there are; 0
     where that was not told.
