@@ -33,7 +33,7 @@ PHASE_COLOURS = {
     "app": "#b07cc6",
     "program": "#3b7dd8",
 }
-"""Colour of a phase, and of who has control."""
+"""Colour of a phase, and of an owner of control."""
 
 
 class PlotLine(NamedTuple):

@@ -168,7 +168,7 @@ class FlightLog:
                 _logger.warning("%s: %s", self.path, self._damage)
 
     def _open(self) -> IO[bytes]:
-        """The file; who shows how far it is read, puts something in its place."""
+        """The file; a caller that shows the progress puts its own in its place."""
         return self.path.open("rb")
 
     def chunks(self) -> Iterator[Chunk]:

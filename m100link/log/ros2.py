@@ -32,7 +32,7 @@ from m100link.protocol.records import (
 from m100link.telemetry.integrity import has_fix
 from m100link.telemetry.sample import Sample
 
-# -- what an aircraft tells, as messages of ROS 2: for flight logs, and for who listens live -------
+# -- an aircraft's state as messages of ROS 2: for flight logs, and for live listeners -------------
 # Frames and units of REP 103 and 105: east, north, up on the ground; forward, left, up in the body.
 # Values that the wire does not carry are marked as unknown, as each message defines it.
 

@@ -35,7 +35,7 @@ _LONGEST_STEP_S = 0.1
 """Loop seconds that may pass between two looks at the clock, besides a wait that was asked for.
 
 A machine that is busy for 50 ms does not run the loop meanwhile, and a hundred times faster that
-would be five seconds in which neither the aircraft nor who flies it did anything: time-outs and
+would be five seconds in which neither the aircraft nor its program did anything: time-outs and
 watchdogs would tell of a broken line. So the clock waits for its loop, as long as it is faster
 than real.
 """

@@ -1,9 +1,9 @@
 """The network interface of fleets and nodes of ROS 2.
 
 Keys are words with ``/`` between them; in a pattern ``*`` stands for one word and ``**`` for any
-number. There are two ways to hear. On a :class:`Bus` whatever comes is handed over in the event
-loop that opened the session: who asks an agent is answered at once. On a :class:`PolledBus` it
-waits in rings outside of Python until a step takes it: nothing of the process runs for a flood.
+number. There are two ways to hear. A :class:`Bus` hands over each message in the event loop that
+opened the session: an agent answers questions at once. On a :class:`PolledBus` a message waits in
+rings outside of Python until a step takes it: nothing of the process runs for a flood.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Outlet(Held, Protocol):
         self.put(make())
 
     def is_wanted(self) -> bool:
-        """Whether anybody is known to listen; what is kept is wanted by who comes late."""
+        """Whether anybody is known to listen; kept messages are for late listeners."""
         ...
 
 
@@ -145,7 +145,7 @@ class PolledBus(Session, Protocol):
     def publish(self, key: str, *, kept: int = 0) -> Outlet:
         """Offer messages under a key to other sessions; one does not hear itself.
 
-        So many are ``kept`` for who comes late.
+        So many are ``kept`` for late listeners.
         """
         ...
 

@@ -85,7 +85,7 @@ class _Outlet(_Declared, Outlet):
 
         super().__init__(declared)
         self._ended = zenoh.ZError
-        self._first = is_kept  # by who comes later
+        self._first = is_kept  # by a late listener
         self._told: bool | None = None
         self._listener: Any = None
         if not is_kept:
@@ -119,7 +119,7 @@ class _Outlet(_Declared, Outlet):
 
 
 def _unless_closed(send: Callable[..., object], *what: Any, **more: Any) -> None:
-    """Send; on a session that has ended, or to who has gone, nothing happens."""
+    """Send; on a session that has ended, or to a peer that has gone, nothing happens."""
     import zenoh
 
     try:
@@ -176,7 +176,7 @@ class ZenohBus:
             )
         except zenoh.ZError as error:
             raise UsageError(
-                f"this session of zenoh keeps nothing for who comes late: {error}",
+                f"this session of zenoh keeps nothing for late listeners: {error}",
                 remedy="let its configuration enable timestamping, as rmw_zenoh's own does",
             ) from error
         return _Outlet(latched, is_kept=True)

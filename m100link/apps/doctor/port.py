@@ -1,4 +1,4 @@
-"""The stages that need no byte of the aircraft: the port, who may open it, who disturbs it."""
+"""The stages that need no byte of the aircraft: the port, its rights, and other programs on it."""
 
 from __future__ import annotations
 

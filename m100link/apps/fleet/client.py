@@ -418,7 +418,7 @@ def open_fleet(
 ) -> AbstractAsyncContextManager[ZenohBus]:
     """A session while the block runs; a router that is lost meanwhile is found again.
 
-    Nobody is looked for by multicast or gossip: who is not named is not met.
+    There is no discovery by multicast or gossip: only named endpoints are met.
 
     Raises:
         UsageError: The package is missing, an option cannot be, a port is taken, or no router

@@ -81,7 +81,7 @@ class OrderService:
         return None if granted is None else granted.secret
 
     def shut_out(self) -> str:
-        """Let nobody who is revoked steer any more; who did until now, empty for nobody."""
+        """Let no revoked signer steer any more; returns the last one who did, empty for nobody."""
         found = ""
         descent = None if self._descent is None or self._descent.done() else self._descent
         if descent is not None and all(map(self._revoked, self._descent_signers)):

@@ -177,7 +177,7 @@ class Revocations:
 
 
 class RevocationService:
-    """One aircraft's end: a list comes here, and who is shut out by it is shut out at once."""
+    """One aircraft's end: a list comes here, and shuts out its names at once."""
 
     def __init__(
         self,

@@ -223,7 +223,7 @@ class Settings:
         return f"{_in_url(nearest.get(named, named))}:{port}"
 
     def gate(self, app: ASGIApp) -> AccessControl:
-        """An application behind its gate: who may come, and what clients have to show.
+        """An application behind its gate: the allowed peers, and the token to show.
 
         Raises ``UsageError``: see :meth:`access_token`.
         """

@@ -167,7 +167,7 @@ async def _remembering(signer: PacketSigner, bridge: Bridge) -> AsyncIterator[No
 
 
 def _drain(one: socket.socket) -> None:
-    """Forget what came while nobody read: who sent a command then does not wait for it now."""
+    """Forget what came while nobody read: no sender waits for those commands any more."""
     for _ in range(_MOST_WAITING):
         try:
             one.recv(1)

@@ -1,7 +1,7 @@
 """A station for as long as a block runs: the agents that own aircraft, and their fronts.
 
 What ``m100link serve`` runs is :func:`running_apart`, or :func:`running_several` for more than one
-aircraft: who flies and who talks to strangers are two processes. :func:`running` has both in one
+aircraft: one process flies, and another one talks to strangers. :func:`running` has both in one
 event loop, for tests and for looking into it.
 """
 
@@ -353,7 +353,7 @@ class RunningMultiVehicle:
 
 
 def agent_settings(settings: Settings) -> dict[str, Any]:
-    """The settings for an agent, as JSON takes it: nothing of who may connect."""
+    """The settings for an agent, as JSON takes it: nothing of access control."""
     found = {one.name: getattr(settings, one.name) for one in fields(settings)}
     return _as_json({name: found[name] for name in _FOR_AGENTS})
 

@@ -98,7 +98,7 @@ class Vehicle:
         )
         self.time = 0.0  # seconds since power-on; a restart does not set it back
         self.events: deque[LogEntry] = deque(maxlen=200)  # last 200 things that happened
-        # Times that control passed away from the onboard device; who carries the line tells of it.
+        # Times that control passed away from the onboard device; the owner of the line reports it.
         self.authority_losses = 0
         self._random = random
         self._steps = 0

@@ -106,7 +106,7 @@ class ShowService:
                 await asyncio.sleep(_TELL_S)
 
     def shut_out(self, revoked: Since) -> None:
-        """Leave the show of who is revoked: it hovers."""
+        """Leave the show of a revoked signer: the aircraft hovers."""
         since = self._placed_by and revoked(self._placed_by)
         if since:
             self.performer.give_way(NotAllowed(f"{self._placed_by} is revoked since {since}"))

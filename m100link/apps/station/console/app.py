@@ -100,7 +100,7 @@ def console_app(
         )
 
     # Quasar would draw a bar over the line of state for each request behind the page, and a bar
-    # that has no name for who listens to it. The page says itself what it waits for.
+    # without a name for screen readers. The page says itself what it waits for.
     nicegui_app.config.quasar_config["loadingBar"]["skipHijack"] = True
     ui.page("/", title="m100link", viewport=_VIEWPORT)(page)
     _log_nothing_of_strangers()

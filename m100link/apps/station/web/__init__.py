@@ -1,1 +1,1 @@
-"""HTTP and WebSockets: who is let in, and the server."""
+"""HTTP and WebSockets: access control, and the server."""

@@ -218,8 +218,8 @@ class RosbridgeServer:
                 packed_at = time.thread_time()
                 await connection.send_all(frames)
                 session.charge(packed_at - began, now)
-                # The loop that flies has its turn in between; who wants too much waits longer,
-                # and loses messages.
+                # The loop that flies has its turn in between; a client that wants too much waits
+                # longer, and loses messages.
                 await asyncio.sleep(0)
                 pause = session.work_pause(self.agent.now)
                 if pause:  # who is to go does not stay for the seconds that its work has cost
