@@ -1,4 +1,4 @@
-"""Flight logs: one MCAP file per connection, with every byte of it and what the bytes say.
+"""Flight logs: one MCAP file per connection, with every byte of it and its meaning.
 
 Needs the extra ``log``. Foxglove and Lichtblick open the files; :func:`read` reads them back.
 """

@@ -224,7 +224,7 @@ class Template:
 
 
 def decode(name: str, data: bytes) -> dict[str, Any]:
-    """A message of somebody else; what stands behind it is ignored.
+    """A message of somebody else; bytes behind it are ignored.
 
     ``data``: CDR, little-endian, with its header. Raises ``ValueError``: it is not one.
     """

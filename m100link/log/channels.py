@@ -1,4 +1,4 @@
-"""Topics of a flight log, and the schemas of what stands on them.
+"""Topics of a flight log, and the schemas of their messages.
 
 Names and fields of ``foxglove.*`` are Foxglove's, so that its panels know them.
 """
@@ -32,7 +32,7 @@ COMMAND, EVENT, LINK = "/m100/command", "/m100/event", "/m100/link"
 TRANSFORM, MESSAGE, STATE = "/tf", "/m100/log", "/m100/state"
 """The topics that a client that watches a flight gets live besides."""
 
-Told = tuple[str, dict[str, Any]]  # a topic, and what is said on it
+Told = tuple[str, dict[str, Any]]  # a topic, and a message on it
 
 
 class Schema(NamedTuple):
@@ -146,7 +146,7 @@ class RateLimiter:
         self._flags = 0
 
     def hear(self, value: bytes, profile: FirmwareProfile, now: float) -> Thinned | None:
-        """A package, given by its value; what is let through when that is due.
+        """Take a package, given by its value; returns a row when one is due.
 
         Packages that do not fit the profile are passed over: the link counts them.
         """
@@ -288,7 +288,7 @@ def fix_of(position: Position) -> dict[str, Any]:
 
 
 class FrameInterpreter:
-    """Two decoders, one for each direction, and what was asked.
+    """Two decoders, one for each direction, and the requests.
 
     ``rate_hz``: telemetry at most so often; 0: every package.
     """

@@ -129,7 +129,7 @@ class Losses:
         self._last_ns: int | None = None
 
     def place(self, begin: int, end: int) -> None:
-        """These bytes cannot be read, or are not what was written."""
+        """These bytes cannot be read, or are not as they were written."""
         if end <= begin:
             return
         if self._places and begin <= self._places[-1][1]:

@@ -125,10 +125,10 @@ def write_pcapng(
     firmware: str | FirmwareProfile | None = None,
     cipher: Cipher | None = None,
 ) -> int:
-    """Write what went over the line.
+    """Write the traffic of the line.
 
     The description of the interface says the firmware, which the dissector reads. With a key, each
-    encrypted frame is followed by what it says, plain, on a second interface.
+    encrypted frame is followed by its plain content, on a second interface.
 
     Args:
         flight: The log.
@@ -160,7 +160,7 @@ def write_pcapng(
 def begin_pcapng(
     stream: IO[bytes], firmware: FirmwareProfile | None, *, is_decrypted: bool = False
 ) -> None:
-    """Write what stands before the packets: a section, and one or two interfaces."""
+    """Write the head before the packets: a section, and one or two interfaces."""
     told = "" if firmware is None else f", firmware {firmware.name}"
     stream.write(_block(_SECTION, pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)))
     for name in ("m100link", "m100link decrypted")[: 2 if is_decrypted else 1]:

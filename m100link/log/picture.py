@@ -188,7 +188,7 @@ class Comparison:
     Attributes:
         values: Durations, maxima and the line.
         apart: Twice a second; empty when one of them did not take off.
-        commands: Lines of what was commanded: beginning with ``-`` only in the first, with ``+``
+        commands: Lines of the commands: beginning with ``-`` only in the first, with ``+``
             only in the second.
         alarms: The same of alarms.
     """

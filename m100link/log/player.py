@@ -1,4 +1,4 @@
-"""Plays a flight log: what came over the line comes again, at the times at which it came."""
+"""Plays a flight log: the bytes of the line come again, at the times at which they came."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def _version(frame: Frame) -> Version | None:
 
 
 class PlaybackTarget(NamedTuple):
-    """The consumer of what is played."""
+    """The consumer of a playback."""
 
     # Makes frames of the bytes of a read, and of the time when they came.
     decode: Callable[[bytes, float], Sequence[Frame]]
@@ -123,7 +123,7 @@ class PlaybackTarget(NamedTuple):
     tell: Callable[[dict[str, Any]], None]  # takes what happened beside the bytes
     forget: Callable[[], None]  # called before it begins anywhere: all that was delivered is void
     end: Callable[[ReplayEnded], None]  # called with why there is no more
-    has_consumers: Callable[[], bool]  # whether somebody takes what is delivered
+    has_consumers: Callable[[], bool]  # whether somebody takes packages
     room: Callable[[], float]  # how many packages nobody would lose an older one by
     tap: Tap | None  # hears the bytes of both directions; None for nobody
 
@@ -315,7 +315,7 @@ class Player:
             self._schedule(pause)
 
     def _play_some(self) -> float | None:
-        """Play what is due; returns seconds to wait, or None."""
+        """Play the reads that are due; returns seconds to wait, or None."""
         is_as_fast_as_taken = math.isinf(self.speed) and not self.is_paused
         if is_as_fast_as_taken and self._begins_by and not self._is_awaited():
             return _LONGEST_PAUSE_S / 10

@@ -50,7 +50,7 @@ _LEFT_TELLING = 2
 _TELLING = 3  # of them not zero: such four bytes do not come by chance
 
 
-ECHO_S = 30.0  # what was sent may come back for so long, s
+ECHO_S = 30.0  # sent bytes may come back for so long, s
 
 
 def may_hold_secret(direction: Direction, data: bytes) -> bool:
@@ -59,7 +59,7 @@ def may_hold_secret(direction: Direction, data: bytes) -> bool:
 
 
 class Redaction:
-    """Takes app ids out of what was sent, and out of what comes back of it.
+    """Takes app ids out of sent bytes, and out of echoes of them.
 
     A line that is joined with itself brings our own activation back, whole or with bytes lost. So
     for a time the app id and the checksum of what was taken out are looked for in what is
@@ -262,7 +262,7 @@ class Recorder:
         self._is_taken = True
 
     def tap(self, direction: Direction, data: bytes, now: float) -> None:
-        """Note what a line carried: see :data:`m100link.link.Tap`."""
+        """Note bytes of the line: see :data:`m100link.link.Tap`."""
         if self._is_ended:
             return
         if self._timer is None:
@@ -282,7 +282,7 @@ class Recorder:
         Args:
             link: Whose key decrypts.
             firmware: By which telemetry and movement are read.
-            look: Called ten times a second; what it tells is written.
+            look: Called ten times a second; its messages are written.
         """
         self._known = lambda: (link.cipher, firmware())
         self._look = look
@@ -354,7 +354,7 @@ class Recorder:
             scribe.close()
 
     def _end(self) -> None:
-        """The interpreter ends and nobody closed: what was noted is written."""
+        """The interpreter ends and nobody closed: write the notes."""
         self._hand_over()
         self._queue.put(None)
         self._thread.join(END_TIMEOUT_S)

@@ -58,7 +58,7 @@ class Curve:
         return len(self._buckets)
 
     def add(self, at_s: float, value: float) -> None:
-        """A value later than those before it; what is not a finite number is passed over."""
+        """A value later than those before it; a number that is not finite is passed over."""
         if not math.isfinite(value):
             return
         self._put(int(at_s / self._width_s), (at_s, at_s, at_s, value, at_s, value))
@@ -191,7 +191,7 @@ _MISSIONS = {"waypoint_start_stop", "hotpoint_start", "follow_start"}  # may end
 
 @dataclass
 class Maxima:
-    """The largest of what a flight had; None of what was never heard.
+    """The maxima of a flight; None for a value that was never heard.
 
     Attributes:
         height_m: Height above the take-off point.

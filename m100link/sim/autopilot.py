@@ -4,7 +4,7 @@
 
     autopilot.receive_data(data, now)        bytes from the onboard device
     autopilot.advance(now)                   let time pass: flight, telemetry, time-outs
-    autopilot.data_to_send() -> bytes        what it has to say
+    autopilot.data_to_send() -> bytes        the bytes for the line
     autopilot.next_wakeup() -> float         call advance again at the latest then
 
 ``now`` is seconds of any clock that does not run backwards; power-on is the first call. Here meet

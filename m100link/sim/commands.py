@@ -51,7 +51,7 @@ class CommandReply(NamedTuple):
 
     payload: bytes  # data of the ack
     plain: bool = False  # send it plain even if the command came encrypted
-    begins_anew: bool = False  # a program begins: what was answered before is forgotten
+    begins_anew: bool = False  # a program begins: earlier answers are forgotten
 
 
 class LastCommand(NamedTuple):
@@ -96,8 +96,8 @@ class CommandedAircraft(Protocol):
 
     vehicle: Vehicle
     profile: FirmwareProfile
-    counters: Counters  # what went over the line
-    received_movements: deque[control.Move]  # what came, newest last
+    counters: Counters  # of the frames on the line
+    received_movements: deque[control.Move]  # newest last
     received_commands: deque[LastCommand]
 
     def version(self, code: VersionCode) -> activation.Version:
@@ -114,7 +114,7 @@ class CommandedAircraft(Protocol):
 
 
 class CommandTable:
-    """Executes commands for one autopilot: a table from the class of a command to what it does."""
+    """Executes commands for one autopilot: a table from the class of a command to its action."""
 
     def __init__(self, autopilot: CommandedAircraft) -> None:
         self._autopilot = autopilot

@@ -128,7 +128,7 @@ def is_telemetry(frame: bytes) -> bool:
 # -- line ------------------------------------------------------------------------------------------
 
 _BITS_PER_BYTE = 10  # 8N1
-_BUFFER_S = 0.5  # what a slow sender keeps waiting; beyond it frames are dropped
+_BUFFER_S = 0.5  # of bytes that a slow sender keeps; beyond it frames are dropped
 _TELEMETRY_WAITS_S = 0.02  # telemetry that would wait longer is not sent at all
 _RADIO_TURNAROUND_S = 0.002
 _RADIO_BAUD_RATE = 230_400
@@ -232,11 +232,11 @@ class LineDirection:
         self._last_arrival = -math.inf
         # When the next burst comes; None while there is no noise.
         self._next_noise: float | None = None
-        self.busy_until = -math.inf  # when the last bit of what was sent so far has left
-        self.faults = faults  # what is wrong with it; may be replaced at any time
+        self.busy_until = -math.inf  # when the last bit sent so far has left
+        self.faults = faults  # may be replaced at any time
         # Of the port (8N1): a frame arrives when its last bit could. None takes no time.
         self.baud_rate = baud_rate
-        self.is_stalled = False  # nothing passes; what is sent waits, up to half a second's worth
+        self.is_stalled = False  # nothing passes; bytes wait, up to half a second's worth
         self.is_cut = False  # nothing passes, and nothing waits
         self.frames = self.lost = self.damaged = self.duplicated = 0
 
@@ -342,7 +342,7 @@ class LineDirection:
         return arrival if noise is None else min(arrival, noise)
 
     def clear(self) -> None:
-        """Forget what is under way, as when the plug is pulled."""
+        """Forget frames that are under way, as when the plug is pulled."""
         self.lost += len(self._waiting)
         self._waiting.clear()
         self.busy_until = self._last_arrival = -math.inf
@@ -368,7 +368,7 @@ class Line:
     def set_faults(
         self, faults: LineFaults = NO_FAULTS, *, to_aircraft: LineFaults | None = None
     ) -> None:
-        """Replace what is wrong with the line, in both directions or each its own."""
+        """Replace the faults of the line, in both directions or each its own."""
         self.to_host.faults = NO_FAULTS if faults.is_clean else faults
         back = faults if to_aircraft is None else to_aircraft
         self.to_aircraft.faults = NO_FAULTS if back.is_clean else back
@@ -380,7 +380,7 @@ class Line:
         self.to_aircraft.is_stalled = to_aircraft
 
     def unplug(self) -> None:
-        """Pull the plug; what is under way is lost."""
+        """Pull the plug; frames that are under way are lost."""
         self.is_plugged = False
         self.to_host.clear()
         self.to_aircraft.clear()

@@ -207,7 +207,7 @@ ACTIONS: dict[str, Action] = {
 
 
 def perform(aircraft: VirtualAircraft, order: str | list[str]) -> Action:
-    """Do what a line of text, or its words, says; returns the action that was done.
+    """Carry out an order, a line of text or its words; returns the action that was done.
 
     Raises ``UsageError``: no such action, or arguments that it cannot have.
     """

@@ -271,7 +271,7 @@ class VirtualAircraft:
     def set_faults(
         self, faults: LineFaults = NO_FAULTS, *, to_aircraft: LineFaults | None = None
     ) -> None:
-        """Change what is wrong with the line; without arguments, nothing is."""
+        """Change the faults of the line; without arguments there are none."""
         self.line.set_faults(faults, to_aircraft=to_aircraft)
 
     def stall_line(self, stalled: bool = True) -> None:

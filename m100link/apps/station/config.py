@@ -28,7 +28,7 @@ PORT = 9090
 
 CONSOLE_PORT = 8090  # where the console is served
 
-ONLY_NAME = "m100"  # what the only aircraft of a station is called there
+ONLY_NAME = "m100"  # name of the only aircraft of a station
 
 MOST_AIRCRAFT = 8  # aircraft of one station: each costs a process, and nobody watches more
 
@@ -418,7 +418,7 @@ LAUNCH_NAMES = {
     "app_bundle_id": "bundle_id",
     "enc_key": "key",
 }
-"""Parameter of DJI's node, and what it is called here."""
+"""Parameter of DJI's node, and its name here."""
 
 _MAX_SIZE = 256 * 1024
 

@@ -50,7 +50,7 @@ from m100link.protocol.records import Attitude, Position
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Newest
 
-SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")  # what is spoken, the newest first
+SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")  # the newest first
 
 _MESSAGE_DATA = 1
 _WAITING = 64  # messages of a subscription that wait for a slow viewer
@@ -198,7 +198,7 @@ Publish = Callable[[int, int, bytes], None]
 
 
 class Feed:
-    """Makes messages of what the agents tell, as long as somebody wants them."""
+    """Makes messages of the agents' telemetry, as long as somebody wants them."""
 
     def __init__(
         self,

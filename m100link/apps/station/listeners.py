@@ -205,15 +205,15 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 class Fronts:
-    """The fronts of a process: what all of them have, and what one has for another."""
+    """The fronts of a process: their common part, and the services of one for another."""
 
     def __init__(
         self,
         stack: AsyncExitStack,  # ends whatever is entered there
-        settings: Settings,  # who may connect, and what is served
+        settings: Settings,  # of access and of services
         sockets: Sockets,
         reach: Mapping[str, Reach],  # opens a channel to each agent, by the name of its aircraft
-        orders: Mapping[str, SimulatorOrders],  # what the console's panel does to virtual aircraft
+        orders: Mapping[str, SimulatorOrders],  # of the console's panel to virtual aircraft
         *,
         is_kept: bool,  # whether an agent that has gone is looked for again
     ) -> None:
@@ -224,7 +224,7 @@ class Fronts:
         # The agents as the first front knows them, by the names of their aircraft; one that comes
         # later is shown by the console of a fleet, too.
         self.agents: dict[str, AgentClient] = {}
-        self.made: dict[str, object] = {}  # what a front is for others, by its name
+        self.made: dict[str, object] = {}  # the service of a front for others, by its name
         # Messages that slow clients of a front did not get, by the front's name.
         self.dropped: dict[str, Callable[[], Mapping[str, int]]] = {}
         self.leave_port: list[Callable[[], None]] = []  # of each server; its connections stay
@@ -282,10 +282,10 @@ class Fronts:
 
 @asynccontextmanager
 async def serving_fronts(
-    settings: Settings,  # who may connect, and what is served
+    settings: Settings,  # of access and of services
     sockets: Sockets,
     reach: Mapping[str, Reach],
-    orders: Mapping[str, SimulatorOrders],  # what the console's panel does to virtual aircraft
+    orders: Mapping[str, SimulatorOrders],  # of the console's panel to virtual aircraft
     *,
     is_far: bool = False,  # whether agents are reached over a network
 ) -> AsyncIterator[Fronts]:

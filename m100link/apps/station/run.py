@@ -270,7 +270,7 @@ def _as_json(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _front_process(
-    settings: Settings,  # who may connect, and what is served
+    settings: Settings,  # of access and of services
     sockets: Sockets,
     agents: Mapping[str, Path],  # where each agent serves, by the name of its aircraft
     orders: Mapping[str, Path],  # where each virtual aircraft takes orders
@@ -338,7 +338,7 @@ async def running_apart(
 @dataclass(frozen=True, slots=True)
 class RunningMultiVehicle:
     owners: Mapping[str, ChildProcess]  # the process that owns an aircraft, by its name
-    agents: Mapping[str, AgentClient]  # what is known here of each agent
+    agents: Mapping[str, AgentClient]  # by name
     front: ChildProcess  # the process of the fronts
     sockets: Sockets  # where the fronts listen
 

@@ -50,7 +50,7 @@ class ChildProcess:
         self._inherited = inherited
         self._process: asyncio.subprocess.Process | None = None
         self._starts = 0
-        self.answer: dict[str, Any] = {}  # what it answered when it ran
+        self.answer: dict[str, Any] = {}  # when it ran
         self.on_restart: list[Callable[[], object]] = []  # called when it runs again
 
     @property
@@ -61,7 +61,7 @@ class ChildProcess:
     async def start(self) -> None:
         """Start it, and wait until it runs.
 
-        Raises ``M100Error``: what the child met, or that it did not start.
+        Raises ``M100Error``: the child met an error, or did not start.
         """
         clean = {name: one for name, one in os.environ.items() if not name.startswith("M100LINK_")}
         self._process = await asyncio.create_subprocess_exec(
@@ -155,7 +155,7 @@ async def supervised(
 ) -> AsyncIterator[None]:
     """Start them all at once, start again whichever ends, and end them all at once.
 
-    Raises ``M100Error``: what one of them met. None of the others runs on then.
+    Raises ``M100Error``: one of them met an error. None of the others runs on then.
     """
     try:
         for met in await asyncio.gather(*(one.start() for one in children), return_exceptions=True):

@@ -255,6 +255,6 @@ class ActivationState:
         self.known[app_id] = verdict
 
     def power_off(self) -> None:
-        """Nobody is active any more; what the server allowed stays known."""
+        """Nobody is active any more; permissions from the server stay known."""
         self.active = None
         self._asking.clear()

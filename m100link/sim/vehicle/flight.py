@@ -40,7 +40,7 @@ from m100link.sim.vehicle.settings import AircraftSettings
 
 
 class TaskState(Enum):
-    """Where the current task stands, and what a query is answered."""
+    """The state of the current task, and the answer to a query of it."""
 
     IDLE = TaskResultCode.NOT_CURRENT
     EXECUTING = TaskResultCode.EXECUTING
@@ -119,7 +119,7 @@ class FlightController:
         self.dynamics = Dynamics(settings.airframe, yaw_deg=settings.heading_deg)
         self.tasks = TaskMachine()  # the flight mode command of the onboard device
         self.phase = FlightPhase.STANDBY  # flight status as telemetry shows it
-        self.maneuver = Maneuver.NONE  # what it does by itself at the moment
+        self.maneuver = Maneuver.NONE  # under way, of its own
         self.gps_health = 5  # 0 to 5
         self.battery_percent = 100.0  # 0 to 100, a float
         # Metres north and east of the origin, None while not recorded.
@@ -300,7 +300,7 @@ class FlightController:
             self._begin(Maneuver.MISSION)
 
     def interrupt(self) -> None:
-        """End what it does by itself and hover: control passed to somebody else."""
+        """End its own manoeuvre and hover: control passed to somebody else."""
         self.interruptions += 1
         self.tasks.end(succeeded=False)
         self._setpoint_until = -math.inf

@@ -69,7 +69,7 @@ class AircraftSettings:
         heading_deg: Where the nose points then, degrees from north, clockwise.
         wind_north: Velocity of the air to the north, m/s.
         wind_east: Velocity of the air to the east, m/s.
-        gusts: Standard deviation of what comes on top of the wind, m/s.
+        gusts: Standard deviation of the speed on top of the wind, m/s.
         noise: Scale of the sensor noise; 0 is none, 1 that of decent sensors. Place, height,
             velocity, attitude and magnetometer wander slowly; acceleration and angular velocity
             are noisy from sample to sample.

@@ -4,7 +4,7 @@
 
     vehicle.step()                  let one hundredth of a second pass
     vehicle.refresh()               somebody moved a switch: decide anew who holds control
-    vehicle.sensors                 what it measures
+    vehicle.sensors                 its measurements
 
 It knows values of the protocol (setpoints, codes, records), but nothing of frames, sessions or
 peers: that is :mod:`m100link.sim.autopilot`, which looks at it after each step.

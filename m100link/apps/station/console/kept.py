@@ -113,7 +113,7 @@ class PlotHistory:
 
     def __init__(self) -> None:
         self._size = round(KEPT_S / INTERVAL)
-        self.count = 0  # of rows ever added; a reader begins with what it has not seen
+        self.count = 0  # of rows ever added; a reader begins with those it has not seen
         self._times = array("d", [math.nan]) * self._size
         self._columns = {name: array("d", [math.nan]) * self._size for name in COLUMNS}
         self._lags: list[float] = []

@@ -14,7 +14,7 @@ from m100link.sim.virtual import VirtualAircraft
 
 
 class SimulatorOrders:
-    """Gives orders to a virtual aircraft, and keeps what it last showed."""
+    """Gives orders to a virtual aircraft, and keeps its last state."""
 
     def __init__(
         self, give: Callable[[list[str]], Awaitable[dict[str, Any]]], shown: dict[str, Any]

@@ -63,7 +63,7 @@ VIEWS: dict[str, tuple[str, tuple[_Make, ...]]] = {
 }
 """By name, ``page.view.<name>`` stands on its tab: its icon, and its parts in their order."""
 
-_PATIENCE = 30.0  # seconds that a busy browser has to say what it kept
+_PATIENCE = 30.0  # seconds for a busy browser to return its stored secret
 _SHELL = 'import("/console/shell.js").then(({m100}) => '
 _MAP_VIEWS = ("fly", "plan")
 
@@ -75,7 +75,7 @@ class Page:
         self,
         agent: AgentClient,  # the agent that owns the aircraft
         tab: Tab,  # who looks at it
-        orders: SimulatorOrders | None,  # what the panel does to a virtual aircraft, or None
+        orders: SimulatorOrders | None,  # of the panel to a virtual aircraft, or None
         *,
         has_tiles: bool,  # whether there are map tiles
         history: PlotHistory,  # the last minutes of every number

@@ -68,7 +68,7 @@ class Tab:
         self.kept = {} if kept is None else kept  # lasts as long as this tab is heard
         # The name of its user, past a reload: see :mod:`~m100link.apps.station.console.kept`.
         self.person = ""
-        self.refusal: M100Error | None = None  # what was refused last; None for nothing
+        self.refusal: M100Error | None = None  # the last one; None for nothing
         self.beats = 0  # beats that were sent on
         self.refused = 0  # messages that could not be used
         self.dropped = 0  # pictures of telemetry that its page did not get because it is slow
@@ -109,7 +109,7 @@ class Tab:
     # -- what the buttons do ---------------------------------------------------------------------
 
     async def attempt(self, work: Callable[[], Awaitable[Any]]) -> bool:
-        """Do something for the operator; what goes wrong is kept as the problem.
+        """Do something for the operator; a failure is kept as the problem.
 
         Work that this tab's own STOP ended is no failure.
         """
@@ -230,7 +230,7 @@ class Tab:
                 self._has_to_let_go, self._late_since = "", None
 
     def _check(self, at: float, late: float, held: float) -> None:
-        """Refuse what was decided too long ago, by an old picture, or by a hand that has to let go.
+        """Refuse an order decided too long ago, by an old picture, or by a hand that has to let go.
 
         A pilot whose beats were late for a second has to let go first: the aircraft stood
         meanwhile, and perhaps nobody looks when the way is fast again.

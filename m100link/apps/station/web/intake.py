@@ -139,7 +139,7 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
         self._loop = asyncio.get_running_loop()
         self._outer: asyncio.Transport  # once a client has come
         self._space = memoryview(bytearray(READ))
-        self._begin = self._end = 0  # what was read and not parsed
+        self._begin = self._end = 0  # of the bytes read and not parsed
         self._bytes = TokenBucket(BYTES_RATE, BYTES_AT_ONCE)
         self._events = TokenBucket(EVENTS_RATE, EVENTS_AT_ONCE)
         self._strain = TokenBucket(_STRAIN_RATE, _STRAIN)
@@ -272,7 +272,7 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
         self._outer.write(data)
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:
-        """Return what the transport knows about the connection."""
+        """Return a fact of the transport about the connection."""
         return self._outer.get_extra_info(name, default)
 
     def get_write_buffer_size(self) -> int:

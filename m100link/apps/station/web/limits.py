@@ -35,7 +35,7 @@ class TokenBucket:
         self._at = now
 
     def take(self, now: float, cost: float = 1.0) -> bool:
-        """Spend what is there for it; False, and nothing is spent, if that is too little."""
+        """Spend its cost; False, and nothing is spent, if too little is there."""
         self._fill(now)
         if self._level < cost:
             return False
@@ -43,7 +43,7 @@ class TokenBucket:
         return True
 
     def spend(self, now: float, cost: float) -> None:
-        """Spend what was used already; that may be more than there is."""
+        """Spend a cost that arose already; that may be more than there is."""
         self._fill(now)
         self._level -= cost
 

@@ -105,7 +105,7 @@ class StationMetrics(Collector):
             yield family
 
     def _families(self) -> Iterator[_Family]:
-        """Class, name, help, labels, and of each sample the labels' values and what it tells."""
+        """Class, name, help, labels, and of each sample the labels' values and its own."""
         agents = self._bridge.agents.items()
         # The counters of each aircraft that is known now.
         links = [

@@ -138,7 +138,7 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
             self.transport.pause_reading()
 
     async def send(self, message: ASGISendEvent) -> None:
-        """Take what the application has to say."""
+        """Take a message of the application."""
         await super().send(message)
         if message["type"] == "websocket.accept":
             self.transport.resume_reading()
@@ -176,7 +176,7 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
 class _Requests(h11.Connection):
     """Requests, counted. None has a body: nothing that the station serves needs one."""
 
-    count = 0  # what was parsed; a request counts for as many frames as it costs
+    count = 0  # of parsed events; a request counts for as many frames as it costs
     is_too_much = False  # whether a request came with a body
 
     def next_event(self) -> Any:

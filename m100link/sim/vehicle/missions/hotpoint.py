@@ -109,7 +109,7 @@ class HotpointExecution:
     ) -> None:
         self.command = command  # as given, for those who ask
         self.events: list[WaypointEvent] = []
-        self.then = FinishAction.NONE  # what comes after: nothing
+        self.then = FinishAction.NONE  # nothing comes after it
         self.is_over = self.flies_without_rc = False
         self._centre = centre
         self._motion = motion
@@ -331,7 +331,7 @@ class FollowExecution:
         site: Site,
     ) -> None:
         self.events: list[WaypointEvent] = []
-        self.then = FinishAction.NONE  # what comes after: nothing
+        self.then = FinishAction.NONE  # nothing comes after it
         self.is_over = self.flies_without_rc = False
         self.silence = 0.0  # seconds since the last target
         self._motion = motion

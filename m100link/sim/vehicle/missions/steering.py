@@ -38,7 +38,7 @@ def stopping_speed(distance: float) -> float:
 def slowed(speed: float, left: float) -> tuple[float, float]:
     """A speed that still lets the aircraft stop, and the deceleration along with it.
 
-    ``speed``: what is wanted, m/s, not negative. ``left``: metres to where it has to stand.
+    ``speed``: the wanted speed, m/s, not negative. ``left``: metres to where it has to stand.
     """
     stopping = stopping_speed(left)
     if stopping >= speed:
@@ -49,7 +49,7 @@ def slowed(speed: float, left: float) -> tuple[float, float]:
 class Nose:
     """The heading that a mission asks for, in radians, turning no faster than it may.
 
-    ``heading``: what is asked for now.
+    ``heading``: the heading asked for now.
     """
 
     def __init__(self, heading: float, rate_deg: float) -> None:
@@ -84,7 +84,7 @@ class Nose:
 
 
 class MissionSteering:
-    """Turns places, lines and speeds into what the dynamics follow."""
+    """Turns places, lines and speeds into guidance for the dynamics."""
 
     def __init__(self, motion: Dynamics, airframe: Airframe) -> None:
         self._motion = motion
