@@ -28,13 +28,13 @@ DEPTH = 1024
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    payload: bytes  # none of what is longer than its taker reads
-    attachment: bytes  # what goes beside them; empty where there is none
+    payload: bytes  # empty if it is longer than its taker reads
+    attachment: bytes  # sent beside them; empty where there is none
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    key: str  # what was asked, which may be a pattern
+    key: str  # of the question, which may be a pattern
     payload: bytes  # as in :class:`Received`
     # Takes key, payload and attachment of the answer, once. Under a key of one's own: of two
     # answers under one key the network hands over one.
@@ -67,7 +67,7 @@ class Held(Protocol):
 
 class Outlet(Held, Protocol):
     def put(self, payload: bytes, attachment: bytes | None = None) -> None:
-        """Send one; never waits, and what the network does not take is lost."""
+        """Send one; never waits, and a message that the network does not take is lost."""
 
     def put_later(self, make: Callable[[], bytes]) -> None:
         """Send what this makes when it goes: at once, where it does not wait for others."""
@@ -140,7 +140,7 @@ class Bus(Session, Protocol):
 
 
 class PolledBus(Session, Protocol):
-    """One session, in which what comes waits to be taken."""
+    """One session, in which messages wait to be taken."""
 
     def publish(self, key: str, *, kept: int = 0) -> Outlet:
         """Offer messages under a key to other sessions; one does not hear itself.
@@ -150,11 +150,11 @@ class PolledBus(Session, Protocol):
         ...
 
     def inbox(self, pattern: str, depth: int) -> Inbox[Received]:
-        """Hear messages; of what is not taken in time the newest ``depth`` stay."""
+        """Hear messages; of those not taken in time the newest ``depth`` stay."""
         ...
 
     def questions(self, key: str, depth: int) -> Inbox[Question]:
-        """Hear questions; what is too much is not answered."""
+        """Hear questions; those that are too many get no answer."""
         ...
 
     def changes(self, pattern: str) -> Inbox[TokenChange]:
@@ -184,7 +184,7 @@ _NEXT_S = 0.001
 
 
 def _do(work: Callable[..., object], *what: Any) -> None:
-    """Take or send a message: what one leads to does not happen to the next one."""
+    """Take or send a message: the error of one does not reach the next one."""
     try:
         work(*what)
     except Exception:
@@ -238,7 +238,7 @@ class Ring(Inbox[T]):
         """The items in it, oldest first."""
         found: list[T] = []
         try:
-            # A flood fills it as fast as it is emptied: what comes meanwhile waits.
+            # A flood fills it as fast as it is emptied: later messages wait.
             while len(found) < self._depth and (one := self._declared.try_recv()) is not None:
                 found.append(self._make(one))
         except self._ended:
@@ -304,7 +304,7 @@ class BatchingPublisher(Outlet):
 
 
 class PollingReader(Held):
-    """Takes what a ring has, every ``within`` seconds, until it is closed."""
+    """Takes the messages of a ring, every ``within`` seconds, until it is closed."""
 
     def __init__(
         self, declared: Held, ring: Inbox[T], take: Callable[[T], None], within: float
@@ -328,7 +328,7 @@ class PollingReader(Held):
             if perf_counter() >= until:
                 break
         if self._is_open:
-            # Others have their turn, and then what is left or came meanwhile.
+            # Others have their turn, and then messages that are left or came meanwhile.
             pause = 0.0 if self._is_full or self._found else self._within
             self._timer = self._loop.call_later(pause, self._look)
 

@@ -1,4 +1,4 @@
-"""The one place that knows zenoh: a session, what goes out and what comes in by it.
+"""The one place that knows zenoh: a session, its senders and its receivers.
 
 zenoh runs on threads of its own. They put the messages of a :class:`~m100link.apps.bus.network.Bus`
 into a bounded queue, and the event loop takes them; those of a
@@ -148,10 +148,10 @@ class ZenohBus:
         return str(self._session.zid())
 
     def _bytes(self, data: zenoh.ZBytes | None) -> bytes:
-        """The bytes; of what is longer than anything that is meant nothing, which none can read."""
+        """The bytes; none of a message that is too long, and nobody can read an empty one."""
         return b"" if data is None or len(data) > self._largest else data.to_bytes()
 
-    # -- what goes out ---------------------------------------------------------------------------
+    # -- senders ---------------------------------------------------------------------------------
 
     def publish(self, key: str, *, kept: int = 0, within: float = 0.0) -> Outlet:
         """Offer messages under a key; UsageError where they are kept, and this session cannot."""
@@ -184,7 +184,7 @@ class ZenohBus:
     def declare(self, token: str) -> Held:
         return _Declared(self._session.liveliness().declare_token(token))
 
-    # -- what comes in ---------------------------------------------------------------------------
+    # -- receivers -------------------------------------------------------------------------------
 
     def _received(self, sample: zenoh.Sample) -> Received:
         return Received(self._bytes(sample.payload), self._bytes(sample.attachment))

@@ -86,8 +86,8 @@ class Finding:
 
     stage: Stage  #: which
     verdict: Verdict  #: what became of it
-    seen: str  #: what was observed, in one sentence
-    causes: Lines = ()  #: what it may come from, the likeliest first
+    seen: str  #: the observation, in one sentence
+    causes: Lines = ()  #: the likeliest first
     commands: Lines = ()  #: what to run or do, in this order
     #: Numbers and names behind it, for programs.
     details: Details = field(default_factory=dict)

@@ -318,7 +318,7 @@ class Likeness:
 
     name: str  # one word for programs
     seen: str
-    causes: tuple[str, ...]  # what it may come from, the likeliest first
+    causes: tuple[str, ...]  # the likeliest first
     commands: tuple[str, ...]  # what to do
 
 
@@ -365,7 +365,7 @@ class Heard:
 
 
 def hear(data: bytes) -> Heard:
-    """Look for frames in what a port gave."""
+    """Look for frames in the bytes of a port."""
     decoder = FrameDecoder()
     frames = decoder.feed(data)
     whole = decoder.discarded_bytes  # what is cut off at the end is no damage

@@ -179,7 +179,7 @@ class Ear(asyncio.Protocol):
         self._ended.set()
 
     async def listen(self, seconds: float) -> None:
-        """Keep what comes in so many seconds, or until the line ends."""
+        """Keep bytes that come in so many seconds, or until the line ends."""
         with suppress(TimeoutError):
             async with asyncio.timeout(seconds):
                 await self._ended.wait()

@@ -492,7 +492,7 @@ class DuplicateNames:
         )
 
     def require_none(self, now: float) -> None:
-        """Refuse what is asked of this name where that is asked of two aircraft."""
+        """Refuse an order to this name where two aircraft have it."""
         if self.is_there(now):
             raise UsageError(
                 f"two agents are named {self._name}: neither moves its aircraft",

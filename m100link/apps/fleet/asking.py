@@ -300,7 +300,7 @@ def reason_of(name: str, fault: RemoteError | None) -> M100Error:
 
 
 def _raised(reply: OrderReply) -> OrderReply:
-    """The reply, if it is good; else raised as what it means."""
+    """The reply, if it is good; else raises the error that it means."""
     if reply.outcome is Outcome.OK:
         return reply
     error = reason_of(reply.name, reply.fault)

@@ -177,7 +177,7 @@ class FleetChannel:
             on_closed(reason)
 
     async def let_go(self, patience: float = _LET_GO_S) -> None:
-        """Give back what was granted here, or is about to be: it hovers, and authority goes back.
+        """Give back a lease granted here, or about to be: it hovers, and authority goes back.
 
         Before the close. ``patience``: seconds for the answer; then it is left to silence.
         """
@@ -263,7 +263,7 @@ class FleetChannel:
             self._deliver_in_time(message)
 
     def _deliver_in_time(self, message: Message) -> None:
-        """Hand over what was told, with its time by this side's clock."""
+        """Hand over a message, with its time by this side's clock."""
         now = self._clock()
         if isinstance(message, Telemetry):
             at = self._ours(message.received_at, now)

@@ -315,7 +315,7 @@ class Fleet:
         )
 
     async def reach(self, name: str) -> FleetChannel:
-        """A way for a front to the agent of one aircraft: what a console flies it by.
+        """A link of a front to the agent of one aircraft, by which a console flies it.
 
         Raises:
             LinkError: It is not there, or it is older than this front.

@@ -14,7 +14,7 @@ from m100link.apps.agent.messages import Steer
 from m100link.errors import GuardRefused
 
 ORDER_AGE = "order_age"
-"""Name of the guard: what it refuses was not carried out."""
+"""Name of the guard: an order that it refuses was not carried out."""
 
 MOST_AGE_S = 5.0
 """Seconds after which an order is not begun any more, by the agent's clock: nobody counts on it."""
@@ -31,7 +31,7 @@ class OrderExpiry:
         self._newest = (0, -math.inf)
 
     def revoke(self, now: float) -> None:
-        """Somebody wants it stopped, or down: what was asked for before is not wanted any more."""
+        """Somebody wants it stopped, or down: earlier orders are not wanted any more."""
         self.not_before = now
 
     def hear(self, fence: int, made_at: float, now: float) -> None:

@@ -205,7 +205,7 @@ class FileOrderLog:
                 self._reserved = fence + FENCES_AT_ONCE
 
     async def flies(self, fence: int) -> None:
-        """Keep who flies; what the disk does not take is written with the next word."""
+        """Keep who flies; a word that the disk does not take is written with the next one."""
         async with self._writing:
             boot, seconds = self._up()
             self._flown = {"flies": fence, "at": self._utc(), "boot": boot, "up": seconds}
@@ -223,7 +223,7 @@ class FileOrderLog:
     # -- in a thread -------------------------------------------------------------------------------
 
     def _keep(self, *contents: dict[str, Any]) -> str:
-        """Write words; returns what is to be told of the disk."""
+        """Write words; returns a report on the disk."""
         with self._in_thread:
             has_lock = is_at(self._lock, self._lock_path)
             # What a full disk took a part of is cut off with the next word.
@@ -240,7 +240,7 @@ class FileOrderLog:
         return "" if is_there else f"{self._path} was removed or changed: it was written again"
 
     def _append(self, contents: tuple[dict[str, Any], ...]) -> None:
-        """Write words to the end, all of them or none: what is refused must not be read later."""
+        """Write words to the end, all of them or none: a refused one must not be read later."""
         numbered = enumerate(contents, self._newest + 1)
         data = "".join(seal(number, self._first, one) for number, one in numbered).encode()
         os.ftruncate(self._file, self._size)

@@ -224,7 +224,7 @@ class OrderService:
             control.close()
 
     async def _end_task(self) -> None:
-        """End what the aircraft flies by itself; a landing is left to its end."""
+        """End the task that the aircraft flies; a landing is left to its end."""
         client = self._client
         while client.state.task == Flown.LAND.value:  # noqa: ASYNC110 - no event says it
             await asyncio.sleep(_LOOK_S)

@@ -122,7 +122,7 @@ class Revocations:
         return True
 
     def read(self) -> bool:
-        """Believe what the file holds, if it was written anew; whether that is a newer list.
+        """Believe the file, if it was written anew; returns whether that is a newer list.
 
         Raises:
             BadRevoked: It is not to be believed.

@@ -26,7 +26,7 @@ from m100link.errors import FleetError, M100Error, Unreachable, UsageError
 from m100link.log.folder import is_log_name
 
 PIECE = 64 * 1024
-"""Bytes that are asked for at once: what is under way when somebody else asks is little."""
+"""Bytes that are asked for at once: little is under way when somebody else asks."""
 
 _ANSWER_S = 2.0
 _AGAIN_S = 0.2

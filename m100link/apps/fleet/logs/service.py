@@ -61,11 +61,11 @@ class OwnThreads:
         self._threads = ThreadPoolExecutor(2, thread_name_prefix=name)
 
     async def do(self, work: Callable[[], T]) -> T:
-        """Have it done, and wait for what it gives."""
+        """Have it done, and wait for its result."""
         return await asyncio.get_running_loop().run_in_executor(self._threads, work)
 
     def close(self) -> None:
-        """Nothing more is done; what has begun is not waited for."""
+        """Do nothing more; work that has begun is not waited for."""
         self._threads.shutdown(wait=False, cancel_futures=True)
 
 

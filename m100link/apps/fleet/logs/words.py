@@ -40,7 +40,7 @@ MOST_ENTRIES = 1000
 
 _MOST_HEAD = 32 * 1024
 _LAST_UTC = 253_402_300_799.0
-"""End of the year 9999: no date can be said of what is later."""
+"""End of the year 9999: a later time has no date."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ def pack_reply(reply: LogReply, data: bytes = b"") -> bytes:
 
 
 def unpack_reply(payload: bytes) -> tuple[LogReply, bytes]:
-    """The answer in these bytes, and what stands behind it."""
+    """The answer in these bytes, and the bytes behind it."""
     head, _, data = body(payload, MOST_PIECE + _MOST_HEAD).partition(b"\n")
     if len(data) > MOST_PIECE:
         raise MessageError(f"{len(data)} bytes of a log in one answer")
@@ -135,7 +135,7 @@ class LogPart:
             self.whole.parent.mkdir(parents=True, exist_ok=True)
 
     def open(self, size: int) -> None:
-        """Go on with what is there of a log of that size.
+        """Go on with the bytes that are there of a log of that size.
 
         Raises:
             UsageError: It cannot be written, or another program has it.
@@ -184,7 +184,7 @@ class LogPart:
             self.at = 0
 
     def digest(self) -> bytes:
-        """SHA-256 of what is there."""
+        """SHA-256 of the bytes that are there."""
         with self._lock, _telling(self.path):
             self._opened.seek(0)
             return hashlib.file_digest(self._opened, "sha256").digest()

@@ -50,7 +50,7 @@ class Beside:
         self._hear: list[Callable[[ConflictMonitor], None]] = []
 
     def hear(self, take: Callable[[ConflictMonitor], None]) -> Callable[[], None]:
-        """Hear where each of them will be, until what is returned is called."""
+        """Hear where each of them will be, until the returned function is called."""
         self._hear.append(take)
         return lambda: self._hear.remove(take)
 

@@ -165,7 +165,7 @@ class Neighbours:
     ) -> Near | None:
         """The first that comes too near; None for nobody.
 
-        ``now``: s, by the clock of :meth:`hear`. ``rest``: what it has to fly still; None if it
+        ``now``: s, by the clock of :meth:`hear`. ``rest``: the rest of its track; None if it
         flies no track.
         """
         found: list[Near] = []

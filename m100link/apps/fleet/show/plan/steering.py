@@ -18,7 +18,7 @@ MOST_EARLY_S = 120.0
 place, and nobody who conducts is missed any more."""
 
 _LAG_S = 0.65
-"""By how much the velocity follows what is asked for; of the model of the virtual aircraft."""
+"""By how much the velocity follows its setpoint; of the model of the virtual aircraft."""
 _LAG_UP_S = 0.3
 _GAIN_PER_S = 0.6
 """Speed towards where it should be, m/s for each metre: with that lag it hardly swings."""
