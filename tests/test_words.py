@@ -39,11 +39,11 @@ TOO_LONG = 35  # words of a sentence
 
 # These may only fall. Lower them when you made them too large.
 MOST = {
-    "whoever": 245,
-    "headless": 1013,
-    "is told": 166,
-    "of before": 14,
-    "of then": 7,
+    "whoever": 164,
+    "headless": 673,
+    "is told": 114,
+    "of before": 9,
+    "of then": 5,
     "outside": 0,
     "long sentences": 43,
     "shared class names": 12,
