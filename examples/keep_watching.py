@@ -1,4 +1,4 @@
-"""Watch an aircraft for as long as it takes: whoever pulls the cable gets a gap, not an end.
+"""Watch an aircraft for as long as it takes: a pulled cable makes a gap, not an end.
 
 python examples/keep_watching.py                    # a virtual aircraft inside this program
 python examples/keep_watching.py /dev/ttyUSB0       # a real one: pull the cable, plug it in again

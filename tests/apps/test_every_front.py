@@ -206,7 +206,7 @@ TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
         Ros2: End(H, LASTS_05, UNHEARD, "connection lost"),
         FleetPilot: End(H, LASTS_05, UNHEARD, "the aircraft is not connected"),
         FarConsole: End(H, LASTS_05, UNHEARD, "connection lost"),
-        Performer: End(H, LASTS_05, UNHEARD, "a1 left: where a1 is, is not known"),
+        Performer: End(H, LASTS_05, UNHEARD, "a1 left: the position of a1 is unknown"),
         Sync: End(H, LASTS_05, UNHEARD, "LinkLost"),
     },
     Event.STALE: {

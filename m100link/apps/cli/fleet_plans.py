@@ -322,7 +322,7 @@ shows = group("show", "Check, draw and fly formations, whose aircraft fly timed 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class EnvelopeOptions:
+class ShowEnvelopeOptions:
     """How far the agents' guards let each aircraft fly.
 
     Attributes:
@@ -349,7 +349,7 @@ def _read(file: File) -> Show:
 
 @shows.command
 def check(
-    show: File, /, *, guards: EnvelopeOptions = EnvelopeOptions(), json: AsJson = None
+    show: File, /, *, guards: ShowEnvelopeOptions = ShowEnvelopeOptions(), json: AsJson = None
 ) -> int:
     """Check a show: the limits of each aircraft, and which two come too near to each other, when.
 
@@ -407,7 +407,7 @@ def preview(
     picture: File | None = None,
     /,
     *,
-    guards: EnvelopeOptions = EnvelopeOptions(),
+    guards: ShowEnvelopeOptions = ShowEnvelopeOptions(),
     force: Force = False,
 ) -> int:
     """Draw a show: its tracks from above, and the least distance of any two over time.
@@ -437,7 +437,7 @@ def fly_show(
     *,
     leave: Leave = "land",
     yes: Yes = False,
-    guards: EnvelopeOptions = EnvelopeOptions(),
+    guards: ShowEnvelopeOptions = ShowEnvelopeOptions(),
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
     """Let the aircraft of a fleet fly a show: either all begin, or none.

@@ -94,7 +94,7 @@ class MissionOptions(
 
 @Parameter(name="*", group=panel("App registered with DJI"))
 @dataclass(frozen=True)
-class RegisteredApp:
+class RegisteredAppOptions:
     """The app that the virtual server knows.
 
     Attributes:
@@ -171,7 +171,7 @@ def run(
     scenario: Path | None = None,
     duration: Annotated[float | None, Above0] = None,
     json_output: AsJson = None,
-    registered: RegisteredApp = RegisteredApp(),
+    registered: RegisteredAppOptions = RegisteredAppOptions(),
     assistant: AssistantOptions = AssistantOptions(),
     faults: FaultOptions = FaultOptions(),
     site: SiteOptions = SiteOptions(),

@@ -197,7 +197,7 @@ class FleetAgent:
 
     def _on_event(self, event: Event) -> None:
         if event.topic in (EventTopic.STOPPED, EventTopic.HALTED):
-            self._ages.revoke(self.client.now)  # whoever asked for it, at the station, too
+            self._ages.revoke(self.client.now)  # asked for at the station, too
         self._event.put(pack(event))
 
     def _on_sample(self, sample: Sample) -> None:

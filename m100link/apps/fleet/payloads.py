@@ -391,7 +391,7 @@ class MissionCard:
     is_paused: bool = False  #: whether it is paused, hovering
     is_finished: bool = False  #: whether every waypoint was flown
     fault: RemoteError | None = None  #: what ended it early
-    #: kind of mission that the aircraft reports, whoever started it; empty when unknown
+    #: kind of mission, of any program, that the aircraft reports; empty when unknown
     kind: str = ""
     index: int | None = None  #: waypoint that it flies to, counted from 0; None when unknown
     status: int | None = None  #: status of the mission as on the wire; None when unknown

@@ -1,6 +1,6 @@
 """Datagrams in, datagrams out: vehicles of one process, and the peers that they share.
 
-Each datagram is read by itself, whoever sent it. A peer is obeyed and answered after a heartbeat
+The bridge reads each datagram by itself. A peer is obeyed and answered after a heartbeat
 of its own, and telemetry goes to those alone, and to addresses that the settings name.
 """
 
@@ -62,7 +62,7 @@ class _Craft:
         self.vehicle = MavlinkVehicle(agent, session, system, autopilot)
         flights = self.vehicle.flights
         self.executor = OrderExecutor(agent, self.vehicle.world, self.vehicle.manager, flights)
-        # By address: whoever counts what is missing finds nothing missing that went elsewhere.
+        # By address: a peer that counts gaps must not count messages to another one.
         self.sequences: dict[Address, int] = {}
         agent.on_event.append(self.vehicle.event)
         session.on_refused = self.vehicle.manager.steer_refused
@@ -314,7 +314,7 @@ class _Datagrams(asyncio.DatagramProtocol):
     def datagram_received(self, data: bytes, addr: Address) -> None:
         self._received(data, (addr[0], addr[1]))
         # The loop reads one each time it turns: in a flood the queue of the socket would be full
-        # always, and the system drops what comes then, whoever sent it.
+        # always, and the system drops datagrams of all senders then.
         for _ in range(_AT_ONCE):
             try:
                 data, (host, port) = self._bound.recvfrom(_LONGEST)

@@ -104,7 +104,7 @@ class OrderExecutor:
             else:
                 self._replace(order)
         if self._owes_a_stop and self._agent.is_connected and not self._session.is_obeyed:
-            self._owes_a_stop = False  # the agent ends the mission of whoever lost control
+            self._owes_a_stop = False  # the agent ends the mission of a client that lost control
         self._session.heard()
 
     def _steer(self, setpoint: Setpoint) -> None:
@@ -190,8 +190,7 @@ class OrderExecutor:
     async def _make_way(self, lease: Lease | None, is_interrupting: bool = False) -> None:
         """End what the aircraft flies by itself: its task, or its mission.
 
-        For a task giving authority back is the only way that there is. A mission is told to stop,
-        whoever started it.
+        Giving authority back is the only end of a task. A mission of any program gets a stop.
 
         Raises:
             AckTimeout, MissionRefused: It may be flying on.

@@ -146,7 +146,7 @@ class Actions:
 
     def _canceling(self, action: _Action) -> Callable[[dict[str, Any]], Any]:
         async def cancel(request: dict[str, Any]) -> Mapping[str, Any]:
-            """Whoever asks: a hover is never refused."""
+            """Nobody is refused a hover."""
             wanted = request["goal_info"]
             identity, stamp = bytes(wanted["goal_id"]["uuid"]), wanted["stamp"]
             if identity != _NOBODY and identity not in self._goals:

@@ -2,7 +2,7 @@
 
 One publisher has the stick at a time. It gets it by beginning to send while nobody has it, or by
 being the only one that sends when control is obtained; it loses it by silence, and when control
-ends. Whoever is refused has to be silent first: nobody's setpoints begin to fly because another
+ends. A refused publisher has to be silent first: nobody's setpoints begin to fly because another
 publisher has died.
 """
 
@@ -194,7 +194,7 @@ def toward(
 
 
 # -- what ROS programs want of the aircraft, asked of its agent: one lease for all of them ---------
-# Control is asked for and given back by services, whoever calls them: a call from a shell is over
+# Control is asked for and given back by services of any caller: a call from a shell is over
 # before anything flies. What keeps programs apart is the stick for setpoints, and the goal for what
 # flies by itself.
 

@@ -1,7 +1,7 @@
 """Names of the graph of ROS 2 on zenoh, as rmw_zenoh has them: keys, tokens, attachments.
 
 A topic or service is a key with its type and hash; a node and each of its ends is a liveliness
-token that whoever asks for the graph reads. Texts in, texts out: nothing is sent here.
+token that other nodes read. Texts in, texts out: nothing is sent here.
 """
 
 from __future__ import annotations

@@ -138,7 +138,7 @@ class Node:
         return toward(message["pose"], here, fastest=fastest)
 
     def _hear(self, name: str, source: Input, make: Make) -> None:
-        """Fly the newest setpoint of whoever has the stick."""
+        """Fly the newest setpoint of the active publisher."""
         newest: dict[str, Any] | None = None
         now = self._agent.now
         for attachment, message in source.take():

@@ -484,7 +484,7 @@ class SignatureMemory:
         return Snapshot(self._signer.sent, newest) if newest else None
 
     def _newest(self) -> dict[Sender, int]:
-        """Those that count: whoever is further behind is refused for that."""
+        """Those that count: the reader refuses an older sender."""
         since = self._signer.sent - NEW_WITHIN
         return {one: when for one, when in self._signer.newest.items() if when > since}
 

@@ -81,7 +81,7 @@ class CommandProtocol:
         rates: Rates,  # how often telemetry is sent, which each peer may ask for
         *,
         tell: Callable[[Severity, str], None],
-        # Sends a message by its number to whoever asks; False where there is none.
+        # Sends a message by its number to the peer; False where there is none.
         request: Callable[[int, float, Peer, float], bool],
         # Makes the mode request that flies the mission; None where there is none.
         mission: Callable[[Peer, int | None], ModeRequest | None],

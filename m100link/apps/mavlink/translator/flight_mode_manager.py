@@ -192,7 +192,7 @@ class FlightModeManager:
         self._mode = Mode.HOLD
 
     def _call_off(self, mode: Mode, why: str) -> None:
-        """Whoever wants to be on the ground while it stands there is not flown up first."""
+        """A landing asked for on the ground does not take off first."""
         self._tell(Severity.WARNING, f"the take-off is called off: {why}")
         self._settle()
         self._mode, self.operator = mode, None
@@ -232,7 +232,7 @@ class FlightModeManager:
         self._waiting, self._mode, self._idle_since = None, request.mode, None
         order = request.order
         if order is None:
-            # A mission of whoever is gone ignores setpoints, too.
+            # A mission of a lost client ignores setpoints, too.
             flies = self.running is FlightSource.FLIGHT or self.is_flown_by_aircraft
             if flies or self._is_flown_by_a_stranger:
                 self.orders.append(HoldPosition(why=f"{request.mode.value} was requested"))
@@ -401,7 +401,7 @@ class FlightModeManager:
                 self._disarm()
 
     def _forget(self) -> None:
-        """What was wanted before control was lost is not wanted by whoever flies now."""
+        """Forget requests from before control was lost: another client flies now."""
         self._waiting, self._mode, self.running = None, Mode.HOLD, FlightSource.NOTHING
         if self._current is not None and not isinstance(self._current, ReleaseControl):
             self._current = None
@@ -478,7 +478,7 @@ class FlightModeManager:
             self.hold(f"{self._mode.value}: {error.seen}")
 
     def operator_lost(self) -> None:
-        """Whoever flew is not heard any more: hover, unless it is on its way to the ground."""
+        """The peer that flew is silent: hover, unless the aircraft is landing."""
         lost, self.operator = self.operator, None
         if self._remembered is not None and self._remembered[0].mode not in _TO_THE_GROUND:
             self._remembered = None

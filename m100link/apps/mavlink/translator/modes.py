@@ -108,7 +108,7 @@ VERDICTS: dict[VehiclePhase, dict[Mode, ModeVerdict]] = {
     | dict.fromkeys(_ENDS, _V.NOTHING)
     | dict.fromkeys(_FROM_THE_AIR, _V.DENY),
     VehiclePhase.AIRBORNE: dict.fromkeys(_M, _V.START) | {_M.TAKEOFF: _V.DENY},
-    # Whoever wants more than an end of the flight says so by arming.
+    # A station that wants more than an end of the flight arms first.
     VehiclePhase.FREE: dict.fromkeys(_M, _V.REJECT) | dict.fromkeys(_ENDS, _V.OBTAIN),
     VehiclePhase.PILOT: dict.fromkeys(_M, _V.REJECT),
 }

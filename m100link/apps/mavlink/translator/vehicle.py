@@ -422,7 +422,7 @@ class MavlinkVehicle:
                 self._acknowledge(MavCommand.COMPONENT_ARM_DISARM, MavResult.IN_PROGRESS, peer)
         for text in self._texts.due(now):
             self._send(text)
-        # A vehicle that nobody hears is silent: whoever looks at it has to see that it is lost.
+        # A vehicle that nobody hears is silent: a ground station has to see that it is lost.
         if self.world.known.view.is_heard:
             self._tell_state(now, audience)
 

@@ -121,7 +121,7 @@ class VehicleState:
 
     @property
     def flies_mission(self) -> bool:
-        """Whether the aircraft tells that it flies a mission by itself, whoever started it."""
+        """Whether the aircraft reports that it flies a mission of any program."""
         view = self.known.view
         return view.state.mission in _MISSIONS and view.is_connected
 

@@ -93,7 +93,7 @@ class Client:
         self._on_disconnect = on_disconnect
         self.refused = 0  # frames not carried out
         self.close_reason: str | None = None  # set when the client has to be disconnected
-        self.recent_work = 0.0  # seconds of work that it caused; whoever looks sets it back to 0
+        self.recent_work = 0.0  # seconds of work that it caused; the reader sets it back to 0
         self.peer = ""  # address that it comes from
         self.heard_at = float("-inf")  # when it last said anything; when it came, if it never did
         self.has_spoken = False  # whether it ever said anything
@@ -369,7 +369,7 @@ class Client:
         self._on_output()
 
     def disconnect(self, reason: str) -> None:
-        """Let go of this client; its socket is closed by whoever holds it."""
+        """Let go of this client; the holder of its socket closes that."""
         if self.close_reason is None:
             self.close_reason = reason
             self._on_disconnect()

@@ -54,7 +54,7 @@ class Publication:
         return f'{{"op":"publish","topic":{json.dumps(name)},"msg":{self._json}}}'
 
     def pack(self, name: str, compression: str) -> str | bytes:
-        """The frame in one of these forms; packed once, whoever else wants it."""
+        """The frame in one of these forms; packed once for all clients."""
         frame = self._packed.get((name, compression))
         if frame is None:
             if compression == "cbor-raw":

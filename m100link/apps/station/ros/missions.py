@@ -3,8 +3,8 @@
 ``mission_waypoint_upload`` gives the plan to the agent, which checks it as a whole and asks nothing
 of the aircraft yet; ``mission_waypoint_action`` 0 uploads it there and starts it. So a plan that
 cannot be flown is refused at once, and nothing lies in the aircraft that nobody watches. Both need
-control. The mission is stopped when whoever started it loses control. A hotpoint waits here for its
-start in the same way.
+control. The mission stops when the client that started it loses control. A hotpoint waits here for
+its start in the same way.
 """
 
 from __future__ import annotations

@@ -123,7 +123,7 @@ class AlarmsPart:
     def _acknowledge(self, name: AlarmName) -> None:
         text = self._page.memory.acknowledge(name)
         if text is not None:
-            # For whoever reads the station's log later; in English, as everything there.
+            # For a later reader of the station's log; in English, as everything there.
             english = type(self._page.wording.settings)().speaker
             self._page.agent.note(f"{self._page.tab.session.name} acknowledged: {english(text)}")
 

@@ -179,7 +179,7 @@ class ClickPart:
         self._problem = None
 
     def _build_slider(self, word: str, number: NumberField, step: float) -> None:
-        """The handle to drag; whoever does not drag has the number and the arrow keys."""
+        """The handle to drag; the number and the arrow keys do the same."""
         low, high = number.shown_limits
         slider = ui.slider(min=low or 0.0, max=high or 0.0, step=step)
         slider.bind_value(number.element)

@@ -174,7 +174,7 @@ class SimPanel:
             self._number("battery", "battery {:g}", 100, round(shown["battery_percent"]))
 
     def _gives(self, order: Callable[[Any], tuple[str, ...]]) -> _Handler:
-        """What gives the orders for a new value; a refusal is shown to whoever wanted it."""
+        """The sender of an order for a new value; it shows a refusal to the operator."""
 
         async def give(event: ValueChangeEventArguments[Any]) -> None:
             if event.value is None:

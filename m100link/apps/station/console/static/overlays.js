@@ -67,7 +67,7 @@ function follow(handle, name, read) {
 }
 
 // {pointed, flown, handles}: the first two each {place: [latitude, longitude] or null, radius, yaw:
-// degrees or null}; handles are there for whoever has control.
+// degrees or null}; handles are there for the operator in control.
 export function drawPointed(wanted) {
   drawn = wanted;
   if (m100.map) redraw(m100.map);

@@ -20,7 +20,7 @@ let onRefused = () => {};
 // What says so to the operator.
 export function tellRefused(callback) { onRefused = callback; }
 
-// Whether whoever is at this page moved the focus to where it is, or had a second to see it.
+// Whether the operator moved the focus to where it is, or had a second to see it.
 export const isSettled = () => performance.now() >= quietUntil;
 
 const order = (target) => {

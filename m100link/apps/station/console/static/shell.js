@@ -31,7 +31,7 @@ export const m100 = {
     return {at: performance.now(), press, shown: event.detail?.shown};
   },
   answered,
-  // The view that was shown, and the secret of whoever looks at this tab; null where none is kept.
+  // The view that was shown, and the secret of this tab's operator; null where none is kept.
   kept() {
     let person = null;
     try {

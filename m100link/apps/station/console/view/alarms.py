@@ -80,7 +80,7 @@ class Definition:
     begins_after: float = 0.0  # seconds for which it has to be so
     ends_after: float = 0.0  # seconds for which it has to be so no more
     # For what only happens: what tells one time from another; None while it has not happened.
-    # Whoever sees the mark first has not been there when it happened.
+    # An operator who sees the mark first was not there when it happened.
     mark: Callable[[Situation], object] | None = None
     within: AlarmName | None = None  # a stronger alarm: while that one is so, this one is not shown
 

@@ -276,7 +276,7 @@ def actions_of(inputs: Inputs, now: Situation, checklist: Checklist) -> frozense
         offered |= {"release", "mission_upload"}
     if state.guided is not None:
         offered.add("hover")  # anybody may
-    if has_control and state.mission not in ("", "no mission"):  # whoever started it
+    if has_control and state.mission not in ("", "no mission"):  # of any program
         offered |= MISSIONS
     elif has_control and not state.task:
         offered |= FLIGHTS

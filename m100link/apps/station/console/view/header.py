@@ -99,7 +99,7 @@ class Cause(Enum):
     RC = "rc"  # the lease without authority, and CTRL_DEVICE names the remote controller
     TAKEN = "taken"  # the lease without authority: somebody took it, nobody knows who
     NO_AUTHORITY = "no_authority"  # the lease without authority, which has to be asked for
-    KEPT = "kept"  # nobody has the lease, authority is kept for a moment for whoever was lost
+    KEPT = "kept"  # nobody has the lease, authority is kept for a moment for a lost client
     FREE_RC = "free_rc"  # nobody has the lease, CTRL_DEVICE names the remote controller
     FREE = "free"  # nobody has the lease, and who flies is not known
 

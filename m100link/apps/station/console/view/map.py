@@ -43,7 +43,7 @@ def _fence(inputs: Inputs) -> tuple[tuple[float, float], float] | None:
 
 
 # -- click to fly ----------------------------------------------------------------------------------
-# Pure: whoever points holds a :class:`Pointed`, each change makes another one, and
+# Pure: the caller holds a :class:`Pointed`, each change makes another one, and
 # :func:`click_of` says what stands beside the point.
 
 OFFERED = {
@@ -156,8 +156,8 @@ class Shown:
 class MapRefusal:
     """Why something is refused, and what to do about it."""
 
-    reason: Text | None  # what whoever refuses saw; None where only a remedy is told
-    remedy: Text | str  # for whoever points; empty where nothing is known
+    reason: Text | None  # what was seen; None where there is only a remedy
+    remedy: Text | str  # for the operator; empty where none is known
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,7 +247,7 @@ def _time(seconds: float) -> str:
 
 
 def _refusal(error: M100Error) -> MapRefusal:
-    """With a remedy for whoever points; those of errors are for whoever writes programs."""
+    """With a remedy for an operator; those of errors are for programmers."""
     return MapRefusal(reason_text(error), _remedy(error))
 
 

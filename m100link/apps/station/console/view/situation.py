@@ -81,7 +81,7 @@ class Situation:
 
     @property
     def has_mission(self) -> bool:
-        """Whether a mission flies the aircraft, whoever started it."""
+        """Whether a mission of any program flies the aircraft."""
         return self.mission not in ("", "no mission", "IOC")
 
     @property

@@ -1,4 +1,4 @@
-"""What the console says, in the language and the units of whoever looks at it.
+"""Texts of the console, in the language and the units of its operator.
 
 A view model holds a :class:`Text`: the key of an entry and what is filled in. The entries are
 data: one file of ``console/texts/`` for each language, read when the first text is said in it.
