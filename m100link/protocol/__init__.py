@@ -1,4 +1,4 @@
-"""What the data bytes mean: command sets, setpoints, telemetry, firmware profiles."""
+"""The meaning of the data bytes: command sets, setpoints, telemetry, firmware profiles."""
 
 from m100link.protocol import records
 from m100link.protocol.codes import (

@@ -15,9 +15,9 @@ class AckCode(IntEnum):
     """Base of the ack-code enums; an ``int`` with ``meaning``, ``cause`` and ``remedy``.
 
     Attributes:
-        meaning: What the aircraft says with this code.
+        meaning: The statement of the aircraft that this code stands for.
         cause: The usual reason for it, or an empty string.
-        remedy: What to do about it, or an empty string.
+        remedy: The remedy, or an empty string.
     """
 
     meaning: str

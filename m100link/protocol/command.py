@@ -1,4 +1,4 @@
-"""What a command is: a declaration of its address, who may send it and how, and both directions.
+"""Base classes of commands, which declare address, sender, session and both directions.
 
 Each command of the document is a frozen dataclass in the module of its command set, and one of
 four kinds: a :class:`Request` wants an ack and says what the ack tells, a :class:`Push` has none, a
@@ -40,7 +40,7 @@ class Problem(NamedTuple):
     Attributes:
         field: Name of the field on the wire.
         value: Its value.
-        limit: What it may be, in words.
+        limit: The permitted values, in words.
     """
 
     field: str
@@ -62,7 +62,7 @@ class Problem(NamedTuple):
 
 
 class Command:
-    """What the four kinds have in common.
+    """Base of the four kinds of commands.
 
     Attributes:
         ADDRESS: Command set and id.
@@ -147,14 +147,14 @@ class Command:
 
 
 class Acknowledged(Generic[A]):
-    """What has an ack, or had one in some firmware.
+    """A command that has an ack, or had one in some firmware.
 
     Attributes:
-        ANSWER: What the ack tells: the class in the brackets.
+        ANSWER: Class of the ack's data: the class in the brackets.
         ACK_CODE_SIZES: Sizes that the code of the ack may have.
         ACK_IS_PLAIN: Whether the ack is plain even when the request was encrypted; all others are
             encrypted as their request.
-        UNREADABLE: What the aircraft answers to a value that it cannot read; where the sources
+        UNREADABLE: Answer of the aircraft to a value that it cannot read; where the sources
             are silent, that there is no such command.
     """
 
@@ -207,7 +207,7 @@ class Acknowledged(Generic[A]):
 
     @classmethod
     def unreadable(cls, profile: FirmwareProfile) -> AckCode:
-        """What a firmware answers to a value that it cannot read."""
+        """The answer of a firmware to a value that it cannot read."""
         return cls.UNREADABLE
 
     @classmethod
@@ -237,13 +237,13 @@ class Movement(Command):
 
 
 class Notification(Command):
-    """What the aircraft sends by itself."""
+    """A command that the aircraft sends unasked."""
 
     __slots__ = ()
 
     @classmethod
     def when_unreadable(cls) -> Self | None:
-        """What one with a value that cannot be read is taken for; None when it says nothing."""
+        """The substitute for one whose value cannot be read, or None to ignore it."""
         return None
 
 

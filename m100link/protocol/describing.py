@@ -1,8 +1,8 @@
-"""What a stream of bytes says, frame by frame, ready for JSON and for people.
+"""A description of a stream of bytes, frame by frame, ready for JSON and for people.
 
-An ack does not say what it answers; it is read when the command was seen, too. Of an encrypted
-frame without a key everything but its data is told. Commands of later firmware are read whatever
-the profile, with their fields as on the wire under ``raw``.
+An ack does not name its command; it is read when the command was seen, too. Without a key, the
+description of an encrypted frame lacks its data. Commands of later firmware are read whatever the
+profile, with their fields as on the wire under ``raw``.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class _Seal(Cipher):
         self._sealed = sealed, padding
 
     def encrypt(self, data: bytes) -> tuple[bytes, int]:
-        """What travelled."""
+        """The bytes and the padding of the wire."""
         return self._sealed
 
 
@@ -61,8 +61,8 @@ class Describer:
 
     def __init__(self, profile: FirmwareProfile, cipher: Cipher | None = None) -> None:
         self.asked: Asked = {}  # what was asked in this stream
-        # What the acks of this stream answer: what was asked in it, unless it is one of two
-        # directions.
+        # The requests that the acks of this stream answer: its own, unless it is one direction of
+        # two.
         self.answered = self.asked
         self._profile = profile  # firmware profile by which telemetry and movement are read
         self._has_key = cipher is not None
@@ -144,7 +144,7 @@ def _describe_sealed(frame: Frame, sealed: bytes, stream: bytes) -> dict[str, An
 def _later(
     name: str, kind: type[Command], raw: dict[str, Any], profile: FirmwareProfile
 ) -> dict[str, Any]:
-    """The name, and what is told of commands that the document does not have."""
+    """The name, and further keys of commands that the document does not have."""
     described: dict[str, Any] = {"command": name}
     if kind.SINCE > Generation.V1_0:
         described["raw"] = raw

@@ -42,7 +42,7 @@ class Number(NamedTuple):
         format: Its letter in :mod:`struct`.
         low, high: Documented range, inclusive; without one whatever fits.
         unit: Unit on the wire.
-        words: What the numbers of a choice mean, from 0 on; no other is legal.
+        words: Meanings of the numbers of a choice, from 0 on; no other number is legal.
         besides: Legal values outside the range.
     """
 
@@ -60,11 +60,11 @@ class Number(NamedTuple):
         return (self.name,)
 
     def write(self, record: object) -> tuple[Any, ...]:
-        """What goes into the struct."""
+        """The values for the struct."""
         return (getattr(record, self.name),)
 
     def read(self, values: Iterator[Any]) -> Iterator[tuple[str, Any]]:
-        """What comes out of it, under its name."""
+        """The value from the struct, under its name."""
         yield self.name, next(values)
 
     def problems(self, record: object) -> Iterator[Problem]:
@@ -154,11 +154,11 @@ class Numbers(NamedTuple):
         return f"each {self.each.limit}"
 
     def write(self, record: object) -> tuple[Any, ...]:
-        """What goes into the struct."""
+        """The values for the struct."""
         return tuple(getattr(record, self.name))
 
     def read(self, values: Iterator[Any]) -> Iterator[tuple[str, Any]]:
-        """What comes out of it, as a tuple."""
+        """The values from the struct, as a tuple."""
         yield self.name, tuple(next(values) for _ in range(self.many))
 
     def problems(self, record: object) -> Iterator[Problem]:
@@ -207,7 +207,7 @@ class Nibbles(NamedTuple):
         return "low and high four bits, each 0 to 15"
 
     def write(self, record: object) -> tuple[Any, ...]:
-        """What goes into the struct."""
+        """The values for the struct."""
         return (getattr(record, self.low) | getattr(record, self.high) << 4,)
 
     def read(self, values: Iterator[Any]) -> Iterator[tuple[str, Any]]:
@@ -248,7 +248,7 @@ class Reserved(NamedTuple):
 
     @property
     def limit(self) -> str:
-        """What stands there."""
+        """The rule for these bytes, in words."""
         return "sent as 0, ignored"
 
 
@@ -279,7 +279,7 @@ class Layout:
 
     @property
     def numbers(self) -> dict[str, Number]:
-        """What each single number may be, by name."""
+        """The range of each single number, by name."""
         halves = (half for part in self._parts if isinstance(part, Nibbles) for half in part.halves)
         singles = (part for part in self._parts if isinstance(part, Number))
         return {number.name: number for number in (*singles, *halves)}

@@ -90,7 +90,7 @@ class Item:
     record: type[Any]  # the record that users see
     rate_hz: int  # default rate (document 2.2.3.1): 0 (not sent), 1, 10, 50 or 100 Hz
     fields: tuple[str, ...]  # wire name of each field of the record, in the record's order
-    # What ends the record and is not a wire field: attributes of the profile.
+    # The last fields of the record, which are attributes of the profile and not on the wire.
     profile_fields: tuple[str, ...] = ()
     layouts: Mapping[str, ItemLayout]  # its layout by the name of the firmware that brought it
     views: tuple[str, ...] = ()  # properties of the record that are columns beside its fields
@@ -361,5 +361,5 @@ class RecordViews(ABC):
 
     @property
     def control_device(self) -> ControlDevice | None:
-        """Who controls the aircraft."""
+        """The device that controls the aircraft."""
         return self.get(ControlDevice)

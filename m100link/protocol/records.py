@@ -359,7 +359,7 @@ class Battery(NamedTuple):
 
 
 class Device(IntEnum):
-    """Who controls the aircraft."""
+    """A device that can control the aircraft."""
 
     RC = 0
     APP = 1
@@ -368,7 +368,7 @@ class Device(IntEnum):
 
 @quick
 class ControlDevice(NamedTuple):
-    """Who controls the aircraft (CTRL_DEVICE).
+    """The device that controls the aircraft (CTRL_DEVICE).
 
     Attributes:
         control: Raw byte: a number in firmware 1.0, bit fields later (errata 47).

@@ -149,7 +149,7 @@ _YAW_NAMES = {Yaw.ANGLE: "yaw_deg", Yaw.RATE: "yaw_rate_deg_s"}
 
 @dataclass(frozen=True, slots=True)
 class Setpoint(Movement):
-    """What one movement command asks for, and that command: :class:`Move` with a meaning.
+    """One movement command with units: :class:`Move` with a meaning.
 
     Build one with :meth:`tilt`, :meth:`velocity` or :meth:`position_offset`; all values are
     checked there and again here, so a setpoint that exists can be sent.

@@ -156,7 +156,7 @@ class Receiver:
 
     Attributes:
         cipher: Encrypts acks that ask for it. May be set at any time.
-        output: Frames to write, oldest first; whoever writes takes them out.
+        output: Frames to write, oldest first; the writer takes them out.
     """
 
     def __init__(
@@ -234,7 +234,7 @@ class Receiver:
         self._memories.clear()
 
     def forget_answered(self) -> None:
-        """Lose what was answered. What is at work is not among it: its answer is still to be given.
+        """Forget all requests but those at work, which have no answer yet.
 
         Of frames that come together the later ones are at work as the first one is carried out.
         """
@@ -290,7 +290,7 @@ class Sender:
 
     Attributes:
         cipher: Encrypts requests that ask for it. May be set at any time.
-        output: Frames to write, oldest first; whoever writes takes them out.
+        output: Frames to write, oldest first; the writer takes them out.
     """
 
     def __init__(
@@ -307,7 +307,7 @@ class Sender:
         self._free = list(RELIABLE_SESSIONS)  # a heap: the lowest comes first
         # Per session the numbers that the other end may have an ack stored for.
         self._taken: dict[int, set[int]] = {}
-        # What ended lately, and whether by an ack: a second ack of it is not a foreign one.
+        # Requests that ended lately, and whether by an ack: a second ack of one is not foreign.
         self._finished: OrderedDict[tuple[int, int], bool] = OrderedDict()
         self.output: deque[bytes] = deque()
         self._events: deque[Expired] = deque()

@@ -1,4 +1,4 @@
-"""What the session layer reports, and the words it uses."""
+"""Events of the session layer, and its enumerations."""
 
 from __future__ import annotations
 

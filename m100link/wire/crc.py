@@ -41,7 +41,7 @@ def frame_crc32(data: bytes) -> int:
 
 
 def _sequence_crc16() -> array[int]:
-    """What each sequence number adds, in order: a row of 256 per value of the high byte."""
+    """The share of each sequence number, in order: a row of 256 per value of the high byte."""
     zero = header_crc16(bytes(10))
     low, high = (
         [header_crc16(bytes(8) + number.to_bytes(2, order)) ^ zero for number in range(256)]
@@ -68,13 +68,13 @@ def header_crc16_of_word(word: bytes) -> int:
 
 
 def sequence_crc16(sequence: int) -> int:
-    """What a sequence number adds (by xor) to :func:`header_crc16_of_word`."""
+    """The share of a sequence number, which xor adds to :func:`header_crc16_of_word`."""
     return SEQUENCE_CRC16[sequence]
 
 
 @cache
 def sequence_crc16_numbers() -> list[int]:
-    """The same for all of them at once, for who looks one up for each frame that arrives.
+    """The same for all of them at once, for a decoder, which looks one up for each frame.
 
     A list is read in a third of the time. It takes 2.4 MB and some milliseconds to make, so it
     waits for the first decoder.

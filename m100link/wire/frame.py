@@ -100,7 +100,7 @@ def _wrong_halves(data: bytes, half: int) -> int:
 
 @cache
 def _shares(half: int) -> list[bytes]:
-    """What a byte adds to that half of a CRC16, by its value, from the tenth to the first.
+    """The share of a byte in that half of a CRC16, by its value, from the tenth to the first.
 
     CRC16 is affine: that depends on value and place alone, and the ten are added by xor. The first
     has the start value in its share.
@@ -155,11 +155,11 @@ def quick(named: type[T]) -> type[T]:
     own["__getnewargs__"] = _getnewargs
     own["__qualname__"] = named.__qualname__
     made: Any = _Quick(named.__name__, named.__bases__, own)
-    return made  # type: ignore[no-any-return]  # the same class to whoever uses it
+    return made  # type: ignore[no-any-return]  # the same class to its users
 
 
 def maker(named: type[T]) -> Callable[[tuple[Any, ...]], T]:
-    """What makes a :func:`quick` class of a tuple of all its values, unchecked, in their order."""
+    """A function that makes a :func:`quick` class of a tuple of all its values, unchecked."""
     make: Callable[[tuple[Any, ...]], T] = type.__call__.__get__(named)
     return make
 
@@ -305,7 +305,7 @@ def encode_frame(
 
 
 def _check_kind(size: int, session: int, is_ack: bool, padding: int) -> _Kind:
-    """What a kind of frame begins with, remembered if it may be sent; see :func:`encode_frame`."""
+    """The beginning of a kind of frame, kept if it may be sent; see :func:`encode_frame`."""
     if not 0 <= session <= MAX_SESSION:
         raise UsageError(f"session {session} does not exist", remedy="sessions are 0 to 31")
     length = size + OVERHEAD if size else HEADER_SIZE
@@ -325,9 +325,9 @@ def _check_kind(size: int, session: int, is_ack: bool, padding: int) -> _Kind:
     return kind
 
 
-# What a header without a fault says but for its sequence number, remembered so that repeats cost
-# one lookup: its CRC16 with sequence number 0, length, session, is_ack, encrypted, padding, whether
-# a key stands between the bytes and the payload, and which part of decrypted data is no padding.
+# A valid header without its sequence number, remembered so that repeats cost one lookup: its CRC16
+# with sequence number 0, length, session, is_ack, encrypted, padding, whether a key stands between
+# the bytes and the payload, and which part of decrypted data is no padding.
 # Plain tuples: the interpreter takes those apart several times as fast as named ones.
 _Header = tuple[int, int, int, bool, bool, int, bool, slice]
 
@@ -558,7 +558,7 @@ class FrameDecoder:
     def _hunt(self, data: bytes, position: int, right: Iterator[int], end: int) -> tuple[int, int]:
         """Find the next frame that is right, or the header of one that is not all here.
 
-        What is passed over is counted: each start byte by the fault of what it begins. ``right``:
+        It counts each start byte that it skips by the fault of the header behind it. ``right``:
         the places of headers with a right CRC16 that were not looked at before. ``end``: the first
         place without room for a header. Returns its place, ``end`` when there is none, and how many
         bytes of its frame are missing.
@@ -601,7 +601,7 @@ class FrameDecoder:
         return place, missing
 
     def _learn(self, word: int, sequence: int, crc16: int) -> _Header | None:
-        """What a header with a right CRC16 says, from now on known; None if it has a fault."""
+        """Parse and remember a header with a right CRC16; None if it has a fault."""
         length = word >> 8 & 0x3FF
         if (length < OVERHEAD and length != HEADER_SIZE) or _cannot_pad(word, length):
             return None

@@ -111,7 +111,7 @@ class _MoveFields(NamedTuple):
 class Move(_MoveFields, Movement):
     """0x01/0x03, movement: a control flag and four raw values, without an ack.
 
-    What flag and values mean is :mod:`m100link.protocol.setpoint`'s business. On the wire the
+    :mod:`m100link.protocol.setpoint` defines the meaning of flag and values. On the wire the
     order is flag, roll/x, pitch/y, throttle/z, yaw; under ``1.0-document`` yaw comes before
     throttle, as the document prints it (errata 1).
 

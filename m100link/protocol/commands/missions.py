@@ -1,4 +1,4 @@
-"""What the aircraft tells of missions: 0x02/0x03 and 0x02/0x04 of firmware 3.1.
+"""Missions: the pushes 0x02/0x03 and 0x02/0x04 of firmware 3.1, and command set 0x03.
 
 Layouts and readings are from DJI's libraries and documents of 2015 to 2019.
 """
@@ -86,7 +86,7 @@ class OtherKind(_Told):
 
 @dataclass(frozen=True, slots=True)
 class _LastMission(_Told):
-    """What is told while no mission runs."""
+    """The status while no mission runs."""
 
     LAYOUT: ClassVar[Layout] = Layout(
         Number("last_mission"), Number("flags"), Number("reason"), Reserved(2)
@@ -198,7 +198,7 @@ class HotpointStatus(_Told):
 
 @dataclass(frozen=True, slots=True)
 class FollowStatus(_Told):
-    """Kind 3: following a target; nothing more is told."""
+    """Kind 3: following a target; the push has no further fields."""
 
     KIND: ClassVar[int] = 3
     WORD: ClassVar[str] = "follow"
@@ -278,7 +278,7 @@ Status: TypeAlias = (
 Event: TypeAlias = Uploaded | Finished | Reached | OtherKind
 
 STATUSES = (IdleStatus, WaypointStatus, HotpointStatus, FollowStatus, IocStatus)
-"""What a status may tell, by its kind."""
+"""The classes of a status, by its kind."""
 
 EVENTS = (Uploaded, Finished, Reached)  # what a waypoint mission may tell, by its kind
 
@@ -295,7 +295,7 @@ class _KindPush(Notification):
 
     @property
     def told(self) -> _Told:
-        """What it tells: its only field."""
+        """Its only field."""
         told: _Told = getattr(self, field_names(self)[0])
         return told
 
@@ -322,7 +322,7 @@ class _KindPush(Notification):
         return cls(told)  # type: ignore[call-arg]  # the two are dataclasses of what they tell
 
     def fields(self) -> dict[str, Any]:
-        """The kind in a word, and what is told in metres, degrees, seconds and words."""
+        """The kind in a word, and the fields in metres, degrees, seconds and words."""
         return {"kind": self.told.WORD} | self.told.shown()
 
     def raw(self) -> dict[str, Any]:
@@ -341,7 +341,7 @@ class MissionStatus(_KindPush):
     The box "Ground Station Status" has to be ticked in the PC assistant.
 
     Attributes:
-        status: What is told, by the kind of mission: 0 none, 1 waypoint, 2 hotpoint, 3 follow,
+        status: The status, by the kind of mission: 0 none, 1 waypoint, 2 hotpoint, 3 follow,
             4 IOC.
     """
 
@@ -356,7 +356,7 @@ class WaypointEvent(_KindPush):
     """0x02/0x04, a step of a waypoint mission, told once.
 
     Attributes:
-        event: What happened: 0 uploaded, 1 finished, 2 reached.
+        event: The event, by its kind: 0 uploaded, 1 finished, 2 reached.
     """
 
     ADDRESS: ClassVar[Address] = Address(0x02, 0x04)
@@ -384,7 +384,7 @@ _SYSTEM_CODES = frozenset(map(int, SystemCode))
 
 
 class _MissionCommand(Command):
-    """What all commands of the set have in common."""
+    """Base of all commands of the set."""
 
     __slots__ = ()
 
@@ -454,12 +454,12 @@ class DownloadAnswer(Answer, Generic[R]):
 
     @property
     def record(self) -> R:
-        """What was uploaded: the field behind the code."""
+        """The uploaded record: the field behind the code."""
         found: R = getattr(self, dataclasses.fields(self)[1].name)  # type: ignore[arg-type]  # is one
         return found
 
     def tail(self) -> bytes:
-        """What the aircraft has is sent as it is."""
+        """The stored record as bytes, unchanged."""
         return self.record.LAYOUT.write(self.record)
 
     def _tail_raw(self) -> dict[str, Any]:
@@ -547,7 +547,7 @@ class Unconfirmed(_MissionCommand, _MissionAck[MissionCode], Movement):
     """A command of set 0x03 that is sent on session 0 and never confirmed.
 
     DJI's code and documents disagree about acks of 0x23 to 0x25; no Matrice 100 was seen to answer.
-    What became of it shows in the status push. Where a firmware does answer, the ack is a code.
+    The status push shows its effect. Where a firmware does answer, the ack is a code.
     """
 
     __slots__ = ()

@@ -100,7 +100,7 @@ ACTION_PARAMETERS = {
     "turn_to": Number("parameter", "h", -180, 180, "°"),
     "gimbal_pitch": Number("parameter", "h", -90, 0, "°"),
 }
-"""What the parameter of an action may be; that of the others means nothing."""
+"""Range of the parameter of an action; that of the others means nothing."""
 
 _SLOTS = 16
 USED_SLOTS = 15  # actions of a point at most, although there are 16 places for them
