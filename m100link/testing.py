@@ -26,7 +26,7 @@ Fixtures:
     The name of a serial port with a virtual aircraft behind it, in real time, for code that opens a
     port by name. It runs in a thread, so it answers synchronous programs, too.
 ``anyio_backend``
-    What anyio's pytest plugin asks for: asyncio, with the virtual clock for tests that use it.
+    The backend of anyio's pytest plugin: asyncio, with the virtual clock for tests that use it.
 
 The seed of the aircraft is printed when a test fails; set it with the marker
 ``@pytest.mark.aircraft(seed=7)``, which takes every argument of
@@ -90,7 +90,7 @@ class ConnectableAircraft(VirtualAircraft):
 
     @property
     def driver(self) -> Driver:
-        """What lets time pass for it on the running event loop."""
+        """The driver that lets its time pass on the running event loop."""
         loop = asyncio.get_running_loop()
         if self._driver is None or self._driver.loop is not loop:
             self._driver = Driver(self, loop)
@@ -185,7 +185,7 @@ class VirtualPort:
     Attributes:
         aircraft: The aircraft. Its methods may be called through :meth:`call` only, because its
             time passes in another thread.
-        name: What to open.
+        name: Name of the port to open.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -283,5 +283,5 @@ def virtual_aircraft_port(request: pytest.FixtureRequest) -> Iterator[VirtualPor
 
 
 if __name__ == "__main__":
-    # Whoever runs it wants to know how it is used.
+    # A module of fixtures has nothing to run: show how it is used.
     print(__doc__)  # noqa: T201

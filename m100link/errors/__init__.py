@@ -21,7 +21,7 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   ├── LinkClosed             we closed it
     │   ├── ReplayEnded            the recording has no more; no cable is lost
     │   ├── LineBlocked            it is open and takes no more bytes
-    │   ├── AnotherAircraft        it came back, and not to the aircraft of before
+    │   ├── AnotherAircraft        it came back, and another aircraft answers
     │   └── NoAircraft             opened, but no usable answer came (TimeoutError)
     │       ├── SilentLine         not one byte arrived
     │       ├── NoValidFrame       bytes, but no frame: baud rate or noise

@@ -1,4 +1,4 @@
-"""What the aircraft answers, does, or does not do any more."""
+"""Errors of the aircraft: its refusals, failures, and the loss of control or telemetry."""
 
 from __future__ import annotations
 
@@ -283,7 +283,7 @@ class MissionRunning(
 
 
 class LossReason(StrEnum):
-    """Who or what took authority away."""
+    """The cause of a loss of control authority."""
 
     NONE = ""  # nothing was lost
     MODE_SWITCH = "mode_switch"  # the pilot left F
@@ -302,7 +302,7 @@ class AuthorityLost(
     """Authority went away during control.
 
     Attributes:
-        reason: Who or what took it; compares equal to its string, such as ``"mode_switch"``.
+        reason: The cause; compares equal to its string, such as ``"mode_switch"``.
     """
 
     reason: LossReason = LossReason.UNKNOWN

@@ -1,4 +1,4 @@
-"""What every error of the package has."""
+"""The base class of every error of the package."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ class M100Error(_Keywords):
 
     Attributes:
         error_code: ``M100-`` and words, such as ``M100-LINK-LOST``.
-        usual_cause: What mostly causes errors of this class.
-        usual_remedy: What mostly helps.
-        seen: What was observed, in one sentence.
+        usual_cause: The usual cause of errors of this class.
+        usual_remedy: The usual remedy.
+        seen: The observation, in one sentence.
         cause: The most likely cause, or an empty string.
-        remedy: What to do about it, or an empty string.
+        remedy: The remedy, or an empty string.
     """
 
     error_code: ClassVar[str] = "M100-ERROR"
     usual_cause: ClassVar[str] = "what no other class of errors describes"
     usual_remedy: ClassVar[str] = "read what was seen"
     own: ClassVar[dict[str, Any]] = {}
-    """What its class annotates beyond those of all errors, with the defaults."""
+    """The attributes that its class adds to those of all errors, with the defaults."""
 
     if TYPE_CHECKING:
         seen: str = field(kw_only=False)

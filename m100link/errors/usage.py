@@ -31,7 +31,7 @@ class UsageError(
 
 
 def of_another_loop(name: str = "aircraft.link.loop") -> UsageError:
-    """What whoever waits or sends gets outside the event loop in which the connection was made."""
+    """The error of a call outside the event loop in which the connection was made."""
     return UsageError(
         "the connection belongs to another event loop than the one that runs here, if any",
         cause="another thread uses it, or it was made by an asyncio.run() that has ended",
@@ -70,7 +70,7 @@ class BadValue(
     Attributes:
         field: Name of the field on the wire.
         value: The value.
-        limit: What it may be, in words.
+        limit: The permitted values, in words.
     """
 
     field: str = ""
@@ -97,10 +97,10 @@ class BadPlan(
 
     Attributes:
         point: Index of the waypoint, counted from 0 as in the plan's list; None if it is the whole.
-        field: What is wrong, as the plan names it, such as ``"height"``.
-        value: What it is.
-        limit: What it may be: the lowest and highest number, a number, or the choices.
-        others: What else is wrong with the same plan.
+        field: The wrong field, as the plan names it, such as ``"height"``.
+        value: Its value.
+        limit: Its permitted values: the lowest and highest number, a number, or the choices.
+        others: The other faults of the same plan.
     """
 
     point: int | None = None

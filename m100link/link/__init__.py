@@ -20,6 +20,6 @@ __all__ = [
     "parse_url",
 ]
 
-# A library leaves it to the program whether and how its log is shown. What logs is reached by doors
-# that stand on the link; what stands below it need not load logging.
+# A library leaves it to the program whether and how its log is shown. Every module that logs stands
+# on the link; a module below the link need not load logging.
 logging.getLogger("m100link").addHandler(logging.NullHandler())

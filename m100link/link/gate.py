@@ -16,7 +16,7 @@ from m100link.errors import LinkClosed
 from m100link.errors.usage import of_another_loop
 
 GUARDIAN_NAME = "m100link-guard"
-"""What the system calls the process that ends the flight of a program that cannot."""
+"""Process name of the guardian, which ends the flight of a program that cannot."""
 
 
 class WriteGate(Protocol):

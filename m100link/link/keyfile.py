@@ -3,10 +3,10 @@
 A secret that others can read is not used: the error names the file and the command that closes it.
 A file is read only as far as a secret can be long, so that a wrong path costs nothing.
 
-No checksum stands in such a file. So whoever reads one keeps its checksum beside it, with the time
-at which it was written: when it says something else and nobody wrote it, the disk did.
+No checksum stands in such a file. So its reader keeps a checksum, with the file's time of writing:
+contents that differ while that time does not are damage of the disk.
 
-What a program writes in the place of another file goes there by :func:`replace_file`.
+A program replaces a file by :func:`replace_file`.
 """
 
 from __future__ import annotations

@@ -90,14 +90,14 @@ class Link(asyncio.Protocol):
             None  # asked before each write, where a guardian shares the line
         )
         self._transport: asyncio.Transport | None = None  # until the line is open
-        # Who waits for which ack, and the word for it in errors, by the session's token.
+        # The waiter for each ack, and the request's name in errors, by the session's token.
         self._pending: dict[int, tuple[asyncio.Future[bytes], str]] = {}
         # The one timer of all requests, and its spare; they stand at the earliest repeat or end of
         # a wait.
         self._timers: tuple[asyncio.TimerHandle, ...] = ()
         # False while the transport's buffer is full: pushes are dropped then, never queued.
         self._is_writable = True
-        # The first reason counts; whoever comes later gets the same one.
+        # The first reason counts; every later caller gets the same one.
         self._failure: LinkError | None = None
         # Whether all who wait, and the owner, know of it.
         self._is_failure_told = False
@@ -119,7 +119,7 @@ class Link(asyncio.Protocol):
 
     @property
     def clock(self) -> Callable[[], float]:
-        """What times of this line are by, s: that of the event loop, or of a flight of before."""
+        """The clock of this line's times, s: the event loop's, or that of a recorded flight."""
         return self._loop.time
 
     def require_loop(self) -> None:
@@ -282,7 +282,7 @@ class Link(asyncio.Protocol):
             self._tell_of_failure()
             if is_attached and not self._disconnected.is_set():
                 await self._drain()
-        finally:  # cancelled, too: whoever closes in a hurry wants it closed
+        finally:  # a cancelled close has to close the line, too
             if self._transport is not None:
                 self._transport.abort()
         if is_attached:
@@ -389,7 +389,7 @@ class Link(asyncio.Protocol):
                 elif isinstance(event, (Acked, Expired)):
                     self._resolve(event)
         except BaseException:
-            # Whoever took an event raised. What came behind it was read and is nobody's to lose.
+            # A taker of an event raised. The events behind it were read and must not be lost.
             self._loop.call_soon(self._dispatch, events, now)
             raise
 
@@ -520,7 +520,7 @@ class Link(asyncio.Protocol):
                 future.set_exception(error.again())
         if not self._connected.done():
             self._connected.set_exception(error.again())
-            self._connected.exception()  # read, so that nobody is told it never was
+            self._connected.exception()  # read, so that asyncio does not warn that it never was
         if isinstance(error, LinkLost):
             _logger.warning("%s", error.seen)
         try:
@@ -565,6 +565,6 @@ async def open_link(
         await link.wait_connected()
     except BaseException:
         transport.abort()
-        await link.wait_disconnected()  # whoever opens it next finds it free
+        await link.wait_disconnected()  # so that the next to open the line finds it free
         raise
     return link

@@ -191,7 +191,7 @@ class Requests:
         raise _no_aircraft(self._link, timeout)
 
     def take_recorded(self, version: Version | None, firmware: FirmwareProfile) -> None:
-        """Nobody can be asked: the answer of then, and the firmware of then unless it is forced."""
+        """Take the recorded answer, and the recorded firmware unless one is forced."""
         self.version = version
         self.firmware = self.firmware if self._is_forced else firmware
         self.knows_firmware = self.knows_layout = True

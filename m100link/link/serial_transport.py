@@ -41,7 +41,7 @@ def _levels(data: bytes) -> Iterator[int]:
 
 
 def read_inverted(data: bytes) -> bytes:
-    """What is read of bytes sent without a pause, at the right rate, on a line of inverted levels.
+    """Bytes as received, sent without a pause at the right rate, on a line of inverted levels.
 
     Such are the levels of RS-232, and of radios and adapters that invert. Idle looks like a start
     bit without end, so the receiver waits for the first 1 and takes the next fall for a start. A
@@ -80,7 +80,7 @@ if importlib.util.find_spec("termios") is not None:  # not on Windows
 
 
 class SerialPort(Protocol):
-    """What a transport wants of a port; ``serial.Serial`` is one."""
+    """The part of a port that a transport uses; ``serial.Serial`` has it."""
 
     def fileno(self) -> int:
         """The open file, of which an empty read means that the device is gone (VMIN is 1)."""
@@ -118,7 +118,7 @@ _NOTHING: _Unsent = (b"", [])
 
 
 def _rest(unsent: _Unsent) -> bytes:
-    """What the system has not taken."""
+    """The bytes that the system has not taken."""
     data, taken = unsent
     return data[taken[0] :] if taken else data
 
@@ -126,9 +126,9 @@ def _rest(unsent: _Unsent) -> bytes:
 class SerialTransport(asyncio.Transport):
     """Carries bytes between a protocol and a serial port that the event loop can watch.
 
-    The protocol's ``connection_made`` is called at once. From 2048 unsent bytes on it is told to
-    pause writing, from 512 on to resume. A protocol that writes on regardless is buffered up to
-    65,536 bytes; a piece that does not fit is dropped whole and counted.
+    It calls the protocol's ``connection_made`` at once, ``pause_writing`` at 2048 unsent bytes and
+    ``resume_writing`` at 512. It buffers up to 65,536 bytes of a protocol that writes on
+    regardless; a piece that does not fit is dropped whole and counted.
     """
 
     # A KeyboardInterrupt may come between any two lines. So each step first writes down what makes
@@ -145,9 +145,9 @@ class SerialTransport(asyncio.Transport):
         self.state = PortState.OPEN  # where it is between its first byte and its end
         # False while the protocol wants no bytes.
         self._is_reading = True
-        # What was read and is not delivered: empty between turns, unless something cut one off.
+        # Bytes read and not delivered: empty between turns, unless something cut one off.
         self._arrived: deque[bytes] = deque()
-        # What was accepted and is not with the system: nothing, unless the line takes no more.
+        # Bytes accepted that the system has not taken: none, unless the line takes no more.
         self._unsent = _NOTHING
         # Whether the protocol was told to pause, and not yet to resume.
         self._is_protocol_paused = False

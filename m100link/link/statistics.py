@@ -97,7 +97,7 @@ class LinkStatistics:
     missed_setpoints: int = 0
 
 
-# -- A tap on a line: whoever asks for it sees the bytes of both directions, with their times ------
+# -- A tap on a line shows the bytes of both directions, with their times --------------------------
 # It stands between the transport and the link, and only where it was asked for: a line without one
 # costs what it did.
 
@@ -160,7 +160,7 @@ class _TappedTransport:
 
 
 class TappedProtocol(asyncio.Protocol):
-    """What a transport is given in place of a protocol whose line is tapped.
+    """Stands between a transport and the protocol whose line is tapped.
 
     ``tap``: hears each read before the protocol does, and each of its writes.
     """
@@ -198,7 +198,7 @@ class TappedProtocol(asyncio.Protocol):
 
 
 def excerpt(data: bytes, *, data_at: int = 0) -> str:
-    """What the log shows of a frame, or of its data."""
+    """The bytes of a frame, or of its data, as the log shows them."""
     shown = data[:_LOGGED_BYTES]
     if data.startswith(_ACTIVATION, data_at):
         shown = data[: data_at + len(_ACTIVATION)]

@@ -39,7 +39,7 @@ _logger = logging.getLogger(__name__)
 
 
 Opener = Callable[[ConnectionString, asyncio.Protocol], Awaitable[asyncio.Transport]]
-"""What a plug-in transport provides, by an entry point in the group ``m100link.transports``."""
+"""A plug-in transport: an entry point in the group ``m100link.transports``."""
 
 CONNECT_TIMEOUT = 5.0
 
@@ -74,7 +74,7 @@ class _PolledTransport(serial_asyncio.SerialTransport):
 
     def _call_connection_lost(self, exc: BaseException | None) -> None:
         # There, tcdrain() runs here on the event loop and blocks it until the other end has read
-        # everything. Who wanted the bytes sent has waited for them already (Link.close).
+        # everything. Link.close has already waited for the bytes that have to go out.
         if self._serial is None:
             return
         try:
@@ -85,7 +85,7 @@ class _PolledTransport(serial_asyncio.SerialTransport):
 
 
 def find_transport(address: ConnectionString) -> Opener:
-    """What opens a line of this scheme; nothing is opened.
+    """The function that opens a line of this scheme; nothing is opened yet.
 
     Raises ``BadURL``: no transport of that scheme is installed.
     """
@@ -162,8 +162,8 @@ async def _open_serial(address: ConnectionString, protocol: asyncio.Protocol) ->
 async def _kept_or_closed(opening: asyncio.Future[serial.Serial]) -> serial.Serial:
     """The port; if this is cancelled, only after the port is closed again.
 
-    The thread that opens cannot be cancelled: it would take the port from whoever opens it next,
-    this program included. A second cancellation does not wait.
+    The thread that opens cannot be cancelled: it would take the port from the next program that
+    opens it, this one included. A second cancellation does not wait.
     """
     try:
         return await asyncio.shield(opening)

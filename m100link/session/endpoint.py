@@ -234,7 +234,7 @@ class Receiver:
         self._memories.clear()
 
     def forget_answered(self) -> None:
-        """Forget all requests but those at work, which have no answer yet.
+        """Forget the requests that were answered; those at work still get their answer.
 
         Of frames that come together the later ones are at work as the first one is carried out.
         """

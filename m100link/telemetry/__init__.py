@@ -1,1 +1,1 @@
-"""What the aircraft pushes, as users get it: samples, subscriptions, newest values, its clock."""
+"""Telemetry for users: samples, subscriptions, newest values, the aircraft's clock."""

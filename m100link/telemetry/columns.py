@@ -69,7 +69,7 @@ def _columns(item: Item) -> dict[str, str]:
 
 _COLUMNS = {item.name: _columns(item) for item in ITEMS}
 
-# What the document calls one variable alone needs no item.
+# A variable name that the document uses in one item alone needs no item.
 _VARIABLES = [name for _, names in _DOCUMENT.values() for name in names.split()]
 _ALONE = {
     name: _COLUMNS[item][name]
@@ -231,7 +231,7 @@ class Table:
         return numpy.array(self.rows, dtype=float).reshape(len(self.rows), len(self.names))
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the track, if position is among the columns; the first rows."""
+        """The table for a notebook: the track, if position is among the columns; the first rows."""
         from html import escape  # which few programs need, and brings a table of all entities
 
         from m100link.geodesy import track_svg

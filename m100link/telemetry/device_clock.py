@@ -9,8 +9,8 @@ a package on the line (6 ms at 230400 baud).
 A package costs a note of its tick and arrival. Notes are looked at together, when there are some or
 somebody asks: what the clock says is the same as if each had been looked at when it came.
 
-What arrives late may have waited in a buffer while this program was busy, or the device clock may
-have stepped back: one package does not tell which. The stated bound therefore reaches from the line
+A late package may have waited in a buffer while this program was busy, or the device clock may
+have stepped back: one package does not show which. The stated bound therefore reaches from the line
 to the newest arrival, and only seconds whose packages come at their own pace move the line.
 """
 
@@ -168,7 +168,7 @@ class DeviceClock:
                     since = received_at
             if silence > 0:
                 before = silence
-            # What follows sooner than its tick: the one before waited, and says nothing of delay.
+            # This package follows sooner than its tick: the one before waited, and shows no delay.
             if silence < (device - last_device) / 2 and arrivals:
                 arrivals[-1] = (device, offset)
             else:
@@ -255,7 +255,7 @@ class DeviceClock:
     def _waited(self) -> float:
         """How far the newest package is from the line; if it waited, as long as nothing was read.
 
-        What waited during a jump of the clock comes less late than it waited.
+        A package that waited during a jump of the clock comes less late than it waited.
         """
         late = self._newest - self._offset_at(self._device)
         return max(late, self._silence) if late > _BACKLOG_S else abs(late)

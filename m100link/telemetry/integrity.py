@@ -339,7 +339,7 @@ class IntegrityMonitor:
         self._still_s = self._level_s = 0.0
 
     def _velocity(self, now: float) -> tuple[float, float, float] | None:
-        """What the aircraft says, while it vouches for it."""
+        """The velocity that the aircraft reports, while it vouches for it."""
         sample = self._newest(Velocity)
         if sample is None or now - sample.received_at > MAX_TELEMETRY_AGE:
             return None

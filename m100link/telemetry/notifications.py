@@ -27,7 +27,7 @@ N = TypeVar("N", bound=Notification)
 
 
 class Notifications:
-    """Hands each notification to whoever wants it; takes the link's ``on_received``.
+    """Hands each notification to its takers; the link's ``on_received`` feeds it.
 
     Telemetry, which comes a hundred times a second, goes on as the bytes of its value. It is passed
     over until the firmware is known by which it is read.

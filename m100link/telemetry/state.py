@@ -28,7 +28,7 @@ _ARRIVALS = 512  # twice what an item at 100 Hz has in that time
 
 _ONE_PERIOD_S = 1.2
 """An item that is sent once a second, the slowest rate of the PC assistant, is known all the time.
-What moves with the aircraft may not be older: at 10 m/s it is 12 m elsewhere by then."""
+Values that move with the aircraft may not be older: at 10 m/s it is 12 m elsewhere by then."""
 
 FRESH_S: Mapping[type[Any], float] = MappingProxyType(
     dict.fromkeys(BY_RECORD, _ONE_PERIOD_S)
@@ -89,7 +89,7 @@ class ItemStatistics:
 
 
 class _Cell:
-    """What is known of items that have always come together."""
+    """The newest sample and the arrivals of items that have always come together."""
 
     __slots__ = ("arrivals", "count", "items", "longest_gap_s", "received_at", "sample")
 
@@ -145,7 +145,7 @@ class AircraftState(RecordViews):
         return f"<AircraftState {age}{''.join(f', {name} {known[name]}' for name in known)}>"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: every item with its value, age and rate."""
+        """The table for a notebook: every item with its value, age and rate."""
         from html import escape  # which few programs need, and brings a table of all entities
 
         rows = []
@@ -245,7 +245,7 @@ class AircraftState(RecordViews):
             return None
         age = (self._clock() if now is None else now) - sample.received_at
         limit = FRESH_S[record] if within is None else within
-        # What came at no time, or far in the future, is as unknown as what is old.
+        # A sample without a time, or from the future, is as unknown as an old one.
         return sample.get(record) if -limit <= age <= limit else None
 
     def statistics(self, record: type[Any]) -> ItemStatistics:
@@ -264,7 +264,7 @@ class AircraftState(RecordViews):
         )
 
     def situation(self) -> dict[str, object]:
-        """What explains a refusal, for errors: status, battery, GPS health, mode switch, holder."""
+        """Details of a refusal, for errors: status, battery, GPS health, mode switch, holder."""
         phase = self.flight_status and (self.flight_status.phase or self.flight_status.status)
         device = self.control_device and self.control_device.device
         rc = self.remote_control

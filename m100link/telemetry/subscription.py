@@ -80,7 +80,7 @@ class Latest(Newest):
 
 
 Policy = Newest | Lossless
-"""What happens when a consumer is slower than the aircraft."""
+"""The treatment of a consumer that is slower than the aircraft."""
 
 
 class SampleQueue(Generic[T]):
@@ -354,7 +354,7 @@ class TelemetryStream:
         # Once: a wall clock that is set during a flight must not bend its columns.
         self.utc_offset_s = time.time() - clock()  # see :attr:`m100link.Aircraft.utc_offset_s`
         self.hub: Hub[Sample] = Hub()  # the consumers
-        # What packages have been read as, or the clock was asked for, last.
+        # The firmware by which packages were read, or the clock was asked for, last.
         self._firmware = FIRMWARE_1_0
         self._clock = DeviceClock(FIRMWARE_1_0.tick_hz)  # by which packages arrive, s
         self._ticks: dict[int, _Place | None] = {}  # where such packages have their tick, by flags
