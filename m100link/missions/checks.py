@@ -317,7 +317,7 @@ CAMERA_S = 1.5  # a photograph, and the beginning and end of a video
 
 @dataclass(frozen=True, slots=True)
 class PlanEstimate:
-    """What a plan takes, roughly.
+    """Rough length and duration of a plan.
 
     Attributes:
         length_m: Metres flown: each run, and the ways before and behind that are known.
@@ -407,7 +407,7 @@ def _turns(plan: PlanValues, headings: Sequence[float]) -> float:
 
 
 def _stop(plan: PlanValues) -> float:
-    """What stopping, and flying on, costs."""
+    """Seconds that stopping, and flying on, costs."""
     return STOP_S + STOP_S_PER_M_S * max(0.0, plan.speed)
 
 
@@ -479,7 +479,7 @@ FACTORY_HEIGHT_M = 120.0  # up to here an aircraft flies until its app allows mo
 
 
 def remarks(plan: PlanValues) -> Iterator[str]:
-    """A sentence for each thing that may surprise whoever flies the plan."""
+    """A sentence for each thing in a plan that may surprise its user."""
     yield from _on_the_whole(plan)
     yield from _on_what_is_ignored(plan)
     if plan.trace is Trace.STOP_AT_POINTS:

@@ -1,7 +1,7 @@
 """Plans as JSON of our own: every field by the name that it has in Python, choices by their names.
 
-What stands in a file and is not read would be flown without being seen, so nothing is passed over:
-a field that does not exist, or stands there twice, is refused by its name.
+A part of a file that the reader skipped would be missing in flight without anybody knowing. So it
+skips none: it refuses a field that does not exist, or stands there twice, by its name.
 """
 
 from __future__ import annotations
@@ -253,7 +253,7 @@ _LARGEST = 16 * 1024 * 1024  # bytes; a survey of thousands of photographs has n
 
 
 def read(path: str | Path) -> bytes:
-    """What a file holds; ``BadPlan`` if it cannot be read, is a device, or is far too large."""
+    """The bytes of a file; ``BadPlan`` if it cannot be read, is a device, or is far too large."""
     found = b""
     try:
         is_device = stat.S_ISCHR(Path(path).stat().st_mode)

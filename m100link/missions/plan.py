@@ -87,11 +87,11 @@ class WaypointPlan(PlanValues):
         speed: Along the way, m/s, up to ``max_speed``. The pilot's pitch stick adds to it. With 0
             only the stick moves the aircraft; less than 0 lets it hover at the first waypoint until
             the stick gives speed.
-        max_speed: What speed and stick together never exceed, 2 to 15 m/s.
+        max_speed: Limit of speed and stick together, 2 to 15 m/s.
         heading: Where the nose points.
         trace: Whether it stops at the waypoints or rounds them.
-        at_end: What happens after the last waypoint.
-        on_rc_loss: What happens when the RC is lost. Nothing but the name flies on.
+        at_end: Action after the last waypoint.
+        on_rc_loss: Action when the RC is lost. Nothing but the name flies on.
         gimbal_by_waypoint: Whether the camera's pitch changes from waypoint to waypoint.
         repeat: How many times the way is flown, 1 or 2.
 
@@ -159,11 +159,11 @@ class WaypointPlan(PlanValues):
         return estimate(self, home=home, hover_minutes=hover_minutes)
 
     def remarks(self) -> list[str]:
-        """What is legal and may surprise: values that are ignored, actions that are cut off."""
+        """Legal surprises of the plan: values that are ignored, actions that are cut off."""
         return list(remarks(self))
 
     def _repr_svg_(self) -> str:
-        """What a notebook shows: the way from above, and its heights."""
+        """The picture for a notebook: the path from above, and its heights."""
         from m100link.missions import picture
 
         return picture.svg(self)
@@ -188,9 +188,9 @@ class WaypointPlan(PlanValues):
     def to_qgroundcontrol(self) -> str:
         """As a ``.plan`` of QGroundControl.
 
-        Its items are the nearest that MAVLink has. What it has no words for (``max_speed``,
-        ``on_rc_loss``, curves and more) stands beside them, for :meth:`from_qgroundcontrol`; other
-        programs do not see it.
+        Its items are the nearest that MAVLink has. The fields that MAVLink lacks (``max_speed``,
+        ``on_rc_loss``, curves and more) stand beside them, for :meth:`from_qgroundcontrol`; other
+        programs do not see them.
         """
         from m100link.missions import qgroundcontrol
 
@@ -207,14 +207,14 @@ class WaypointPlan(PlanValues):
         """Read a ``.plan`` of QGroundControl: waypoints, photographs, videos, gimbal, surveys.
 
         A take-off becomes the first waypoint (the mission takes off by itself), return and landing
-        become ``at_end``. It stops at every waypoint. What :meth:`to_qgroundcontrol` wrote, and
-        nobody changed, is read exactly.
+        become ``at_end``. It stops at every waypoint. A file of :meth:`to_qgroundcontrol` that
+        nobody changed is read exactly.
 
         Args:
             text: The file.
             home_altitude: Of the take-off point above sea level, m, for heights that count from
                 there; without it they are refused.
-            leave_out: What may be left out: items by their number in MAVLink (530 sets the camera),
+            leave_out: Items that may be left out: by their number in MAVLink (530 sets the camera),
                 complex items by their name, ``"geoFence"`` and ``"rallyPoints"``.
 
         Raises:
@@ -296,8 +296,8 @@ class WaypointPlan(PlanValues):
     def from_wire(cls, mission: WaypointMission, points: Iterable[WaypointPoint]) -> Self:
         """The plan that such commands upload; points in any order.
 
-        What the aircraft ignores is left out: the focus, actions behind ``has_action`` 0, a
-        ``yaw_mode`` of 4 (DJI's ROS demo; the same as 0).
+        It leaves out values that the aircraft ignores: the focus, actions behind ``has_action`` 0,
+        a ``yaw_mode`` of 4 (DJI's ROS demo; the same as 0).
 
         Raises:
             BadPlan: A point is missing, or the aircraft would refuse it.

@@ -1,8 +1,8 @@
 """Plans of QGroundControl: the ``.plan`` file, mission items of MAVLink, read as waypoints.
 
-A mission of the M100 knows less than MAVLink, and other things. What it cannot fly is refused by
-name and number of its item, and never left out in silence; :func:`from_items` leaves out what its
-caller names.
+A mission of the M100 knows less than MAVLink, and other things. The reader names the item that the
+M100 cannot fly in its refusal, and leaves none out in silence; :func:`from_items` leaves out the
+items that its caller names.
 
 | Item | Becomes |
 |---|---|
@@ -51,7 +51,7 @@ from m100link.missions.waypoint import (
 _FILE_VERSION, _MISSION_VERSION = 1, 2
 _PARAMETERS = 7
 
-# What stands in files of QGroundControl, by its name in MAVLink.
+# MAVLink's names of the items in files of QGroundControl.
 _NAMES = {
     16: "NAV_WAYPOINT",
     17: "NAV_LOITER_UNLIM",
@@ -194,7 +194,7 @@ def _items(
 
 
 def _inner(place: str, name: object, entry: dict[str, Any]) -> list[object]:
-    """What a survey or a corridor was laid out as: its own items."""
+    """The items that QGroundControl laid a survey or a corridor out as."""
     survey = entry.get("TransectStyleComplexItem")
     items = survey.get("Items") if isinstance(survey, dict) else None
     if not isinstance(items, list) or any(
@@ -254,7 +254,7 @@ def from_document(
 
 @dataclass
 class _Builder:
-    """What the items have told so far."""
+    """The plan as far as the items were read."""
 
     mission: dict[str, Any]  # the object of the file that has the items
     home_altitude: float | None  # of the home position above sea level, m; None if nobody says it
@@ -570,8 +570,8 @@ _READERS: dict[int, Callable[[_Builder, QgcItem], None]] = {
 # -- plans as ``.plan`` files of QGroundControl ----------------------------------------------------
 # MAVLink has no words for some of what the M100 flies. The items are the nearest that it has, for
 # people to look at and for other aircraft; beside them, under ``"m100link"``, stands the plan as it
-# is. Whoever reads the file back gets that one, as long as the items are those that it makes. One
-# that was changed in QGroundControl is read by its items.
+# is. The reader takes that one as long as the items are those that it makes, and the items of a
+# file that was changed in QGroundControl.
 
 
 EXTRA = "m100link"

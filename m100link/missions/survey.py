@@ -74,7 +74,7 @@ def survey(
             there is one photograph less on the line. A plan has 99 waypoints at most.
         speed: Along the way, m/s.
         start: Where the aircraft comes from: the pattern begins at its end nearest to that.
-        at_end: What happens after the last waypoint.
+        at_end: Action after the last waypoint.
 
     Raises:
         UsageError: No polygon, or a spacing that makes no lines.

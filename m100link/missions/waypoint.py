@@ -1,8 +1,8 @@
-"""What a plan of waypoints is made of: points, what is done at them, and the choices for the whole.
+"""Parts of a plan of waypoints: points, the actions at them, and the choices for the whole.
 
 Degrees, metres and seconds. Each value is kept as the wire will carry it (whole degrees, single
-precision, milliseconds), so that a plan compares equal to itself after a download. What may be
-flown is decided for the plan as a whole, in :mod:`m100link.missions.checks`.
+precision, milliseconds), so that a plan compares equal to itself after a download.
+:mod:`m100link.missions.checks` decides for the plan as a whole whether it may be flown.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Trace(IntEnum):
 
 
 class AtEnd(IntEnum):
-    """What the aircraft does after the last waypoint; the numbers of the wire."""
+    """The action of the aircraft after the last waypoint; the numbers of the wire."""
 
     HOVER = 0
     """It hovers there; the mission is over."""
@@ -61,7 +61,7 @@ class AtEnd(IntEnum):
 
 
 class OnRCLoss(IntEnum):
-    """What the mission does when the aircraft no longer hears the RC; the numbers of the wire."""
+    """The action of a mission when the aircraft loses the RC; the numbers of the wire."""
 
     FAILSAFE = 0
     """It is broken off, and the aircraft returns home."""
@@ -97,7 +97,7 @@ def single(value: float) -> float:
 def as_single(value: Any) -> Any:
     """The shortest decimal number that means the same in single precision: 52.3, not 52.29999924.
 
-    What is not a number, or too large, is kept as it is: the plan says so.
+    It keeps a value that is no number, or too large: the checks of the plan report it.
     """
     found = number(value)
     if found is None or not math.isfinite(found):
@@ -125,7 +125,7 @@ def as_whole(value: Any) -> Any:
 
 
 class WaypointAction:
-    """What can be done at a waypoint: the base of six classes, and so the type of their lists."""
+    """An action at a waypoint: the base of six classes, and so the type of their lists."""
 
     __slots__ = ()
 
@@ -215,7 +215,7 @@ class Waypoint:
         gimbal_pitch_deg: Of the camera, -90 (straight down) to 0°; whole degrees. Flown if the plan
             says ``gimbal_by_waypoint``.
         turn_clockwise: Direction of the turns at this point, seen from above.
-        actions: What is done there, in this order, 15 at most.
+        actions: Actions there, in this order, 15 at most.
         action_repeat: How many times the list of actions is gone through, 0 to 15; 0 is once.
         action_time_limit: Seconds after which what is left of the actions is given up, 0 to 999;
             None is no limit.
@@ -275,7 +275,7 @@ class Waypoint:
             frame: Where the track counts from, such as ``control.local_frame()``.
             every: Legs are divided evenly into parts of so many metres at most; by default there
                 is a waypoint at each point of the track and nowhere else.
-            actions: What is done at each of them.
+            actions: Actions at each of them.
             damping: Of each corner, m.
 
         Raises:
@@ -331,7 +331,7 @@ def _divided(
 
 @dataclass(frozen=True, slots=True)
 class PlanValues:
-    """What a plan says, for those who only read it; see :class:`m100link.WaypointPlan`."""
+    """The values of a plan, to be read only; see :class:`m100link.WaypointPlan`."""
 
     waypoints: Sequence[Waypoint]
     _: KW_ONLY

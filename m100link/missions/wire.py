@@ -46,7 +46,7 @@ def _action_to_wire(action: WaypointAction) -> tuple[int, int]:
 
 
 def _action_from_wire(number: int, parameter: int) -> Any:
-    """What is no action is left for the plan to name."""
+    """An action, or a value that is none for the checks of the plan to name."""
     if number >= len(_ACTIONS):
         return f"action {number}"
     kind = _ACTIONS[number]
