@@ -28,7 +28,7 @@ class ActivationProgress:
 
     Attributes:
         attempt: Number of the attempt, from 1.
-        code: What the aircraft answered to it.
+        code: Answer of the aircraft to it.
         next_attempt_in: Seconds until the next one, None after the last.
         remaining: Seconds until the whole activation gives up.
     """

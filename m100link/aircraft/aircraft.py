@@ -1,4 +1,4 @@
-"""What programs await: :class:`Aircraft`."""
+"""The API with ``await``: :class:`Aircraft`."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 _logger = logging.getLogger(__name__)
 
 
-# -- what happens to a connection and to control authority, as a program is told -------------------
+# -- events of a connection and of control authority -----------------------------------------------
 
 
 class ConnectionEvent(NamedTuple):
@@ -83,8 +83,8 @@ class AuthorityEvent(NamedTuple):
 
 A = TypeVar("A")
 
-# What flies is loaded when control is asked for, before there is any: whoever listens needs none of
-# it. Missions are known by their addresses until the aircraft tells of one.
+# The modules that fly are loaded when a program asks for control, before it has any: a program that
+# listens needs none of them. Addresses stand for missions until the aircraft reports one.
 _MISSION_STATUS, _WAYPOINT_EVENT = Address(0x02, 0x03), Address(0x02, 0x04)
 
 
@@ -97,8 +97,8 @@ class Aircraft:
 
     Attributes:
         link: The line.
-        authority: Who controls the aircraft, as far as this program knows.
-        gimbal, camera: What hangs below; they need no control authority.
+        authority: State of control authority, as far as this program knows.
+        gimbal, camera: The payload below; they need no control authority.
     """
 
     def __init__(self, link: Link, *, firmware: FirmwareProfile | None = None) -> None:
@@ -165,7 +165,7 @@ class Aircraft:
         return self.link.failure
 
     def events(self) -> Subscription[ConnectionEvent | AuthorityEvent]:
-        """What happens to the connection and to control authority from here on, as it happens.
+        """Events of the connection and of control authority from here on, as they happen.
 
         ::
 
@@ -251,8 +251,7 @@ class Aircraft:
     ) -> A:
         """Send any request and return what its ack says: see ``m100link.link.requests``.
 
-        What sets the aircraft in motion on a mission is not among them: it leaves through a control
-        block alone. Stopping and pausing one are.
+        It stops and pauses a mission; a request that starts or resumes one needs a control block.
 
         Raises:
             UsageError: It would start or resume a mission, or is not a request.
@@ -295,7 +294,7 @@ class Aircraft:
         """Control authority for a block: ``async with aircraft.control() as control``.
 
         Args:
-            stop: What to do when the block ends in any way: ``"hover"`` or ``"land"``.
+            stop: Action when the block ends in any way: ``"hover"`` or ``"land"``.
             on_pause: When the pilot takes the aircraft: ``"raise"`` AuthorityLost, or ``"wait"``,
                 see :meth:`Control.wait_resumable`.
             guards: Safety guards; all on by default.
@@ -364,7 +363,7 @@ class Aircraft:
     async def release_authority(self) -> bool:
         """Give control authority back that an earlier program left; a control block does it itself.
 
-        The aircraft hovers and the pilot flies on. What goes wrong is logged, not raised.
+        The aircraft hovers and the pilot flies on. A failure is logged, not raised.
 
         Returns:
             Whether the aircraft said that it has it back.
@@ -382,12 +381,12 @@ class Aircraft:
             await aircraft.set_telemetry_rates(attitude=50, battery=1)
 
         Before 3.1 rates are set in the PC assistant. It works before activation; the aircraft
-        forgets them when it is switched off. What the guards of a control block need (position,
-        attitude, battery, flight status) should stay at 1 Hz or more.
+        forgets them when it is switched off. The items that the guards of a control block need
+        (position, attitude, battery, flight status) should stay at 1 Hz or more.
 
         Args:
             rates_hz: By item, named as in :attr:`state` or as in ``m100link hz``: 0, 1, 10, 50 or
-                100 Hz. What is not named keeps its rate.
+                100 Hz. An item that is not named keeps its rate.
 
         Returns:
             The rates that were observed, Hz.
@@ -402,7 +401,7 @@ class Aircraft:
 
     @property
     def mission(self) -> MissionState:
-        """What the aircraft flies by itself, whoever started it: a phone, a program that is gone.
+        """The mission that flies, also one that a phone or a program that is gone has started.
 
         As its pushes tell, firmware 3.1; the box "Ground Station Status" must be ticked in the PC
         assistant.
@@ -410,13 +409,13 @@ class Aircraft:
         return self._missions.state
 
     async def download_waypoint_plan(self) -> WaypointPlan:
-        """Read back the waypoint mission that the aircraft has stored, whoever uploaded it.
+        """Read back the waypoint mission that the aircraft has stored, also one from a phone.
 
         Firmware 3.1. Behind the end of a mission there is none.
 
         Raises:
             MissionRefused: There is none (code 0xEA), or the aircraft's reason.
-            BadPlan: What is stored is no plan that could be uploaded.
+            BadPlan: The stored mission is no plan that could be uploaded.
             CommandNotSupported, NotActivated, AckTimeout, LinkError: See each class.
         """
         from m100link.flight.missions.waypoint import download_waypoint_plan

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Recording(Protocol):
-    """What keeps a flight: :class:`m100link.log.Recorder`."""
+    """A log that keeps a flight: :class:`m100link.log.Recorder`."""
 
     def begin(self) -> None:
         """Be the log of one connection, or raise UsageError."""
@@ -34,7 +34,7 @@ class Recording(Protocol):
         firmware: Callable[[], FirmwareProfile],
         look: Callable[[], Iterable[Told]],
     ) -> None:
-        """What is known of a connection besides its bytes."""
+        """Log the events and counters of a connection besides its bytes."""
 
     async def aclose(self) -> None:
         """End it, after the line has."""

@@ -1,4 +1,4 @@
-"""What a flight log is told besides the bytes of the line."""
+"""Records of a flight log besides the bytes of the line."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from enum import Enum
 from m100link.aircraft.aircraft import Aircraft
 from m100link.log.channels import EVENT, LINK, Told
 
-# What an error says may quote what it was given: an address with its options, a key.
+# The text of an error may quote its input: an address with its options, a key.
 _SECRET = re.compile(r"\b((?:key|app[-_ ]?id)[=: ]+)[^\s&,;]+", re.IGNORECASE)
 _KEY = re.compile(r"(?<![0-9a-f])[0-9a-f]{64}(?![0-9a-f])", re.IGNORECASE)
 
@@ -19,7 +19,7 @@ COUNTERS_S = 1.0  # between two records of the counters of the link
 
 
 def observer(aircraft: Aircraft) -> Callable[[], list[Told]]:
-    """What to ask whenever the log wants to know: events as they came, counters once a second."""
+    """The function that gives the log new records: each event, counters once a second."""
     events = aircraft.events()
     counted_at = -math.inf
 

@@ -215,7 +215,7 @@ class AircraftGimbal:
                 rates.set(yaw=5)
                 await asyncio.sleep(2)
 
-        On the way out it is told to stop; a program that dies leaves it turning for half a second.
+        Leaving the block stops it; a program that dies leaves it turning for half a second.
 
         Raises: as :meth:`set_angular_rates`.
         """

@@ -44,7 +44,7 @@ async def set_telemetry_rates(
 
 
 def rates_by_item(rates_hz: Mapping[str, int]) -> dict[str, tuple[Item, int]]:
-    """What was asked for, by the names that the program uses; checked, which takes no aircraft.
+    """The requested rates by the program's names for items, checked without an aircraft.
 
     Raises ``UsageError``: nothing, no such item, one item twice, or a rate that the wire does not
     have.

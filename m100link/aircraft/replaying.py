@@ -23,7 +23,7 @@ _OPTIONS = ("speed", "from", "to")
 _EXAMPLE = f"{SCHEME}flight.mcap?speed=2&from=30&to=90"
 _I = AuthorityInput
 
-# What a program does; the rest follows from what comes over the line, then as now.
+# The inputs of a program; all others follow from the bytes of the line, in a replay as in flight.
 _OURS = (_I.OBTAIN, _I.OBTAINED, _I.REFUSED, _I.RELEASE, _I.RELEASED, _I.NOT_RELEASED)
 
 
@@ -127,7 +127,7 @@ def _forget(authority: Authority) -> None:
 
 
 def _tell(authority: Authority, told: dict[str, Any]) -> None:
-    """Who had control: what the line does not show is what the program of then did."""
+    """Repeat a change of authority in the log that the line does not show: the program made it."""
     if told.get("event") != "authority":
         return
     try:

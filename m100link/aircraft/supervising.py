@@ -1,9 +1,9 @@
 """Keeping a connection to one aircraft: :func:`supervise`.
 
 A connection ends with its line, and a program that wants it back would have to find out when to try
-again, whether the same aircraft answers, and whether it has to be activated once more. That is done
-here, as a table of states. What flew does not fly on: a control block ends with the connection
-that it was begun on, and nothing here begins another.
+again, whether the same aircraft answers, and whether it has to be activated once more. A table of
+states does that here. A flight does not go on: a control block ends with the connection that it was
+begun on, and nothing here begins another.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class SupervisionState(Enum):
 
 
 class SupervisionInput(Enum):
-    """What can happen."""
+    """The inputs of the table."""
 
     START = "the block is entered"
     ANSWERED = "the same aircraft answered as before, or the first one"
@@ -219,7 +219,7 @@ class Supervised:
 
     Attributes:
         aircraft: The aircraft while it is connected, else None. After a loss it is another object.
-        version: What the aircraft answered last, None before the first time.
+        version: The newest version answer, None before the first.
         error: Why it is not connected; None while it is.
         attempts: Attempts since it was last connected.
         round_trip: Seconds that the newest question and its answer took, one every
@@ -275,8 +275,8 @@ class Supervised:
         self._feed(_I.CLOSE)
         if task is not None:
             task.cancel()
-            # Not awaited itself: whoever cancels this one here means it, and the task ends all the
-            # same.
+            # Not awaited itself: a cancellation of this call must not be taken for the task's, and
+            # the task ends all the same.
             await asyncio.wait([task])
             if not task.cancelled():
                 task.result()
@@ -568,8 +568,8 @@ def supervise(
     A line that cannot be opened or is lost is tried again, after longer and longer pauses. It has
     to be the same aircraft, by its serial number (firmware 2.3 and later) or its version; it is
     activated again. **Control never resumes by itself**: a control block ends with the connection
-    that it was begun on, and its setpoints with it; the aircraft hovers. Whoever wants to fly on
-    obtains control again, on :meth:`Supervised.connected`.
+    that it was begun on, and its setpoints with it; the aircraft hovers. To fly on, obtain
+    control again, on :meth:`Supervised.connected`.
 
     Args:
         url: As :func:`m100link.connect` takes it.

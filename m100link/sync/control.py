@@ -34,8 +34,8 @@ __all__ = ["Control"]
 class Control:
     """Control of the aircraft without ``await``: ``with aircraft.control() as control:``.
 
-    Leaving takes the stop path, after an error, Ctrl-C and SIGTERM too. What would cancel a block
-    with ``await`` is raised here by the call that waits, or by the next one.
+    Leaving takes the stop path, after an error, Ctrl-C and SIGTERM too. The reason that would
+    cancel a block with ``await`` is raised here by the call that waits, or by the next one.
     """
 
     def __init__(self, portal: Portal, control: aio.Control, *, handle_signals: bool) -> None:

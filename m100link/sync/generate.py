@@ -3,9 +3,9 @@
     nox -s sync
 
 It is in no wheel, and imports nothing of this folder, which may not load before it ran. A test
-compares the files with what this makes. What waits becomes a call that waits; what does not
-becomes a call in the thread of the aircraft; a property is read. What needs more than that is in
-``BY_HAND``; what has no place in a program without ``await`` is in ``LEFT_OUT``, with the reason.
+compares the files with its output. A coroutine becomes a call that waits; a function becomes a call
+in the thread of the aircraft; a property is read. ``BY_HAND`` has the members that need more than
+that, ``LEFT_OUT`` those without a place in a program without ``await``, with the reason.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class Aircraft:
 
     @property
     def authority(self) -> Authority:
-        """Who controls the aircraft, as far as this program knows."""
+        """The state of control authority, as far as this program knows."""
         return self._aircraft.authority
 '''
 
@@ -95,8 +95,8 @@ CONTROL_HEAD = '''
 class Control:
     """Control of the aircraft without ``await``: ``with aircraft.control() as control:``.
 
-    Leaving takes the stop path, after an error, Ctrl-C and SIGTERM too. What would cancel a block
-    with ``await`` is raised here by the call that waits, or by the next one.
+    Leaving takes the stop path, after an error, Ctrl-C and SIGTERM too. The reason that would
+    cancel a block with ``await`` is raised here by the call that waits, or by the next one.
     """
 
     def __init__(self, portal: Portal, control: aio.Control, *, handle_signals: bool) -> None:
@@ -180,7 +180,7 @@ async def _connected(connecting: aio.Connecting) -> aio.Aircraft:
 """
 
 TIMED = ("telemetry", "from_mobile", "events")
-"""What is iterated, here with a time-out."""
+"""Members that a program iterates, here with a time-out."""
 
 BY_HAND = {
     **{
@@ -246,7 +246,7 @@ TYPES = {
     "TargetSource": "Target",
     "SetpointSource": "Callable[[Tick], Setpoint | None]",
 }
-"""What the types with ``await`` are called here."""
+"""Names here of the types with ``await``."""
 
 
 def functions(cls: type) -> Iterator[tuple[str, Any]]:
@@ -265,7 +265,7 @@ def definition(function: Callable[..., Any]) -> ast.FunctionDef | ast.AsyncFunct
 
 @cache
 def names_in(module: str) -> dict[str, Any]:
-    """What a module has, and what it imports for type checkers alone."""
+    """The names of a module, also those that it imports for type checkers alone."""
     names = dict(vars(sys.modules[module]))
     for node in ast.parse(inspect.getsource(sys.modules[module])).body:
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
@@ -416,7 +416,7 @@ FIXED_IMPORTS = {
     "WaypointFlight, asked",
     "m100link.sync.subscription": "Subscription",
 }
-"""What the text above uses."""
+"""The names that the text above uses, by their module."""
 
 
 def home(name: str, what: Any) -> str:

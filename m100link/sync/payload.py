@@ -108,7 +108,7 @@ class AircraftGimbal:
                 rates.set(yaw=5)
                 asyncio.sleep(2)
 
-        On the way out it is told to stop; a program that dies leaves it turning for half a second.
+        Leaving the block stops it; a program that dies leaves it turning for half a second.
 
         Raises: as :meth:`set_angular_rates`.
         """

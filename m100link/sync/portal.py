@@ -175,7 +175,7 @@ class Portal:
         return done.result()
 
     def _awaited(self) -> Future[Any]:
-        """What a thread may wait for: it is answered, or the end of this is its answer."""
+        """A future for a thread to wait for: an answer sets it, or the end of the portal does."""
         done: Future[Any] = Future()
         # Before it is asked whether this is open: who closes looks for what waits afterwards.
         self._unanswered.add(done)
@@ -214,7 +214,7 @@ class Portal:
     def close_after(
         self, close: Callable[[], Coroutine[Any, Any, None]], on_end: Callable[[], None]
     ) -> Callable[[], None]:
-        """What awaits ``close`` and then closes this; the end of the program calls it too."""
+        """A function that awaits ``close`` and closes this; the end of the program calls it too."""
 
         def end() -> None:
             if self._process != os.getpid():

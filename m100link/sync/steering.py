@@ -126,8 +126,8 @@ F = TypeVar("F", bound=mission_guard.MissionFlight)
 class MissionFlight(Generic[F]):
     """A mission while a ``with`` block runs; ``for event in mission:`` tells of it.
 
-    What ends the control block is raised by the call that waits, or by the next one. **It flies on
-    when this program is killed, loses its power or its cable.**
+    The error that ends the control block is raised by the call that waits, or by the next one.
+    **It flies on when this program is killed, loses its power or its cable.**
     """
 
     def __init__(self, portal: Portal, make: Callable[[Caller], F]) -> None:
@@ -200,7 +200,7 @@ class WaypointFlight(MissionFlight[waypoint.WaypointFlight]):
 
     @property
     def plan(self) -> WaypointPlan:
-        """What is flown."""
+        """The plan that it flies."""
         return self._flight.plan
 
     @property
