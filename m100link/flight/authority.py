@@ -28,7 +28,7 @@ _logger = logging.getLogger(__name__)
 
 
 class AuthorityState(Enum):
-    """Who controls the aircraft, as this program knows it."""
+    """The state of control authority, as this program knows it."""
 
     NONE = "none"  # never asked, refused, or released
     OBTAINING = "obtaining"  # a request is on its way
@@ -41,7 +41,7 @@ class AuthorityState(Enum):
 
 
 class AuthorityInput(Enum):
-    """What can happen."""
+    """The inputs of the table."""
 
     OBTAIN = "we send a request"
     OBTAINED = "its ack says obtained"
@@ -181,7 +181,7 @@ class Authority:
         # How to take the watched bytes out of a package, by its flags, under this firmware.
         self._firmware: FirmwareProfile | None = None
         self._takers: dict[int, Callable[[bytes], object]] = {}
-        # What they were, by the flags, in the last package that changed nothing.
+        # The watched bytes of the last package that changed nothing, by its flags.
         self._known: dict[int, object] = {}
 
     def subscribe(
@@ -190,7 +190,7 @@ class Authority:
         """Call ``listener`` after each change with the old and the new state.
 
         Returns:
-            What ends that; may be called any number of times.
+            A function that ends that; may be called any number of times.
         """
         self._listeners.append(listener)
 
@@ -231,7 +231,7 @@ class Authority:
         return True
 
     def _explain(self, reason: LossReason) -> None:
-        """What was not known yet about a loss, if it is news."""
+        """Note a better reason of a loss, and compare the next package anew."""
         if reason is not self.reason:
             self.reason = reason
             self._forget()
@@ -249,8 +249,8 @@ class Authority:
     def observe(self, package: TelemetryPacket) -> None:
         """Cross-check with a package: the mode switch, then CTRL_DEVICE, where it carries them.
 
-        Most packages say what the one before said. What an observation does follows from the
-        watched bytes, what is remembered here, and whether authority had time to settle: where it
+        Most packages say the same as the one before. The effect of an observation follows from the
+        watched bytes, the memory of this object, and whether authority had time to settle: where it
         changed nothing, the same bytes change nothing again until something else does.
         """
         flags = package.flags

@@ -42,7 +42,7 @@ _logger = logging.getLogger(__name__)
 
 
 PauseAction = Literal["raise", "wait"]
-"""What happens when the pilot takes the aircraft: end the block, or wait for the pilot."""
+"""The reaction to a pilot who takes the aircraft: end the block, or wait for the pilot."""
 
 
 class ControlBlock:
@@ -71,8 +71,8 @@ class ControlBlock:
         self._on_pause: PauseAction = on_pause
         self._handles_signals = handle_signals
         self._life = Lifecycle()
-        # Who is cancelled when the block ends: the task that entered it; when it was entered by
-        # hand, whoever waits for something at that moment.
+        # The tasks to cancel when the block ends: the one that entered it; when it was entered by
+        # hand, those that wait in a call of it at that moment.
         self._programs: list[ProgramTask] = []
         self._is_by_hand = False
         self._is_told = False  # by hand: the program was told what ended the block
@@ -235,7 +235,7 @@ class ControlBlock:
 
     @contextmanager
     def waiting(self, what: str) -> Iterator[None]:
-        """What waits in here ends with the block, also when that was entered by hand.
+        """End a wait in here with the block, also when that was entered by hand.
 
         Raises ``NoAuthority``: the program released it meanwhile. Raises ``M100Error``: what ended
         the block.
@@ -375,7 +375,7 @@ line may be busy, and the aircraft does not fly on by the last one for much long
 
 
 class SetpointSender:
-    """Sends setpoints for whoever may steer: the program, or the closed loop that flies."""
+    """Sends setpoints of the program, or of the closed loop that flies."""
 
     block: ControlBlock  # the control block, to be set before the first setpoint
 

@@ -279,7 +279,7 @@ class SignalWatch:
             if signal.getsignal(number) == self._on_signal:
                 signal.signal(number, _as_it_is_now(previous))
         received, self._received = self._received, []
-        # What ends the process comes first: SIGINT raises.
+        # SIGINT raises and so ends this loop: a signal that ends the process comes before it.
         for number in sorted(received, key=lambda number: number == signal.SIGINT):
             signal.raise_signal(number)
 
@@ -323,7 +323,7 @@ def _would_end_the_program(number: signal.Signals, handler: Any) -> bool:
         return True
     if number != signal.SIGINT:
         return handler is signal.SIG_DFL
-    # What asyncio.run installs cancels the main task once, and then raises.
+    # The handler of asyncio.run cancels the main task once, and then raises.
     is_of_asyncio = isinstance(handler, functools.partial) and isinstance(
         getattr(handler.func, "__self__", None), asyncio.Runner
     )
@@ -337,7 +337,7 @@ def _other_watch(handler: Any) -> OtherWatch | None:
 
 
 def _as_it_is_now(handler: Any) -> Any:
-    """What asyncio.run installed goes with its main task."""
+    """The handler, or Python's own when that of asyncio.run has outlived its main task."""
     task = handler.keywords.get("main_task") if isinstance(handler, functools.partial) else None
     return signal.default_int_handler if task is not None and task.done() else handler
 

@@ -43,7 +43,7 @@ R = TypeVar("R")
 def _of_part(
     part: str, method: Callable[Concatenate[Any, P], Coroutine[Any, Any, R]]
 ) -> Callable[Concatenate[Control, P], Coroutine[Any, Any, R]]:
-    """What a part does as a method of Control: its arguments and its words stand there."""
+    """Make a method of a part one of Control, with the arguments and docstring of the part."""
 
     async def call(self: Control, /, *args: P.args, **kwargs: P.kwargs) -> R:
         self._block.require_flying(method.__name__)  # what ended the block comes first
@@ -54,7 +54,7 @@ def _of_part(
 
 
 def _mission(method: Callable[Concatenate[Missions, P], R]) -> Callable[Concatenate[Control, P], R]:
-    """What a program can do with missions, as a method of Control."""
+    """Make a method of :class:`Missions` one of Control."""
 
     def call(self: Control, /, *args: P.args, **kwargs: P.kwargs) -> R:
         return method(self._missions, *args, **kwargs)
@@ -139,9 +139,9 @@ class Control:
             ...
             await control.release()
 
-        What would end a block ends this too, by the same stop path: lost authority, a lost line,
-        stalled telemetry, Ctrl-C, closing the aircraft. There is no block to be cancelled then:
-        what waits in a call of this object raises the reason at once, otherwise the next call
+        The causes that end a block end this too, by the same stop path: lost authority, a lost
+        line, stalled telemetry, Ctrl-C, closing the aircraft. There is no block to be cancelled
+        then: a call of this object that waits raises the reason at once, otherwise the next call
         does. A program that forgets :meth:`release` keeps the aircraft until it disconnects or
         ends; its setpoints expire all the same, and the aircraft hovers.
 
@@ -159,7 +159,7 @@ class Control:
         May be called any number of times, and on what was never obtained.
 
         Raises:
-            M100Error: What ended it before, unless a call has raised that.
+            M100Error: The error that ended it before, unless a call has raised that.
         """
         await self._block.release()
 
@@ -199,7 +199,7 @@ class Control:
     def unended_task(self) -> Task | None:
         """The task that the autopilot may be flying: asked for here, and not seen to end.
 
-        It may fly on when whoever awaited it was cancelled; giving authority back ends it.
+        It may fly on when the call that awaited it was cancelled; giving authority back ends it.
         """
         return self._unended_task
 
@@ -249,7 +249,7 @@ class Control:
         """Send a setpoint now, and repeat it until it is renewed or expires.
 
         Args:
-            setpoint: What to fly.
+            setpoint: The setpoint to fly.
             lifetime: Seconds after which it is not repeated any more; then the mode's neutral is
                 sent for 0.3 s, then nothing. At most 1 s, unless ``allow_long_lifetime``.
             rate_hz: Repetitions per second, at most 50; another setpoint and the neutral do not
@@ -364,7 +364,7 @@ class Control:
         """Send the neutral of the present mode for a moment, then nothing: the aircraft hovers.
 
         A closed loop that is flying in another task ends with :class:`NotObserved`. A program that
-        goes on sending setpoints flies on. A mission that flies is stopped, whoever started it.
+        goes on sending setpoints flies on. It stops a mission that flies, also somebody else's.
 
         Raises:
             MissionRefused, AckTimeout, NoAuthority: A mission may be flying on.

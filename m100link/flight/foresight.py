@@ -1,4 +1,4 @@
-"""What a closed loop would take, and what would refuse it, before it is asked for.
+"""Time and battery that a closed loop would take, and its refusals, before it is asked for.
 
 Nothing here flies, waits or sends. The times are those of the loops' own laws (the speed falls with
 the distance that remains) and of an aircraft that climbs at :data:`CLIMB_M_S` and turns at
@@ -38,15 +38,15 @@ _STAND = Setpoint.velocity(north=0.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 
 @dataclass(frozen=True, slots=True)
 class Foresight:
-    """What a closed loop would do from where the aircraft is.
+    """A forecast of a closed loop that begins where the aircraft is.
 
     Attributes:
         distance_m: Of the way, horizontally; 0 while nobody knows where the aircraft is.
         climb_m: Positive upwards.
         turn_deg: −180 to 180, positive clockwise.
         seconds: How long it takes, roughly.
-        battery_percent: What that is of a full battery, roughly.
-        refusals: What would refuse it now, each with its reason and remedy; empty for nothing.
+        battery_percent: The share of a full battery, roughly.
+        refusals: Errors that would refuse it now, with reason and remedy; empty if it may fly.
     """
 
     distance_m: float = 0.0
@@ -177,7 +177,7 @@ def frame_at(latitude_deg: float, longitude_deg: float) -> LocalFrame:
 def _always(
     state: AircraftState, guards: GuardKeeper, name: str
 ) -> tuple[Callable[[], object], ...]:
-    """What every loop needs: to be in the air, to know where it is, battery and GPS."""
+    """The conditions of every loop: in the air, a known position, battery and GPS."""
     return (
         lambda: require_in_the_air(state, name),
         lambda: position_of(state),

@@ -248,7 +248,7 @@ class Guardian(Generic[W]):
         self._renew()
 
     def _spawn(self, descriptor: int) -> None:
-        # What a frozen program has there is itself: it would be begun a second time, and fly.
+        # In a frozen program sys.executable is the program: it would start a second time, and fly.
         if not sys.executable or getattr(sys, "frozen", False):
             raise OSError("nobody knows where Python is (sys.executable)")
         shared = os.memfd_create("m100link guardian")

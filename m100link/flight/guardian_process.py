@@ -25,7 +25,7 @@ HOLD, TOKEN, UNSENT = range(3)
 (:func:`milliseconds`), and how many bytes of its newest writes may be missing on the line."""
 
 FREE, MID_FRAME, TAKEN = range(3)
-"""Who may write: the program; for a moment the guardian; the guardian alone, and for good."""
+"""The one writer: the program; for a moment the guardian; the guardian alone, and for good."""
 
 READY, OVER, WAKE = b"r", b"o", b"w"
 """Words over the socket: the guardian watches; it is not needed any more; look at the page."""
@@ -181,7 +181,7 @@ class Watch:
     # -- the line ---------------------------------------------------------------------------------
 
     def _play_stalled(self, token: int) -> None:
-        """What the end of a setpoint's life would have sent; no longer than the program stands."""
+        """Send the end of a setpoint's life, as long as the program stands still."""
         self._mend()
         for gap, frame in self._stalled:
             self._listen(gap)
@@ -266,7 +266,7 @@ def main(line: int, socket: int, page: int, parent: int) -> None:
         watch.run()
     except LineGone:
         os._exit(1)  # nobody is there who could be told
-    os._exit(0)  # at once: whoever opens the line next finds it free
+    os._exit(0)  # at once: the next program that opens the line has to find it free
 
 
 if __name__ == "__main__":

@@ -54,7 +54,7 @@ GPS_HEALTH_NEEDED = 3  # from this health on the autopilot holds a position (doc
 MAX_COMMAND_M_S = 10.0  # of velocity setpoints on each axis (document 3.2)
 
 STICK_SPEED = 17.0
-"""What full deflection may fly in P, m/s: the fastest that the maker says of this aircraft."""
+"""Speed of full deflection in P, m/s: the fastest that the maker states for this aircraft."""
 
 FIRST_VALUES_S = 1.5
 """Seconds that an item has for its first value: the battery item is sent once a second."""
@@ -156,8 +156,8 @@ class Guards:
 class GuardKeeper:
     """Checks setpoints against the guards and the newest telemetry.
 
-    What a guard compares must be known: a value that is old, impossible, or that did not come
-    within 1.5 s of the beginning counts as unknown, and an unknown value is refused.
+    A guard refuses when a value that it compares is unknown: old, impossible, or not received
+    within 1.5 s of the beginning.
     """
 
     def __init__(
@@ -181,7 +181,7 @@ class GuardKeeper:
 
     @property
     def fastest_m_s(self) -> float:
-        """What a velocity setpoint may ask for, m/s."""
+        """The highest speed that a velocity setpoint may ask for, m/s."""
         envelope = self.guards.envelope
         return min(MAX_COMMAND_M_S, envelope.max_speed_m_s if envelope else math.inf)
 

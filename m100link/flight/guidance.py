@@ -1,4 +1,4 @@
-"""What every closed loop does: one at a time, measure, steer, settle, and say how it ended."""
+"""The course of every closed loop: one at a time, measure, steer, settle, report the end."""
 
 from __future__ import annotations
 

@@ -112,7 +112,7 @@ def _refused(commander: Commander, code: AuthorityCode) -> AuthorityRefused:
 
 
 def _obstacles(state: AircraftState, firmware: FirmwareProfile) -> list[tuple[str, str]]:
-    """What can keep the onboard device out, with what to do about it; what is seen comes first."""
+    """Obstacles to control by the onboard device, each with its remedy; those seen come first."""
     device = known(state, ControlDevice)
     app = ("the mobile app holds control", "let the mobile app release control")
     if device is not None and device.device is Device.APP:
@@ -150,7 +150,7 @@ def _obstacles(state: AircraftState, firmware: FirmwareProfile) -> list[tuple[st
 
 
 async def release_authority(commander: Commander) -> bool:
-    """Give authority back, within two seconds. What goes wrong is logged, not raised.
+    """Give authority back, within two seconds. A failure is logged, not raised.
 
     The control block ends all the same: without setpoints the aircraft hovers.
 

@@ -26,7 +26,7 @@ class BlockState(Enum):
 
 
 class BlockInput(Enum):
-    """What moves a block through its life; what ends it is a :class:`StopCause`."""
+    """The inputs of a block's life; each :class:`StopCause`, which ends it, is one more."""
 
     ENTER = "the program enters the block"
     OBTAINED = "authority was obtained"
@@ -55,7 +55,7 @@ class StopCause(Enum):
 
 
 class StopPlan(NamedTuple):
-    """What the stop path does."""
+    """The steps of the stop path."""
 
     # Stop the mission that the block started: while one flies, the aircraft ignores setpoints, and
     # it would fly on behind the block. Where somebody else took the aircraft, only one that
@@ -80,8 +80,8 @@ STOP_PLANS: dict[StopCause, StopPlan] = {
     _C.NOT_ENTERED: StopPlan(mission=False, explain=False, neutral=False, land=False, release=True),
     _C.SIGNALLED: _OURS,
     _C.CLOSED: _OURS,
-    # Whoever took the aircraft flies it; the release makes sure that it does not come back to us.
-    # A mission is broken off by that, as far as anybody knows.
+    # The pilot or the app flies it now; the release makes sure that it does not come back to us.
+    # That breaks a mission off, as far as anybody knows.
     _C.AUTHORITY_LOST: StopPlan(
         mission=True, explain=True, neutral=False, land=False, release=True
     ),
@@ -103,7 +103,7 @@ STOP_PLANS: dict[StopCause, StopPlan] = {
     # The guardian does all that; two who fly the end would disturb each other.
     _C.GUARDIAN: StopPlan(mission=False, explain=False, neutral=False, land=False, release=False),
 }
-"""What the stop path does for each cause. Every step still asks whether authority is held."""
+"""The stop path of each cause. Every step still asks whether authority is held."""
 
 if unplanned := [one.name for one in _C if one not in STOP_PLANS]:  # never found out in flight
     raise LookupError(f"STOP_PLANS has no row for {', '.join(unplanned)}")
@@ -135,7 +135,7 @@ TRANSITIONS: dict[BlockState, dict[BlockInput | StopCause, BlockState]] = {
     },
     _S.STOPPING: {
         _I.STOPPED: _S.OVER,
-        # The rest of the stop path has nobody to talk to, and the program is told.
+        # The rest of the stop path has nobody to talk to; the program gets this error.
         _C.LINK_LOST: _S.STOPPING,
         # So is the rest of one that stands still.
         _C.GUARDIAN: _S.STOPPING,
@@ -158,7 +158,7 @@ class Lifecycle:
 
     @property
     def plan(self) -> StopPlan:
-        """What the stop path has to do; there is a cause before there is a stop path."""
+        """The plan of the stop path; there is a cause before there is a stop path."""
         assert self.cause is not None
         return STOP_PLANS[self.cause]
 

@@ -50,7 +50,7 @@ _FACING_DEG = 5.0  # it begins to move when it looks at the centre: tilt lags be
 
 @dataclass(frozen=True, slots=True)
 class LoopOutput:
-    """What to fly now."""
+    """The velocity and heading to fly now."""
 
     north: float  # velocity, m/s
     east: float  # velocity, m/s
@@ -62,10 +62,10 @@ class LoopOutput:
 class Orbit:
     """A circle that begins and ends at rest, flown by velocity setpoints.
 
-    The velocity of the aircraft lags behind what it is told. Told to fly along the circle, it would
-    fly tangentially out of it. So it is told what makes it fly along the circle: turned inwards by
-    lag times centripetal acceleration, a little faster while it accelerates. What remains is
-    corrected by the distance from the circle.
+    The aircraft's velocity lags behind the setpoint. With setpoints along the circle it would fly
+    tangentially out of it. So the loop turns them inwards by lag times centripetal acceleration,
+    and makes them a little faster while it accelerates. The distance from the circle corrects the
+    rest.
 
     ``turns``: how many, more than 0. Raises ``UsageError``: it cannot be flown: with the tilt or
     the turn rate that it needs.
@@ -146,7 +146,7 @@ class Orbit:
         velocity: tuple[float, float] | None,
         elapsed: float,
     ) -> tuple[float, float]:
-        """What to ask for along the circle and inwards, m/s."""
+        """The setpoint's velocity along the circle and inwards, m/s."""
         before, self._along = self._along, self._wanted_speed(elapsed)
         gain = max(-1.5, (self._along - before) / elapsed) if elapsed > 0 else 0.0
         if velocity is None:
@@ -541,7 +541,7 @@ def _towards(
     heading: float,
     speed: float | None,
 ) -> Setpoint:
-    """What flies towards a place: by offsets as the autopilot likes, or by velocity up to one."""
+    """The setpoint towards a place: offsets at the autopilot's speed, or velocity up to one."""
     if speed is None:
         scale = min(1.0, _MAX_OFFSET_M / distance) if distance else 0.0
         north, east = remaining[0] * scale, remaining[1] * scale

@@ -1,4 +1,4 @@
-"""Which mission flies the aircraft, as its pushes tell: whoever started it.
+"""The mission that flies the aircraft, as its pushes report it, also somebody else's.
 
 Missions live in the flight controller. One that a phone started, or a program that is gone, is
 in the same pushes as one of ours (seen on an M100).
@@ -31,7 +31,7 @@ _ECHO_S = 1.0
 
 
 class MissionKind(Enum):
-    """What the aircraft flies by itself."""
+    """The kinds of missions."""
 
     UNKNOWN = "unknown"  # nothing was pushed: the box in the PC assistant is not ticked
     NONE = "no mission"
@@ -48,10 +48,10 @@ class MissionKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class MissionState:
-    """What the newest push told.
+    """The newest push about missions.
 
     Attributes:
-        kind: What flies the aircraft.
+        kind: The mission that flies the aircraft.
         index: Waypoint that it flies to, counted from 0; None for other missions.
         status: Status value of a waypoint mission (0 on the way to the first point, 1 flying, 2
             turning, 3 to 5 action, 6 reached; inferred) or of a hotpoint (0 on the way,
@@ -111,10 +111,10 @@ class MissionWatch:
 
     @property
     def flying(self) -> tuple[MissionKind, ...]:
-        """The missions that may fly the aircraft, as all pushes of the last moment tell.
+        """The missions that may fly the aircraft, by all pushes of the last moment.
 
-        Of one that flies one push after the other tells, of none one after the other: where they
-        do not agree, the kind that is told of for the longest time stands first.
+        Pushes that disagree may report several. The kind that they have reported for the longest
+        time stands first, because one push after the other reports a mission that flies.
         """
         now = self._clock()
         newest = self._kind if now - self.received_at <= BELIEVED_S else None

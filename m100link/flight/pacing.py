@@ -90,7 +90,7 @@ _WINDOW_S = 1.0
 
 
 class Pace:
-    """Whether setpoints go out at the rate that is asked for, whoever asks for it.
+    """Measures whether setpoints go out at the requested rate.
 
     A computer that does not keep up flies by fewer setpoints, and nothing else would show it.
 
@@ -164,9 +164,8 @@ class Lead:
     """How much earlier than its deadline an alarm is set, because waking takes its time.
 
     From the system's timer to the waiting task some tens of microseconds pass, on each machine its
-    own. The lead follows the lower quartile of that: three wakings of four are late by what is
-    above it, and one waits a moment more. What it waits is passes of the event loop, which serve
-    everybody else.
+    own. The lead follows the lower quartile of that: three wakings of four come late by the rest,
+    and one waits a moment more. That wait is passes of the event loop, which serve everybody else.
     """
 
     STEP = 2e-6

@@ -33,7 +33,7 @@ _Point = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class PathSteering:
-    """What to fly now."""
+    """The velocity, height and heading to fly now."""
 
     north: float  # velocity, m/s
     east: float  # velocity, m/s
@@ -214,7 +214,7 @@ class Path:
             running = velocity[0] * ahead[0] + velocity[1] * ahead[1]
             drifting = velocity[0] * to_right[0] + velocity[1] * to_right[1]
         sideways = -_CROSS_GAIN * right - _CROSS_DAMPING * drifting
-        # What lags behind is asked for early: on a bend, the turn of the velocity.
+        # The velocity lags behind: on a bend its turn is asked for early.
         sideways += LAG_S * running * abs(running) * self._curvature(at + running * LAG_S)
         sideways = max(-0.8 * self._max_speed, min(0.8 * self._max_speed, sideways))
         fastest = math.sqrt(self._max_speed**2 - sideways**2) * (1 - 1e-6)

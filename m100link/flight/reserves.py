@@ -198,7 +198,7 @@ def _is_configured(logger: logging.Logger) -> bool:
 
 
 def _do_nothing() -> None:
-    """What a handler that is left behind is told at the end."""
+    """Replaces ``flush`` and ``close`` of a handler that is left behind."""
 
 
 def _say(text: str) -> None:

@@ -72,8 +72,8 @@ class SetpointLoop:
         self,
         # Puts a setpoint on the line; False when the line takes no more.
         send: Callable[[Setpoint], bool],
-        # Asked before each frame that goes out by itself; what :meth:`set` sends at once was
-        # checked by whoever set it.
+        # Asked before each frame that goes out by itself; the caller of :meth:`set` has checked
+        # the one that goes out at once.
         admits: Callable[[Setpoint], bool],
         # Called with what ended the task; the next setpoint begins another.
         on_failure: Callable[[Exception], None],
@@ -104,7 +104,7 @@ class SetpointLoop:
 
     @property
     def current(self) -> Setpoint | None:
-        """What is being sent, None in silence."""
+        """The setpoint that is being sent, None in silence."""
         return self._setpoint
 
     def set(self, setpoint: Setpoint, *, lifetime: float, period: float = _PERIOD) -> None:
@@ -213,7 +213,7 @@ class SetpointLoop:
         )
 
     async def _run(self) -> None:
-        """Repeat, and never end in silence: whoever flies by this has to hear of it."""
+        """Repeat, and never end in silence: the program that flies by this has to hear of it."""
         try:
             await self._repeat()
         except asyncio.CancelledError:

@@ -68,7 +68,7 @@ class StopPath:
 
     @property
     def wanted(self) -> Wanted:
-        """What a guardian would have to do for the aircraft if this program ended now."""
+        """The steps that a guardian would owe the aircraft if this program ended now."""
         state, life, missions = self._commander.authority.state, self._life, self._missions
         if state is AuthorityState.NONE or life.state in (BlockState.NEW, BlockState.OVER):
             return NOTHING
@@ -204,12 +204,12 @@ class StopPath:
             return
 
     def _may_be_airborne(self, *, says_why: bool = True) -> bool:
-        """What the newest status says; while nobody knows, whether a take-off was commanded."""
+        """By the newest status; while that is unknown, by whether a take-off was commanded."""
         state, take_off_at = self._commander.state, self._take_off_at
         status, status_at = state.flight_status, state.received_at(FlightStatus)
         if status is not None and status.status != FlightPhase.STANDBY:
             return True
-        if take_off_at is not None:  # "standby" of before it left the ground proves nothing
+        if take_off_at is not None:  # a "standby" from before it left the ground proves nothing
             return status_at is None or status_at < take_off_at + _LEAVES_THE_GROUND_S
         if says_why and known(state, FlightStatus) is None:
             _logger.error(

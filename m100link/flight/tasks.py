@@ -54,7 +54,7 @@ _PHASES: dict[tuple[Task, TaskResultCode], tuple[FlightPhase | None, ...]] = {
     (Task.LAND, TaskResultCode.SUCCEEDED): (FlightPhase.STANDBY,),
     (Task.GO_HOME, TaskResultCode.SUCCEEDED): (FlightPhase.STANDBY,),
 }
-"""What telemetry shows of a task that is flown or was; None: nothing."""
+"""Flight phases that telemetry shows during a task and after it; None: it shows none."""
 
 _MOST_UNANSWERED = 4  # orders of a task that are asked for; the aircraft knows its newest one
 
@@ -66,7 +66,7 @@ TIMEOUTS_S = {Task.TAKE_OFF: 20.0, Task.LAND: 60.0, Task.GO_HOME: 300.0}
 
 @dataclass(frozen=True, slots=True)
 class Commander:
-    """What flying needs of an aircraft."""
+    """The parts of an aircraft that flying needs."""
 
     link: Link
     requests: Requests  # the road by which commands are sent
@@ -171,7 +171,7 @@ async def _flown_of(commander: Commander, task: Task, numbers: tuple[int, ...]) 
 
 
 async def _phase_shown(state: AircraftState) -> FlightPhase | None:
-    """The phase that telemetry shows from here on; None: none. What stands there may be old."""
+    """The phase of the next status from here on, since the last one may be old; None: none."""
     clock = asyncio.get_running_loop().time
     since = clock()
     while (status := known(state, FlightStatus, within=clock() - since)) is None:
@@ -260,7 +260,7 @@ class _Watch:
     def _is_observed(self) -> bool:
         """Whether telemetry shows the end, for a while: at 1 m a take-off is still climbing.
 
-        What is old shows nothing: an item that stopped on the ground still says "standby".
+        An old item shows nothing: one that stopped on the ground still says "standby".
         """
         if self._task is not Task.TAKE_OFF:
             return is_on_ground(self._state) is True

@@ -189,7 +189,7 @@ class FollowCheck:
         return f"{wanted:.1f} m/s are asked for, and {along:.1f} m/s flown, without a begin"
 
     def _wanted(self, setpoint: Setpoint) -> tuple[float, float, float]:
-        """What is asked for at least, north and east, m/s, and how fast it may be flown."""
+        """The least velocity asked for, north and east, m/s, and how fast it may be flown."""
         x, y = setpoint.x, setpoint.y
         if setpoint.frame is ReferenceFrame.BODY:
             attitude = self._attitude()
@@ -342,7 +342,7 @@ class TelemetryWatchdog:
 
     def start(self) -> None:
         """Look now, and on and on; until something was found, or :meth:`stop`."""
-        if self._timer is None:  # a sleep of before is not the flight's
+        if self._timer is None:  # a sleep before the flight is not the flight's
             self._suspended = SuspendWatch()
         if self.is_quiet():
             rest = _WAIT_S

@@ -84,9 +84,9 @@ class Control:
             ...
             control.release()
 
-        What would end a block ends this too, by the same stop path: lost authority, a lost line,
-        stalled telemetry, Ctrl-C, closing the aircraft. There is no block to be cancelled then:
-        what waits in a call of this object raises the reason at once, otherwise the next call
+        The causes that end a block end this too, by the same stop path: lost authority, a lost
+        line, stalled telemetry, Ctrl-C, closing the aircraft. There is no block to be cancelled
+        then: a call of this object that waits raises the reason at once, otherwise the next call
         does. A program that forgets :meth:`release` keeps the aircraft until it disconnects or
         ends; its setpoints expire all the same, and the aircraft hovers.
 
@@ -110,7 +110,7 @@ class Control:
         May be called any number of times, and on what was never obtained.
 
         Raises:
-            M100Error: What ended it before, unless a call has raised that.
+            M100Error: The error that ended it before, unless a call has raised that.
         """
         try:
             self._portal.wait(lambda _: self._control.release())
@@ -136,7 +136,7 @@ class Control:
     def unended_task(self) -> Task | None:
         """The task that the autopilot may be flying: asked for here, and not seen to end.
 
-        It may fly on when whoever awaited it was cancelled; giving authority back ends it.
+        It may fly on when the call that awaited it was cancelled; giving authority back ends it.
         """
         return self._control.unended_task
 
@@ -186,7 +186,7 @@ class Control:
         """Send a setpoint now, and repeat it until it is renewed or expires.
 
         Args:
-            setpoint: What to fly.
+            setpoint: The setpoint to fly.
             lifetime: Seconds after which it is not repeated any more; then the mode's neutral is
                 sent for 0.3 s, then nothing. At most 1 s, unless ``allow_long_lifetime``.
             rate_hz: Repetitions per second, at most 50; another setpoint and the neutral do not
@@ -285,7 +285,7 @@ class Control:
         """Send the neutral of the present mode for a moment, then nothing: the aircraft hovers.
 
         A closed loop that is flying in another task ends with :class:`NotObserved`. A program that
-        goes on sending setpoints flies on. A mission that flies is stopped, whoever started it.
+        goes on sending setpoints flies on. It stops a mission that flies, also somebody else's.
 
         Raises:
             MissionRefused, AckTimeout, NoAuthority: A mission may be flying on.
@@ -658,10 +658,10 @@ class Control:
         )
 
     def stop_mission(self) -> MissionKind:
-        """Stop whatever mission flies, whoever started it: the aircraft hovers.
+        """Stop any mission that flies, also somebody else's: the aircraft hovers.
 
-        A mission of a phone, or of a program that is gone, is found as
-        :attr:`m100link.Aircraft.mission`. Where nothing is pushed, every kind is told to stop.
+        :attr:`m100link.Aircraft.mission` shows a mission of a phone, or of a program that is gone.
+        Where the aircraft pushes nothing, it gets a stop for every kind.
 
         Returns:
             The kind that was stopped; :attr:`MissionKind.NONE` when the aircraft knows of none.
@@ -673,7 +673,7 @@ class Control:
         return self._portal.wait(lambda _: self._control.stop_mission())
 
     def pause_mission(self) -> MissionKind:
-        """Pause whatever mission flies, whoever started it. Raises as :meth:`stop_mission`."""
+        """Pause any mission that flies, also somebody else's. Raises as :meth:`stop_mission`."""
         return self._portal.wait(lambda _: self._control.pause_mission())
 
     def resume_mission(self) -> MissionKind:

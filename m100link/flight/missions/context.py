@@ -1,4 +1,4 @@
-"""What a mission stands on, and what its kind has to know."""
+"""The context of a mission, and a tracker for each kind."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ News = list[MissionEvent | Over]
 
 
 class MissionTracker(ABC):
-    """What is known of one kind of mission: reads its pushes, and what the aircraft is asked."""
+    """Tracks one kind of mission: reads its pushes, and the answers to its poll."""
 
     poll: Request[Any] | None = None  # what is asked when nothing is pushed; None: nothing can be
     ends_by_landing = False  # whether the aircraft goes home or lands behind :class:`Finished`
@@ -63,7 +63,7 @@ class MissionTracker(ABC):
 
 
 class Block(Protocol):
-    """What a mission needs of the control block around it."""
+    """The part of a control block that a mission in it uses."""
 
     @property
     def is_open(self) -> bool:
@@ -75,7 +75,7 @@ class Block(Protocol):
         ...
 
     def waiting(self, what: str) -> AbstractContextManager[None]:
-        """What waits in here ends with it."""
+        """End a wait in here with it."""
         ...
 
     def end(self, cause: StopCause, failure: M100Error | None = None) -> None:
@@ -85,7 +85,7 @@ class Block(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class MissionContext:
-    """What a mission stands on."""
+    """The objects that a mission uses."""
 
     commander: Commander
     guards: GuardKeeper  # asked before it begins and while it flies
@@ -209,15 +209,15 @@ def check_way(
 
 
 # -- how far a waypoint mission is, read from its pushes. No clock and no line: values in, news ----
-# Pushes are not acknowledged. An event that was lost is made up for by what the status says later,
-# so that a program is told of each waypoint once and in order.
+# Pushes are not acknowledged. The status makes up for an event that was lost, so that a program
+# gets the event of each waypoint once and in order.
 
 
 _BEFORE_ACTIONS, _AFTER_ACTIONS = 4, 6  # status of the event "reached"; DJI's comment
 
 
 def ended_by(told: object) -> News:
-    """What a push tells a mission without an end of its own: that it was broken off, or nothing."""
+    """The end of a mission without an end of its own: a push that shows that it was broken off."""
     match told:
         case wire.IdleStatus() | wire.IocStatus():
             return [broken_off(told)]
@@ -227,7 +227,7 @@ def ended_by(told: object) -> News:
 
 
 def broken_off(status: wire.IdleStatus | wire.IocStatus, index: int | None = None) -> Aborted:
-    """What the push says that follows a mission which the aircraft broke off."""
+    """The event of a push that follows a mission which the aircraft broke off."""
     if not status.reason:
         return Aborted(None, "it gives no reason: the remote controller was lost, perhaps", index)
     return Aborted(status.reason, MissionCode(status.reason).meaning, index)
@@ -339,7 +339,7 @@ class WaypointTracker(MissionTracker):
         yield Over()
 
     def polled(self, answer: WaypointMissionAnswer) -> News:
-        """What the aircraft has stored: nothing, when the mission has ended (seen on an M100)."""
+        """The stored mission was read: there is none after its end (seen on an M100)."""
         is_gone = answer.code in (MissionCode.NO_MISSION, MissionCode.NOT_STARTED)
         if is_gone or (answer.code is MissionCode.SUCCESS and answer.mission.count == 0):
             return [*self._finished(), Over()]

@@ -1,4 +1,4 @@
-"""What happens to a mission, as its program is told."""
+"""The events of a mission for its program, and the table of its states."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class MissionProgress:
         elapsed: Seconds since the start.
         index: Waypoint that it flies to, counted from 0; None for other missions, and while
             nobody knows.
-        status: What the status push says of it, see :class:`m100link.MissionState`.
+        status: Value of the status push, see :class:`m100link.MissionState`.
         distance_m: Horizontal distance that remains to that waypoint, to the centre of the circle
             or to the target, m; None when the position is unknown.
         height_m: Height above the take-off point, m; None when unknown.
@@ -180,7 +180,7 @@ class Events:
     def __init__(self) -> None:
         self._waiting: deque[MissionEvent] = deque()
         self._news = asyncio.Event()
-        # What is raised behind the last event, and nothing when the end was a good one.
+        # The error to raise behind the last event; None when the end was a good one.
         self.failure: M100Error | None = None
         self.is_over = False  # whether the last event is there
 
@@ -231,7 +231,7 @@ class RunState(Enum):
 
 
 class RunInput(Enum):
-    """What moves a mission through its life."""
+    """The inputs of a mission's life."""
 
     START = "the start is about to be sent"
     STARTED = "the aircraft accepted it"
@@ -266,7 +266,7 @@ TRANSITIONS: dict[RunState, dict[RunInput, RunState]] = {
     _S.STARTING: {
         _I.STARTED: _S.FLYING,
         _I.REFUSED: _S.OVER,
-        # What is pushed before the ack waits for it: it may be about another mission.
+        # A push before the ack waits for it: it may be about another mission.
         _I.STOP: _S.STOPPING,
     },
     _S.FLYING: {
@@ -290,7 +290,7 @@ TRANSITIONS: dict[RunState, dict[RunInput, RunState]] = {
         _I.FINISHED: _S.OVER,
     },
     _S.STOPPING: {
-        # What the pushes say meanwhile may be older than the stop: its answer decides.
+        # The pushes of that time may be older than the stop: its answer decides.
         _I.STOPPED: _S.OVER,
         _I.NOT_STOPPED: _S.UNSTOPPED,
     },
@@ -317,7 +317,7 @@ _REMEDIES = {
     MissionCode.RUNNING: "stop it first: await control.stop_mission()",
     MissionCode.OTHER_RUNNING: "stop that one first: await control.stop_mission()",
 }
-"""What to do about it here, where a program is asked and not a pilot."""
+"""Remedies for a program; those of the codes are a pilot's."""
 
 
 def mission_refused(

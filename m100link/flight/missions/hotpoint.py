@@ -61,7 +61,7 @@ _CALLED = {
     "start_point": "start",
     "yaw_mode": "heading",
 }
-"""What the program calls the fields of the wire."""
+"""A program's names for the fields of the wire."""
 
 _DEGREES = {"latitude": ("latitude_deg", 90), "longitude": ("longitude_deg", 180)}
 """Likewise, with the largest value: on the wire they are radians."""
@@ -120,7 +120,7 @@ class HotpointTracker(MissionTracker):
         return [] if self.status is None else ended_by(told)  # before that: older than ours
 
     def polled(self, answer: HotpointDownloadAnswer) -> News:
-        """What circle it flies."""
+        """The stored circle was read."""
         if answer.code is MissionCode.NOT_RUNNING:
             return [Aborted(None, "it flies no circle any more, and gives no reason")]
         return []
@@ -328,8 +328,8 @@ class HotpointFlight(MissionFlight):
                 if clock() >= give_up_at:
                     raise NotObserved(
                         f"{request.NAME} was sent for {timeout:g} s, and nothing shows it",
-                        cause="it is not acknowledged, and the aircraft tells the circle of before",
-                        remedy="look at the aircraft: it may fly the circle of before",
+                        cause="it is not acknowledged, and the aircraft reports the old circle",
+                        remedy="look at the aircraft: it may fly the old circle",
                     )
                 requests.push(request)
 
@@ -384,7 +384,7 @@ _PLACE = Layout(
     Number("longitude_deg", "d", -180, 180, "°"),
     Number("altitude_m", "d", 0, 0xFFFF, "m"),
 )
-"""What a target may be: that of the wire, in the units of the program."""
+"""The range of a target: that of the wire, in the units of the program."""
 
 TargetSource = Target | AsyncIterable[Target]
 """The first target, to be renewed by :meth:`FollowFlight.set_target`; or all of them."""

@@ -55,7 +55,7 @@ class MissionGuard:
         self._watch = commander.missions
         self._run: MissionSession | None = None  # the newest that this block entered
         self._detached: MissionKind | None = None  # somebody else's, left in flight by name
-        # From then on what flies is to end; what is told of first long after is another one.
+        # The newest request for a stop. A mission that pushes first report long after is another.
         self._stop_asked_at = -math.inf
 
     # -- one at a time ---------------------------------------------------------------------------
@@ -90,7 +90,7 @@ class MissionGuard:
 
     @property
     def _flying_kind(self) -> MissionKind | None:
-        """What flies the aircraft by the pushes, of which one alone is not believed."""
+        """The mission that flies by the pushes, of which one alone is not believed."""
         return next(iter(self._watch.flying), None)
 
     @property
@@ -140,10 +140,10 @@ class MissionGuard:
         since = self._flying_since
         return since is not None and since < self._stop_asked_at + _GOES_ON_S
 
-    # -- orders to what flies, whoever started it ------------------------------------------------
+    # -- orders to a mission that flies, also somebody else's --------------------------------------
 
     async def stop_any(self) -> MissionKind:
-        """Stop what flies. See :meth:`m100link.Control.stop_mission`."""
+        """Stop any mission. See :meth:`m100link.Control.stop_mission`."""
         if (ours := self._ours) is not None:
             await ours.stop()
             return ours.kind
@@ -210,7 +210,7 @@ class MissionGuard:
             return False
         if self._watch.state.kind is not MissionKind.NONE or self._watch.flying:
             return True
-        # A push of before the start says nothing about what flies since.
+        # A push from before the start does not show which mission flies since.
         began_at = run.started_at if run is not None and was_ours else -math.inf
         return self._watch.received_at < began_at + _TOLD_BY_S
 
@@ -230,7 +230,7 @@ class MissionGuard:
 
     @property
     def to_stop(self) -> MissionKind | None:
-        """What a stop is owed if the program ends now; one that may be started any moment, too."""
+        """The mission that the program's end has to stop; one that may start any moment, too."""
         run = self._run
         if run is None:
             return None
@@ -309,7 +309,7 @@ class MissionGuard:
         return None
 
     def give_up(self, failure: M100Error | None, why: str) -> None:
-        """What flies is left in flight."""
+        """Leave the mission in flight."""
         if (ours := self._ours) is not None and not self.left_in_flight:
             self.left_in_flight = ours.name
             ours.give_up(failure)
@@ -401,8 +401,9 @@ class MissionFlight(ABC):
 
         Nothing here watches it any more: no guard, no stop path. Authority is **not** given back
         when the control block ends, because that would break the mission off. It flies on after a
-        ``kill -9`` as well. Whoever connects later finds it as :attr:`m100link.Aircraft.mission`,
-        and ends it by :meth:`m100link.Control.stop_mission`. A warning is logged.
+        ``kill -9`` as well. A program that connects later finds it in
+        :attr:`m100link.Aircraft.mission`, and ends it by :meth:`m100link.Control.stop_mission`.
+        A warning is logged.
 
         Raises:
             UsageError: It does not fly.

@@ -184,7 +184,7 @@ class MissionSession:
         self._ground = Ground(context.commander)
         self._pushed_at = 0.0  # when a push told of this mission last, or it was started
         self._is_pushed = False  # whether one ever did
-        # What the pushes said while a stop was under way, for the case that nobody answers it.
+        # Whether pushes showed its end during a stop, for the case that nobody answers the stop.
         self._is_seen_over = False
         self._stopping: Errand | None = None  # the newest attempt
         self._early: list[MissionEvent | Over] = []  # what was pushed while the start was under way
@@ -192,7 +192,7 @@ class MissionSession:
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Its name for people."""
         return self.kind.value
 
     @property
@@ -308,7 +308,7 @@ class MissionSession:
     async def stop(self) -> None:
         """Stop it, and wait for the answer: two tries, a second in all.
 
-        What cancels the caller is remembered until then.
+        A cancellation of the caller takes effect after that.
 
         Raises ``AckTimeout, MissionRefused, LinkError``: it may be flying on.
         """
@@ -347,7 +347,7 @@ class MissionSession:
         self._end(RunInput.STOPPED, is_answered=True)
 
     async def end_by_program(self, failure: M100Error | None) -> None:
-        """What feeds it has ended, well or not: stop it, and tell the program why.
+        """The source of its targets has ended, well or not: stop it, and tell the program why.
 
         A stop that fails is for the stop path to try again.
         """
@@ -427,7 +427,7 @@ class MissionSession:
             self._pushed_at, self._is_pushed = self._clock(), True
 
     def _apply(self, news: Sequence[MissionEvent | Over]) -> None:
-        """What was read of a push or an answer happens to the mission."""
+        """Apply the news of a push or an answer to the mission."""
         for item in news:
             if self.state is RunState.STARTING:
                 self._early.append(item)
@@ -474,7 +474,7 @@ class MissionSession:
         self._let_go()
 
     def give_up(self, failure: M100Error | None) -> None:
-        """Nobody can be told anything any more: whoever waits for events must not wait for ever."""
+        """End the events without waiting: a program must not wait for ever for the next one."""
         self.events.end(failure)
         self._let_go()
 

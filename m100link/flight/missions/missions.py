@@ -1,4 +1,4 @@
-"""What a program can do with missions: the methods of :class:`m100link.Control` that begin them."""
+"""Missions of a program: the methods of :class:`m100link.Control` that begin them."""
 
 from __future__ import annotations
 
@@ -176,10 +176,10 @@ class Missions:
         )
 
     async def stop_mission(self) -> MissionKind:
-        """Stop whatever mission flies, whoever started it: the aircraft hovers.
+        """Stop any mission that flies, also somebody else's: the aircraft hovers.
 
-        A mission of a phone, or of a program that is gone, is found as
-        :attr:`m100link.Aircraft.mission`. Where nothing is pushed, every kind is told to stop.
+        :attr:`m100link.Aircraft.mission` shows a mission of a phone, or of a program that is gone.
+        Where the aircraft pushes nothing, it gets a stop for every kind.
 
         Returns:
             The kind that was stopped; :attr:`MissionKind.NONE` when the aircraft knows of none.
@@ -193,7 +193,7 @@ class Missions:
             return await self._keeper.stop_any()
 
     async def pause_mission(self) -> MissionKind:
-        """Pause whatever mission flies, whoever started it. Raises as :meth:`stop_mission`."""
+        """Pause any mission that flies, also somebody else's. Raises as :meth:`stop_mission`."""
         self._context.block.require_flying("the pause of a mission")
         with self._context.block.waiting("pause_mission"):
             return await self._keeper.order_any("pause")

@@ -52,7 +52,7 @@ _OF_ONE_POINT = frozenset(
         MissionCode.BAD_ACTION,
     }
 )
-"""What an aircraft says of the waypoint at hand; with the last one it may speak of the whole."""
+"""Refusals of the newest waypoint; that of the last one may concern the whole."""
 
 
 class WaypointFlight(MissionFlight):
