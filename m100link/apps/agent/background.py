@@ -16,7 +16,7 @@ _logger = logging.getLogger(__name__)
 class TaskSet:
     """The tasks of one owner. An error that is not one of this package is logged, never lost.
 
-    Errors of this package are left to whoever started the task: it has told them, or awaits it.
+    Errors of this package are for the starter of the task: it has reported them, or awaits it.
     """
 
     def __init__(self) -> None:
@@ -55,7 +55,6 @@ class TaskSet:
             _logger.error("%s ended by an error", task.get_name(), exc_info=error)
 
     def cancel(self) -> None:
-        """Cancel every task, and wait for none."""
         for task in list(self._tasks):
             task.cancel()
 

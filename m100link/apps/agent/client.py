@@ -1,7 +1,7 @@
-"""What a front holds of an agent: what it knows, and what it can ask for.
+"""A front's end of an agent: the newest values, and the orders that it can give.
 
-Everything here is true as of the newest message. The agent decides again when a wish arrives: a
-lease that has ended meanwhile, or authority that was lost, is refused there.
+Everything here is true as of the newest message. The agent decides again when an order arrives: it
+refuses one whose lease has ended meanwhile, or whose authority was lost.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ from m100link.telemetry.state import AircraftState
 from m100link.telemetry.subscription import Hub, Policy, Subscription
 
 _NO_SIGN = frozenset({OrderOutcome, SteerRefused, LeaseChanged, Event})
-"""Messages that do not show that the agent runs: a way over a network says them itself when nothing
-comes any more, and events are told however old they are."""
+"""Messages that do not show that the agent runs: a network's channel makes the first three itself
+when nothing arrives any more, and an agent sends events however old they are."""
 
 _MAX_EVENTS = 200
 
@@ -65,11 +65,11 @@ T = TypeVar("T")
 
 
 class AgentClient:
-    """One front's end of the way to an agent; to be used as ``async with``.
+    """One front's end of the channel to an agent; to be used as ``async with``.
 
     Args:
-        channel: The way.
-        name: Who this is, for people.
+        channel: The channel, not opened yet.
+        name: The name of this front, for people.
     """
 
     def __init__(self, channel: Channel, name: str) -> None:
@@ -81,7 +81,7 @@ class AgentClient:
         self.heard_at = self.now  #: when a sign that the agent runs was heard last, s
         self.holder = LeaseChanged(0, "")  #: who has the lease
         self.agents_before = 0  #: how many have gone; each counts its leases from 1, maybe
-        #: What was counted on the line to the aircraft; None before, and while there is none.
+        #: Counters of the line to the aircraft; None before the first, and while there is no line.
         self.link: LinkCounted | None = None
         #: Newest values and their ages; None while no aircraft is connected. When the agent itself
         #: is gone the values stay, and grow old.
@@ -90,7 +90,7 @@ class AgentClient:
         self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)  #: what happened lately
         self.background = TaskSet()  #: tasks that end with this client
         self.unread = 0  #: telemetry packages and plans that this version cannot read
-        #: What somebody uploaded and may start, or flies; None for none.
+        #: The plan that was uploaded and may be started, or flies; None for none.
         self.plan: WaypointPlan | None = None
         self.plan_by = ""  #: who uploaded it, for people
         self.on_event: list[Callable[[Event], None]] = []  #: called with each event
@@ -178,7 +178,7 @@ class AgentClient:
     def reopen(self, channel: Channel) -> None:
         """Go on with the agent at the end of this channel: the one before has gone.
 
-        Whoever held a lease there holds none here.
+        Leases of the earlier agent do not hold here.
         """
         self._channel.require()
         if self.events:
@@ -250,7 +250,7 @@ class AgentClient:
         if event.at <= self._known_until:
             return
         if self.events and event.number <= self.events[-1].number:
-            # Another agent counts anew; whoever shows events goes by their numbers.
+            # Another agent counts anew, and pages tell events apart by their numbers.
             event = replace(event, number=self.events[-1].number + 1)
         self.events.append(event)
         call_each(self.on_event, event)
@@ -293,7 +293,7 @@ class AgentClient:
         when it was wanted, s, if not now: a STOP since then overtakes it.
 
         Raises:
-            M100Error: What the agent tells; see :meth:`m100link.apps.agent.server.agent.Agent.ask`.
+            M100Error: The agent's error; see :meth:`m100link.apps.agent.server.agent.Agent.ask`.
             LinkError: It has gone.
         """
         fence = lease.number if lease is not None else 0
@@ -373,7 +373,7 @@ class AgentClient:
 
 
 class PendingRequests:
-    """What was asked and has no answer yet, by number."""
+    """The questions without an answer yet, by number."""
 
     def __init__(self, send: Callable[[Message], None]) -> None:
         self._send = send
@@ -396,7 +396,7 @@ class PendingRequests:
         """Ask for something, and wait for the answer.
 
         Raises:
-            M100Error: What the agent tells.
+            M100Error: The agent's error.
             LinkError: It has gone; nothing was asked.
             LinkLost: It goes meanwhile, and may have done it.
         """
@@ -442,7 +442,7 @@ class PendingRequests:
 
 
 def given(value: T | None) -> T:
-    """What an answer brings. Raises MessageError: it brings nothing."""
+    """The value of an answer. Raises MessageError: it has none."""
     if value is None:
         raise MessageError("the agent answered without what was asked for")
     return value

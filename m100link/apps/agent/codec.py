@@ -174,8 +174,6 @@ def _codec(kind: Any, name: str) -> _Codec:
 
 
 class Fields:
-    """The fields of one dataclass."""
-
     def __init__(self, kind: type[Any], beside: Container[str] = ()) -> None:
         """``beside``: names of fields that go another way."""
         hints = get_type_hints(kind)
@@ -246,11 +244,10 @@ class Kinds:
 
 
 # -- the bytes of messages between an agent and its fronts, for carriers that take bytes -----------
-# What goes seldom is JSON, one object for each message: its kind and its fields. A setpoint and a
-# telemetry package go fifty and a hundred times a second, and somebody waits for the setpoint: they
-# are packed, after a first byte that no JSON begins with. Reading never raises anything but
-# :class:`~m100link.apps.agent.messages.MessageError`; what is longer than :data:`MAX_SIZE` is
-# not read.
+# A seldom message is JSON, one object for each: its kind and its fields. A setpoint and a telemetry
+# package go fifty and a hundred times a second, and the aircraft waits for the setpoint: they are
+# packed, after a first byte that no JSON begins with. Reading never raises anything but
+# :class:`~m100link.apps.agent.messages.MessageError`; it refuses a message above :data:`MAX_SIZE`.
 
 
 MAX_SIZE = 64 * 1024
@@ -372,7 +369,7 @@ def decode(data: bytes) -> Message:
 
 
 def parsed(data: bytes, what: str) -> object:
-    """What stands in JSON that every reader of JSON understands alike; else MessageError."""
+    """The value of JSON that every reader of JSON understands alike; else MessageError."""
     try:
         return read_json(data, constant=_refuse, pairs=_object)
     except ValueError:

@@ -77,7 +77,7 @@ class ControlState(Enum):
 
 
 class ControlInput(Enum):
-    """What can happen."""
+    """The inputs of the table."""
 
     ASKED = "asked"  # the pilot wants the lease
     GRANTED = "granted"  # the agent gave it, or another session handed it on
@@ -149,7 +149,7 @@ class ControlSession:
         self._number = 0  # of the newest lease that was granted here, wanted or not
         #: How the lease was lost, and to whom; None while it is held or went back.
         self.lease_end: LeaseChanged | None = None
-        #: Who or what took authority; None while it is held, and without a lease.
+        #: Why authority was lost; None while it is held, and without a lease.
         self.loss: LossReason | None = None
         #: Digest of the plan that this pilot uploaded last, and starts; empty for none.
         self.uploaded = ""
@@ -258,7 +258,7 @@ class ControlSession:
         )
 
     def feed(self, what: ControlInput) -> None:
-        """Something happened."""
+        """Go where the table leads; a pair that it does not have changes nothing."""
         after = TRANSITIONS[self._state].get(what)
         if after is None or after is self._state:
             return
@@ -423,7 +423,7 @@ class ControlSession:
         if is_newest:
             self._forget()
         if is_in_force:
-            self._agent.let_go(lease)  # before anybody is told, who may raise
+            self._agent.let_go(lease)  # before the callbacks, which may raise
         if is_newest:
             try:
                 if self._state not in (_S.LOST, _S.TAKEN_OVER):  # which stay as they are

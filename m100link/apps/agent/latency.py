@@ -1,10 +1,10 @@
-"""What another clock shows, and how long its messages are on their way (pure, ``now`` is given).
+"""The time of another clock, and the delay of its messages (pure, ``now`` is given).
 
 The other clock may show anything. A message was sent before it came: the other clock is at most
 its *passage* behind ours, our time less the time that the message says. A time of ours that comes
-back was told before it was heard: the other clock is at most that passage ahead. Both hold for
-certain, whatever the network did, and the fastest passage of each way says most. It says less with
-time, for no two clocks run alike, and is forgotten once newer ones came for half a minute.
+back was sent before it was heard: the other clock is at most that passage ahead. Both hold for
+certain, whatever the network did, and the fastest passage in each direction says most. It says less
+with time, for no two clocks run alike, and is forgotten once newer ones came for half a minute.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class ClockEstimate:
         return age if age >= 0.0 else math.inf
 
     def offset(self, now: float) -> Offset | None:
-        """What is known at a time of our clock; None before the first round trip.
+        """The offset at a time of our clock; None before the first round trip.
 
         While nobody answers the last that was known holds; its bound grows by 6 ms a minute.
         """
@@ -150,7 +150,7 @@ class ClockEstimate:
         return Offset((there - here) / 2, max(0.0, there + here) / 2)
 
     def at_least(self, now: float) -> float:
-        """What the other clock shows at the earliest; 0 before the first round trip.
+        """The earliest time that the other clock may show; 0 before the first round trip.
 
         It never goes back: no order was made before the one before it.
         """

@@ -1,10 +1,10 @@
-"""Who may steer: one lease at a time, with a name and an end (pure logic, ``now`` is an argument).
+"""The right to steer: one lease at a time, with an end (pure logic, ``now`` is an argument).
 
 Any number of clients may watch. To steer, one takes the lease; it ends when its holder gives it
 back, stops renewing it, or an operator takes it over. Time in which the station itself did not run
-ends nothing: nobody could renew in it. A take-over has two steps: the first names
-who would lose control, the second confirms exactly that. A lease that has ended stays ended: its
-token is refused for ever, so a recorded message cannot bring it back.
+ends nothing: nobody could renew in it. A take-over has two steps: the first names the client that
+would lose control, the second confirms exactly that. A lease that has ended stays ended: its token
+is refused for ever, so a recorded message cannot bring it back.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class LeaseChange(Enum):
 
 
 class Flown(Enum):
-    """What the aircraft flew for whoever had the lease, as that one ended."""
+    """The kind of flight as a lease ended."""
 
     NOTHING = "nothing"
     SETPOINTS = "setpoints"
@@ -95,7 +95,7 @@ class Lease:
     number: int  #: counts leases from 1; a later lease has a greater number
 
     def __repr__(self) -> str:
-        # The token is a secret: whoever reads a log must not be able to steer.
+        # The token is a secret: a reader of the log must not be able to steer.
         return f"<Lease {self.number} of {self.name!r}>"
 
 
@@ -118,8 +118,8 @@ class LeaseManager:
 
     Args:
         lifetime: Seconds that a lease lasts without renewal.
-        longest_step: Time between two calls that counts at most; whoever has a clock calls
-            :meth:`advance` more often than that, so that longer means that it did not run.
+        longest_step: Time between two calls that counts at most. Its owner calls :meth:`advance`
+            more often than that, so a longer time means that the program did not run.
         leases_before: Number of the last lease of an earlier agent. Its leases never fit here.
         make_token: Source of tokens; by default 128 bits from the system.
         on_change: Called after each change with the reason, the old and the new lease.
@@ -145,7 +145,7 @@ class LeaseManager:
         self._count = leases_before
         # When it was last called.
         self._advanced_at: float | None = None
-        # The request of one client does not cancel that of another.
+        # The request of request of client does not cancel that of of.
         self._take_overs: list[TakeOver] = []
 
     def holder(self, now: float) -> Lease | None:

@@ -1,7 +1,7 @@
-"""What an agent and its fronts tell each other: a few typed messages.
+"""The typed messages between an agent and its fronts.
 
-A front is what strangers reach: rosbridge, the console. It owns nothing of the aircraft. What it
-knows comes in these messages, what it wants goes out in them (``m100link.apps.agent.transports``).
+A front serves strangers: rosbridge, the console. It owns nothing of the aircraft. State reaches it
+and its orders leave it in these messages alone (``m100link.apps.agent.transports``).
 
 ==================  ========================================================================
 Both ways           Hello, Goodbye
@@ -11,8 +11,7 @@ From the agent      Telemetry, MobileMessage, Event, State, LinkCounted, LeaseCh
 From a front        Ask (around an order of ``m100link.apps.agent.orders``), Steer, JournalNote
 ==================  ========================================================================
 
-What a carrier makes of them is in ``m100link.apps.agent.codec``; the agent keeps its events in a
-journal.
+``m100link.apps.agent.codec`` makes bytes of them; the agent keeps its events in a journal.
 """
 
 from __future__ import annotations
@@ -83,11 +82,11 @@ class MobileMessage:
 
 
 class EventTopic(Enum):
-    """What an event is about, where programs have to know it."""
+    """The subject of an event, where programs have to know it."""
 
     NONE = ""
     STOPPED = "stopped"  # somebody pressed STOP
-    # A front that does not hold the lease had it hover: whoever flies has not asked for that.
+    # A front that does not hold the lease had it hover: the holder has not asked for that.
     HALTED = "halted"
     # The aircraft, a guard, or a loss of control or of the line ended it before its end.
     MISSION_ABORTED = "mission aborted"
@@ -106,7 +105,7 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class GuardLimits:
-    """What the guards of the agent allow; None where one is off."""
+    """The limits of the agent's guards; None where one is off."""
 
     max_height_m: float | None = None  #: height above the take-off point, m
     max_radius_m: float | None = None  #: horizontal distance from where control was obtained, m
@@ -150,13 +149,13 @@ class State:
     replay: Replay | None = None  #: where the replay is; None for an aircraft, real or virtual
 
     def flight_time(self, now: float) -> float:
-        """What telemetry is received by when the agent's clock says ``now``, s."""
+        """The time of telemetry, which a replay has of its own, at the agent's time ``now``, s."""
         return now if self.replay is None else self.replay.time(now - self.at)
 
 
 @dataclass(frozen=True, slots=True)
 class LinkCounted:
-    """What was counted on the line to the aircraft since it was opened, once a second."""
+    """Counters of the line to the aircraft since it was opened, once a second."""
 
     at: float  #: when it was so, s
     counters: Mapping[str, Any]  #: numbers of :class:`~m100link.LinkStatistics` by their names
@@ -170,14 +169,14 @@ class LinkCounted:
 
 @dataclass(frozen=True, slots=True)
 class LeaseChanged:
-    """Who has the lease."""
+    """The lease has a new holder, or none."""
 
     number: int  #: number of the lease in force, 0 for none
     name: str  #: who holds it; empty for nobody
     #: Why it changed hands; None in the first message to a front.
     why: LeaseChange | None = None
-    #: What the holder before was flying. A task goes on in the autopilot as long as control
-    #: authority is kept; everything else is stopped.
+    #: The flight of the holder before. A task goes on in the autopilot as long as control
+    #: authority is kept; the agent stops everything else.
     flown: Flown = Flown.NOTHING
 
 
@@ -221,7 +220,7 @@ class SteerRefused:
 
 @dataclass(frozen=True, slots=True)
 class OrderOutcome:
-    """What became of an :class:`Ask`."""
+    """The outcome of an :class:`Ask`."""
 
     id: int  #: of the question
     stage: Stage  #: how far it came
@@ -403,7 +402,7 @@ class RemoteError:
         """The error again: an object of its class, or of the base when the class is unknown."""
         kind = _ERRORS.get(self.kind, M100Error)
         error = kind(self.seen, cause=self.cause, remedy=self.remedy)
-        # What every error has stays as it is, whatever details somebody tells.
+        # The attributes of every error stay as they are, whatever details a peer sends.
         for name, value in self.details.items():
             if name in kind.own or not hasattr(error, name):
                 vars(error)[name] = value  # no descriptor of the class, such as OSError's, is asked
@@ -420,7 +419,7 @@ def _plain(value: object) -> object:
 
 
 def agent_gone(reason: str) -> LinkError:
-    """What is raised when the agent has gone for good."""
+    """The error for an agent that has gone for good."""
     why = f": {reason}" if reason else ""
     return LinkError(
         f"the agent that owns the aircraft has gone{why}",
@@ -429,7 +428,7 @@ def agent_gone(reason: str) -> LinkError:
 
 
 def agent_lost(reason: str) -> LinkLost:
-    """What is raised when the agent goes before it has said what became of a question."""
+    """The error for an agent that goes before it has answered a question."""
     gone = agent_gone(reason)
     return LinkLost(
         f"{gone.seen}; it had been asked, and may have done it",

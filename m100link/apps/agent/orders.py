@@ -1,10 +1,10 @@
-"""What a front can ask an agent for: each order is a class with its fields and its class data.
+"""The orders of a front to an agent: each is a class with its fields and its class data.
 
 ``class Name(Order, …)`` makes a frozen dataclass with a place in ``ORDERS``; the codec of
-messages reads and writes its fields. What is not said of an order is the strictest: it needs the
-lease and the right to fly, moves the aircraft, is kept, and must not be old. What an agent does for
-each is a row of ``HANDLERS`` in ``m100link.apps.agent.server.agent``; an order without one ends
-the import with an error that names it.
+messages reads and writes its fields. The defaults are the strictest: an order needs the lease and
+the right to fly, moves the aircraft, is kept, and must not be old. Its handler is a row of
+``HANDLERS`` in ``m100link.apps.agent.server.agent``; an order without one ends the import with an
+error that names it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from m100link.protocol.setpoint import ReferenceFrame, Setpoint
 
 
 class Right(IntEnum):
-    """What one may do with an aircraft of a fleet; each includes those before it."""
+    """A right on an aircraft of a fleet; each includes those before it."""
 
     WATCH = 1
     STOP = 2
@@ -54,12 +54,12 @@ class Order:
     """Something that a front asks an agent for."""
 
     needs: ClassVar[Needs] = Needs.LEASE
-    #: Who has the right to stop may give it. It revokes the orders that were made before it.
+    #: The right that it takes; an order under STOP revokes the orders that were made before it.
     right: ClassVar[Right] = Right.FLY
     #: Whether it moves the aircraft, or lets somebody move it; what ends movement does not.
     moves: ClassVar[bool] = True
     #: Whether the log of orders has to know it before it begins, because twice would be once too
-    #: often. What is not kept waits for no disk.
+    #: often. An order that is not kept waits for no disk.
     is_kept: ClassVar[bool] = True
     age: ClassVar[Age] = Age.YOUNG
     #: Whether it is done as it is heard, before orders that were heard and have not begun.
@@ -122,7 +122,7 @@ class AcquireLease(LeaseOrder, age=Age.YOUNG_IF_KNOWN):
 
 
 class RenewLease(LeaseOrder, moves=False):
-    """Let the lease last. Who recorded one must not do that later."""
+    """Let the lease last; a recorded one must not do that later."""
 
     token: str = field(default="", repr=False)  #: proof of the lease
 
@@ -193,7 +193,7 @@ class TurnGimbal(Order, needs=Needs.LEASE_IF_HELD):
 
 
 class CameraUse(Enum):
-    """What the camera does."""
+    """The actions of the camera."""
 
     PHOTO = "take_photo"
     START_VIDEO = "start_video"
@@ -258,7 +258,7 @@ class UploadPlan(Order, moves=False, is_kept=False, age=Age.ANY):
 
     @property
     def digest(self) -> str:
-        """What names the plan: SHA-256 over the commands, hex."""
+        """The SHA-256 over the commands, hex: it names the plan."""
         return hashlib.sha256(b"".join((self.mission, *self.points))).hexdigest()
 
 

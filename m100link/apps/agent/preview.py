@@ -1,4 +1,4 @@
-"""What would become of a guided order or plan, before it is given: nothing is asked of anybody."""
+"""A preview of a guided order or plan: no message is sent."""
 
 from __future__ import annotations
 
@@ -27,13 +27,12 @@ Preview = Foresight
 
 
 def preview(order: GuidedOrder, state: AircraftState | None, limits: GuardLimits) -> Preview:
-    """What the agent would say, as far as is known here; it decides again when it is asked.
+    """The agent's answer, as far as is known here; it decides again when it gets the order.
 
     Args:
-        order: What would be asked for.
+        order: The order.
         state: Telemetry; None while no aircraft is connected.
-        limits: What the guards allow. While they do not say from where, it is from where the
-            aircraft is.
+        limits: Limits of the guards. Without an origin they count from where the aircraft is.
     """
     if state is None:
         error = LinkError("no aircraft is connected", remedy="wait until it is, then point again")
@@ -54,12 +53,12 @@ def preview(order: GuidedOrder, state: AircraftState | None, limits: GuardLimits
 def preview_plan(
     plan: WaypointPlan, state: AircraftState | None, limits: GuardLimits
 ) -> tuple[GuardRefused, ...]:
-    """What the guards of the agent would say to a mission, as far as is known here.
+    """The agent's refusals of a mission by its guards, as far as is known here.
 
     Args:
-        plan: What would be flown.
+        plan: The plan.
         state: Telemetry; without any nothing is foreseen.
-        limits: What the guards allow.
+        limits: Limits of the guards.
     """
     if state is None:
         return ()

@@ -1,4 +1,4 @@
-"""What carries messages between an agent and a front."""
+"""Channels for messages between an agent and a front."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _logger = logging.getLogger(__name__)
 
 
 class Channel(Protocol):
-    """One end of a way for messages, in order and without loss until it is closed."""
+    """One end of a channel for messages, in order and without loss until it is closed."""
 
     def open(self, on_message: Callable[[Message], None], on_closed: Callable[[str], None]) -> None:
         """Begin to receive.
 
         Args:
-            on_message: Called with each message. What it raises is logged and ends there.
+            on_message: Called with each message. An exception of it is logged and ends there.
             on_closed: Called once, with the reason, when the other end has gone or closed it.
         """
 
@@ -40,7 +40,7 @@ class Channel(Protocol):
         """
 
     def close(self, reason: str = "") -> None:
-        """Close it, for a reason that the other end is told. May be called any number of times."""
+        """Close it, and send the other end the reason. May be called any number of times."""
 
 
 # -- A carrier inside one event loop: a message has arrived when ``send`` returns ------------------
@@ -63,11 +63,11 @@ class MemoryChannel:
         self._peer: MemoryChannel | None = None
         self._on_message: Callable[[Message], None] | None = None
         self._on_closed: Callable[[str], None] | None = None
-        # What came before this end was opened.
+        # Messages that came before this end was opened.
         self._waiting: deque[Message] = deque(maxlen=_MAX_WAITING)
 
     def join(self, peer: MemoryChannel) -> None:
-        """Make the two ends of one way."""
+        """Make the two ends of one channel."""
         self._peer, peer._peer = peer, self
 
     def open(self, on_message: Callable[[Message], None], on_closed: Callable[[str], None]) -> None:
@@ -215,17 +215,16 @@ class UnixChannel(asyncio.BufferedProtocol):
             try:
                 self._on_message(message)
             except Exception:
-                # What goes wrong with one message does not end the reader.
+                # A failure with one message does not end the reader.
                 _logger.exception("a %s was not taken", type(message).__name__)
 
     def _refuse(self, reason: str) -> None:
-        """End it for what came in: neither end has asked for that, so both are told."""
+        """End it for a bad message: neither end has asked for that, so both get the reason."""
         self._reason = reason
         self.send(Goodbye(reason))
         self._end()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """The socket is gone."""
         self._end()
 
     def _end(self) -> None:
@@ -240,7 +239,6 @@ class UnixChannel(asyncio.BufferedProtocol):
     # -- our side --------------------------------------------------------------------------------
 
     def open(self, on_message: Callable[[Message], None], on_closed: Callable[[str], None]) -> None:
-        """Begin to receive."""
         self._on_message, self._on_closed = on_message, on_closed
         if self._transport is not None:
             self._transport.resume_reading()
@@ -268,8 +266,8 @@ class UnixChannel(asyncio.BufferedProtocol):
             transport.write(_LENGTH.pack(len(body)) + body)
 
     def close(self, reason: str = "") -> None:
-        """Close it; the other end is told why."""
-        self._on_closed = None  # whoever closes it knows
+        """Close it, and send the other end the reason."""
+        self._on_closed = None  # the caller that closes it knows
         if self._transport is not None:
             self.send(Goodbye(reason))
             self._end()

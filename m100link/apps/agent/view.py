@@ -1,4 +1,4 @@
-"""What a front may believe of the aircraft at one moment: an item that is old is known to nobody.
+"""The view of the aircraft that a front may believe at one moment: an old item is unknown.
 
 A front takes :attr:`~m100link.apps.agent.client.AgentClient.view` where a step begins, and asks it
 alone. Silence of the agent, an agent that is gone and values that are old are decided here and
@@ -55,7 +55,7 @@ class VehicleView:
     # Whatever arrived, however old: for statistics, and for what would be refused. None while no
     # aircraft is connected.
     telemetry: AircraftState | None
-    now: float = field(init=False)  # the moment on the clock of telemetry, s: of a replay, of then
+    now: float = field(init=False)  # the moment on the clock of telemetry, s: a replay's own
     hearing: Hearing = field(init=False)
     is_connected: bool = field(init=False)  # the aircraft, by an agent that is heard
     has_authority: bool = field(init=False)  # whether setpoints and tasks are obeyed, by the same
@@ -97,7 +97,7 @@ class VehicleView:
         return self._within(record, STEER_S)
 
     def together(self, record: type[R]) -> R | None:
-        """The same where it is told together with another item that has just arrived."""
+        """The same where it is shown together with another item that has just arrived."""
         return self._within(record, TOGETHER_S)
 
     def _within(self, record: type[R], seconds: float) -> R | None:
@@ -130,7 +130,7 @@ class VehicleView:
 
     @property
     def integrity(self) -> Integrity:
-        """Whether what is told can be true."""
+        """Whether the reported navigation can be true."""
         if self.telemetry is None:
             return Integrity(IntegrityState.UNKNOWN)
         return self.telemetry.integrity

@@ -1,8 +1,8 @@
-"""One aircraft, shared: who may move it, and what they may ask for.
+"""One aircraft, shared by many fronts, one of which may move it.
 
-The agent opens the aircraft and opens it again when the link was lost. Whoever wants to move it
-shows a lease; movement that nobody renews expires, and when the lease ends the aircraft hovers and
-control authority goes back.
+The agent opens the aircraft and opens it again when the link was lost. A front that wants to move
+it shows a lease; movement that nobody renews expires, and when the lease ends the aircraft hovers
+and control authority goes back.
 """
 
 from __future__ import annotations
@@ -59,13 +59,13 @@ class Agent:
 
     Args:
         connect: Opens the aircraft.
-        credentials: What activation needs; without them the aircraft can only be watched.
+        credentials: For activation; without them the aircraft can only be watched.
         lease_lifetime: Seconds that a lease lasts without renewal.
-        keep_authority: Seconds that control authority is kept, hovering, when whoever flew is lost
-            with its front; 0 gives it back at once.
-        leases_before: Number of the last lease that an agent before may have granted; above 0 what
-            that one may have held is given back, once the aircraft answers.
-        envelope: How far whoever has the lease may fly; that of every control block by default.
+        keep_authority: Seconds that control authority is kept, hovering, when the front that flew
+            is lost; 0 gives it back at once.
+        leases_before: Number of the last lease that an earlier agent may have granted; above 0 the
+            agent gives back the authority that one may have held, once the aircraft answers.
+        envelope: How far the holder of the lease may fly; that of every control block by default.
         replay: The recording that stands in the place of an aircraft; nobody gets a lease.
     """
 
@@ -92,7 +92,7 @@ class Agent:
         self.connection = AircraftConnection(connect, self.journal)  #: the line to the aircraft
         #: How the aircraft was activated.
         self.activation = ActivationManager(credentials, self.journal)
-        #: Who may steer.
+        #: The right to steer.
         self.leases = LeaseManager(
             lifetime=lease_lifetime,
             longest_step=_LONGEST_STEP,
@@ -221,8 +221,8 @@ class Agent:
 
         Raises:
             LeaseRefused: It needs the lease, and the token is not in force.
-            M100Error: What the aircraft, the guards or the order itself do not allow. Nothing was
-                sent, or the error says that it was.
+            M100Error: The aircraft, a guard or the order itself refuses it. Nothing was sent, or
+                the error says that it was.
         """
         doing = self.begin(order, token, accepted)
         answer: Answer = doing if order.is_at_once else await doing
@@ -324,7 +324,7 @@ class Agent:
             self._begin_anew = ""
 
     def _authority_lost(self, _: AuthorityLost) -> None:
-        """The pilot or the app has the aircraft: a stream of before does not go on afterwards."""
+        """The pilot or the app has the aircraft: the present stream does not go on afterwards."""
         self._begin_anew = self._begin_anew or _LOST_MEANWHILE
 
     async def stop(self) -> None:
@@ -355,11 +355,11 @@ class Agent:
 # -- what an agent does for each order -------------------------------------------------------------
 
 Answer = tuple[str, int] | Lease | TakeOver | None
-"""What an order gives: a text and a number, a lease, or what confirms a take-over."""
+"""The result of an order: a text and a number, a lease, or the token of a take-over."""
 
 
 class OrderContext(NamedTuple):
-    """Who asks, and for what an order is carried out."""
+    """The circumstances of an order: its agent, its lease, its callback."""
 
     agent: Agent
     token: str  # proof of the lease; empty without one
@@ -372,12 +372,12 @@ class OrderContext(NamedTuple):
 
     @property
     def flying(self) -> ActiveFlight:
-        """What flies. Raises NoAuthority: control authority is not held."""
+        """The present flight. Raises NoAuthority: control authority is not held."""
         return self.agent.holding.require()
 
     @property
     def leases(self) -> LeaseManager:
-        """Who grants leases. Raises OnlyRecorded: nobody gets one of a replay."""
+        """The manager of leases. Raises OnlyRecorded: nobody gets one of a replay."""
         if self.agent.replay is not None:
             raise refused()
         return self.agent.leases
@@ -484,7 +484,7 @@ HANDLERS: dict[type[Order], Callable[[OrderContext, Any], Any]] = {
     **dict.fromkeys(
         orders.GuidedOrder.__args__, lambda call, one: call.flying.guide(one, call.accepted)
     ),
-    # Needs no authority: whoever flies also looks where it flies. Done when it is sent.
+    # Need no authority, but the lease if one is held: its holder looks ahead. Done when sent.
     orders.PointGimbal: _point_gimbal,
     orders.TurnGimbal: _turn_gimbal,
     orders.UseCamera: lambda call, one: getattr(call.aircraft.camera, one.use.value)(),
@@ -503,7 +503,7 @@ HANDLERS: dict[type[Order], Callable[[OrderContext, Any], Any]] = {
     ),
     orders.ResetHotpointHeading: lambda call, _: _circle(call).reset_heading(),
 }
-"""What is done for each order, by its class; of an order that is at once, without waiting."""
+"""The handler of each order, by its class; an order that is at once has one that never waits."""
 
 if _without := [name for name, kind in ORDERS.items() if kind not in HANDLERS]:
     raise TypeError(f"no row of HANDLERS in {__name__} for {', '.join(_without)}")

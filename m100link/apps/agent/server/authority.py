@@ -1,4 +1,4 @@
-"""Holding control authority for whoever has the lease: a table of states and inputs.
+"""Holding control authority for the client with the lease: a table of states and inputs.
 
 A client asks once. From then on authority is held until it is given back: when the client says so,
 when the lease ends, or when the app or the link takes it for good. A pilot who leaves F and comes
@@ -54,7 +54,7 @@ class HoldingState(Enum):
 
 
 class HoldingInput(Enum):
-    """What can happen."""
+    """The inputs of the table."""
 
     ASKED = "a client with the lease asks for authority"
     OBTAINED = "the aircraft gave it"
@@ -92,7 +92,7 @@ _WAITING: dict[HoldingInput, HoldingState] = {
 
 TRANSITIONS: dict[HoldingState, dict[HoldingInput, HoldingState]] = {
     _S.NONE: {_I.ASKED: _S.OBTAINING},
-    _S.OBTAINING: dict.fromkeys(_LOST, _S.NONE)  # the client that waits is told, and asks anew
+    _S.OBTAINING: dict.fromkeys(_LOST, _S.NONE)  # the waiting client gets an error, and asks anew
     | {
         _I.OBTAINED: _S.HELD,
         _I.REFUSED: _S.NONE,
@@ -121,7 +121,7 @@ _LOSSES = {
 }
 
 _UNSEEN = (LinkError, TelemetryStalled)
-"""What ends control without a sight of the aircraft."""
+"""Errors that end control without a sight of the aircraft."""
 
 
 class AuthorityManager:
@@ -169,16 +169,16 @@ class AuthorityManager:
 
     @property
     def flown(self) -> Flown:
-        """What flies the aircraft now, as far as this side flies it."""
+        """The present flight, as far as this agent flies it."""
         return self.flying.flown if self.flying is not None else Flown.NOTHING
 
     @property
     def limits(self) -> GuardLimits:
-        """What the guards allow; without control, what they would."""
+        """The limits of the guards, also without control."""
         return limits_of(self._guards, None) if self.flying is None else self.flying.limits
 
     def require(self) -> ActiveFlight:
-        """What flies. Raises NoAuthority: authority is not held."""
+        """The present flight. Raises NoAuthority: authority is not held."""
         if self.flying is None or not self.has_authority:
             raise NoAuthority(
                 "the station does not hold control authority; nothing was sent",
@@ -303,7 +303,7 @@ class AuthorityManager:
             self._wait_for_pilot(aircraft)
 
     def _tell_mission(self, why: str, *, is_seen: bool = True) -> None:
-        """Tell whoever has to see it that a loss of control broke a mission off, if it did."""
+        """Note in the journal that a loss of control broke a mission off, if it did."""
         # Not seen, the aircraft may fly on, and nobody here knows.
         what, self._broken_off = self._broken_off, ""
         if not what:
@@ -343,7 +343,7 @@ class AuthorityManager:
 # -- control authority that an agent before may have left: nobody here asked for it, so it goes ----
 # An agent that is killed in flight gives nothing back. The aircraft hovers for want of setpoints
 # and goes on obeying a program that is not there, or flies the task or mission that it was asked
-# for, and every lease has gone with the agent. What a lost lease leads to happens here, too, only
+# for, and every lease has gone with the agent. So authority goes back as after a lost lease, only
 # later.
 
 
@@ -364,7 +364,7 @@ class OrphanedAuthority:
     async def settle(self) -> None:
         """Wait until nothing goes back any more: a request would overtake it, and be undone.
 
-        Whoever asks now holds it in their own name, and nothing is owed.
+        The client that asks now holds it in its own name, and nothing is owed.
         """
         self._is_owed = False
         if self._work is not None:
@@ -393,7 +393,7 @@ class OrphanedAuthority:
 
 
 class ActivationManager:
-    """What activates the aircraft; without credentials it can only be watched."""
+    """Activates the aircraft; without credentials it can only be watched."""
 
     def __init__(self, credentials: Credentials | None, journal: Journal) -> None:
         self._credentials = credentials

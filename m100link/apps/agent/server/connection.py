@@ -1,4 +1,4 @@
-"""The line to the aircraft, kept by a supervision, and told to whoever has to know."""
+"""The line to the aircraft, kept by a supervision, and its changes for the agent."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ class AircraftConnection:
     """Keeps an aircraft connected, whichever it is.
 
     A :class:`~m100link.Supervised` ends when another aircraft answers. Nobody flies then: a control
-    block ended with the line. So a station begins another supervision, and whoever flew has to
-    obtain control of that one.
+    block ended with the line. So a station begins another supervision, and the client that flew
+    has to obtain control of that one.
     """
 
     def __init__(self, connect: Connect, journal: Journal) -> None:
@@ -61,7 +61,7 @@ class AircraftConnection:
 
     @property
     def version(self) -> Version | None:
-        """What the aircraft answered last."""
+        """The aircraft's newest version answer."""
         return self._supervised.version
 
     @property

@@ -1,4 +1,4 @@
-"""What is flown with control authority in hand: a setpoint, a task, or a program."""
+"""A flight with control authority in hand: a setpoint, a task, or a program."""
 
 from __future__ import annotations
 
@@ -42,7 +42,6 @@ from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.setpoint import Setpoint
 
 MissionOrder = Literal["pause", "resume", "stop"]
-"""What may be told to a mission that flies."""
 
 _AT_ONCE = 1e-3
 
@@ -51,7 +50,7 @@ Pattern = Callable[[Control, Callable[[Setpoint], None]], Coroutine[Any, Any, No
 
 
 class ActiveFlight:
-    """What flies during one control block; made when it is entered, ended before it is left."""
+    """The flight of one control block; made when it is entered, ended before it is left."""
 
     def __init__(self, control: Control, journal: Journal, background: TaskSet) -> None:
         self._control = control
@@ -74,7 +73,6 @@ class ActiveFlight:
 
     @property
     def limits(self) -> GuardLimits:
-        """What the guards of the block allow."""
         return limits_of(self._control.guards, self._control.origin)
 
     @property
@@ -268,7 +266,7 @@ class ActiveFlight:
         await self.mission.circle(request)
 
     async def order_mission(self, what: MissionOrder) -> None:
-        """Pause, resume or stop the mission that flies, whoever started it.
+        """Pause, resume or stop the mission that flies, also somebody else's.
 
         A stop is done when something else may fly.
 
@@ -310,7 +308,7 @@ class ActiveFlight:
 
 
 def limits_of(guards: Guards, origin: tuple[float, float] | None) -> GuardLimits:
-    """Guards as a front is told of them, with latitude and longitude of the start, °."""
+    """Guards as a front gets them, with latitude and longitude of the start, °."""
     envelope = guards.envelope
     height, radius, speed = (
         (None, None, None)
@@ -354,11 +352,11 @@ class GuidedFlightManager:
 
     @property
     def order(self) -> GuidedOrder | None:
-        """What flies, None for nothing."""
+        """The order that flies, None for nothing."""
         return None if self._flight is None else self._flight.order
 
     async def fly(self, order: GuidedOrder, accepted: Callable[[], None]) -> None:
-        """Fly there; done when it is there. What flew before ends."""
+        """Fly there; done when it is there. Ends the flight before."""
         self.end("another place was pointed at")
         flight = self._flight = _Flight(order, accepted)
         work = flight.work = self._background.spawn(self._run(flight), order.label)
@@ -430,7 +428,7 @@ class GuidedFlightManager:
             await control.turn_to(turn, timeout=timeout, progress=progress)
 
     def told(self) -> orders.GuidedFlight | None:
-        """What flies, with what remains of it; None for nothing."""
+        """The order that flies, with the rest of it; None for nothing."""
         if self._flight is None:
             return None
         order, found = self._flight.order, self._flight.progress

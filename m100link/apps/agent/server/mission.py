@@ -49,8 +49,8 @@ class ActiveMission:
         self._flight: MissionFlight | None = None
         self._watch: asyncio.Task[None] | None = None
         self._what = ""  # what the one that was begun last is called, for people
-        self._is_cut_off = False  # whoever cut it off knows why, and tells it
-        self._ended_because = ""  # why this side ended it, for whoever waits for its end
+        self._is_cut_off = False  # by a caller that knows why, and reports it
+        self._ended_because = ""  # why this agent ended it, for those who wait for its end
         self._ends_by_landing = False  # as the plan says
         self._is_landing = False
         self.on_event: MissionListener | None = None
@@ -204,8 +204,8 @@ class ActiveMission:
     def cut_off(self) -> str:
         """Control was lost, and the mission with it; returns what it is called, empty for none.
 
-        Why control was lost is told a moment later, by whoever asks the aircraft: with that reason
-        the caller has to tell it.
+        The reason of the loss comes a moment later, from the aircraft: the caller has to report
+        the end with that reason.
         """
         if self._watch is None or self._flight is None:  # it has not begun: its start fails
             self.end("control ended")

@@ -130,5 +130,5 @@ def _number(text: str) -> float:
 
 
 def refused() -> OnlyRecorded:
-    """What whoever asks a replay for control gets."""
+    """The refusal of control over a replay."""
     return OnlyRecorded.usual("there is no control to be had: this is a replay, nothing flies")

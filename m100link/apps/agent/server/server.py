@@ -1,4 +1,4 @@
-"""The agent's side of its fronts: what each of them is told, and when."""
+"""The agent's side of its fronts: the messages to each of them, and their times."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class AgentServer:
         for front in list(self._fronts):
             front.close("the agent ends")
 
-    # -- what fronts are told --------------------------------------------------------------------
+    # -- messages to fronts ------------------------------------------------------------------------
 
     def _tell(self, message: Message) -> None:
         call_each([front.tell for front in self._fronts], message)
@@ -159,7 +159,7 @@ class AgentServer:
             )
 
     def _tell_state(self) -> None:
-        """Tell the state if it has changed: always before what is told because of it."""
+        """Send the state if it has changed, always before the messages that follow from it."""
         agent = self._agent
         holding, connection = agent.holding, agent.connection
         aircraft, flying = connection.aircraft, holding.flying
@@ -219,10 +219,10 @@ class AgentServer:
         )
 
 
-# -- one front, as its agent sees it: what it says, what it is told, and the leases that it has ----
+# -- one front, as its agent sees it: its messages, the answers, and its leases --------------------
 # Nothing that a front sends raises out of here: a question has an outcome, a setpoint that is not
-# flown has an answer, and what has no meaning ends the connection. When a front has gone, the
-# leases that it was granted end: the aircraft hovers, and control authority goes back.
+# flown has an answer, and a message without a meaning ends the connection. When a front has gone,
+# the leases that it was granted end: the aircraft hovers, and control authority goes back.
 
 
 MAX_SETPOINT_AGE = 0.3
@@ -358,7 +358,7 @@ class ClientSession:
                 answer = self._begin(ask)
                 if isinstance(order, Halt):
                     if self._unbegun:
-                        # What was asked for before it begins first, and is halted then.
+                        # Orders heard earlier begin first, and are halted then.
                         self._agent.background.spawn(self._halt(ask), f"halt for {self._name}")
                     self._tell_halt(order.why)
                 self._answer(ask, Stage.DONE, answer=answer)
@@ -375,7 +375,7 @@ class ClientSession:
         self._begin(ask)
 
     def _tell_halt(self, why: str) -> None:
-        """Tell whoever flies that somebody else had it hover: more may be to come of its flight."""
+        """Tell the holder that another front had it hover: its flight may have more to come."""
         holder = self._agent.leases.holder(self._agent.now)
         if holder is not None and holder.number not in self._tokens and self._may_note():
             self._agent.journal.note(
