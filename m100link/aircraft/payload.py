@@ -35,7 +35,7 @@ _logger = logging.getLogger(__name__)
 _REPEAT_S = 0.1  # a rate holds for 0.5 s; DJI's sample repeats it at 10 Hz
 _FIRST_VALUE_S = 1.5  # an item that is sent at all, at 1 Hz or more, has come by then
 _TOLERANCE_DEG = 1.5
-_MARGIN_S = 3.0  # the gimbal turns at 400 degrees per second at most, whatever it was told
+_MARGIN_S = 3.0  # the gimbal turns at 400 degrees per second at most, whatever the order
 _STRAIGHT_DOWN_DEG = -85.0  # beyond, roll and yaw of the telemetry mean nothing
 
 _KEEP = {
@@ -228,7 +228,7 @@ class AircraftGimbal:
                 repeating.result()  # the line is gone
         finally:
             if not repeating.cancel() and not repeating.cancelled():
-                repeating.exception()  # told above, unless the program has an error of its own
+                repeating.exception()  # raised above, unless the program has an error of its own
             try:
                 self._requests.push(GimbalSpeed())
             except LinkError as error:

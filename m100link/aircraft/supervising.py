@@ -382,7 +382,7 @@ class Supervised:
             await self._watch(aircraft)
         except M100Error as error:
             self.aircraft = self.round_trip = None
-            return self._fail(error)  # told first: to close a dead line may take a second
+            return self._fail(error)  # reported first: to close a dead line may take a second
         finally:
             self.aircraft = self.round_trip = None
             if aircraft is not None:

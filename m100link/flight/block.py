@@ -217,7 +217,7 @@ class ControlBlock:
 
     async def _obtain(self) -> None:
         try:
-            await self.guardian.start()
+            await self.guardian.start()  # first: without its guardian no flight may begin
             await obtain_authority(self._commander)
             self._life.feed(BlockInput.OBTAINED)
             self._guards.start()

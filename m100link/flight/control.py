@@ -485,7 +485,7 @@ class Control:
         except TaskFailed:
             self._unended_task = None
             raise
-        except TaskRefused:  # because of one before, perhaps
+        except TaskRefused:  # because an earlier task still runs, perhaps
             self._unended_task = before
             raise
         finally:
@@ -499,4 +499,4 @@ class Control:
                 f"{what} was asked for during {task_name(running)}",
                 remedy="await one task before the next",
             )
-        self._setpoints.silence()
+        self._setpoints.silence()  # the aircraft ignores setpoints meanwhile

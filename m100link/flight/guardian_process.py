@@ -265,7 +265,7 @@ def main(line: int, socket: int, page: int, parent: int) -> None:
     try:
         watch.run()
     except LineGone:
-        os._exit(1)  # nobody is there who could be told
+        os._exit(1)  # nobody is there to hear why
     os._exit(0)  # at once: the next program that opens the line has to find it free
 
 

@@ -340,7 +340,7 @@ class GuardKeeper:
         battery = known(self._state, Battery)
         if battery is None:
             if not on_ground and self._may_still_come(Battery):
-                return
+                return  # it is sent once a second: the first may be on its way, in flight
             raise self._unknown(what, Battery, guard="battery_floor_percent", limit=floor)
         if battery.percent < floor:
             raise GuardRefused(
@@ -388,7 +388,7 @@ class GuardKeeper:
                     off="Guards(envelope=Envelope(max_height_m=math.inf))",
                 )
         else:
-            return
+            return  # level or down: the path back below the limit stays open
         if wanted is not None and wanted > limit:
             seen = f"a setpoint to or above {wanted:.1f} m"
             raise envelope._refusal(seen, "max_height_m", measured, "descend")
@@ -430,12 +430,12 @@ class GuardKeeper:
                 )
             return  # without reception nobody can tell, and tilt is how one flies then
         there, here = self._reach(setpoint, *place), math.hypot(*place)
-        if there > limit and there >= here:
+        if there > limit and there >= here:  # from outside, a step towards the start is allowed
             seen = f"a setpoint {there:.0f} m from the start"
             raise envelope._refusal(seen, "max_radius_m", there, "fly back")
 
     def _reach(self, setpoint: Setpoint, north: float, east: float) -> float:
-        """How far from the start a setpoint leads from there; a way back counts as 0 m."""
+        """How far from the start a setpoint leads from there; a path back counts as 0 m."""
         step = self._ground(setpoint)
         is_offset = setpoint.mode.horizontal is Horizontal.POSITION_OFFSET
         if step is None:  # without a heading it may lead anywhere

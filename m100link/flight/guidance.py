@@ -65,7 +65,7 @@ Progress = Callable[[GuidanceProgress], None]
 
 
 def position_of(state: AircraftState) -> Position:
-    """Where the aircraft is now; ``TelemetryStalled`` where that is not told, or impossible."""
+    """Where the aircraft is now; ``TelemetryStalled`` where that is unknown, or impossible."""
     position = known(state, Position, within=STEER_S)
     if position is None:
         age = state.age(Position)
@@ -85,7 +85,7 @@ def position_of(state: AircraftState) -> Position:
 
 
 def heading_of(state: AircraftState) -> float:
-    """Where its nose points now, °; ``TelemetryStalled`` where that is not told, or impossible."""
+    """Where its nose points now, °; ``TelemetryStalled`` where that is unknown, or impossible."""
     attitude = known(state, Attitude, within=STEER_S)
     if attitude is None:
         raise TelemetryStalled(

@@ -91,7 +91,7 @@ class MissionWatch:
         self.received_at = -math.inf
         self._kind = MissionKind.UNKNOWN
         self._status: MissionStatus | None = None
-        # From when to when each kind was told of, without a longer gap than one push is believed.
+        # From when to when pushes reported each kind, without a longer gap than one is believed.
         self._told: dict[MissionKind, tuple[float, float]] = {}
         # Until when pushes that name a mission which has ended are taken for late ones.
         self._echo: tuple[MissionKind, float] | None = None

@@ -200,7 +200,7 @@ class SetpointLoop:
             self.pace.sent(now, self._period)
 
     def _on_slow(self) -> None:
-        # The frame is out; told behind whatever else is due, which must not be late for that.
+        # The frame is out; reported behind whatever else is due, which must not be late for that.
         if not self._loop.is_closed():
             self._loop.call_soon(self._tell_slow)
 

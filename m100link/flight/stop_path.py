@@ -111,6 +111,7 @@ class StopPath:
         """
         self._surely(self.let_go)  # what ended the block may have had no room on its stack for it
         failed: Exception | None = None
+        # During a mission the aircraft ignores setpoints; after the release it obeys no landing.
         steps = (
             self._explain,
             self._stop_mission,
@@ -149,7 +150,7 @@ class StopPath:
         if life.cause is StopCause.GUARDIAN:
             self._missions.ended_elsewhere(life.failure)
         elif not life.plan.mission:  # perhaps only since the line was lost meanwhile
-            self._missions.give_up(life.failure, "nobody can be told to stop it")
+            self._missions.give_up(life.failure, "no stop can reach it")
         if self._missions.left_in_flight and life.failure is not None:
             life.failure.remedy = (
                 f"the {self._missions.left_in_flight} flies on by itself: take the aircraft by the "

@@ -97,7 +97,7 @@ class TaskProgress:
     result: TaskResultCode | None
 
 
-TaskListener = Callable[[TaskProgress], None]  # told about four times a second how far a task is
+TaskListener = Callable[[TaskProgress], None]  # called about four times a second
 
 
 def task_sequences() -> Iterator[int]:

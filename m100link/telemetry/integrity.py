@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["Integrity", "IntegrityState"]
 
 
-# -- from which values on something has to be told: read by the console, and by who looks at a  ----
+# -- the limits of warnings, which the console and the story of a flight share ---------------------
 
 
 BATTERY_LOW = 25
@@ -41,7 +41,7 @@ _BATTERY_GAP = 2
 
 
 def has_fix(position: Position) -> bool:
-    """Whether GPS knows the place: it can be one, and its health is good or not told."""
+    """Whether GPS knows the place: it can be one, and its health is good or unknown."""
     health = position.gps_health
     return position.is_possible and (health is None or health >= GOOD_GPS)
 

@@ -184,7 +184,7 @@ class ControlSession:
 
     @property
     def state(self) -> ControlState:
-        """Where control stands, as far as the agent told."""
+        """The state of control, as far as the agent has reported it."""
         self._look()
         return self._state
 
@@ -558,7 +558,7 @@ class ControlSession:
             return
         if 0 < message.number < lease.number:
             return
-        if message.number == lease.number:  # what was told of its end was wrong
+        if message.number == lease.number:  # the report of its end was wrong
             self.lease_end = None
             if self._state in (_S.LOST, _S.TAKEN_OVER):
                 self.feed(_I.GRANTED)

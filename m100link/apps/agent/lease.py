@@ -166,7 +166,7 @@ class LeaseManager:
         """Let time pass: end a lease that nobody renewed."""
         step = now - self._advanced_at if self._advanced_at is not None else 0.0
         self._advanced_at = now
-        if step > self._longest_step:
+        if step > self._longest_step:  # the agent stood still, and nobody could renew
             self._expires_at += step - self._longest_step
         if self._lease is not None and now >= self._expires_at:
             self._change(LeaseChange.EXPIRED, None, now)

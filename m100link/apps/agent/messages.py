@@ -204,7 +204,7 @@ class MissionReport:
 
 @dataclass(frozen=True, slots=True)
 class PlanChanged:
-    """The plan that waits to be started, or flies: told when it is whole, and when it is void."""
+    """The plan that waits to be started, or flies: sent when it is whole, and when it is void."""
 
     name: str = ""  #: who uploaded it, for people; empty for none
     plan: UploadPlan | None = None  #: as it came; None for none
@@ -311,7 +311,7 @@ class Replay:
     is_cut_off: bool  #: whether the file was not ended
 
     def time(self, since: float) -> float:
-        """Its clock so many seconds after this was told, s."""
+        """Its clock so many seconds after this was sent, s."""
         return self.clock + since * self.rate
 
 

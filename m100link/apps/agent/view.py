@@ -50,8 +50,8 @@ class VehicleView:
     at: float  # the moment on the clock of the front, s
     heard_at: float  # when anything of the agent was heard last, by the same clock, s
     is_gone: bool  # whether the agent has gone
-    state: State  # where the agent stands, as it told last
-    holder: LeaseChanged  # who has the lease, as it told last
+    state: State  # where the agent stands, as it reported last
+    holder: LeaseChanged  # the holder of the lease, as reported last
     # Whatever arrived, however old: for statistics, and for what would be refused. None while no
     # aircraft is connected.
     telemetry: AircraftState | None
@@ -80,7 +80,7 @@ class VehicleView:
 
     @property
     def connection(self) -> str:
-        """As the agent told it, or ``"silent"`` while the agent may hang."""
+        """As the agent reported it, or ``"silent"`` while the agent may hang."""
         return "silent" if self.hearing is Hearing.SILENT else self.state.connection
 
     # -- its items -------------------------------------------------------------------------------

@@ -245,9 +245,9 @@ class WaypointTracker(MissionTracker):
         self.estimated_time: float | None = None
         self.index: int | None = None  # waypoint that it flies to; None until a push tells
         self._status: int | None = None
-        self._is_seen = False  # whether a push told of this mission: what is older says nothing
-        self._reached = -1  # the newest waypoint of this run of which the program was told
-        self._acted = -1  # the newest whose actions were told to have ended
+        self._is_seen = False  # whether a push reported this mission: older ones say nothing
+        self._reached = -1  # the newest waypoint of this run that the program got an event of
+        self._acted = -1  # the newest whose actions were reported to have ended
         self._runs_left = plan.repeat - 1
         self._is_finished = False
         self.ends_by_landing = plan.at_end in (AtEnd.GO_HOME, AtEnd.LAND)
@@ -285,7 +285,7 @@ class WaypointTracker(MissionTracker):
             yield from self._begin_again()
 
     def _pass(self, index: int) -> Iterator[MissionEvent]:
-        """Every waypoint up to that one was reached, whether events told it or not."""
+        """Every waypoint up to that one was reached, with or without an event."""
         while self._reached < index:
             self._reached += 1
             yield Reached(self._reached, is_inferred=True)

@@ -38,7 +38,7 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class Uploading:
-    """A waypoint has been taken by the aircraft; told to ``progress`` while a mission is entered.
+    """The aircraft has taken a waypoint; ``progress`` gets it while a mission is entered.
 
     Attributes:
         index: Which, counted from 0.
@@ -310,7 +310,7 @@ IN_THE_AIR = frozenset(_S) - {_S.READY, _S.DETACHED, _S.OVER}
 OWES_A_STOP = IN_THE_AIR - {_S.RETURNING}  # states that nobody may leave behind
 
 
-# -- what an aircraft that says no to a mission is reported as -------------------------------------
+# -- the errors for an aircraft that refuses a mission ---------------------------------------------
 
 
 _REMEDIES = {
@@ -339,7 +339,7 @@ def mission_refused(
     )
 
 
-# -- what every kind of mission can be told, and which answers say that none is running ------------
+# -- orders to every kind of mission, and the answers that say that none is running ----------------
 
 
 class MissionRequests(NamedTuple):

@@ -95,7 +95,7 @@ class MissionGuard:
 
     @property
     def _flying_since(self) -> float | None:
-        """Since when they tell of it."""
+        """Since when the pushes report it."""
         kind = self._flying_kind
         return None if kind is None else self._watch.told_since(kind)
 
@@ -107,7 +107,7 @@ class MissionGuard:
         """
         name = self.flying
         if not name or (is_landing and self._is_told_to_stop):
-            return
+            return  # a landing is the last means against a mission that a stop did not end
         if self._ours is not None:
             raise MissionRunning(
                 f"{what} was asked for while a {name} flies the aircraft; nothing was sent",
@@ -126,7 +126,7 @@ class MissionGuard:
         if run is not None and run.state is RunState.DETACHED:
             return "it was detached: it flies on until it ends, or is stopped"
         if run is not None and run.flies_all_the_same:
-            return "the aircraft goes on to tell of it, although it was told to have ended"
+            return "the aircraft goes on to report it, although its end was reported"
         return (
             "this block did not start it, but a phone did, another program, one that is gone, or "
             "an earlier block that detached it"
@@ -134,7 +134,7 @@ class MissionGuard:
 
     @property
     def _is_told_to_stop(self) -> bool:
-        """Whether what flies is what this block told to stop, in vain."""
+        """Whether the mission that flies is one that this block told to stop, in vain."""
         if (ours := self._ours) is not None:
             return ours.state is RunState.UNSTOPPED
         since = self._flying_since
@@ -238,7 +238,7 @@ class MissionGuard:
         return run.kind if is_owed else None
 
     def ended_elsewhere(self, failure: M100Error | None) -> None:
-        """Somebody else has told our mission to stop: nobody waits for it here any more."""
+        """The guardian has stopped our mission: nobody waits for it here any more."""
         if (ours := self._ours) is not None:
             ours.give_up(failure)
 
@@ -262,8 +262,8 @@ class MissionGuard:
     async def flies_on(self, failure: M100Error | None) -> bool:
         """Whether our mission flies on although somebody else has the aircraft now.
 
-        The pushes tell, within half a second; where nothing is pushed the aircraft is asked. Where
-        it does not say, it is taken to fly on, unless it is seen to land.
+        The pushes show it within half a second; without pushes this asks the aircraft. Without an
+        answer it counts as flying on, unless it is seen to land.
 
         One that was told to fly on without an RC is let fly when nobody is seen to have taken the
         aircraft: then the RC is lost, and a stop would leave it to hover without a pilot.

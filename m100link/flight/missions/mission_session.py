@@ -52,7 +52,7 @@ from m100link.protocol.records import FlightPhase, FlightStatus
 _logger = logging.getLogger(__name__)
 
 
-# -- the end of a mission as something told it, until the pushes behind that agree -----------------
+# -- a reported end of a mission, until the pushes behind the report agree -------------------------
 # A push may be wrong, or about the mission before. One that tells of an end is followed within a
 # tenth of a second by the next: where that tells of the mission again, the aircraft flies it on.
 
@@ -72,7 +72,7 @@ class MissionEnding:
         self._kind = kind  # which kind of mission
         # When it was taken for over, or for on its way home; minus infinity before.
         self.told_at = -math.inf
-        self.is_answered = False  # whether the answer to a stop told it, which is not doubted
+        self.is_answered = False  # whether the answer to a stop reported it, which is certain
 
     def tell(self, *, is_answered: bool = False) -> None:
         """Something tells that it is over."""
@@ -102,7 +102,7 @@ class MissionEnding:
     async def heard_out(self) -> None:
         """Wait until two pushes more have come, and agree on whether it is flown on.
 
-        Not when the answer to a stop told it, nor where nothing is pushed.
+        Not when the answer to a stop reported it, nor where nothing is pushed.
         """
         until, watch = self.told_at + _HEARD_OUT_S, self._watch
         while not self.is_answered and self._clock() < until:
@@ -176,13 +176,13 @@ class MissionSession:
         self._clock = context.commander.link.loop.time
         self.state = RunState.READY  # where it is in its life
         self.events = Events()
-        self._is_told = False  # the program was told why it was broken off
+        self._is_told = False  # the program knows why it was broken off
         # When the start was sent, on the event loop's clock; minus infinity before.
         self.started_at = -math.inf
-        # When it was told to be over, and whether pushes contradict.
+        # When its end was reported, and whether pushes contradict.
         self.ending = MissionEnding(context.commander, kind)
         self._ground = Ground(context.commander)
-        self._pushed_at = 0.0  # when a push told of this mission last, or it was started
+        self._pushed_at = 0.0  # when a push reported this mission last, or it was started
         self._is_pushed = False  # whether one ever did
         # Whether pushes showed its end during a stop, for the case that nobody answers the stop.
         self._is_seen_over = False
@@ -209,7 +209,7 @@ class MissionSession:
 
     @property
     def flies_all_the_same(self) -> bool:
-        """Whether it is pushed on, although something had told that it is over."""
+        """Whether pushes go on to report it, although its end was reported."""
         return self.state is RunState.OVER and self.ending.is_contradicted
 
     def feed(self, what: RunInput) -> bool:
@@ -375,7 +375,7 @@ class MissionSession:
 
         When the control block itself has ended, its stop path does that.
 
-        Raises ``MissionAborted``: it was broken off, and nobody told the program. Raises
+        Raises ``MissionAborted``: it was broken off, and the program does not know. Raises
         ``AckTimeout, MissionRefused, LinkError``: it may be flying on.
         """
         if self._context.block.is_open:

@@ -39,7 +39,7 @@ __all__ = ["WaypointFlight"]
 _logger = logging.getLogger(__name__)
 
 
-UploadListener = Callable[[Uploading], None]  # told of each waypoint that the aircraft has taken
+UploadListener = Callable[[Uploading], None]  # gets each waypoint that the aircraft has taken
 
 _TIMEOUT_S, _TRIES = 0.5, 6  # of what may be sent again at will: nothing flies by it
 _UPLOADED_S = 0.3  # in which the event that follows the last waypoint has come, if any comes

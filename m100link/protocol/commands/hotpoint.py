@@ -168,7 +168,7 @@ class HotpointAutoRadius(Laid, MissionRequest[MissionCode]):
 
     Attributes:
         enable: 1 on, 0 off.
-        rate: How fast; its unit is nowhere told.
+        rate: How fast; no source states its unit.
     """
 
     ADDRESS: ClassVar[Address] = Address(0x03, 0x27)

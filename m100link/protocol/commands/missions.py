@@ -353,7 +353,7 @@ class MissionStatus(_KindPush):
 
 @dataclass(frozen=True, slots=True)
 class WaypointEvent(_KindPush):
-    """0x02/0x04, a step of a waypoint mission, told once.
+    """0x02/0x04, a step of a waypoint mission, sent once.
 
     Attributes:
         event: The event, by its kind: 0 uploaded, 1 finished, 2 reached.

@@ -133,7 +133,7 @@ class Agent:
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        await self.give_back()
+        await self.give_back()  # first: the tasks that end next keep the line
         await self.background.end()
 
     def _aircraft_changed(self, aircraft: Aircraft | None) -> None:
@@ -178,7 +178,7 @@ class Agent:
         self._begin_anew = "" if new is not None else self._begin_anew
         self._claim()
         if new is not None:
-            self.holding.feed(HoldingInput.TAKEN_OVER)
+            self.holding.feed(HoldingInput.TAKEN_OVER)  # what is held stays held; a request ends
         elif why in _LOST and self._keep_authority and self.holding.has_authority:
             self._keep_for_nobody()
         else:

@@ -143,7 +143,7 @@ class AuthorityManager:
         # Resolved when the request under way has ended.
         self._granted: asyncio.Future[None] | None = None
         self.on_mission_event: MissionListener | None = None
-        # The mission that a loss of control broke off, until the reason is known and told.
+        # The mission that a loss of control broke off, until the reason is known and reported.
         self._broken_off = ""
         # Watches the mode switch while the pilot may come back.
         self._watch: asyncio.Task[None] | None = None

@@ -111,7 +111,7 @@ class ActiveFlight:
         if self._pattern is not None or self.guiding.order is not None or self.mission.is_flying:
             if setpoint == setpoint.neutral():
                 return
-            self.mission.require_none("a setpoint")
+            self.mission.require_none("a setpoint")  # which the aircraft would ignore
             self._end_program("the stick was moved")
         self._send(setpoint, lifetime)
 
@@ -150,7 +150,7 @@ class ActiveFlight:
         self.task = name
         work = self._running_task = self._background.spawn(self._fly(task, name, accepted), name)
         try:
-            await asyncio.shield(work)
+            await asyncio.shield(work)  # the autopilot flies on when the asking front has gone
         except asyncio.CancelledError:
             if work.cancelled():
                 # Not NoAuthority, which says that nothing was sent.

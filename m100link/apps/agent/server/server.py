@@ -226,7 +226,7 @@ class AgentServer:
 
 
 MAX_SETPOINT_AGE = 0.3
-"""Seconds that a setpoint may have been on its way."""
+"""Seconds that a setpoint may have been on its way: an older one moves after the stick let go."""
 
 _MAX_ASKS = 64
 _MAX_NOTE = 200
