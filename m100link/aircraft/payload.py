@@ -285,7 +285,7 @@ def _by_axis(seen: Gimbal) -> dict[str, float]:
 def _not_shown(
     angles: dict[str, float], seen: Gimbal | None, age: float | None, timeout: float
 ) -> NotObserved:
-    """The angles did not show; says what did."""
+    """The error for angles that did not show, with those that did."""
     found = {} if seen is None else {axis: round(by, 1) for axis, by in _by_axis(seen).items()}
     named = ", ".join(f"{axis} {angle:.1f}°" for axis, angle in angles.items())
     shown = ", ".join(f"{axis} {found[axis]:g}°" for axis in angles if axis in found)

@@ -173,7 +173,7 @@ class SupervisionEvent(NamedTuple):
 
 
 class Gap(NamedTuple):
-    """Stands in a stream of telemetry for what did not arrive while there was no connection.
+    """Stands in a stream of telemetry for the time without a connection.
 
     Attributes:
         lost_at: Time of the event loop when the stream ended, s.
@@ -281,7 +281,7 @@ class Supervised:
             if not task.cancelled():
                 task.result()
 
-    # -- what programs wait for ------------------------------------------------------------------
+    # -- waits of a program ----------------------------------------------------------------------
 
     async def connected(self) -> Aircraft:
         """The aircraft, as soon as it is connected. ``asyncio.timeout`` limits the wait.

@@ -12,7 +12,7 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   ├── OnlyRecorded           an order to the aircraft of a replay
     │   └── PayloadTooLarge        more than 1007 bytes, or 100 to the mobile device
     ├── OutOfResources             the system has no file, thread or memory for it     (OSError)
-    ├── LinkError                  the cable and what is at its end (ConnectionError)
+    ├── LinkError                  the cable and its other end (ConnectionError)
     │   ├── PortNotFound           no such device (FileNotFoundError)
     │   ├── PortPermissionDenied   the device is there but not for this user (PermissionError)
     │   ├── PortBusy               another program has it
@@ -53,7 +53,7 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   ├── Unreachable            no agent of that name is there; nothing was sent
     │   ├── OutcomeUnknown         sent, and nobody knows what became of it
     │   ├── StaleLease             it came under a lease that is not in force
-    │   └── NotAllowed             the agent refused who asked
+    │   └── NotAllowed             the agent refused the sender
     └── TelemetryError
         ├── TelemetryOverflow      a lossless consumer fell behind
         ├── TelemetryStalled       the stream went silent, stands still, or comes ever later

@@ -258,7 +258,7 @@ class AuthorityError(
     cause="somebody else controls the aircraft",
     remedy="see who in telemetry's `control_device`",
 ):
-    """Something about who controls the aircraft."""
+    """An error of control authority."""
 
 
 class NoAuthority(

@@ -111,7 +111,7 @@ class OutOfResources(
     cause="the program leaks file descriptors or threads, or the disk of its modules fails",
     remedy="look at `/proc/<pid>/fd` and the system's log; start the program anew",
 ):
-    """The system has no file, thread or memory for what was asked; nothing was sent.
+    """The system has no file, thread or memory for the call; nothing was sent.
 
     The system's own error is chained.
     """

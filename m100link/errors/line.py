@@ -34,7 +34,7 @@ class LinkError(
     cause="the cable, or what is at its end",
     remedy="`m100link doctor` looks at one stage after the other",
 ):
-    """The serial line, socket or memory pair and what is at its other end."""
+    """The serial line, socket or memory pair, and its other end."""
 
 
 class PortNotFound(
@@ -115,7 +115,7 @@ class LineBlocked(
     cause="the other end stands still, or more is sent than the baud rate carries",
     remedy="start the other end again; send less, or at a higher baud rate",
 ):
-    """The line is open, and takes no more bytes: what is sent does not reach the aircraft."""
+    """The line is open, and takes no more bytes: frames do not reach the aircraft."""
 
 
 class AnotherAircraft(
@@ -180,7 +180,7 @@ class NoAnswer(
     """Frames arrive from the aircraft, but it does not answer requests."""
 
 
-# -- what may become of an order to an aircraft of a fleet, when it is not what was asked for ------
+# -- outcomes of an order to an aircraft of a fleet that was not carried out as asked --------------
 
 
 class FleetError(
@@ -225,4 +225,4 @@ class NotAllowed(
     cause="this identity has no right to give that order to this aircraft",
     remedy="m100link fleet acl check",
 ):
-    """The agent refused who asked."""
+    """The agent refused the sender of the order."""

@@ -86,8 +86,8 @@ TRANSITIONS: dict[AuthorityState, dict[AuthorityInput, AuthorityState]] = {
         _I.LINK_LOST: _S.LOST,
     },
     _S.HELD: {
-        # The notification does not say who took it. Until the items tell, it is the pilot: that
-        # is the usual case, and it too stops everything.
+        # The notification does not name its taker. Until the items do, it is the pilot: that is
+        # the usual case, and it too stops everything.
         _I.NOTIFIED: _S.PAUSED,
         _I.RC_LEFT_F: _S.PAUSED,
         _I.DEVICE_RC: _S.PAUSED,
@@ -144,13 +144,13 @@ _DEVICE_INPUTS: dict[Device | None, AuthorityInput] = {
 
 
 _WATCHED = ((RemoteControl, "mode"), (ControlDevice, "control"))
-"""The fields that tell who controls, all that the observations below read of a package."""
+"""The fields that show the controller, all that the observations below read of a package."""
 
 _SETTLING_S = 0.3  # an item of 10 Hz or more, made after the grant, has arrived by then
 
 
 class Authority:
-    """The authority of one connection: its state, how it came to it, and who wants to know.
+    """The authority of one connection: its state, its reason and its listeners.
 
     ``clock``: seconds, by any clock that only goes forward.
     """
@@ -243,7 +243,7 @@ class Authority:
 
     @property
     def _is_settled(self) -> bool:
-        """Whether what the items say now was made after authority was granted."""
+        """Whether the items that arrive now were made after authority was granted."""
         return self.state is _S.HELD and self._clock() - self._held_since >= _SETTLING_S
 
     def observe(self, package: TelemetryPacket) -> None:

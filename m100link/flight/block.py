@@ -46,18 +46,18 @@ PauseAction = Literal["raise", "wait"]
 
 
 class ControlBlock:
-    """One control block: watches what may end it, and then runs the stop path."""
+    """One control block: watches for the causes of its end, and then runs the stop path."""
 
     def __init__(
         self,
         commander: Commander,
         claim: BlockClaim,  # kept while the block lives: one at a time
-        setpoints: SetpointLoop,  # what the block sends
-        missions: MissionGuard,  # what the block lets the aircraft fly by itself
+        setpoints: SetpointLoop,  # sends the block's setpoints
+        missions: MissionGuard,  # answers for the block's mission
         guards: GuardKeeper,  # their clock starts when authority was obtained
         *,
-        stop: StopAction,  # what the stop path does after the neutral setpoint
-        on_pause: PauseAction,  # what happens when the pilot takes the aircraft
+        stop: StopAction,  # of the stop path after the neutral setpoint
+        on_pause: PauseAction,  # when the pilot takes the aircraft
         handle_signals: bool,  # let signals that end programs take the stop path first
         # How long the event loop may stand still until a guardian ends the flight; None: there is
         # none.
@@ -75,7 +75,7 @@ class ControlBlock:
         # hand, those that wait in a call of it at that moment.
         self._programs: list[ProgramTask] = []
         self._is_by_hand = False
-        self._is_told = False  # by hand: the program was told what ended the block
+        self._is_told = False  # by hand: a call of the program raised what ended the block
         self._stop_path = StopPath(commander, self._life, setpoints, missions, stop)
         self.armed = self._stop_path.armed
         first_sequence = int.from_bytes(os.urandom(2))
@@ -115,7 +115,7 @@ class ControlBlock:
     # -- in and out ------------------------------------------------------------------------------
 
     async def enter(self) -> None:
-        """As :meth:`obtain`; what ends the block cancels the task that entered it."""
+        """As :meth:`obtain`; the end of the block cancels the task that entered it."""
         self._begin()
         program = self._join()
         try:
@@ -128,7 +128,7 @@ class ControlBlock:
             raise asyncio.CancelledError
 
     async def leave(self, error: BaseException | None) -> bool:
-        """End what was entered, if nothing did before, and wait for the end of the stop path.
+        """End the block, if nothing did before, and wait for the end of the stop path.
 
         Returns whether ``error`` was the cancellation by this block alone. Raises ``M100Error``:
         what ended the block, unless an error of the program is under way.
@@ -149,7 +149,7 @@ class ControlBlock:
         return is_ours and self._life.cause in (StopCause.LEFT, StopCause.NOT_ENTERED)
 
     async def obtain(self) -> None:
-        """Obtain authority by hand; what ends it is raised by the next call that needs it.
+        """Obtain authority by hand; the next call that needs it raises the error that ended it.
 
         Raises ``UsageError``: it was entered before, another block of this program is running, or
         the firmware is unknown. Raises ``AuthorityRefused, NotActivated, LevelTooLow, KeyRejected,
@@ -186,7 +186,7 @@ class ControlBlock:
         self.end(StopCause.SENDING_FAILED, failure)
 
     async def release(self) -> None:
-        """End what was obtained by hand, wait, and raise what ended it, unless that was told."""
+        """End it by hand, wait, and raise the error that ended it, unless a call has done so."""
         self._commander.link.require_loop()
         if self._life.state is BlockState.NEW:
             return
@@ -281,7 +281,7 @@ class ControlBlock:
             await self.guardian.end()
 
     def _on_guardian(self, error: GuardianTookOver) -> None:
-        """The guardian ends the flight: what it sent has given authority back, as far as known."""
+        """The guardian ends the flight: its frames have given authority back, as far as known."""
         self._authority.feed(AuthorityInput.RELEASE)
         self._authority.feed(AuthorityInput.NOT_RELEASED)
         self.end(StopCause.GUARDIAN, error)
@@ -320,7 +320,7 @@ class ControlBlock:
         free(self._close)
         SIGNALS.leave(self._on_signal)  # last: a signal that came may end the process here
 
-    # -- what may be sent ------------------------------------------------------------------------
+    # -- permission to send ----------------------------------------------------------------------
 
     def admits(self) -> bool:
         """Whether the program's setpoints may go out: it is flying, and telemetry is true."""
@@ -331,7 +331,7 @@ class ControlBlock:
         self._watchdog.hurry()
 
     def require_flying(self, what: str) -> None:
-        """Raise unless the block may send: what ended it, or how to come to where it may.
+        """Raise unless the block may send: the error that ended it, or the way back to sending.
 
         Telemetry comes first: guards would complain of values that are only old.
 
@@ -366,7 +366,7 @@ class ControlBlock:
         self._life.feed(BlockInput.RESUME)
 
 
-# -- setpoints of the program: who may send one now, and the gate in front of the wire -------------
+# -- setpoints of the program, and the gate in front of the wire -----------------------------------
 
 
 BLOCKED_S = 0.5
@@ -434,7 +434,7 @@ class SetpointSender:
 
     @contextmanager
     def ends_neutral(self) -> Iterator[None]:
-        """Neutral on the way out, and the refusal if a guard ended what was sent last."""
+        """Neutral on the way out, and the refusal if a guard ended the last setpoint."""
         self._require_loop()
         self._refused = None
         try:
@@ -489,7 +489,7 @@ class SetpointSender:
             return True  # the neutral
         if not self.block.admits():
             return False
-        try:  # again: a setpoint may live longer than what it was checked against
+        try:  # again: a setpoint may live longer than the values that it was checked against
             self._guards.check(setpoint)
         except GuardRefused as error:
             self.block.hurry()

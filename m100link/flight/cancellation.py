@@ -144,7 +144,7 @@ class Errand:
             self._parked.set_result(None)
 
     async def ended(self) -> None:
-        """Wait for the end, raise what the work raised, and let on what cancelled the caller."""
+        """Wait for the end, raise the work's error, and pass a cancellation of the caller on."""
         task = self._task or self.begin()
         cancelled: asyncio.CancelledError | None = None
         while not self._has_ended:
@@ -245,7 +245,7 @@ class SignalWatch:
             os.register_at_fork(after_in_child=self._after_fork)
 
     def _after_fork(self) -> None:
-        """The child flies nothing: signals do to it what they did before the first block."""
+        """The child flies nothing: signals act on it as before the first block."""
         self._blocks.clear()
         self._received.clear()
         self._let_go()

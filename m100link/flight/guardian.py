@@ -70,7 +70,7 @@ class GuardianPlan(NamedTuple):
 class Wanted(NamedTuple):
     """The actions that the aircraft needs if the program ends now."""
 
-    neutral: Setpoint | None = None  # the neutral of what is being sent, None in silence
+    neutral: Setpoint | None = None  # the neutral of the present setpoint, None in silence
     mission: MissionKind | None = None  # the mission to stop
     land: bool = False
     release: bool = False
@@ -409,7 +409,7 @@ class Guardian(Generic[W]):
             self._tear_down()
 
     def _tear_down(self) -> None:
-        """Let go of everything; what still runs is killed."""
+        """Let go of everything; kill a process that still runs."""
         for timer in self._timers:
             timer.cancel()
         self._timers = ()

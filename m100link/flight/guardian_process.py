@@ -211,7 +211,7 @@ class Watch:
             self._write(bytes(missing), is_last=self._word(HOLD) == TAKEN)
 
     def _pass(self, seconds: float) -> None:
-        """Let time pass, and read what a dead program no longer reads: it must not jam the line."""
+        """Let time pass, and read in place of a dead program: the input must not jam the line."""
         until = time.monotonic() + seconds
         while (rest := until - time.monotonic()) > 0:
             if not self._is_dead:
@@ -257,7 +257,7 @@ def main(line: int, socket: int, page: int, parent: int) -> None:
     os.chdir("/")
     try:
         with open("/proc/self/comm", "w", encoding="ascii") as name:  # noqa: PTH123 (no pathlib)
-            name.write("m100link-guard")  # GUARDIAN_NAME, by which others know who has the port
+            name.write("m100link-guard")  # GUARDIAN_NAME, which lists of processes show
     except OSError:
         pass  # it has another name
     watch = Watch(line, socket, page, parent)

@@ -1,4 +1,4 @@
-"""Safety guards: what is refused before a byte is sent, and why.
+"""Safety guards, which refuse an order before a byte is sent.
 
 All are on by default. Each is switched off by its own name, so that a program that flies without
 one says so in its source: ``aircraft.control(guards=Guards(gps=False))``. Landing and going home
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["Envelope", "Guards"]
 
 
-# -- what is known of the aircraft: a value that is old, or impossible, is known to nobody ---------
+# -- known values of the aircraft: a value that is old, or impossible, is unknown ------------------
 
 
 R = TypeVar("R", bound=tuple[Any, ...])
@@ -98,7 +98,7 @@ class Envelope:
         far: float | None = None,
         speed: float = 0.0,
     ) -> None:
-        """Whether a target lies inside; what is None is not known.
+        """Refuse a target outside; a value of None is unknown.
 
         Args:
             what: Name of the flight.
@@ -119,7 +119,7 @@ class Envelope:
                 raise self._refusal(f"{what} to {seen.format(value)}", name, value, better)
 
     def _refusal(self, what: str, name: str, measured: float | None, better: str) -> GuardRefused:
-        """Of what would leave it, by the limit of that name."""
+        """The refusal of a target outside, by the limit of that name."""
         limit = getattr(self, name)
         ends = f"allows {limit:g} m/s" if name == "max_speed_m_s" else f"ends at {limit:g} m"
         return GuardRefused(
@@ -186,7 +186,7 @@ class GuardKeeper:
         return min(MAX_COMMAND_M_S, envelope.max_speed_m_s if envelope else math.inf)
 
     async def admit_take_off(self) -> None:
-        """Wait up to 1.5 s for what the guards compare, then say whether a take-off may begin.
+        """Wait up to 1.5 s for the values of the guards, then admit a take-off or refuse it.
 
         Raises ``GuardRefused``: battery below its floor; battery or position unknown.
         """
@@ -293,7 +293,7 @@ class GuardKeeper:
         radius: float = 0.0,  # of a circle around the place, m
         speed: float = 0.0,  # on the way, m/s
     ) -> None:
-        """Whether a flight may begin that will come there; the way to it is checked as it is flown.
+        """Refuse a flight to a target outside; the path to it is checked as it is flown.
 
         Raises ``GuardRefused``: outside the envelope, with the target and what widens it.
         """
@@ -315,7 +315,7 @@ class GuardKeeper:
     def _unknown(
         self, what: str, record: type[Any], *, guard: str, limit: object, off: str = ""
     ) -> GuardRefused:
-        """A refusal because nobody knows what the guard would compare."""
+        """The refusal for a value that the guard compares and nobody knows."""
         age, name = self._state.age(record), BY_RECORD[record].name
         if age is None:
             seen = f"the {name} item has never come"

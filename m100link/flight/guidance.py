@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["Arrival", "GuidanceProgress"]
 
 STOOD_STILL_S = 0.25
-"""A loop that ticks so many seconds late stood still: what arrived meanwhile is read only now."""
+"""A loop that ticks so many seconds late stood still: it reads the packages of that time now."""
 
 _SETTLED_S = 0.5
 _SETTLED_M_S = 0.3
@@ -168,7 +168,7 @@ class Guidance:
         require_in_the_air(self._state, name)
 
     async def prepare(self, name: str) -> None:
-        """As :meth:`admit`, and let what waits in the line be read first.
+        """As :meth:`admit`, after the packages that wait in the line were read.
 
         A program that stood still has an old position, and a new one on its way: a loop that begins
         then waits for it, for as long as one is fresh.
@@ -212,7 +212,7 @@ class Guidance:
                 except TelemetryStalled:
                     if now >= reading_until:
                         raise
-                    continue  # nothing is sent by what is old
+                    continue  # old telemetry steers nothing
                 elapsed = clock() - began_at
                 found = replace(found, elapsed=elapsed)
                 if progress is not None:

@@ -185,7 +185,7 @@ async def release_authority(commander: Commander) -> bool:
 async def explained_loss(commander: Commander, loss: AuthorityLost) -> AuthorityLost:
     """The loss with its reason, as far as the items that follow a notification tell it.
 
-    The notification does not say who took control and overtakes the items that do (2.2.3.2).
+    The notification does not name the taker of control, and overtakes the items that do (2.2.3.2).
     """
     if loss.reason is not LossReason.UNKNOWN:
         return loss

@@ -1,4 +1,4 @@
-"""The life of a control block as a table, and what its stop path does for each cause as another.
+"""The life of a control block as a table, and its stop path for each cause as another.
 
 Whatever can happen to a block is an input or a cause; what it leads to stands in ``TRANSITIONS``. A
 pair that is not in the table changes nothing. Why a block stops decides what can still be done for
@@ -61,7 +61,7 @@ class StopPlan(NamedTuple):
     # it would fly on behind the block. Where somebody else took the aircraft, only one that
     # demonstrably flies on.
     mission: bool
-    explain: bool  # wait for a moment, in silence, for the items that say who took the aircraft
+    explain: bool  # wait for a moment, in silence, for the items that show where authority went
     # Replace a setpoint that is being sent by its neutral for 0.3 s; otherwise nothing more is
     # sent.
     neutral: bool
@@ -100,7 +100,7 @@ STOP_PLANS: dict[StopCause, StopPlan] = {
     _C.LINE_BLOCKED: _OURS,
     # There is nobody to talk to.
     _C.LINK_LOST: StopPlan(mission=False, explain=False, neutral=False, land=False, release=False),
-    # The guardian does all that; two who fly the end would disturb each other.
+    # The guardian does all that; two processes that fly the end would disturb each other.
     _C.GUARDIAN: StopPlan(mission=False, explain=False, neutral=False, land=False, release=False),
 }
 """The stop path of each cause. Every step still asks whether authority is held."""
@@ -180,7 +180,7 @@ class Lifecycle:
 
 
 class BlockClaim:
-    """One control block at a time: a second would release what the first one holds."""
+    """One control block at a time: a second would release the authority of the first."""
 
     def __init__(self) -> None:
         self._close: Callable[[], Awaitable[None]] | None = None

@@ -1,4 +1,4 @@
-"""Acquire what the end of a flight needs before the flight: the system may refuse it later."""
+"""Resources for the end of a flight, acquired before it: the system may refuse them later."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from m100link.errors.base import of_the_system
 
 
 MOST_WAITING = 1000
-"""Records that wait for their handlers at most; what comes then is dropped, and counted."""
+"""Records that wait for their handlers at most; further ones are dropped, and counted."""
 
-FLUSH_S = 0.25  # seconds that the end of a flight waits at most until what was logged is written
+FLUSH_S = 0.25  # seconds that the end of a flight waits at most until its log is written
 
 _COVERED = ("m100link", "asyncio")  # asyncio logs in the event loop that flies
 _OF_FLIGHTS = "m100link.flight"
@@ -153,7 +153,7 @@ class LogThread(logging.Filter):
             self._lost = f"a handler or filter of the log raised {type(error).__name__}"
 
     def _report(self) -> None:
-        """Say what was lost, where no handler can keep it from being read."""
+        """Report lost records where no handler can keep it from being read."""
         why, self._lost = self._lost, ""
         if why:
             lost = self.dropped + self.failed
@@ -232,7 +232,7 @@ _flying: dict[Close, asyncio.AbstractEventLoop] = {}
 
 
 def reserve(what: str, close: Close) -> None:
-    """Load and start what ends a flight, so that it need not load, open or start anything later.
+    """Load and start the parts that end a flight, so that its end need not load or open anything.
 
     Python loads modules from a disk that may fail, with file descriptors that may run out. So this
     loads the modules of the stop path and starts the thread of the log. After the flight, call

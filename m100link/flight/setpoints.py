@@ -75,7 +75,7 @@ class SetpointLoop:
         # Asked before each frame that goes out by itself; the caller of :meth:`set` has checked
         # the one that goes out at once.
         admits: Callable[[Setpoint], bool],
-        # Called with what ended the task; the next setpoint begins another.
+        # Called with the error that ended the task; the next setpoint begins another.
         on_failure: Callable[[Exception], None],
         loop: asyncio.AbstractEventLoop,  # where the task runs
         # Called with how many frames did not go out in their time.
@@ -87,7 +87,7 @@ class SetpointLoop:
         self._on_failure = on_failure
         self._loop = loop
         self._setpoint: Setpoint | None = None
-        self._frame: Setpoint | None = None  # what went out last, None before and in silence
+        self._frame: Setpoint | None = None  # the newest that went out, None before and in silence
         self._slot = float("-inf")  # where the last frame stands on the grid
         self._period = _PERIOD  # between repetitions of the same setpoint
         self._expires_at = 0.0
@@ -171,7 +171,7 @@ class SetpointLoop:
             self._task = None
 
     def _take_turn(self, setpoint: Setpoint, now: float) -> None:
-        """Send what is due; what is refused is not tried again, unless it was replaced by that."""
+        """Send the frame that is due; a refused one is not tried again, unless it was replaced."""
         if self._admits(setpoint):
             self._transmit(setpoint, now)
         elif self._setpoint is setpoint:

@@ -1,4 +1,4 @@
-"""Control ends when the aircraft is not heard any more, or what is heard cannot be true."""
+"""Ends control when telemetry stops, cannot be true, or shows that setpoints are ignored."""
 
 from __future__ import annotations
 
@@ -72,8 +72,8 @@ _LEAST_TILT_DEG = 5.0
 _LEAST_OFFSET_M = 3.0
 _OFFSET_M_S = 1.5  # an autopilot flies a larger offset at least as fast
 _FAST_OFFSET_M_S = 5.0  # and at most as fast as that
-_FOLLOWS = 0.25  # which part of what is asked for counts as followed: the rest is wind
-_BEGINS = 0.25  # and which part of what is missing shows that it is on its way
+_FOLLOWS = 0.25  # the share of a demand that counts as followed: the rest is wind
+_BEGINS = 0.25  # and the share of the missing rest that shows that it is on its way
 _TURNED_DEG = 3.0
 _TILTED_DEG = 3.0
 _LEANS_DEG = 8.0  # a tilt towards it that says that wind, and not a wire, is in the way
@@ -120,7 +120,7 @@ class FollowCheck:
     def __init__(
         self,
         state: AircraftState,
-        setpoint: Callable[[], Setpoint | None],  # what is being sent; None: nothing
+        setpoint: Callable[[], Setpoint | None],  # the one that is being sent; None: none
         clock: Callable[[], float],  # seconds
     ) -> None:
         self._state = state
@@ -306,7 +306,7 @@ class TelemetryWatchdog:
     """Looks at telemetry when asked, before each frame, and by a timer when nobody asks.
 
     It must be new: by its arrival, before each frame; and by the clock of the aircraft. It must be
-    possible: see :class:`m100link.Integrity`. And what is asked for must begin to be flown. These
+    possible: see :class:`m100link.Integrity`. And the aircraft must begin to follow. These
     are looked at ten times a second, five while nothing is sent: before each frame they would cost
     half of what flying does.
 

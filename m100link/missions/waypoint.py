@@ -201,7 +201,7 @@ have one, of which ``__match_args__`` is the name."""
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """A place that the aircraft flies to, and what it does there.
+    """A place that the aircraft flies to, and its actions there.
 
     Attributes:
         latitude_deg: -89 to 89°, WGS 84, to 1e-12° (0.1 µm).

@@ -1,4 +1,4 @@
-"""Firmware profiles: what differs between the aircraft that speak this protocol, as data.
+"""Firmware profiles: the differences between aircraft that speak this protocol, as data.
 
 The document describes the first public firmware; aircraft in the field run later ones. Where the
 document contradicts itself or DJI's own programs, docs/explanation/errata.md says which reading was

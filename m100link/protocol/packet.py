@@ -98,7 +98,7 @@ class _Plan:
 
 
 def remember(memory: dict[int, V], flags: int, value: V) -> V:
-    """Keep what was worked out for a flag word; of more of them than aircraft send, the newest."""
+    """Keep a value for a flag word; of more of them than aircraft send, the newest."""
     if len(memory) >= _MOST_FLAG_WORDS:
         memory.clear()
     memory[flags] = value
@@ -120,7 +120,7 @@ def telemetry_size(flags: int, profile: FirmwareProfile) -> int:
 
 
 def field_span(record: type[Any], field: str, flags: int, profile: FirmwareProfile) -> slice | None:
-    """Which bytes of a telemetry value are a field's, for who reads nothing else of it.
+    """The bytes of a telemetry value that are a field's, for a reader of nothing else.
 
     Returns none where packages with these flags lack the item, or the firmware lacks the field.
     """

@@ -190,7 +190,7 @@ class Table:
 
     Attributes:
         names: Name per column, see :class:`Columns`.
-        rows: The rows, as wide as there are names; NaN is what was not received.
+        rows: The rows, as wide as there are names; NaN where nothing was received.
     """
 
     names: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""The one road up: what the aircraft says by itself, read by its class and acknowledged."""
+"""The one road up: the aircraft's own messages, read by their class and acknowledged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One telemetry package with its time of arrival: what subscriptions hand out."""
+"""One telemetry package with its time of arrival, as subscriptions deliver it."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ class Lossless:
 
 
 class Latest(Newest):
-    """Keep the newest value only: what control loops and displays want."""
+    """Keep the newest value only, for control loops and displays."""
 
     __slots__ = ()
 
@@ -84,7 +84,7 @@ Policy = Newest | Lossless
 
 
 class SampleQueue(Generic[T]):
-    """Values that wait for one consumer: what the reader of the line fills."""
+    """Values that wait for one consumer; the reader of the line fills it."""
 
     # Slots here and in the other parts that every package passes: a process with hundreds of
     # aircraft finds each of them cold, and attributes in a place of their own cost another miss.
@@ -172,7 +172,7 @@ class SampleQueue(Generic[T]):
         return True
 
     def fail(self, error: M100Error) -> None:
-        """End the stream with an error, after what is queued."""
+        """End the stream with an error, after the queued values."""
         if self.error is None:
             self.error = error
             self.wanted = _NONE
@@ -369,7 +369,7 @@ class TelemetryStream:
         return self._clock
 
     def receive(self, value: bytes, firmware: FirmwareProfile, now: float) -> None:
-        """A package arrived now: everybody inside learns what it says, then every consumer.
+        """A package arrived now: state, clock and authority read it, then every consumer.
 
         One that does not fit the firmware is counted, and the first of them logged.
         """

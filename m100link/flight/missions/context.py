@@ -46,7 +46,7 @@ News = list[MissionEvent | Over]
 class MissionTracker(ABC):
     """Tracks one kind of mission: reads its pushes, and the answers to its poll."""
 
-    poll: Request[Any] | None = None  # what is asked when nothing is pushed; None: nothing can be
+    poll: Request[Any] | None = None  # the question when nothing is pushed; None: there is none
     ends_by_landing = False  # whether the aircraft goes home or lands behind :class:`Finished`
 
     @abstractmethod
@@ -93,7 +93,7 @@ class MissionContext:
     make_way: Callable[[str], Awaitable[None]]  # lets nothing else steer
 
 
-# -- what the guards say to a mission before its first byte is sent --------------------------------
+# -- the guards of a mission before its first byte is sent -----------------------------------------
 
 
 FAR_M = 500.0
@@ -106,7 +106,7 @@ _WHAT = "the waypoint mission"
 async def require_airborne(
     context: MissionContext, what: str, *, may_take_off: bool = False
 ) -> bool:
-    """Wait for what the guards compare, and see that the aircraft flies, or may take off.
+    """Wait for the values of the guards, and see that the aircraft flies, or may take off.
 
     A mission that is started on the ground may take off by itself (DJI's sample): nobody is to be
     surprised by that.
@@ -155,7 +155,7 @@ def check_plan(
 
 
 def check_battery(guards: GuardKeeper, state: AircraftState, plan: WaypointPlan) -> None:
-    """Whether the charge lasts for the plan and what the floor wants to be left, by estimate.
+    """Whether the charge lasts for the plan, with the floor left, by estimate.
 
     A plan that only the pilot's stick moves has no estimate; the floor ends it in flight.
 
@@ -236,7 +236,7 @@ def broken_off(status: wire.IdleStatus | wire.IocStatus, index: int | None = Non
 class WaypointTracker(MissionTracker):
     """Reads the pushes of one waypoint mission."""
 
-    poll = WaypointDownloadMission()  # what is asked when nothing is pushed
+    poll = WaypointDownloadMission()  # the question when nothing is pushed
 
     def __init__(self, plan: WaypointPlan) -> None:
         self._plan = plan

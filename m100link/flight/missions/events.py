@@ -133,7 +133,7 @@ class Stopped:
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """Every waypoint was flown, and what the plan says for the end begins.
+    """Every waypoint was flown, and the plan's action for the end begins.
 
     With :attr:`AtEnd.GO_HOME` and :attr:`AtEnd.LAND` the events go on until the aircraft stands on
     the ground; otherwise it is the last one.
@@ -286,7 +286,7 @@ TRANSITIONS: dict[RunState, dict[RunInput, RunState]] = {
         # Asked for by name alone: leaving the block lets the aircraft land where it was to land.
         _I.STOP: _S.STOPPING,
         _I.DETACH: _S.DETACHED,
-        # The mission itself is over: what is pushed about it changes nothing.
+        # The mission itself is over: further pushes about it change nothing.
         _I.FINISHED: _S.OVER,
     },
     _S.STOPPING: {
@@ -323,7 +323,7 @@ _REMEDIES = {
 def mission_refused(
     what: str, code: MissionCode, *, point: int | None = None, remedy: str = ""
 ) -> MissionRefused:
-    """The refusal of an order, with what the code says.
+    """The refusal of an order, with the meaning of its code.
 
     ``point``: the waypoint that it is about, counted from 0. ``remedy``: what to do about it, if
     what the code says does not fit the order.

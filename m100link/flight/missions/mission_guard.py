@@ -1,4 +1,4 @@
-"""Which mission a control block answers for: at most one, and what that means for the others."""
+"""The mission that a control block answers for, at most one, and its orders to any other."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _logger = logging.getLogger(__name__)
 
 _LANDING = (FlightPhase.LANDING, FlightPhase.FINISHING_LANDING)
 _TOLD_WITHIN_S = 0.5  # two or three pushes are lost, hardly five
-_GOES_ON_S = 3.0  # after an order to stop, until when what is pushed is taken for what it ended
+_GOES_ON_S = 3.0  # after an order to stop, pushes count as about the mission that it ended
 _TOLD_BY_S = 1.0  # after its start, by when the pushes tell of a mission
 _SETTLED_BY_S = 0.6  # until when pushes that contradict each other are waited for at most
 
@@ -100,10 +100,10 @@ class MissionGuard:
         return None if kind is None else self._watch.told_since(kind)
 
     def require_none(self, what: str, *, is_landing: bool = False) -> None:
-        """Raise while a mission flies: the aircraft would ignore what is asked for.
+        """Raise while a mission flies: the aircraft would ignore the order.
 
-        ``is_landing``: it lands, here or at home, and so breaks off what a stop did not end
-        (inferred). Raises ``MissionRunning``: with what to do about it.
+        ``is_landing``: it lands, here or at home, and so breaks off a mission that a stop did not
+        end (inferred). Raises ``MissionRunning``: with the remedy.
         """
         name = self.flying
         if not name or (is_landing and self._is_told_to_stop):
@@ -140,7 +140,7 @@ class MissionGuard:
         since = self._flying_since
         return since is not None and since < self._stop_asked_at + _GOES_ON_S
 
-    # -- orders to a mission that flies, also somebody else's --------------------------------------
+    # -- orders to a mission that flies, also somebody else's ------------------------------------
 
     async def stop_any(self) -> MissionKind:
         """Stop any mission. See :meth:`m100link.Control.stop_mission`."""
@@ -168,7 +168,7 @@ class MissionGuard:
         return stopped
 
     async def order_any(self, what: Ordered) -> MissionKind:
-        """Pause or resume what flies, which the pushes have to tell.
+        """Pause or resume the mission that flies, which the pushes have to show.
 
         Raises ``UsageError``: nothing flies, as far as anybody knows. Raises ``MissionRefused``:
         see each class.
@@ -186,7 +186,7 @@ class MissionGuard:
         return kind
 
     def detach_any(self) -> MissionKind:
-        """Leave what flies in flight when the block ends; ``UsageError``: nothing does."""
+        """Leave the mission in flight when the block ends; ``UsageError``: none flies."""
         if (ours := self._ours) is not None:
             ours.detach()
             return ours.kind
@@ -292,7 +292,7 @@ class MissionGuard:
         return is_told or status is None or status.status not in _LANDING
 
     async def stop(self) -> M100Error | None:
-        """Stop what this block owes a stop; returns why it may be flying on, None: it does not."""
+        """Stop the mission, if one is owed a stop; returns why it may fly on, None: it does not."""
         run = self._run
         if run is None:
             return None
@@ -316,7 +316,7 @@ class MissionGuard:
             _logger.error("the %s flies on by itself: %s", ours.name, why)
 
 
-# -- what every mission is for the program that flies it: a block, events, orders ------------------
+# -- a mission for the program that flies it: a block, events, orders ------------------------------
 
 
 class MissionFlight(ABC):

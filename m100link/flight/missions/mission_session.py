@@ -1,4 +1,4 @@
-"""One mission of this program: its start, what is heard of it, and the one way to stop it."""
+"""One mission of this program: its start, its pushes, and the only path to stop it."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ _logger = logging.getLogger(__name__)
 # tenth of a second by the next: where that tells of the mission again, the aircraft flies it on.
 
 
-_GOES_ON_S = 3.0  # after it, until when what is pushed of its kind is taken for the same mission
+_GOES_ON_S = 3.0  # after it, pushes of its kind count as about the same mission
 _HEARD_OUT_S = 0.6  # until when contradicting pushes are waited for at most
 _MAY_FLY_A_MISSION = (FlightPhase.TAKING_OFF, FlightPhase.IN_AIR)
 
@@ -228,7 +228,7 @@ class MissionSession:
         self._context.commander.missions.listener = self._on_push
 
     async def start(self, request: Request[Any], code_of: Callable[[Any], int]) -> Any:
-        """Send what lets it fly, and return the answer.
+        """Send its start, and return the answer.
 
         Raises ``MissionRefused``: the aircraft says no; nothing flies. Raises ``AckTimeout``:
         nobody knows whether it flies: a stop is owed.
@@ -371,7 +371,7 @@ class MissionSession:
         )
 
     async def leave(self, error: BaseException | None) -> None:
-        """The program leaves the block of the mission: what still flies is stopped.
+        """The program leaves the block of the mission: stop it if it still flies.
 
         When the control block itself has ended, its stop path does that.
 
@@ -395,7 +395,7 @@ class MissionSession:
             self._is_told = True
             raise self.events.failure.again()
 
-    # -- what the aircraft says ------------------------------------------------------------------
+    # -- pushes of the aircraft ------------------------------------------------------------------
 
     async def next_event(self) -> MissionEvent:
         """The next event.

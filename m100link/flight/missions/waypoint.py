@@ -103,7 +103,7 @@ class WaypointFlight(MissionFlight):
         await self._run.start(WaypointStartStop(stop=0), int)
 
     async def _upload(self) -> None:
-        """Send the plan: what is refused here, as ``MissionRefused``, never flew."""
+        """Send the plan: one that is refused here, as ``MissionRefused``, never flew."""
         self._run.listen()
         mission, points = self.plan.to_wire()
         requests = self._context.commander.requests

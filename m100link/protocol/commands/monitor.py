@@ -1,4 +1,4 @@
-"""Command set 0x02: what the aircraft pushes (document 2.2.3)."""
+"""Command set 0x02: pushes of the aircraft (document 2.2.3)."""
 
 from __future__ import annotations
 

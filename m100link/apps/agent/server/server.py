@@ -88,7 +88,7 @@ class AgentServer:
         for front in list(self._fronts):
             front.close("the agent ends")
 
-    # -- messages to fronts ------------------------------------------------------------------------
+    # -- messages to fronts ----------------------------------------------------------------------
 
     def _tell(self, message: Message) -> None:
         call_each([front.tell for front in self._fronts], message)
