@@ -1,1 +1,1 @@
-"""The one owner of an aircraft: connection, lease, journal, and what clients may ask for."""
+"""The one owner of an aircraft: connection, lease, journal, and the orders of clients."""

@@ -32,7 +32,7 @@ class TaskSet:
     async def begin(
         self, work: Callable[[asyncio.Event], Coroutine[Any, Any, Any]], name: str
     ) -> asyncio.Task[Any]:
-        """Run what sets an event as it begins; returns its task then.
+        """Run work that sets an event as it begins; returns its task then.
 
         Raises the error of its beginning. A caller that stops waiting ends nothing.
         """

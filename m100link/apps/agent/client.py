@@ -79,7 +79,7 @@ class AgentClient:
         self._name = name
         self.state = State(at=self.now)  #: where the agent stands
         self.heard_at = self.now  #: when a sign that the agent runs was heard last, s
-        self.holder = LeaseChanged(0, "")  #: who has the lease
+        self.holder = LeaseChanged(0, "")  #: the holder of the lease
         self.agents_before = 0  #: how many have gone; each counts its leases from 1, maybe
         #: Counters of the line to the aircraft; None before the first, and while there is no line.
         self.link: LinkCounted | None = None
@@ -87,12 +87,12 @@ class AgentClient:
         #: is gone the values stay, and grow old.
         self.telemetry: AircraftState | None = None
         self._view: VehicleView | None = None  # of this moment; None once something has arrived
-        self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)  #: what happened lately
+        self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)  #: the newest events
         self.background = TaskSet()  #: tasks that end with this client
         self.unread = 0  #: telemetry packages and plans that this version cannot read
         #: The plan that was uploaded and may be started, or flies; None for none.
         self.plan: WaypointPlan | None = None
-        self.plan_by = ""  #: who uploaded it, for people
+        self.plan_by = ""  #: the name of its uploader, for people
         self.on_event: list[Callable[[Event], None]] = []  #: called with each event
         #: Called with each telemetry package; :meth:`samples` wakes a task for each.
         self.on_sample: list[Callable[[Sample], None]] = []
@@ -287,7 +287,7 @@ class AgentClient:
         accepted: Callable[[], None] | None = None,
         asked_at: float | None = None,
     ) -> OrderOutcome:
-        """Ask for something to be done, and wait for what becomes of it.
+        """Give an order, and wait for its outcome.
 
         ``accepted`` is called when the aircraft has begun, where it takes a while. ``asked_at``:
         when it was wanted, s, if not now: a STOP since then overtakes it.
@@ -309,7 +309,7 @@ class AgentClient:
         """Subscribe to the data of the app on the pilot's phone."""
         return self._from_mobile.subscribe(policy)
 
-    # -- the lease: calls of LeaseManager and what they raise, and LinkError without an answer -----
+    # -- the lease: calls of LeaseManager with their errors, and LinkError without an answer -----
 
     def holds(self, lease: Lease | None) -> bool:
         """Whether that lease is in force, as far as is known here."""
@@ -334,7 +334,7 @@ class AgentClient:
         await self.ask(orders.ReleaseLease(token))
 
     async def ask_take_over(self, name: str) -> TakeOver:
-        """As in LeaseManager: who would lose control."""
+        """As in LeaseManager: the client that would lose control."""
         return given((await self.ask(orders.AskTakeOver(name))).offer)
 
     async def confirm(self, token: str) -> Lease:
@@ -379,7 +379,7 @@ class PendingRequests:
         self._send = send
         self._create_future = asyncio.get_running_loop().create_future
         self._count = 0
-        # By number, and what is called when it has begun.
+        # By number, with the callback for its begin.
         self._waiting: dict[
             int, tuple[asyncio.Future[OrderOutcome], Callable[[], None] | None]
         ] = {}
@@ -455,7 +455,7 @@ _MADE_IN = "the loop in which the client was made"
 
 
 class OwnLoop:
-    """A channel for who may be called by anybody: another thread would break what it carries."""
+    """A channel of one event loop: a call of another thread would break its messages."""
 
     def __init__(self, channel: Channel) -> None:
         self._channel = channel

@@ -387,7 +387,7 @@ def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
     return found
 
 
-# -- what a message of an agent may say besides being of the right types (pure logic) --------------
+# -- the legal values of an agent's messages, besides their types (pure logic) ---------------------
 # Over a network anybody may tell something under an agent's name. A view of the console that meets
 # a word or a time that cannot be would raise, and with it everything else on the page: such a
 # message is refused as it is read, and costs itself alone.

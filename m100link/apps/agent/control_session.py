@@ -56,7 +56,7 @@ class Terms:
     #: aircraft obeys again when the pilot comes back to F: setpoints after a pause of a second.
     gives_way: bool = False
     idle_s: float = math.inf  #: seconds without use after which control is given back
-    who: str = "this client"  #: who has no control, in the error
+    who: str = "this client"  #: the client without control, in the error
     remedy: str = "take control first"  #: how control is taken, in the error
 
 
@@ -137,7 +137,7 @@ class ControlSession:
     def __init__(
         self,
         agent: AgentClient,
-        name: str,  # who steers, for people
+        name: str,  # of the pilot, for people
         terms: Terms = Terms(),
     ) -> None:
         self._agent = agent
@@ -174,7 +174,7 @@ class ControlSession:
             callbacks.append(callback)
 
     def close(self) -> None:
-        """Give back what is held, and hear no more: nothing is held by it ever again."""
+        """Give the lease back, and hear no more: it never holds one again."""
         heard, self._heard = self._heard, []
         for callbacks, callback in heard:
             callbacks.remove(callback)
@@ -306,7 +306,7 @@ class ControlSession:
             lease: Lease = await asyncio.shield(asking)
         except BaseException as error:
             if isinstance(error, asyncio.CancelledError):
-                asking.add_done_callback(self._unwanted)  # its answer decides who has it
+                asking.add_done_callback(self._unwanted)  # it gives a late answer back
             self.feed(_I.REFUSED)
             raise
         self._number = lease.number
@@ -445,7 +445,7 @@ class ControlSession:
             finally:
                 try:
                     if lease is not None:
-                        with suppress(M100Error):  # it ended meanwhile, which is what was wanted
+                        with suppress(M100Error):  # it ended meanwhile, as wanted
                             await self._agent.release_lease(lease.token)
                 finally:
                     self.feed(_I.GIVEN_BACK)

@@ -17,7 +17,7 @@ MAX_LATE = 0.3
 """Seconds that a setpoint may be later than the fastest message of its client."""
 
 MAX_ROUND_TRIP = 0.4
-"""Seconds to a page and back above which nobody can steer by what it shows."""
+"""Seconds to a page and back above which nobody can steer by its picture."""
 
 MAX_UNHEARD = 1.0
 """Seconds for which a page that steers may not have heard the station."""
@@ -38,14 +38,14 @@ _MOST_S = 1e10
 
 _WINDOW = 15.0
 _TRIPS = 8
-"""Round trips that say how slow the way is by now: what was fast before says nothing of it."""
+"""The newest round trips, which show the present delay: earlier fast ones do not."""
 
 
 @dataclass(frozen=True, slots=True)
 class Offset:
     """The other clock less our own."""
 
-    seconds: float  #: the middle of what it can be
+    seconds: float  #: the middle of the possible values
     bound: float  #: by how much it can be another, s
 
 
@@ -69,7 +69,7 @@ class _Way:
 
 
 class ClockEstimate:
-    """Another clock and the way to it, measured by what comes of it.
+    """Another clock and the path to it, measured by its messages.
 
     ``grain``: seconds by which the other side may round its times.
     """
@@ -83,7 +83,7 @@ class ClockEstimate:
         self._trips: deque[float] = deque(maxlen=_TRIPS)
         self._answered_at = self._told = -math.inf
 
-    # -- what comes ------------------------------------------------------------------------------
+    # -- arrivals --------------------------------------------------------------------------------
 
     def late(self, sent_at: float, now: float, asked_at: float | None = None) -> float:
         """Take a message, sent at that time of the other clock, s; returns how old it is at least.
@@ -129,10 +129,10 @@ class ClockEstimate:
             self._there.take(there, now)
         return self._here.take(here, now)
 
-    # -- what is known ---------------------------------------------------------------------------
+    # -- estimates -------------------------------------------------------------------------------
 
     def oldest(self, sent_at: float, now: float) -> float:
-        """Seconds that what was made at that time of the other clock is old at most.
+        """The greatest age, s, of a message made at that time of the other clock.
 
         Infinite where nobody knows: before the first round trip, and for a time that is not yet.
         """
@@ -166,7 +166,7 @@ class ClockEstimate:
 
     @property
     def way_s(self) -> float:
-        """Half of the shortest of the last eight round trips: how long what is sent now may take.
+        """Half of the shortest of the last eight round trips: the delay of a message sent now.
 
         Infinite before the first.
         """

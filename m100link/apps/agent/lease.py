@@ -90,7 +90,7 @@ class Flown(Enum):
 class Lease:
     """The right to steer."""
 
-    name: str  #: who holds it, for people
+    name: str  #: the name of its holder, for people
     token: str  #: proof of it; only the holder knows it
     number: int  #: counts leases from 1; a later lease has a greater number
 
@@ -103,8 +103,8 @@ class Lease:
 class TakeOver:
     """A take-over that waits for its confirmation."""
 
-    name: str  #: who wants to steer
-    from_name: str  #: who would lose the lease
+    name: str  #: the client that wants to steer
+    from_name: str  #: the client that would lose the lease
     token: str  #: what :meth:`LeaseManager.confirm` takes
     number: int  #: number of the lease it is about; if that one ends first, this is void
     expires_at: float  #: time after which it is void
@@ -210,7 +210,7 @@ class LeaseManager:
         self._change(why, None, now)
 
     def ask_take_over(self, name: str, now: float) -> TakeOver:
-        """First step of a take-over: learn who would lose control.
+        """First step of a take-over: name the client that would lose control.
 
         Requests stand side by side until they are confirmed or too old.
 

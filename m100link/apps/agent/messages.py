@@ -51,7 +51,7 @@ class Hello:
     """The first message of each end."""
 
     version: int  #: :data:`VERSION` of the sender
-    name: str  #: who it is, for people
+    name: str  #: its name, for people
     at: float  #: time of the sender's clock, s; both are on one machine and share the clock
 
 
@@ -100,7 +100,7 @@ class Event:
     at: float  #: time on the agent's clock, s
     level: str  #: ``"info"``, ``"warning"`` or ``"error"``
     text: str  #: what happened
-    topic: EventTopic = EventTopic.NONE  #: what it is about, for programs
+    topic: EventTopic = EventTopic.NONE  #: its subject, for programs
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,9 +130,9 @@ class State:
     #: State of control authority, a :class:`~m100link.apps.agent.server.authority.HoldingState`.
     holding: str = "none"
     has_authority: bool = False  #: whether setpoints and tasks are obeyed
-    task: str = ""  #: what the aircraft flies by itself; empty for nothing
+    task: str = ""  #: the task that the autopilot flies; empty for none
     pattern: str = ""  #: name of the program that flies; empty for none
-    #: The flight to where somebody points, with what remains of it; None for none.
+    #: The flight to where somebody points, with the rest of it; None for none.
     guided: GuidedFlight | None = None
     #: The kind of mission that the aircraft says it flies, started by anybody, by the names of
     #: :class:`~m100link.flight.mission_state.MissionKind`; empty when nobody knows.
@@ -145,7 +145,7 @@ class State:
     late_acks: int = 0  #: acks that came late or belong to nobody
     dropped_writes: int = 0  #: frames that were not written
     mismatches: int = 0  #: telemetry packages that do not fit the firmware
-    limits: GuardLimits = GuardLimits()  #: what the guards allow
+    limits: GuardLimits = GuardLimits()  #: the limits of the guards
     replay: Replay | None = None  #: where the replay is; None for an aircraft, real or virtual
 
     def flight_time(self, now: float) -> float:
@@ -206,13 +206,13 @@ class MissionReport:
 class PlanChanged:
     """The plan that waits to be started, or flies: sent when it is whole, and when it is void."""
 
-    name: str = ""  #: who uploaded it, for people; empty for none
+    name: str = ""  #: the name of its uploader, for people; empty for none
     plan: UploadPlan | None = None  #: as it came; None for none
 
 
 @dataclass(frozen=True, slots=True)
 class SteerRefused:
-    """A setpoint was not flown; what flew before is stopped, or expires."""
+    """A setpoint was not flown; the one before is stopped, or expires."""
 
     fence: int  #: of the setpoint
     fault: RemoteError  #: why
@@ -225,10 +225,10 @@ class OrderOutcome:
     id: int  #: of the question
     stage: Stage  #: how far it came
     fault: RemoteError | None = None  #: why it failed
-    text: str = ""  #: what was asked for, where that is a text
-    number: int = 0  #: what was asked for, where that is a number
+    text: str = ""  #: the answer, where that is a text
+    number: int = 0  #: the answer, where that is a number
     lease: Lease | None = None  #: the lease that was asked for, for its holder and nobody else
-    offer: TakeOver | None = None  #: who would lose the lease, and what takes it
+    offer: TakeOver | None = None  #: the present holder, and the token that takes the lease
 
 
 # -- from a front ---------------------------------------------------------------------------------
@@ -241,7 +241,7 @@ class Steer:
     fence: int  #: number of the lease it is sent under, granted over this connection
     sent_at: float  #: when the sender decided it, s. What was long on its way is refused
     lifetime: float  #: seconds that it lasts when it is not renewed
-    setpoint: Setpoint  #: what to fly
+    setpoint: Setpoint  #: the setpoint to fly
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +249,7 @@ class Ask:
     """An order, which has an :class:`OrderOutcome`."""
 
     id: int  #: comes back in each outcome; 0 asks for none
-    order: Order  #: what is to be done
+    order: Order  #: the order
     fence: int = 0  #: number of the lease it is asked under; 0 for none
     sent_at: float = 0.0  #: when it was asked, by the front's clock, s; 0 where nobody says
 
@@ -315,14 +315,14 @@ class Replay:
         return self.clock + since * self.rate
 
 
-# -- what happened, for people ---------------------------------------------------------------------
+# -- events, for people ----------------------------------------------------------------------------
 
 _MAX_EVENTS = 200
 _LEVELS = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 
 
 class Journal:
-    """The newest events, and who wants to hear of each."""
+    """The newest events, and the callbacks for each."""
 
     def __init__(self, clock: Callable[[], float]) -> None:  # s
         self._clock = clock
@@ -381,9 +381,9 @@ class RemoteError:
     """An error of this package on its way."""
 
     kind: str  #: name of its class
-    seen: str  #: what was observed
+    seen: str  #: the observation
     cause: str = ""  #: the most likely cause
-    remedy: str = ""  #: what to do about it
+    remedy: str = ""  #: the remedy
     #: Its other attributes that are texts, numbers, truth values or None.
     details: Mapping[str, Any] = field(default_factory=dict)
 

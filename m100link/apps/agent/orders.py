@@ -42,7 +42,7 @@ class Needs(Enum):
 
 
 class Age(Enum):
-    """Whether a fleet refuses what is more than 5 s old, by the clock of the agent."""
+    """Whether a fleet refuses an order older than 5 s, by the clock of the agent."""
 
     ANY = "any"
     YOUNG_IF_KNOWN = "young if known"  # without a time nobody can say
@@ -56,7 +56,7 @@ class Order:
     needs: ClassVar[Needs] = Needs.LEASE
     #: The right that it takes; an order under STOP revokes the orders that were made before it.
     right: ClassVar[Right] = Right.FLY
-    #: Whether it moves the aircraft, or lets somebody move it; what ends movement does not.
+    #: Whether it moves the aircraft, or lets somebody move it; an end of movement does not.
     moves: ClassVar[bool] = True
     #: Whether the log of orders has to know it before it begins, because twice would be once too
     #: often. An order that is not kept waits for no disk.
@@ -64,7 +64,7 @@ class Order:
     age: ClassVar[Age] = Age.YOUNG
     #: Whether it is done as it is heard, before orders that were heard and have not begun.
     is_at_once: ClassVar[bool] = False
-    label: ClassVar[str]  #: what people call it
+    label: ClassVar[str]  #: its name for people
 
     def __init_subclass__(cls, *, is_kind: bool = True, label: str = "", **data: Any) -> None:
         """The class data that are named; ``is_kind``: whether there are orders of this class."""
@@ -87,7 +87,7 @@ class Order:
 ORDERS: dict[str, type[Order]] = {}
 """Every order by its name."""
 
-# -- what ends a flight: it needs no lease over a fleet, and waits for nobody ----------------------
+# -- orders that end a flight: they need no lease over a fleet, and wait for nobody ----------------
 
 
 class EndingOrder(Order, is_kind=False, right=Right.STOP, moves=False, is_kept=False):
@@ -134,18 +134,18 @@ class ReleaseLease(LeaseOrder, moves=False, age=Age.ANY):
 
 
 class AskTakeOver(LeaseOrder, age=Age.ANY):
-    """First step: who would lose the lease?"""
+    """First step: name the client that would lose the lease."""
 
     name: str = ""  #: who wants it, for people
 
 
 class ConfirmTakeOver(LeaseOrder):
-    """Second step: take the lease from exactly that one, who must not lose it to an old order."""
+    """Second step: take the lease from exactly that one, which an old order must not do."""
 
     token: str = field(default="", repr=False)  #: proof of the first step
 
 
-# -- what is asked of an aircraft ------------------------------------------------------------------
+# -- orders to an aircraft -------------------------------------------------------------------------
 
 
 class Activate(Order, needs=Needs.LEASE_IF_HELD):
@@ -243,7 +243,7 @@ class UploadPlan(Order, moves=False, is_kept=False, age=Age.ANY):
 
     @classmethod
     def of_commands(cls, mission: WaypointMission, points: Iterable[WaypointPoint]) -> Self:
-        """The order that brings what these commands say; an agent looks whether that can be."""
+        """The order that brings these commands; an agent looks whether they make a plan."""
         values = tuple(point.value(FIRMWARE_3_1) for point in points)
         return cls(mission.value(FIRMWARE_3_1), values)
 
@@ -310,7 +310,7 @@ class ResetHotpointHeading(Order):
     """Turn the nose back to where it is to point."""
 
 
-# -- what an operator points at: where to fly, what to fly around, how high, which way to look -----
+# -- orders of an operator who points: fly there, around that, to this height, look that way -------
 # Each is flown by a closed loop of the agent, under the lease and through the guards, and ends as a
 # program of the agent ends: when it is there, when the stick is moved, when something else is asked
 # for, and when the lease, the front, the page or control authority is lost. The aircraft hovers
@@ -365,11 +365,11 @@ class GuidedFlight:
     height: float | None = None  #: metres above the take-off point; None where it stays
     radius: float = 0.0  #: of the circle, m; 0 for none
     yaw_deg: float | None = None  #: heading at the end; None where nobody asked for one
-    distance_m: float | None = None  #: what remains of the way, m; None before it is known
-    seconds: float | None = None  #: what it will take, roughly; None before it is known
+    distance_m: float | None = None  #: the rest of the path, m; None before it is known
+    seconds: float | None = None  #: the rest of the time, roughly; None before it is known
 
 
-# -- what keys, sticks and the 2015 Quaternion mean as setpoints -----------------------------------
+# -- keys, sticks and the 2015 Quaternion as setpoints ---------------------------------------------
 
 
 SETPOINT_LIFETIME = 0.2

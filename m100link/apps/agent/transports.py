@@ -71,7 +71,7 @@ class MemoryChannel:
         self._peer, peer._peer = peer, self
 
     def open(self, on_message: Callable[[Message], None], on_closed: Callable[[str], None]) -> None:
-        """Begin to receive; first what waits."""
+        """Begin to receive; waiting messages come first."""
         self._on_message, self._on_closed = on_message, on_closed
         while self._waiting:
             self._deliver(self._waiting.popleft())
@@ -88,7 +88,7 @@ class MemoryChannel:
         try:
             self._on_message(message)
         except Exception:
-            # As with a socket: what goes wrong at one end does not happen to the other.
+            # As with a socket: a failure at one end does not reach the other.
             _logger.exception("a %s was not taken", type(message).__name__)
 
     def close(self, reason: str = "") -> None:
@@ -182,7 +182,7 @@ class UnixChannel(asyncio.BufferedProtocol):
         self._space[: self._filled - begin] = self._space[begin : self._filled]
         self._filled -= begin
         if self._end_of_message(0) is not None and self._transport is not None:
-            # The other end may be attacked, or mad: what flies has its turn before the rest.
+            # The other end may be attacked, or mad: the flight has its turn before the rest.
             self._transport.pause_reading()
             self._loop.call_soon(self._go_on)
 

@@ -52,7 +52,7 @@ class VehicleView:
     is_gone: bool  # whether the agent has gone
     state: State  # where the agent stands, as it reported last
     holder: LeaseChanged  # the holder of the lease, as reported last
-    # Whatever arrived, however old: for statistics, and for what would be refused. None while no
+    # Every arrival, however old: for statistics, and for previews of refusals. None while no
     # aircraft is connected.
     telemetry: AircraftState | None
     now: float = field(init=False)  # the moment on the clock of telemetry, s: a replay's own
@@ -135,7 +135,7 @@ class VehicleView:
             return Integrity(IntegrityState.UNKNOWN)
         return self.telemetry.integrity
 
-    # -- what follows from them ------------------------------------------------------------------
+    # -- conclusions -----------------------------------------------------------------------------
 
     @property
     def phase(self) -> FlightPhase | None:

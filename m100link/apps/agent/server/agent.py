@@ -43,7 +43,7 @@ LONGEST_KEPT = 60.0
 
 _LEASE_CHECK = 0.1
 _LONGEST_STEP = 0.3
-"""Seconds between two looks at the lease; in what is longer than that this program did not run."""
+"""Seconds between two looks at the lease; in a longer time this program did not run."""
 
 _LOST_MEANWHILE = "control was lost meanwhile"
 _PAUSE_S = 1.0  # without a setpoint; the next one is a new wish, though not after STOP
@@ -55,7 +55,7 @@ _LOST = (LeaseChange.EXPIRED, LeaseChange.FRONT_LOST)
 
 
 class Agent:
-    """The aircraft and who may do what with it.
+    """The aircraft, the right to steer it, and its orders.
 
     Args:
         connect: Opens the aircraft.
@@ -87,7 +87,7 @@ class Agent:
             )
         self._clock = asyncio.get_running_loop().time
         self.replay = replay  #: as given
-        self.journal = Journal(self._clock)  #: what happened
+        self.journal = Journal(self._clock)  #: its events
         self.background = TaskSet()  #: tasks that end with the agent
         self.connection = AircraftConnection(connect, self.journal)  #: the line to the aircraft
         #: How the aircraft was activated.
@@ -206,7 +206,7 @@ class Agent:
             self.journal.note(f"control authority is given back: {why}", "warning")
 
     def _holding_changed(self, before: HoldingState, after: HoldingState) -> None:
-        # The pilot who comes back to F would give it to nobody.
+        # Kept for nobody and lost: a pilot who comes back to F would give it to nobody.
         if after is not HoldingState.RELEASING:
             self._end_unclaimed("it was lost meanwhile")
 
@@ -217,7 +217,7 @@ class Agent:
     ) -> Answer:
         """Do what an order asks for; ``accepted`` is called when the aircraft has begun.
 
-        Returns what was asked for, where that is something.
+        Returns the answer, where the order has one.
 
         Raises:
             LeaseRefused: It needs the lease, and the token is not in force.
@@ -352,7 +352,7 @@ class Agent:
             await self.give_back()
 
 
-# -- what an agent does for each order -------------------------------------------------------------
+# -- a handler for each order ----------------------------------------------------------------------
 
 Answer = tuple[str, int] | Lease | TakeOver | None
 """The result of an order: a text and a number, a lease, or the token of a take-over."""
@@ -428,7 +428,7 @@ async def _upload_plan(call: OrderContext, order: orders.UploadPlan) -> Answer:
         plan = order.plan()
     except ValueError as error:
         raise UsageError(
-            f"what was uploaded is no plan that can be flown: {error}",
+            f"the upload is no plan that can be flown: {error}",
             cause="the program that uploaded it belongs to another release",
             remedy="install the same release on both sides",
         ) from None

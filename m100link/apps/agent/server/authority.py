@@ -77,7 +77,7 @@ _S, _I = HoldingState, HoldingInput
 _LOST: dict[HoldingInput, HoldingState] = {
     _I.PILOT_TOOK: _S.PAUSED,
     _I.SOMEBODY_TOOK: _S.TAKEN,
-    _I.APP_TOOK: _S.NONE,  # what the app took has to be asked for anew
+    _I.APP_TOOK: _S.NONE,  # a client has to ask for it anew
     _I.LINK_LOST: _S.NONE,
     _I.FAILED: _S.NONE,
     _I.ENDED: _S.NONE,
@@ -137,7 +137,7 @@ class AuthorityManager:
         self.on_change: list[Callable[[HoldingState, HoldingState], None]] = []
         # Called when somebody else took authority.
         self.on_lost: list[Callable[[AuthorityLost], None]] = []
-        # The task of the control block, and what tells it to give authority back.
+        # The task of the control block, and the event that lets it give authority back.
         self._block: asyncio.Task[None] | None = None
         self._let_go = asyncio.Event()
         # Resolved when the request under way has ended.
@@ -198,7 +198,7 @@ class AuthorityManager:
         call_each(self.on_change, before, after)
         return True
 
-    # -- what clients ask for --------------------------------------------------------------------
+    # -- requests of clients ---------------------------------------------------------------------
 
     async def obtain(self, aircraft: Aircraft) -> None:
         """Obtain authority; done when it is held. Asked for twice, it is requested once.
@@ -348,7 +348,7 @@ class AuthorityManager:
 
 
 class OrphanedAuthority:
-    """Gives back, once, what an agent before may have held, if there was one (``is_owed``)."""
+    """Gives back, once, authority that an earlier agent may have held, if any (``is_owed``)."""
 
     def __init__(self, journal: Journal, background: TaskSet, *, is_owed: bool) -> None:
         self._journal = journal

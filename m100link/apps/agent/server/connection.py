@@ -89,7 +89,7 @@ class AircraftConnection:
                 self._lose(None)
 
     async def _follow(self, one: Supervised) -> None:
-        """Tell what happens to the connection, until it ends for good."""
+        """Report the changes of the connection, until it ends for good."""
         async for event in one.events():
             self._take(event, one.aircraft)
             if event.after in ENDED:

@@ -46,7 +46,7 @@ MissionOrder = Literal["pause", "resume", "stop"]
 _AT_ONCE = 1e-3
 
 Pattern = Callable[[Control, Callable[[Setpoint], None]], Coroutine[Any, Any, None]]
-"""A program that flies: takes the control and what sends a setpoint."""
+"""A program that flies: takes the control and the function that sends a setpoint."""
 
 
 class ActiveFlight:
@@ -119,7 +119,7 @@ class ActiveFlight:
         try:
             self._control.send(setpoint, lifetime=lifetime)
         except M100Error as error:
-            self.halt(error.seen)  # what flew until now is not wanted any more
+            self.halt(error.seen)  # the flight until now is not wanted any more
             raise
         self._last = setpoint
 
@@ -162,7 +162,7 @@ class ActiveFlight:
             raise
 
     def _make_room(self, name: str) -> None:
-        """End a program for what was asked for; nothing ends a task or a mission for it."""
+        """End a program for another order; a task or a mission refuses that one instead."""
         if self.task is not None:
             raise TaskRefused(
                 f"{name} was asked for during {self.task}", remedy="wait for its end, or stop it"
@@ -250,7 +250,7 @@ class ActiveFlight:
         """Upload a plan and let the aircraft fly it; done when it has begun. Ends a program.
 
         With ``begun``, which is called when it has begun, this is done when the mission is over,
-        and raises what ended it.
+        and raises the error that ended it.
         """
         self._end_program("a mission was asked for")
         self._last = None
@@ -289,7 +289,7 @@ class ActiveFlight:
     # -- the end ---------------------------------------------------------------------------------
 
     async def end(self, *, is_lost: bool = False) -> str:
-        """Control ends: so does what was using it. Returns the mission that a loss broke off."""
+        """Control ends, and so do its users. Returns the mission that a loss broke off."""
         self._is_ended = True
         broken_off = ""
         if is_lost:
@@ -325,7 +325,7 @@ def limits_of(guards: Guards, origin: tuple[float, float] | None) -> GuardLimits
 # -- flying to where an operator points: one at a time, and the newest wins ------------------------
 
 
-_PATIENCE = 3.0  # times what it was thought to take, until it gives up
+_PATIENCE = 3.0  # times its estimated duration, until it gives up
 _PATIENCE_S = 30.0
 
 

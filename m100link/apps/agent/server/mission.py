@@ -48,7 +48,7 @@ class ActiveMission:
         self._background = background
         self._flight: MissionFlight | None = None
         self._watch: asyncio.Task[None] | None = None
-        self._what = ""  # what the one that was begun last is called, for people
+        self._what = ""  # the name of the newest one, for people
         self._is_cut_off = False  # by a caller that knows why, and reports it
         self._ended_because = ""  # why this agent ended it, for those who wait for its end
         self._ends_by_landing = False  # as the plan says
@@ -202,7 +202,7 @@ class ActiveMission:
         await self.ended()
 
     def cut_off(self) -> str:
-        """Control was lost, and the mission with it; returns what it is called, empty for none.
+        """Control was lost, and the mission with it; returns its name, empty for none.
 
         The reason of the loss comes a moment later, from the aircraft: the caller has to report
         the end with that reason.

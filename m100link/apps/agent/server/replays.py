@@ -1,4 +1,4 @@
-"""A recorded flight in the place of an aircraft: what the agent of a replay owns."""
+"""A recorded flight in the place of an aircraft, as the agent of a replay owns it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Replays:
     Args:
         url: A ``replay://`` URL.
         firmware: Force a firmware profile.
-        note: Takes what people should know.
+        note: Takes news for people.
 
     Raises:
         BadURL, UsageError: It cannot be.
@@ -53,7 +53,7 @@ class Replays:
         return aircraft
 
     async def watch(self, aircraft: Aircraft) -> None:
-        """Tell who had control, as long as the aircraft is there."""
+        """Report the holders of control, as long as the aircraft is there."""
         try:
             async with aircraft.events() as events:
                 async for event in events:
@@ -82,7 +82,7 @@ class Replays:
         )
 
     async def order(self, text: str) -> None:
-        """Do what a page or a key asks.
+        """Do the order of a page or a key.
 
         Args:
             text: ``pause``, ``resume``, ``toggle``, ``seek 30``, ``by -10``, ``speed 2``,
