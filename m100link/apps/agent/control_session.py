@@ -306,7 +306,7 @@ class ControlSession:
             lease: Lease = await asyncio.shield(asking)
         except BaseException as error:
             if isinstance(error, asyncio.CancelledError):
-                asking.add_done_callback(self._unwanted)  # it gives a late answer back
+                asking.add_done_callback(self._unwanted)  # it gives a late lease back
             self.feed(_I.REFUSED)
             raise
         self._number = lease.number
