@@ -39,13 +39,13 @@ TOO_LONG = 35  # words of a sentence
 
 # These may only fall. Lower them when you made them too large.
 MOST = {
-    "whoever": 164,
-    "headless": 673,
-    "is told": 114,
-    "of before": 9,
-    "of then": 5,
+    "whoever": 0,
+    "headless": 250,
+    "is told": 46,
+    "of before": 0,
+    "of then": 0,
     "outside": 0,
-    "long sentences": 43,
+    "long sentences": 2,
     "shared class names": 12,
 }
 

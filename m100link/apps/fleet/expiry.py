@@ -20,7 +20,7 @@ MOST_AGE_S = 5.0
 """Seconds after which an order is not begun any more, by the agent's clock: nobody counts on it."""
 
 MOST_AHEAD_S = 1.0
-"""Seconds by which an order may seem to be made later than now. More is a time of before the
+"""Seconds by which an order may seem to be made later than now. More is a time from before the
 agent's computer restarted, and says nothing of its age."""
 
 

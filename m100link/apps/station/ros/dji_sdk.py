@@ -241,7 +241,7 @@ def _check_way(session: GraphListener, stamp: Message, now: float) -> None:
 
 # -- gimbal, camera and motors ---------------------------------------------------------------------
 # Gimbal and camera need no control authority. They need the lease, or that nobody holds it: the
-# client that flies also looks where it flies. Nothing answers these commands, so ``result`` says "sent".
+# client that flies also looks. Nothing answers these commands, so ``result`` says "sent".
 
 _KEPT = {
     "yaw": GimbalAngleMode.KEEP_YAW,
