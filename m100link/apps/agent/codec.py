@@ -174,6 +174,8 @@ def _codec(kind: Any, name: str) -> _Codec:
 
 
 class Fields:
+    """The fields of one dataclass."""
+
     def __init__(self, kind: type[Any], beside: Container[str] = ()) -> None:
         """``beside``: names of fields that go another way."""
         hints = get_type_hints(kind)
