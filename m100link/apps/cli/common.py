@@ -180,7 +180,7 @@ class LinkOptions(layer_of_settings(("url", "firmware", "baud_rate", "timeout"))
             raise UsageError(
                 f"two aircraft are named: {argument} and {self.url}", remedy="leave out one of them"
             )
-        given = asdict(self) | {"url": argument or self.url}
+        given: dict[str, Any] = asdict(self) | {"url": argument or self.url}
         given |= given.pop("app", {})
         del given["log"]
         configuration = read_configuration()
