@@ -584,7 +584,7 @@ class Control:
             with control.hotpoint(
                 latitude_deg=52.1, longitude_deg=4.31, height=20, radius=30, rate_deg_s=10
             ) as circle:
-                asyncio.sleep(30)
+                time.sleep(30)
                 circle.set_radius(40)
 
         It flies to the circle at that height and then along it until it is stopped; leaving the

@@ -277,6 +277,7 @@ def without_await(text: str) -> str:
     """A docstring as it reads here."""
     for word, other in (
         (r"async (with|for)", r"\1"),
+        (r"await asyncio\.sleep", "time.sleep"),
         (r"await ", ""),
         (r"aclose", "close"),
         (r"m100link\.connect", "m100link.sync.connect"),

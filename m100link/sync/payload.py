@@ -104,9 +104,9 @@ class AircraftGimbal:
         ::
 
             with aircraft.gimbal.hold_angular_rates(pitch=-10) as rates:
-                asyncio.sleep(2)
+                time.sleep(2)
                 rates.set(yaw=5)
-                asyncio.sleep(2)
+                time.sleep(2)
 
         Leaving the block stops it; a program that dies leaves it turning for half a second.
 

@@ -29,8 +29,6 @@ class Process:
 
 @dataclass(frozen=True, slots=True)
 class Permission:
-    """The rights to open a device."""
-
     mode: str  # as ``ls -l`` shows it
     owner: str  # name of the owner, or the number
     group: str  # name of the group, or the number

@@ -175,7 +175,6 @@ class RunningStation:
 
     @property
     def has_authority(self) -> bool:
-        """Whether an aircraft obeys this station."""
         return self.agent.holding.has_authority
 
     @property
@@ -238,7 +237,6 @@ class RunningTwoProcess:
 
     @property
     def has_authority(self) -> bool:
-        """Whether an aircraft obeys this station."""
         return self.agent.holding.has_authority
 
     def console_path(self) -> str:

@@ -71,7 +71,6 @@ class Peers:
         return any(one.address == address for one in self._heard)
 
     def forget(self, now: float) -> None:
-        """Leave out those that are silent."""
         for peer, at in tuple(self._heard.items()):
             if now - at >= FORGOTTEN_AFTER:
                 del self._heard[peer]

@@ -339,7 +339,6 @@ class SocketListener:
         self._listen()
 
     def forget(self, newcomer: _Newcomer) -> None:
-        """Remove a connection from the newcomers."""
         self._newcomers.discard(newcomer)
 
     def close(self) -> None:

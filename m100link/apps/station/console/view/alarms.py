@@ -329,7 +329,6 @@ class AlarmManager:
         return False
 
     def advance(self, now: Situation) -> list[ActiveAlarm]:
-        """Judge every alarm; returns what changed."""
         changes: list[ActiveAlarm] = []
         for watched in self._watched.values():
             one = watched.one
