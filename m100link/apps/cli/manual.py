@@ -103,7 +103,7 @@ def docs(
     """Read a page of the manual, or list them; needs no network.
 
     Args:
-        find: List the lines that have this word, with their pages.
+        find: List the lines of paragraphs that have all these words, with page and heading.
     """
     if topic is not None and topic.upper().startswith("M100-"):
         return _show_error(topic)
@@ -149,15 +149,21 @@ def _list(pages: list[_Page]) -> int:
     return ExitCode.OK
 
 
-def _find(pages: list[_Page], topic: str | None, word: str) -> int:
-    looked_into = pages if topic is None else [_page_of(pages, topic)]
-    lines = [(page.topic, line) for page in looked_into for line in page.text.splitlines()]
-    found = [f"{topic}: {line.strip()}" for topic, line in lines if word.lower() in line.lower()]
+def _find(pages: list[_Page], topic: str | None, wanted: str) -> int:
+    words, found = wanted.lower().split(), list[str]()
+    for page in pages if topic is None else [_page_of(pages, topic)]:
+        heading = page.title
+        for block in re.split(r"\n\s*\n", page.text):  # words of a sentence stand on several lines
+            headed = re.match(r"#+ (.+)|(.+)\n[*=-]{3,}$", block)
+            heading = (headed[1] or headed[2]) if headed else heading
+            if all(word in block.lower() for word in words):
+                lines = [one for one in block.splitlines() if any(w in one.lower() for w in words)]
+                found += [f"{page.topic}: {line.strip()} [{heading}]" for line in lines]
     for line in found:
         out.print(line, markup=False, soft_wrap=True)
     if not found:
         where = "that page" if topic else "the manual"
-        err.print(f"no line of {where} has {word!r}", markup=False)
+        err.print(f"no paragraph of {where} has {wanted!r}", markup=False)
     return ExitCode.OK if found else ExitCode.FAILED
 
 

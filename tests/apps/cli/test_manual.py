@@ -121,7 +121,16 @@ def test_words_are_found_with_their_topics(cli: CommandLine) -> None:
     assert any(line.startswith("safety: ") for line in outcome.out.splitlines())
     outcome = cli("docs", "wire", "--find", "propellers")
     assert outcome.status == ExitCode.FAILED
-    assert outcome.err == "no line of that page has 'propellers'\n"
+    assert outcome.err == "no paragraph of that page has 'propellers'\n"
+
+
+def test_words_of_a_paragraph_are_found_on_several_lines_under_their_heading(
+    cli: CommandLine,
+) -> None:
+    found = cli("docs", "safety", "--find", "serial cmd_vel").out.splitlines()
+    assert len(found) >= 2
+    assert {line.rpartition(" [")[2] for line in found} == {"When two programs send]"}
+    assert cli("docs", "safety", "--find", "serial no-such-word").status == ExitCode.FAILED
 
 
 def test_pages_that_the_builder_made_are_shown_as_they_are(
