@@ -42,8 +42,6 @@ _LEVELS = ("none", "error", "warning", "info")
 
 @dataclass(frozen=True, slots=True)
 class ClientLimits:
-    """What one client may use."""
-
     message_size: int = 64 * 1024  # bytes of a frame it sends, and of a message from fragments
     bytes_rate: float = 128 * 1024  # bytes per second over time; four messages of full size at once
     # Seconds of processor time per second over time, for what it sends and gets.
@@ -129,7 +127,7 @@ class Client:
     # -- what comes in ---------------------------------------------------------------------------
 
     def receive(self, frame: str | bytes, now: float) -> None:
-        """Take a frame of the client. Never raises: what is wrong with it is told to the client."""
+        """Take a frame of the client. Never raises: the client hears what is wrong with it."""
         identity = None
         self.heard_at, self.has_spoken = now, True
         try:
@@ -483,7 +481,7 @@ class Outbox:
         # dropping costs the same however many topics there are.
         self._crowds: list[dict[TopicSubscription, None]] = [{}]
         self._most = 0
-        # What is left of a message that is sent in pieces.
+        # The rest of a message that is sent in pieces.
         self._ready: Iterator[str | bytes] = iter(())
         self._fragment_count = 0
 

@@ -4,7 +4,7 @@ Frames follow REP 103: the ground is east-north-up, the body forward-left-up, an
 yaw counter-clockwise from east. (Two exceptions, as in DJI's node: gimbal angles are the degrees of
 the wire, and the mode and gear channels of ``rc`` are raw.) Set-points are given in the same
 frames and expire like those of any program. Services answer when the aircraft has answered; a task
-answers as soon as it is accepted, as DJI's does, and failure is told in the events.
+answers as soon as it is accepted, as DJI's does, and the events report its failure.
 """
 
 from __future__ import annotations

@@ -72,7 +72,7 @@ class Publication:
 
 
 class GraphListener(Protocol):
-    """Who uses the topics and services, as they see it."""
+    """A user of the topics and services, as they see it."""
 
     name: str  # who it is, for people
     data: dict[str, Any]  # for the nodes: what they know about this listener
@@ -91,7 +91,7 @@ class GraphListener(Protocol):
 class RosTopic:
     name: str  # its name, with a leading slash
     type: MessageType  # type of its messages
-    # What a client's message does; None on topics that only the station publishes.
+    # The effect of a client's message; None on topics that only the station publishes.
     on_publish: Callable[[GraphListener, Message, float], None] | None = None
     subscribers: set[GraphListener] = field(default_factory=set)  # sessions that listen
 
@@ -150,7 +150,7 @@ class Graph:
         return Graph(f"{self.prefix}/{name}", self)
 
     def known(self, session: GraphListener) -> dict[str, Any]:
-        """What the nodes of this namespace know about a listener."""
+        """The data about a listener that the nodes of this namespace keep."""
         known: dict[str, Any] = session.data.setdefault(f"nodes of {self.prefix or '/'}", {})
         return known
 

@@ -92,10 +92,10 @@ class Clients:
             client.status("error", str(error))
 
     def admits(self, client: GraphListener) -> bool:
-        """Whether the client may order one more thing now; it is told when it may not.
+        """Whether the client may order one more thing now; it hears when it may not.
 
-        What is ordered is told to people and asked of the aircraft, both of which a client could
-        keep busy. Who has control may always order, and so always give it back.
+        The station reports each order to people and sends it to the aircraft; a client could keep
+        both busy. A client in control may always order, and so always give control back.
         """
         if self.session(client).has_lease:
             return True
@@ -109,7 +109,7 @@ class Clients:
     def run(
         self, client: GraphListener, wish: Callable[[], Coroutine[Any, Any, object]], name: str
     ) -> None:
-        """Run a client's wish, unless it wishes too much; it is told when it fails."""
+        """Run a client's wish, unless it wishes too much; it hears when it fails."""
         if not self.admits(client):
             return
 

@@ -70,7 +70,7 @@ class MissionTopics:
         agent.on_mission_told.append(self._told)
         agent.background.spawn(self._keep_telling(), "mission status")
 
-    # -- what is told ----------------------------------------------------------------------------
+    # -- what clients hear -----------------------------------------------------------------------
 
     async def _keep_telling(self) -> None:
         while True:

@@ -202,7 +202,7 @@ class Node2015:
         version = await self._agent.ask(orders.AskVersion())
         text = f"version: {version.text} (CRC {version.number:08X})"
         session.status("info", text)
-        # People are told at most once in a while: others' events are not to be pushed out.
+        # People hear it at most once in a while: it must not push out the events of others.
         now = self._agent.now
         if now - self._version_told_at >= _VERSION_PAUSE:
             self._version_told_at = now

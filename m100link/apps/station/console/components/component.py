@@ -1,4 +1,4 @@
-"""What every component stands on: texts, buttons that give orders, fields, and their page."""
+"""The base of every component: texts, buttons that give orders, fields, and their page."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class Wording:
 
 
 def attribute(element: ui.element, name: str = "aria-label") -> Callable[[str], None]:
-    """What sets an attribute of an element, where a text is not its content."""
+    """A setter for an attribute of an element, where a text is not its content."""
 
     def show(text: str) -> None:
         if element.props.get(name) != text:
@@ -119,11 +119,11 @@ def attribute(element: ui.element, name: str = "aria-label") -> Callable[[str], 
 # -- buttons that give orders ----------------------------------------------------------------------
 
 _ENDS = frozenset({"stop", "release", "mission_pause", "mission_stop"})
-"""What ends a motion is done however late it comes."""
+"""Orders that end a motion: the page gives them however late they come."""
 
 
 ORDER = "(event) => emit(window.m100?.order(event) ?? {})"
-"""What the page sends of a press, with the number of it that is to be answered."""
+"""JavaScript that sends a press, with its number for :func:`answer`."""
 
 _STOP = "(event) => emit({press: event.detail})"
 
@@ -148,7 +148,7 @@ _NOT_TAKEN = {
         remedy="look at the aircraft, then hold it again",
     ),
 }
-"""What the page makes of a hold that gives no order."""
+"""The errors of a hold that gives no order, by its event in the browser."""
 
 
 def answer(event: GenericEventArguments) -> dict[str, Any]:
@@ -199,7 +199,7 @@ class Buttons:
             self._agent.background.spawn(self._tab.attempt(order), whose)
             await asyncio.sleep(0)
 
-        # A tap with a second finger makes no click: STOP is told by what the page makes of it.
+        # A tap with a second finger makes no click: STOP has an event that the page makes of it.
         made.on(
             {"stop": "stopped"}.get(name, "held" if is_held else "click"),
             pressed,
@@ -273,7 +273,7 @@ class NumberField:
 
     @property
     def value(self) -> float | None:
-        """What stands there, in the unit of the protocol; None for nothing."""
+        """The number in the field, in the unit of the protocol; None for no number."""
         return self._value
 
     @property
@@ -334,7 +334,7 @@ class NumberField:
 #   ``view/fly.py`` offers it, and has to be held for a second where that says so.
 # - Words stand in ``console/texts/``: ``page.wording.label(key)`` for what stands there always,
 #   ``page.wording(text)`` for a text of the view model.
-# - What runs in the browser is a module in ``static/``, loaded by ``page.load``; it imports
+# - Code for the browser is a module in ``static/``, loaded by ``page.load``; it imports
 #   ``m100`` from ``./shell.js`` (``m100.onLive``, ``m100.onMap``, ``m100.socket``).
 
 
@@ -347,7 +347,7 @@ class Component(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class PageContext:
-    """What parts stand on: one for each page."""
+    """The things that all components of a page share: one for each page."""
 
     agent: AgentClient  # the agent that owns the aircraft
     tab: Tab  # who looks at the page

@@ -113,7 +113,7 @@ _SHOWN = ("flight_status", "battery", "gps", "height", "speed", "mode_switch")
 
 
 class InstrumentsPart:
-    """What a pilot looks at. The canvas is drawn by ``static/instruments.js`` from the socket."""
+    """The pilot's instruments; ``static/instruments.js`` draws the canvas from the socket."""
 
     def __init__(self, page: PageContext) -> None:
         horizon = ui.element("canvas").props("id=horizon role=img")

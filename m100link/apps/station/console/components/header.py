@@ -1,4 +1,4 @@
-"""What stands above every view: the status line, alarms, a replay, the list of aircraft."""
+"""The head of every view: the status line, alarms, a replay, the list of aircraft."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SHAPES = {
 
 
 class StatusPart:
-    """Always on the page, above every view. What it says comes from ``view.status``."""
+    """Always on the page, above every view. Its text comes from ``view.status``."""
 
     def __init__(self, page: PageContext) -> None:
         self._page = page
@@ -103,7 +103,7 @@ class AlarmsPart:
         with ui.element("ul").props("id=alarms").classes("alarms") as alarms:
             self._rows = {name: self._build_row(name) for name in AlarmName}
         wording.put(attribute(alarms), "alarms.title")
-        # What a screen reader says at once, whatever it is saying.
+        # A screen reader says this at once, whatever it is saying.
         self._loud = ui.label().classes("unseen").props("id=alarm-loud role=alert")
         with ui.element("div").classes("sound-blocked").props("id=sound-blocked hidden"):
             wording.label("alarms.sound_blocked")
@@ -169,7 +169,7 @@ class AlarmsPart:
 
 
 def _whole(alarm: ActiveAlarm) -> Text:
-    """What an alarm says, and whether it is over."""
+    """The text of an alarm, and whether the alarm is over."""
     if alarm.state is AlarmState.PASSED:
         return tr("alarms.passed", alarm=alarm.text)
     return alarm.text

@@ -36,7 +36,7 @@ _TOOLS = (
     ("follow", "my_location"),
     ("turn", "navigation"),
 )
-"""What each does, ``page.map.<that>`` is its name for people; its icon."""
+"""The action of each, ``page.map.<action>`` is its name for people; its icon."""
 
 
 class FlightMap(ui.leaflet):
@@ -83,7 +83,7 @@ class MapPart:
 
 # -- click to fly ----------------------------------------------------------------------------------
 
-# What is shown of each kind.
+# The fields that the panel shows for each kind.
 _SHOWN: dict[GuidedKind, tuple[str, ...]] = {
     GuidedKind.PLACE: ("way", "height", "speed"),
     GuidedKind.CIRCLE: ("way", "height", "speed", "radius", "turns", "clockwise"),
@@ -105,7 +105,7 @@ class ClickPart:
         self._pointed = Pointed()
         self._shown = Shown()
         self._problem: M100Error | None = None
-        self._orders = 0  # given so far: only the newest one's end is told
+        self._orders = 0  # given so far: the page shows the end of the newest only
         self._is_open = False
         self._drawn = ""
         self._told: tuple[tuple[MapRefusal, ...], DisplaySettings] | None = (

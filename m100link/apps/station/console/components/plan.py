@@ -255,7 +255,7 @@ class PlanPart:
         await self._order(orders.UploadPlan.of(self._draft.plan()))
 
     async def _start(self) -> None:
-        """What this pilot uploaded flies, and nothing that somebody else uploaded since."""
+        """Fly the plan that this pilot uploaded, and none that somebody else uploaded since."""
         await self._order(orders.StartMission(self._page.tab.session.uploaded))
 
     async def _order(self, order: orders.Order) -> None:
@@ -320,7 +320,7 @@ def _run(code: str) -> None:
 
 
 def _place(args: Any) -> Place | None:
-    """What came from the page, if it is a place."""
+    """The place in a message of the page; None if there is none."""
     place = args.get("place") if isinstance(args, dict) else None
     if not isinstance(place, list) or len(place) != 2:
         return None

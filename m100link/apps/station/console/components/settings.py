@@ -1,4 +1,4 @@
-"""What the operator chooses for this page, and the panel of a virtual aircraft."""
+"""The operator's settings of this page, and the panel of a virtual aircraft."""
 
 from __future__ import annotations
 

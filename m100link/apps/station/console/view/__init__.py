@@ -1,1 +1,1 @@
-"""What the page shows, as values: no page, no socket and no clock of its own."""
+"""The content of the page, as values: no page, no socket and no clock of its own."""

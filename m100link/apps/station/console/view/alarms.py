@@ -1,8 +1,8 @@
-"""What the operator has to be told loudly: each alarm a row of a table, its life another table.
+"""The alarms, which the page reports loudly: each a row of a table, its life another table.
 
 An alarm begins and ends by what is known. Between the two lies a gap, so that a value at the edge
-rings once; an unknown value begins nothing and ends nothing. What can only happen (a lease that was
-taken, a mission broken off) begins when it happens and stays until somebody has seen it.
+rings once; an unknown value begins nothing and ends nothing. The alarm of an event (a lease that
+was taken, a mission broken off) begins with the event and stays until somebody has seen it.
 """
 
 from __future__ import annotations
@@ -214,7 +214,7 @@ _N, _L = AlarmName, AlarmLevel
 
 ALARMS: tuple[Definition, ...] = (
     Definition(_N.LINK_LOST, _L.DANGER, _always("alarms.link_lost"), _link_lost),
-    # A landing that was asked for is told of as a task a moment after it has begun.
+    # The agent reports a landing that was asked for as a task a moment after it has begun.
     Definition(_N.LANDS_ITSELF, _L.DANGER, _lands_text, _lands_itself, begins_after=0.5),
     Definition(
         _N.BATTERY_CRITICAL, _L.DANGER, _charge("alarms.battery_critical"), _battery_critical
@@ -275,7 +275,7 @@ ALARMS: tuple[Definition, ...] = (
 class ActiveAlarm:
     name: AlarmName
     level: AlarmLevel  # how urgent it is
-    state: AlarmState  # where it stands; quiet only where it is told that it became so
+    state: AlarmState  # where it stands; quiet only in the report that it became so
     text: Text  # what it says; of one that has passed, what it said last
     at: float  # since when it stands so, on the station's clock, s
 
@@ -304,7 +304,7 @@ class AlarmManager:
 
     @property
     def shown(self) -> tuple[ActiveAlarm, ...]:
-        """What has something to tell, the most urgent first, without what a stronger one covers."""
+        """Those that are not quiet, most urgent first, except those that a stronger one covers."""
         return tuple(
             watched.alarm()
             for watched in self._watched.values()

@@ -1,4 +1,4 @@
-"""What the Data and Events views say: the link in numbers, plots, what happened."""
+"""The Data and Events views: the link in numbers, plots, events."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ FIRST_CHOICE = (
     *("position.height_m", "velocity.ground_speed_m_s"),
     *("angular_velocity.yaw_rate_deg_s", "line.packages_per_s"),
 )
-"""What is drawn until somebody chooses."""
+"""The columns of the plots until somebody chooses."""
 
 MOST = 6  # numbers that are drawn at once: more is not read, and costs the browser
 
@@ -157,7 +157,7 @@ _COLOURS = ("#1e88e5", "#e53935", "#43a047", "#fb8c00", "#8e24aa", "#00897b")
 
 
 def kind(name: str) -> QuantityKind | None:
-    """What a column measures, where the operator chooses the unit."""
+    """The kind of quantity in a column, where the operator chooses its unit."""
     sign = _sign(name)
     return next((one for one in QuantityKind if one.value == sign), None)
 
@@ -294,7 +294,7 @@ class Format(Enum):
 
 
 MIME = {Format.TEXT: "text/plain", Format.JSON: "application/json", Format.CSV: "text/csv"}
-"""What each is told to be."""
+"""The media type of each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,8 +303,7 @@ class EventLine:
     at: float  # seconds since 1970, UTC
     level: str  # one of :data:`LEVELS`
     source: str  # ``"station"``, or ``"page"`` for what only this page knows
-    # What happened: English from the station, and to be said in the operator's language from this
-    # page.
+    # The event: English from the station; from this page, to be said in the operator's language.
     text: str | Text
 
     def said(self, speaker: Translator) -> str:

@@ -1,4 +1,4 @@
-"""What the Fly view says: the list before take-off, which buttons can be pressed, instruments."""
+"""The Fly view: the list before take-off, the buttons that can be pressed, instruments."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from m100link.telemetry.state import is_finite
 
 # -- the list before take-off ----------------------------------------------------------------------
 # Without some of it the aircraft would refuse (line, activation, control), so nobody is asked.
-# About the rest the operator decides, and says why; the reason goes into the list of events. What
-# is unknown is not right.
+# About the rest the operator decides, and says why; the reason goes into the list of events. An
+# unknown item is not right.
 
 ENOUGH_BATTERY = 30  # charge, %, above which a flight begins: missions do not start at it or below
 
@@ -45,7 +45,7 @@ _MAX_LINE_TRIP = 0.3
 
 
 class ChecklistItem(Enum):
-    """What has to be right, in the order of mending; the value is the key of its words."""
+    """The items of the list, in the order of mending; the value is the key of its words."""
 
     LINE = "line"
     QUALITY = "quality"
@@ -88,7 +88,7 @@ class Checklist:
 
     @property
     def missing(self) -> tuple[Check, ...]:
-        """What is not right."""
+        """The items that are not right."""
         return tuple(check for check in self.checks if check.state is not ItemState.RIGHT)
 
 
@@ -186,14 +186,14 @@ _FINDERS: dict[ChecklistItem, Callable[[Situation], _Finding]] = {
 ITEMS: dict[ChecklistItem, bool] = dict.fromkeys(ChecklistItem, False) | dict.fromkeys(
     (ChecklistItem.LINE, ChecklistItem.ACTIVATION, ChecklistItem.CONTROL), True
 )
-"""What has to be right, and whether it is refused without it."""
+"""The items, and whether the aircraft or the station would refuse without each."""
 
 
 # -- what the operator says ------------------------------------------------------------------------
 
 
 class ChecklistModel:
-    """What the operator of one tab said about this take-off; a flight ends it."""
+    """The statements of one tab's operator about this take-off; a flight ends them."""
 
     def __init__(self) -> None:
         self._free_said_at = -math.inf
@@ -240,12 +240,12 @@ def _check(item: ChecklistItem, is_right: bool | None, seen: Text) -> Check:
 # -- which buttons can be pressed ------------------------------------------------------------------
 
 FLIGHTS = frozenset({"take_off", "land", "go_home", "simple_task", "mission_start", "guide"})
-"""What the aircraft begins to fly by itself."""
+"""Orders with which the aircraft begins to fly by itself."""
 
 MISSIONS = frozenset({"mission_pause", "mission_resume", "mission_stop"})
 
 HELD = FLIGHTS | {"mission_resume"}
-"""What has to be held for a second: all that makes the aircraft fly by itself, home and down too.
+"""Orders to be held for a second: all that make the aircraft fly by itself, home and down too.
 A stray click must not; a second's hold does no harm while the aircraft hovers. One press ends a
 motion."""
 
@@ -254,14 +254,14 @@ ACTIONS = FLIGHTS | MISSIONS | {"stop", "activate", "obtain", "release", "missio
 
 
 FROM_GROUND = frozenset({"take_off", "simple_task", "mission_start"})
-"""What leaves the ground when it begins there."""
+"""Orders with which the aircraft leaves the ground if it stands there."""
 
 
 def actions_of(inputs: Inputs, now: Situation, checklist: Checklist) -> frozenset[str]:
     """The orders that can be given now; STOP always can, where something may fly.
 
-    What leaves the ground is offered by the checklist. Where nobody knows whether the aircraft
-    stands, it counts as standing. What flies does not take off.
+    The checklist offers orders that leave the ground. Where nobody knows whether the aircraft
+    stands, it counts as standing. An aircraft that flies does not take off.
     """
     if now.is_replay:
         return frozenset()  # nothing flies, and nothing would obey
@@ -398,7 +398,7 @@ def instruments_of(inputs: Inputs) -> Instruments:
 
 
 def live(view: VehicleView) -> dict[str, Any]:
-    """What the instruments draw, twenty times a second; None for what is stale or missing."""
+    """The data of the instruments, twenty times a second; None for what is stale or missing."""
     message: dict[str, Any] = {"op": "live", "t": round(view.at, 3)}
     if view.telemetry is None:
         return message
@@ -430,7 +430,7 @@ def _rounded(digits: int, *numbers: float) -> list[float]:
 
 
 def seen_from_afar(name: str, view: VehicleView) -> dict[str, Any]:
-    """What the map draws of an aircraft that the page does not show; no place when it is old."""
+    """The data for the map of an aircraft that the page does not show; no place when it is old."""
     message: dict[str, Any] = {"name": name}
     position, attitude = view.get(Position), view.get(Attitude)
     if position is not None:

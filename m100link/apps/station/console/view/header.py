@@ -55,13 +55,13 @@ def summary(plan: WaypointPlan | None) -> Text:
 
 
 def name_of(mission: str) -> Text:
-    """What an agent calls a mission, to be said."""
+    """The agent's name of a mission, to be said."""
     key = _NAMES.get(mission)
     return Text(key) if key is not None else tr("mission.other", name=mission)
 
 
 def progress(plan: WaypointPlan | None, mission: str, index: int) -> tuple[Text, float]:
-    """What flies, to be said, and how much of it is flown, as a part of 1."""
+    """The mission that flies, to be said, and how much of it is flown, as a part of 1."""
     what = name_of(mission)
     if mission in ("", "no mission") or index < 0:
         return what, 0.0
@@ -73,13 +73,13 @@ def progress(plan: WaypointPlan | None, mission: str, index: int) -> tuple[Text,
 
 # -- the status line -------------------------------------------------------------------------------
 # :data:`RULES` is the whole of it: causes in the order of what the operator must do first, each
-# with what has to be known for it. The first that holds is told. None of them reads a value that
-# may be old, so the line claims nothing that it cannot know: while nothing is heard of the
+# with what has to be known for it. The line says the first that holds. None of them reads a value
+# that may be old, so the line claims nothing that it cannot know: while nothing is heard of the
 # aircraft, nobody is said to fly it.
 
 
 class Cause(Enum):
-    """What the line says; the value is the key of its words."""
+    """The statements of the line; the value is the key of its words."""
 
     AGENT_GONE = "agent_gone"  # the process that owns the aircraft has ended
     AGENT_SILENT = "agent_silent"  # it may hang
@@ -143,7 +143,7 @@ RULES: dict[Cause, tuple[AlarmLevel, Callable[[Situation], bool]]] = {
     _C.FREE_RC: (_L.NEUTRAL, lambda now: now.device is Device.RC),
     _C.FREE: (_L.NEUTRAL, lambda now: True),
 }
-"""What is told, in the order of what has to be done first: how urgent it is, and when it is so."""
+"""The causes, in the order of what has to be done first: how urgent each is, and when it holds."""
 
 _TASKS = {
     "take off": "status.task.take_off",
@@ -158,7 +158,7 @@ class StatusLine:
     level: AlarmLevel  # how urgent it is
     text: Text  # what it says
     remedy: Text | None = None  # what to do about it; None where there is nothing to do
-    # What the aircraft flies by itself or by a program; None for nothing, or unknown.
+    # The flight of the aircraft by itself or by a program; None for nothing, or unknown.
     flies: Text | None = None
     # From when on nothing was heard, on the station's clock, s: the page counts from there. None
     # where the cause is not a silence.
@@ -200,7 +200,7 @@ def _since(cause: Cause, now: Situation) -> float | None:
 
 
 def _flies(now: Situation) -> Text | None:
-    """What flies, the aircraft's own before a program."""
+    """The flight that goes on, the aircraft's own before a program's."""
     if now.task:
         key = _TASKS.get(now.task)
         return tr(key) if key is not None else tr("status.program", name=now.task)
@@ -234,7 +234,7 @@ SPEEDS = (0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 50.0)
 
 @dataclass(frozen=True, slots=True)
 class ReplayView:
-    """What the bar of a replay shows."""
+    """The content of the bar of a replay."""
 
     title: Text  # that it is one, and of what
     place: Text  # how far it is, and when that was

@@ -1,4 +1,4 @@
-"""What is drawn on the map besides what moves, and click to fly."""
+"""Drawings on the map besides what moves, and click to fly."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class GuidedKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Pointed:
-    """What was pointed at, and how it is to be flown."""
+    """The target of a click on the map, and how to fly it."""
 
     kind: GuidedKind = GuidedKind.PLACE  # what is wanted
     # Latitude and longitude, °; None before anything was pointed at.
@@ -106,7 +106,7 @@ class Pointed:
 
     @property
     def order(self) -> GuidedOrder | None:
-        """What the agent is asked for; None while there is no point."""
+        """The order for the agent; None while there is no point."""
         if self.kind is GuidedKind.HEIGHT:
             return orders.ChangeHeight(self.height)
         if self.kind is GuidedKind.HEADING:
@@ -162,7 +162,7 @@ class MapRefusal:
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """What is drawn of a point or a flight."""
+    """A point or a flight on the map."""
 
     # Latitude and longitude, °; None where the place stays.
     place: tuple[float, float] | None = None

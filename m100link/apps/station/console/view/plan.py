@@ -41,7 +41,7 @@ _OF_POINT = re.compile(r"waypoint (\d+): ")
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """What was drawn so far. The fields are those of :class:`m100link.WaypointPlan`."""
+    """The plan as drawn so far. The fields are those of :class:`m100link.WaypointPlan`."""
 
     points: tuple[Waypoint, ...] = ()  # waypoints, in the order in which they are flown
     speed: float = 5.0  # along the way, m/s
@@ -154,7 +154,6 @@ class DraftHistory:
         return DraftHistory(self.before[-1], self.before[:-1], (*self.undone, self.draft))
 
     def redo(self) -> DraftHistory:
-        """What was undone last."""
         if not self.undone:
             return self
         return DraftHistory(self.undone[-1], (*self.before, self.draft), self.undone[:-1])
@@ -181,7 +180,7 @@ class Checked:
 
 
 def checked(draft: Draft, home: Place | None = None) -> Checked:
-    """What is wrong with a draft, what may surprise, and what it takes from home.
+    """The errors of a draft, its possible surprises, and the estimate of its flight from home.
 
     An empty draft is not wrong.
     """
@@ -293,7 +292,7 @@ def upload_of(plan: WaypointPlan | None, uploaded: WaypointPlan | None, name: st
     """Whether start would fly what is drawn here."""
     if uploaded is None:
         return tr("plan.is_not_uploaded")
-    # What the aircraft gets: two plans that differ in nothing else fly the same.
+    # The bytes that the aircraft gets: two plans with the same bytes fly the same.
     if plan is not None and plan.to_wire() == uploaded.to_wire():
         return tr("plan.is_uploaded")
     return tr("plan.is_another", name=name)

@@ -1,4 +1,4 @@
-"""What is known at one moment, as plain values: all that the view models read.
+"""The situation at one moment, as plain values: all that the view models read.
 
 A value that is old counts as unknown here, and None says so: a view model that has None cannot
 claim anything by mistake.
@@ -28,7 +28,7 @@ class AlarmLevel(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Situation:
-    """What is known now. None is: unknown, or too old to be believed."""
+    """The situation now, as far as it is known. None is: unknown, or too old to be believed."""
 
     now: float = 0.0  # time on the station's clock, s
     # Whether the agent is heard; while it is not, nothing below is up to date.
@@ -60,8 +60,7 @@ class Situation:
     height: float | None = None  # above the take-off point, m
     place: tuple[float, float] | None = None  # latitude and longitude, °; None without good GPS
     distance: float | None = None  # from where control was obtained, m
-    # What cannot be true in telemetry, in English; empty while nothing is known to speak against
-    # it.
+    # The part of telemetry that cannot be true, in English; empty while none is known.
     contradiction: str = ""
     limits: GuardLimits = field(default_factory=GuardLimits)  # what the agent's guards allow
     aborted: int = 0  # number of the newest event that tells of a mission broken off; 0 for none
@@ -149,7 +148,7 @@ def _distance(place: tuple[float, float] | None, limits: GuardLimits) -> float |
 
 @dataclass(frozen=True, slots=True)
 class Ship:
-    """What is known of one aircraft of the station."""
+    """The state of one aircraft of the station."""
 
     name: str  # what it is called
     vehicle: VehicleView  # what may be believed of it
@@ -165,7 +164,7 @@ class Inputs:
     has_lease: bool = False  # whether the tab that looks holds the lease
     # How that tab lost the lease, and to whom; None unless something else than the tab ended it.
     lease_end: LeaseChanged | None = None
-    # Who or what took authority while that tab had the lease; None while it is held.
+    # How authority was lost while that tab had the lease; None while it is held.
     loss: LossReason | None = None
     wall: float = 0.0  # the same moment as that of the view, in seconds since 1970
     is_virtual: bool = False  # whether the aircraft is known to be a simulated one

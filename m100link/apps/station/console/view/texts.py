@@ -33,14 +33,14 @@ class Language(Enum):
 
 
 class LengthUnit(Enum):
-    """What lengths and heights are shown in."""
+    """The units of lengths and heights on the page."""
 
     METRE = "m"
     FOOT = "ft"
 
 
 class SpeedUnit(Enum):
-    """What speeds are shown in, climb included."""
+    """The units of speeds on the page, climb included."""
 
     M_S = "m/s"
     KM_H = "km/h"
@@ -48,7 +48,7 @@ class SpeedUnit(Enum):
 
 
 class QuantityKind(Enum):
-    """What a quantity measures; the value is its SI unit."""
+    """The kinds of quantity; the value is the SI unit."""
 
     LENGTH = "m"
     SPEED = "m/s"
@@ -145,7 +145,7 @@ def translations(language: Language = Language.ENGLISH) -> Mapping[str, str]:
 @dataclass(frozen=True, slots=True)
 class Text:
     key: str  # of its entry
-    # What stands in its braces: a text, a whole number, a number with one digit behind the point, a
+    # The values in its braces: a text, a whole number, a number with one digit behind the point, a
     # quantity, the unit of a kind, or another text to be said.
     values: Mapping[str, object] = field(default_factory=dict)
 
@@ -186,7 +186,7 @@ class Translator:
 
 
 def for_browser(speaker: Translator) -> dict[str, object]:
-    """What ``static/said.js`` is told: its words, units as factor and sign, the decimal sign."""
+    """The texts for ``static/said.js``: its words, units as factor and sign, the decimal sign."""
     units = speaker.units
     return {
         "words": {
@@ -210,7 +210,7 @@ def problem_text(error: M100Error) -> Text:
 
 
 def reason_text(error: M100Error) -> Text:
-    """What was observed, where the remedy is told otherwise."""
+    """The observation alone, where the remedy stands elsewhere."""
     return Text(_key(error), {"original": error.seen})
 
 
@@ -264,7 +264,7 @@ class DisplaySettings:
 
     @classmethod
     def from_text(cls, text: object) -> DisplaySettings:
-        """What the browser kept; what cannot be read is as it is by default. Never raises."""
+        """The settings that the browser kept; the default of each it cannot read. Never raises."""
         if not isinstance(text, str) or len(text) > _MAX_TEXT:
             return cls()
         try:
