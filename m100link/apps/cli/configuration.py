@@ -49,24 +49,24 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Configuration:
-    """What the file says."""
+    """The content of the file."""
 
     path: Path  # where it is, or would be
     exists: bool = False  # whether it is there
     default: str | None = None  # name of the default aircraft
-    # What holds for every aircraft that is not a virtual one.
+    # Settings of every aircraft that is not a virtual one.
     defaults: Mapping[str, Any] = field(default_factory=dict)
-    # What holds for one aircraft, by its name; ``url`` is always among it.
+    # Settings of one aircraft, by its name; ``url`` is always among them.
     aircraft: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     # Settings of ``serve`` and ``console``.
     station: Mapping[str, Any] = field(default_factory=dict)
 
     def sources(self, word: str | None) -> list[tuple[str, Mapping[str, Any]]]:
-        """What it says of an aircraft, strongest first; a ``url`` is what the word stands for.
+        """Settings of an aircraft by source, strongest first; ``url`` is what the word stands for.
 
         The defaults are a real aircraft's: they do not hold for ``sim://`` and ``replay://``.
         The word is a name or a URL; None: nobody says which.
-        Raises BadURL: it is neither; the names that are near are told.
+        Raises BadURL: it is neither; the error lists names that are near.
         """
         name = self.default if word is None else word
         named = None if name is None else self.aircraft.get(name)

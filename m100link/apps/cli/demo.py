@@ -59,7 +59,7 @@ _PICTURE = 32
 
 @dataclass
 class _Flight:
-    """What happened, for the display and the summary."""
+    """The course of the flight, for the display and the summary."""
 
     stages: dict[str, float] = field(default_factory=dict)
     stage: str = ""
@@ -194,7 +194,7 @@ def _flights(record: Path | None) -> Flights:
 
 
 def _say(text: str, level: str) -> None:
-    if level != "info":  # where it is, is told at the end
+    if level != "info":  # where it is stands in the summary
         err.print(text, style="yellow", markup=False)
 
 

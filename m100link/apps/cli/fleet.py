@@ -35,7 +35,7 @@ from m100link.log.folder import state_folder
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """What goes on on board when Ctrl-C ends the wait for an order."""
+    """The activity on board when Ctrl-C ends the wait for an order."""
 
     seen: str  # what goes on, or ends
     remedy: str  # how to see it and how to end it, with ``{name}`` for the aircraft
@@ -46,7 +46,7 @@ class Left:
 
 
 class Begun:
-    """What was asked of several aircraft, and what of it has ended."""
+    """One order to several aircraft, and its results so far."""
 
     def __init__(self, do: Callable[[FleetAircraft], Awaitable[object]], left: Left) -> None:
         self._do, self._left = do, left
@@ -153,7 +153,7 @@ class FleetOptions:
         pki: Folder with that certificate and key (M100LINK_PKI).
         patience: Seconds without any answer after which the outcome of an order is unknown. With a
             delay of 3 s in each direction an answer takes 6.5 s.
-        log: What is logged.
+        log: Options of the log.
     """
 
     connect: Annotated[tuple[str, ...], Parameter(env_var="M100LINK_FLEET")] = (ROUTER,)
@@ -184,7 +184,7 @@ class FleetOptions:
         return self.name or self.identity or user
 
     def sign(self) -> Sign | None:
-        """What signs orders; None without an identity."""
+        """The signer of orders; None without an identity."""
         if self.identity is None:
             return None
         return signing(read_signer(self.pki, self.identity))

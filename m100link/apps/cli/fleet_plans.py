@@ -120,7 +120,7 @@ def _ask(what: str, question: str) -> None:
 
 
 class _Show:
-    """What a person sees of a mission, and what became of it."""
+    """The display of a mission, and its outcome."""
 
     def __init__(self, name: str, plan: WaypointPlan, *, as_json: bool) -> None:
         self._name, self._plan = name, plan
@@ -146,7 +146,7 @@ class _Show:
         out.print(f"{self._name}: {done}  {words}", markup=False)
 
     def stopped(self) -> str:
-        """What became of a mission that this program left before its end."""
+        """The outcome of a mission that this program left before its end."""
         mission, name = self.mission, self._name
         if mission is None or not mission.has_begun:
             return f"{name}: mission not started"
@@ -449,7 +449,7 @@ def fly_show(
 
     Args:
         show: A file of JSON; - is standard input.
-        leave: What each aircraft does after its track, and when it has to leave: hover or land.
+        leave: Action of each aircraft after its track, and when it has to leave: hover or land.
     """
     found = _read(show)
     report = report_on(found, guards.envelope)

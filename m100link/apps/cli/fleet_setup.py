@@ -174,7 +174,7 @@ def agent(
         count: Number of virtual aircraft of sim://, called NAME1, NAME2 and so on.
         connect: Endpoint of a router (M100LINK_FLEET); may be repeated.
         site: Name of the site (M100LINK_SITE).
-        lost: What the aircraft does when its operator is lost: hover, land or home.
+        lost: Action of the aircraft when its operator is lost: hover, land or home.
         lost_after: Seconds of hovering before that.
         ledger: Folder in which the agent records orders that it begins, so that none runs twice
             after a restart; by default in the user's state folder, for real aircraft only.
@@ -240,7 +240,7 @@ class AccessOptions(
         ("host", "allow_host", "allow_origin", "token_file", "tls_cert", "tls_key")
     )
 ):
-    """Who may open the page."""
+    """The access to the page."""
 
 
 def console(

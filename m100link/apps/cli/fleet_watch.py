@@ -105,7 +105,7 @@ def _table(fleet: Fleet, heard: FleetTelemetry) -> Table:
         if state is None:
             table.add_row(name, "never heard")
             continue
-        # What was known when it was heard last: an item that was old by then tells nothing.
+        # The state when it was heard last: an item that was old by then tells nothing.
         at, age = state.newest_at, state.newest_age or 0.0
         status, position = state.fresh(FlightStatus, now=at), state.fresh(Position, now=at)
         velocity, battery = state.fresh(Velocity, now=at), state.fresh(Battery, now=at)
@@ -320,7 +320,7 @@ class _Shown:
         tell(facts, f"{fetched.name}: {fetched.path}: {told}", as_json=self._is_json)
 
     def interrupted(self) -> None:
-        """What is here of those that were not finished."""
+        """Say how much is here of each log that was not finished."""
         for name, (at, size) in self._at.items():
             text = f"{name}: {at:,} of {size:,} bytes are here; the same command continues"
             say(text, to=err)

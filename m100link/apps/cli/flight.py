@@ -171,7 +171,7 @@ async def activated(
         if progress.next_attempt_in is not None:
             err.print(f"activation: {progress.code.meaning}; again in a moment")
 
-    # Their mistakes are told before a port is opened.
+    # A mistake in them is an error before a port is opened.
     credentials = credentials or place.credentials()
     async with place.connect() as aircraft:
         if ask is not None and not place.is_virtual:
@@ -207,7 +207,7 @@ async def in_control(
 
 
 async def _mission_that_ends(aircraft: Aircraft) -> str:
-    """What a person is asked for, too: one who is asked is told of the mission."""
+    """The words of the question for a mission that the order ends, too; empty without one."""
     await hear_of_mission(aircraft)
     mission = aircraft.mission
     return f"end the {mission.kind.value} and " if mission.is_running else ""
@@ -377,7 +377,7 @@ async def camera(
 
 
 def _not_an_action(words: Sequence[str]) -> str:
-    """What is wrong with words that are not an aircraft and one action."""
+    """The mistake in words that are not an aircraft and one action."""
     actions = [word for word in words if word in _CAMERA]
     if len(actions) > 1:
         return f"{len(actions)} actions were given: {' '.join(actions)}"

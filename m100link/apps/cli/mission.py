@@ -136,7 +136,7 @@ async def _fly(flight: _InControl, plan: WaypointPlan, *, take_off: bool, allow_
 
 
 class _Show:
-    """What a person sees of a mission: a map and a line that says how far it is; or JSON lines."""
+    """The display of a mission: a map and a line that says how far it is; or JSON lines."""
 
     def __init__(self, plan: WaypointPlan, aircraft: Aircraft) -> None:
         first = plan.waypoints[0]

@@ -56,7 +56,7 @@ class FileOptions:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class EstimateOptions:
-    """What the estimate assumes.
+    """The assumptions of the estimate.
 
     Attributes:
         home: LATITUDE,LONGITUDE of the take-off point, to count the legs from and to it.
@@ -227,7 +227,7 @@ def _table(plan: WaypointPlan, *, is_wide: bool) -> Any:
 
 
 def _there(point: Waypoint) -> str:
-    """What is done at a waypoint, in a few words."""
+    """The actions at a waypoint, in a few words."""
     words = ", ".join(map(_word, point.actions))
     if point.actions and point.action_repeat > 1:
         words += f" ×{point.action_repeat}"

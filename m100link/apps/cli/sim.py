@@ -61,7 +61,7 @@ app = group("sim", "Run a virtual Matrice 100, for people and for programs.")
 class FaultOptions(
     options_of(LineFaults, LINE_OPTIONS)  # type: ignore[misc] # a class that is made
 ):
-    """What is wrong with the line, in both directions: every fault that there is."""
+    """The faults of the line, in both directions: every fault that there is."""
 
     def faults(self) -> LineFaults:
         """As the line takes them."""
@@ -150,7 +150,7 @@ class AssistantOptions(
 
 @dataclass(frozen=True)
 class _Plan:
-    """What one call of the command is to run."""
+    """The aircraft and options of one run of the command."""
 
     aircraft: list[VirtualAircraft]
     link: Path | None
@@ -495,7 +495,7 @@ class LiveView:
 
 
 def _mission(told: dict[str, Any]) -> tuple[str, str, str]:
-    """What the mission does, and how far it is."""
+    """The state of the mission, and how far it is."""
     doing = f"{told['kind']}: {'paused' if told['is_paused'] else told['doing']}"
     if "waypoint" not in told:
         return doing, "", ""

@@ -88,7 +88,7 @@ class _Told:
         try:
             yield
         except BrokenPipeError as error:
-            # What is still buffered would fail once more when the interpreter ends.
+            # The rest of the buffer would fail once more when the interpreter ends.
             nowhere = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nowhere, self._stream.fileno())
             os.close(nowhere)
@@ -312,7 +312,7 @@ def panel(title: str) -> Group:
 @Parameter(name="*", group=panel("Log"))
 @dataclass(frozen=True)
 class LogOptions:
-    """What is logged on standard error.
+    """The log on standard error.
 
     Attributes:
         log_level: Lowest level to log (M100LINK_LOG), warning by default; debug has every frame,
