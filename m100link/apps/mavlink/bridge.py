@@ -42,13 +42,13 @@ _LARGEST = 1400  # bytes of a datagram that no network cuts up
 _READ_PER_STEP = 32768
 """Bytes of frames that are read and answered in :data:`STEP_S`, shared out evenly among the
 addresses of peers, and one share for all strangers: a flood is dropped, and holds up neither
-setpoints nor others. What does not look like a frame hardly counts: to read it costs little more
-than to drop it, and of who sends commands between much noise none is dropped."""
+setpoints nor others. Noise that does not look like a frame hardly counts: to read it costs little
+more than to drop it, and no command that comes between much noise is dropped."""
 
 _SKIPPED = 32  # bytes of a datagram that take as long to be skipped as one of a frame to be read
 
 _MESSAGE_COST = 60
-"""What each message counts on top: the shortest ones take as long to read as others."""
+"""The cost of a message beside its bytes: the shortest ones take as long to read as others."""
 
 _STOOD_STILL_S = 1.0  # seconds without a step after which what waits to be read is old
 _SINCE_2015 = 1_420_070_400
@@ -100,8 +100,8 @@ class Bridge:
         self._crafts = [_Craft(agent, system, autopilot) for system, agent in agents.items()]
         self.vehicles = [craft.vehicle for craft in self._crafts]  # as they are translated
         self._ours = {0, *agents}  # system ids of our own words, and of nobody's
-        # What may still be read of whom, and when that was shared out: not by each step, whose rest
-        # is longer while nothing waits.
+        # The share still to be read of each address, and when it was shared out: not by each step,
+        # whose rest is longer while nothing waits.
         self._shares: dict[Address | None, int] = {None: _READ_PER_STEP}
         self._shared_at = -STEP_S
         self.dropped = 0  # datagrams that were not read because too many came
@@ -323,7 +323,7 @@ class _Datagrams(asyncio.DatagramProtocol):
             self._received(data, (host, port))
 
     def error_received(self, exc: Exception) -> None:
-        """Nobody listens there; that is told by heartbeats that do not come."""
+        """Nobody listens there: missing heartbeats show that."""
 
 
 @asynccontextmanager

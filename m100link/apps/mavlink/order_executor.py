@@ -74,9 +74,9 @@ class OrderExecutor:
         self._flights = flights
         # The order under way; a new one ends it.
         self._work: asyncio.Task[None] | None = None
-        # From before a mission's start leaves until its end is told, or its stop is heard.
+        # From before a mission's start leaves until its end is reported, or its stop is heard.
         self._owes_a_stop = False
-        # What is told to a mission goes out in the order in which it was wanted.
+        # Orders to a mission go out in the order in which they were wanted.
         self._telling = asyncio.Lock()
         self._doing: dict[type[Any], Callable[[Any, Lease | None], Awaitable[None]]] = {
             ObtainControl: self._arm,
@@ -297,7 +297,7 @@ class MissionFlights:
     # -- mode requests ---------------------------------------------------------------------------
 
     def mission_request(self, peer: Peer, first: int | None) -> ModeRequest | None:
-        """What flies the mission on, from an item on if one is named; None without a mission.
+        """The request that flies the mission on, from ``first`` if given; None without a mission.
 
         Raises:
             UsageError: It cannot be flown any more.
@@ -343,7 +343,7 @@ class MissionFlights:
         )
 
     def _plan(self, legs: list[RoutePoint], then: Mode) -> tuple[WaypointPlan | None, str]:
-        """What the aircraft flies by itself; None with the reason where it does not."""
+        """The plan that the aircraft flies by itself; None with the reason where it does not."""
         view = self._world.known.view
         firmware = view.state.firmware
         if not flies_missions(firmware):
@@ -384,7 +384,7 @@ class MissionFlights:
             self.leg(flight, flight.by_agent, False)
 
     def is_due(self, command: MissionCommand) -> bool:
-        """Whether something that is told to a mission on its way is still wanted."""
+        """Whether a command to a mission on its way is still wanted."""
         if command.flight is None:
             return self._manager.is_flown_by_aircraft
         is_pause = isinstance(command.order, orders.PauseMission)
@@ -413,7 +413,7 @@ class MissionFlights:
             self._pass(flight, index if waits and status != _AFTER_ACTIONS else index + 1)
 
     def _pass(self, flight: FlightSequence, count: int) -> None:
-        """So many waypoints are done: whose push was lost is told with the next one."""
+        """So many waypoints are done: one whose push was lost is reported with the next."""
         for index in range(self._done, count):
             self._done = index + 1
             number = flight.by_agent + index

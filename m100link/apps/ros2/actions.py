@@ -77,8 +77,8 @@ class _Action:
     make: Callable[
         [AgentClient, RosControl, Mapping[str, Any]], FlightGoal
     ]  # makes what flies of a goal
-    feedback: PublishedTopic  # where it is told how far it is
-    status: PublishedTopic  # where the states of goals are told
+    feedback: PublishedTopic  # where it reports how far it is
+    status: PublishedTopic  # where it reports the states of goals
 
 
 class Actions:

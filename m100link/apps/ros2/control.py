@@ -84,8 +84,8 @@ class SetpointMux:
     def _begins(self, known: _Sender, sent_at: float, now: float, sequence: int) -> bool:
         """Whether it was silent by its own account, too.
 
-        Who went on sending while its way was cut does not fly on when that is whole again: then
-        numbers are missing, or what waited was sent without a pause.
+        A program that went on sending while its link was cut does not fly on when it is whole
+        again: then numbers are missing, or waiting samples were sent without a pause.
         """
         if self._sends(known, now):
             return False
@@ -195,8 +195,8 @@ def toward(
 
 # -- what ROS programs want of the aircraft, asked of its agent: one lease for all of them ---------
 # Control is asked for and given back by services of any caller: a call from a shell is over
-# before anything flies. What keeps programs apart is the stick for setpoints, and the goal for what
-# flies by itself.
+# before anything flies. The stick keeps programs with setpoints apart, and the goal those that fly
+# by themselves.
 
 
 LIFETIME = 0.3
@@ -232,7 +232,7 @@ class RosControl:
     async def fly(self, task: orders.Order) -> None:
         """Let the autopilot take off, land or go home; returns when it has begun.
 
-        After a landing control is given back. What fails later is in the events.
+        After a landing control is given back. Later failures are in the events.
 
         Raises:
             M100Error: As :meth:`m100link.apps.agent.client.AgentClient.ask`.

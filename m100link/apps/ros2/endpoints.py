@@ -1,7 +1,7 @@
 """The ends of a node: what it publishes, hears and serves, each with its token.
 
-Payloads are read and written here, so that what is behind has mappings. What cannot be read is
-counted, and nothing else happens.
+Payloads are read and written here, so that what is behind has mappings. A payload that cannot
+be read is counted, and nothing else happens.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Input:
         self.refused = 0
 
     def take(self) -> Iterator[tuple[Attachment, dict[str, Any]]]:
-        """What has come since, oldest first."""
+        """The samples since the last call, oldest first."""
         for one in self._inbox.take():
             try:
                 found = read_attachment(one.attachment), decode(self._kind, one.payload)
@@ -271,7 +271,7 @@ def _refused(why: str) -> Mapping[str, Any]:
 # -- whether programs of others still run: a frozen one keeps its tokens for as long as its lea ----
 # That is 10 s by zenoh's default and 60 s by rmw_zenoh's. Both have an answer at their admin space
 # though (rmw_zenoh's sessions by default), given by threads of zenoh's however busy the program is.
-# Who has answered once and does so no more is gone; of who never does, the lease tells.
+# A session that has answered and does so no more is gone; the lease decides for the others.
 
 
 ASK_S = 0.5  # seconds between two questions
@@ -297,7 +297,7 @@ class Heartbeat:
         self._asks_at = -math.inf
 
     def follow(self, sessions: Collection[str]) -> None:
-        """Ask these from now on, and no others. What is no session's id is not asked."""
+        """Ask these from now on, and no others. Ids that are of no session are left out."""
         known = [one for one in sorted(set(sessions)) if _SESSION.fullmatch(one)][:_MOST]
         self._sessions = {one: _Session() for one in known}
         self._asks_at = -math.inf

@@ -83,7 +83,7 @@ class NodeName:
         return self._token(self.number, EntityKind.NODE)
 
     def token_of(self, number: int, end: EntityKind, topic: str, kind: str, qos: Qos) -> str:
-        """What says that one of its ends is there."""
+        """The token that declares one of its ends."""
         about = f"{_mangled(topic)}/{dds_name(kind)}/{type_hash(kind)}/{qos}"
         return f"{self._token(number, end)}/{about}"
 
@@ -99,7 +99,7 @@ class Seen:
 
 
 def read_token(key: str) -> Seen | None:
-    """What a token says; None where it is not one as rmw_zenoh writes them."""
+    """The entity that a token declares; None where it is not one as rmw_zenoh writes them."""
     parts = key.split("/")
     if len(parts) not in (_NODE_PARTS, _END_PARTS) or parts[0] != ADMIN:
         return None
@@ -119,7 +119,7 @@ def read_token(key: str) -> Seen | None:
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """What goes with each sample and request."""
+    """The attachment of each sample and request."""
 
     sequence: int  # counts what its sender sent
     at_ns: int  # when it was sent, POSIX time in ns by the clock of the sender

@@ -116,7 +116,7 @@ class Node:
 
     @property
     def counted(self) -> dict[str, int]:
-        """What was not done, by the reason."""
+        """Setpoints and payloads that were refused, by the reason."""
         refused = {f"setpoints {why}": count for why, count in self.control.mux.refused.items()}
         return {"payloads that could not be read": self.ends.junk, **refused}
 
@@ -274,7 +274,7 @@ _SESSION = {
     "scouting/multicast/enabled": "false",
     "timestamping/enabled": '{"router": true, "peer": true, "client": true}',
     # As rmw_zenoh's, and not below that of its router: who stands still for longer than ours and
-    # shorter than the router's gives up this session and is told of no way back to it.
+    # shorter than the router's gives up this session and hears of no way back to it.
     "transport/link/tx/lease": "60000",
     # Nothing that a node hears is longer, and zenoh would put a gigabyte together.
     "transport/link/rx/max_message_size": str(LARGEST),

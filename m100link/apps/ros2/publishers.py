@@ -1,4 +1,4 @@
-"""What the node publishes: made of what the agent tells, for as long as somebody listens."""
+"""The topics of the node: made of the agent's telemetry, for as long as somebody listens."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ class MessageMaker:
         return self._messages.odometry(stamp, place, attitude, velocity, rates)
 
     def _of_pose(self, make: Callable[[Stamp, Place, Attitude], bytes]) -> _Make:
-        """What is made of a place and an attitude, where both are known."""
+        """A message of a place and an attitude, where both are known."""
 
         def made(sample: Sample, stamp: Stamp) -> bytes | None:
             attitude, place = self._read(Attitude, sample), self._place(sample)
@@ -281,7 +281,7 @@ def _time(stamp: Stamp) -> dict[str, int]:
 
 
 def _of(record: type[R], make: Callable[[Stamp, R], bytes]) -> _Make:
-    """What is made of one item, where a package has it."""
+    """A message of one item, where a package has it."""
 
     def made(sample: Sample, stamp: Stamp) -> bytes | None:
         found = sample.get(record)

@@ -45,7 +45,7 @@ ACTIONS: Mapping[str, Callable[[float], WaypointAction]] = {
     "TURN_TO": TurnTo,
     "GIMBAL_PITCH": GimbalPitch,
 }
-"""What can be done at a point, in the order of the numbers of m100_msgs/msg/MissionAction."""
+"""The actions at a point, in the order of the numbers of m100_msgs/msg/MissionAction."""
 
 
 class MissionServices:

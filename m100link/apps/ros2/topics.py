@@ -176,5 +176,5 @@ def _encoded(topic: DjiTopic, sample: Sample, stamp: Stamp) -> bytes | None:
 
 
 def dji_makers() -> dict[str, Callable[[Sample, Stamp], bytes | None]]:
-    """What makes each of :data:`DJI_OUTPUTS` of a package; None where it has nothing for it."""
+    """The maker of each of :data:`DJI_OUTPUTS` from a package; None where it has nothing for it."""
     return {f"dji_sdk/{name}": partial(_encoded, topic) for name, topic in DJI_TOPICS.items()}

@@ -274,7 +274,7 @@ class PacketSigner:
     oldest: int = 0  # what is not later is not taken from anybody who is heard first
 
     def sign(self, frame: bytes, now: int) -> bytes:
-        """What follows a frame that ends with its checksum; ``now`` in 10 µs since 2015."""
+        """The signature of a frame that ends with its checksum; ``now`` in 10 µs since 2015."""
         self.sent = max(self.sent + 1, now)
         told = bytes([self.link]) + self.sent.to_bytes(6, "little")
         return told + self._digest(frame + told)
@@ -291,12 +291,12 @@ class PacketSigner:
         if not is_right or not newest < when <= LAST_SIGNATURE:
             return False
         if stream not in self.newest and len(self.newest) >= _MOST_SENDERS:
-            # Who is forgotten is heard first again: what is old enough for that is refused.
+            # A forgotten sender counts as new: frames as old as its last one are refused.
             self.newest = {one: at for one, at in self.newest.items() if at > since}
             if len(self.newest) >= _MOST_SENDERS:
                 return False
         self.newest[stream] = when
-        # Who has a later clock would refuse what is signed with ours.
+        # A peer with a later clock would refuse frames that are signed by ours.
         self.sent = max(self.sent, when)
         return True
 
@@ -363,7 +363,7 @@ class MessageReader:
                 yield found.message
             if self._most is not None and self.checked > self._most:
                 return
-            # What looked like a start and was none: the next byte may be one.
+            # A byte looked like a start and was none: the next one may be one.
             start = _START.search(data, found.end or at + 1)
 
 
@@ -453,7 +453,7 @@ class SignatureMemory:
     def recall(self, now: int) -> str:
         """Give the signer what was kept. Returns why that cannot be, empty where it can.
 
-        What cannot be read may hide anything that was signed up to now: nothing of that is taken.
+        A file that cannot be read may hide any frame signed up to now: none of them is taken.
         """
         try:
             found = _read(self.path)
@@ -469,7 +469,7 @@ class SignatureMemory:
         return ""
 
     def due(self) -> Snapshot | None:
-        """What has to be written now, so that no frame that was taken is later; None for nothing.
+        """The times to write now, so that no frame that was taken is later; None for nothing.
 
         A sender that does not stop is written for once in two seconds.
         """
@@ -479,7 +479,7 @@ class SignatureMemory:
         return Snapshot(self._signer.sent, {one: when + AHEAD for one, when in newest.items()})
 
     def last(self) -> Snapshot | None:
-        """What is written at the end: the times as they are, so that nobody waits for them."""
+        """The times to write at the end, as they are, so that nobody waits for them."""
         newest = self._newest()
         return Snapshot(self._signer.sent, newest) if newest else None
 
@@ -521,7 +521,7 @@ def _checksum(sent: object, newest: dict[str, Any]) -> int:
 
 
 def _read(path: Path) -> Snapshot:
-    """What a file tells.
+    """The snapshot in a file.
 
     Raises:
         OSError, ValueError: It cannot be read, or is not one of these.

@@ -55,7 +55,7 @@ class Asked:
     x: float = math.nan  # latitude, °, or the fifth parameter
     y: float = math.nan  # longitude, °, or the sixth
     z: float = math.nan  # altitude, or the seventh
-    # What the altitude counts from; above sea level where the message does not say it.
+    # The zero of the altitude: sea level where the message does not say it.
     frame: int = MavFrame.GLOBAL
 
 

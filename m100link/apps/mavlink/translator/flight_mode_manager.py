@@ -1,4 +1,4 @@
-"""Who flies, and what: mode requests of ground stations become orders to the agent, one at a time.
+"""Mode requests of ground stations become orders to the agent, one at a time.
 
 The tables of :mod:`m100link.apps.mavlink.translator.modes` decide about each mode request. There is
 no I/O here: :attr:`FlightModeManager.orders` collects orders, the order executor carries them out
@@ -63,9 +63,9 @@ class FlightModeManager:
         self._world = world
         self._tell = tell
         self._streams = streams
-        # What the executor has to carry out, oldest first.
+        # Orders for the executor, oldest first.
         self.orders: list[VehicleOrder | Setpoint | MissionCommand | Drop] = []
-        # Who armed the aircraft, or moved it first after that one was lost.
+        # The peer that armed the aircraft, or moved it first after that one was lost.
         self.operator: Peer | None = None
         self.steering: Peer | None = None  # whose setpoints came last
         self.running = FlightSource.NOTHING
@@ -73,7 +73,7 @@ class FlightModeManager:
         self._arming: ObtainControl | None = None
         # Called with whether and why not, when a request for authority has ended.
         self.on_armed: Callable[[M100Error | None], None] = lambda _: None
-        # What the aircraft was requested last, while it is in force.
+        # The mode requested last, while it is in force.
         self._mode = Mode.HOLD
         # The order under way; what ends later than the one that replaced it means nothing.
         self._current: VehicleOrder | None = None
@@ -142,7 +142,7 @@ class FlightModeManager:
     # -- mode requests ---------------------------------------------------------------------------
 
     def request_mode(self, request: ModeRequest, now: float) -> MavResult:
-        """Somebody wants a mode. Refusals are told to everybody, with the reason."""
+        """Somebody wants a mode. Everybody hears refusals, with the reason."""
         what, verdict = request.mode.value, VERDICTS[self.phase][request.mode]
         if request.mode not in _ENDS and self.is_others(request.peer, what):
             return MavResult.TEMPORARILY_REJECTED
@@ -169,7 +169,7 @@ class FlightModeManager:
         return result
 
     def is_others(self, peer: Peer | None, what: str) -> bool:
-        """Whether another one flies than the one that asks; everybody is told."""
+        """Whether another one flies than the one that asks; everybody hears it."""
         other = self.other_operator(peer)
         if other is not None:
             self._refuse(what, f"{other.name} flies")

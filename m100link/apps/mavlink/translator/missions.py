@@ -56,7 +56,7 @@ class MissionProtocol:
         self._ground = ground
         self._speed = speed
         self._may_change = may_change
-        # What was uploaded last, by its kind.
+        # The last upload of each kind.
         self._stored: dict[int, tuple[MavlinkMessage, ...]] = dict.fromkeys(
             (MissionType.MISSION, MissionType.FENCE, MissionType.RALLY), ()
         )
@@ -238,7 +238,7 @@ class MissionProtocol:
         return bool(self.items) and self._reached == len(self.items) - 1
 
     def due(self, now: float, *, is_flying: bool) -> Iterator[MavlinkMessage]:
-        """What has to be asked again, and MISSION_CURRENT."""
+        """The request that has to be repeated, and MISSION_CURRENT."""
         upload = self._upload
         if upload is not None and now - upload.asked_at >= _AGAIN_S:
             upload.tries += 1
@@ -271,7 +271,7 @@ def _to(peer: Peer, kind: int) -> dict[str, int]:
 
 
 # -- the fence of a ground station: areas to stay in, and areas to stay out of ---------------------
-# It comes on top of the agent's envelope and never widens it. What is flown to has to lie inside;
+# It comes on top of the agent's envelope and never widens it. Each target has to lie inside;
 # an aircraft that is about to leave is held, and setpoints are not flown while it is outside.
 
 

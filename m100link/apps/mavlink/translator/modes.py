@@ -15,7 +15,7 @@ from m100link.apps.mavlink.translator.numbers import BaseMode
 
 
 class Mode(Enum):
-    """What the aircraft does, as ground stations see it."""
+    """The mode of the aircraft, as ground stations see it."""
 
     HOLD = "Hold"
     TAKEOFF = "Takeoff"
@@ -116,7 +116,7 @@ VERDICTS: dict[VehiclePhase, dict[Mode, ModeVerdict]] = {
 
 
 class FlightSource(Enum):
-    """What flies the aircraft for the bridge."""
+    """The flight that the bridge has under way."""
 
     NOTHING = "nothing"
     TAKE_OFF = "the autopilot's take-off"
@@ -167,7 +167,7 @@ ARM_VERDICTS: dict[VehiclePhase, ModeVerdict] = {
     VehiclePhase.FREE: _V.START,
     VehiclePhase.PILOT: _V.REJECT,
 }
-"""What becomes of the mode request to arm: to obtain control authority."""
+"""The verdict on the mode request to arm: to obtain control authority."""
 
 DISARM_VERDICTS: dict[VehiclePhase, ModeVerdict] = {
     VehiclePhase.AWAY: _V.REJECT,
@@ -179,7 +179,7 @@ DISARM_VERDICTS: dict[VehiclePhase, ModeVerdict] = {
     VehiclePhase.FREE: _V.DENY,
     VehiclePhase.PILOT: _V.DENY,
 }
-"""What becomes of the mode request to disarm: to give control authority back."""
+"""The verdict on the mode request to disarm: to give control authority back."""
 
 
 # -- the modes for programs that ask instead of knowing: AVAILABLE_MODES and CURRENT_MODE ----------

@@ -34,7 +34,7 @@ _CLIMB_M_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class OffboardTarget:
-    """What a program wants; None where it says nothing."""
+    """The target of a program; None where it says nothing."""
 
     at: float  # when it came, s
     place: tuple[float, float] | None = None  # north and east of home, m
@@ -83,7 +83,7 @@ class Offboard:
         is_body = frame in (MavFrame.BODY_NED, MavFrame.BODY_OFFSET_NED, MavFrame.BODY_FRD)
         if not is_body and frame != MavFrame.LOCAL_NED:
             return f"frame {frame} of setpoints is not known"
-        # What is flown in part is another flight than the one that is asked for.
+        # A target flown in part is another flight than the one that is asked for.
         if mask & _PLACE not in (0, _PLACE) or mask & _SPEED not in (0, _SPEED):
             return "only one of two coordinates: give both, or neither"
         has_place, has_height = not mask & _PLACE, not mask & _HEIGHT
@@ -146,7 +146,7 @@ class Offboard:
         return target.climb is not None and target.climb > _CLIMB_M_S
 
     def setpoint(self, now: float) -> Setpoint | None:
-        """What to fly now; None when nobody says it any more, or it cannot be told where to."""
+        """The setpoint of now; None when no program sends it any more, or the place is unknown."""
         target = self.target
         if target is None or not self.is_fresh(now):
             return None
@@ -205,7 +205,7 @@ _DEAD = 0.03
 def _stick(value: float) -> float:
     """-1 to 1, with nothing around the middle, and where there is no such axis.
 
-    What is out of range is no axis, as PX4 has it: INT16_MAX, by which the definitions say so, and
+    A value out of range is no axis, as PX4 has it: INT16_MAX, by which the definitions say so, and
     nonsense, which nobody means as a full stick.
     """
     found = value / _FULL_STICK
@@ -238,7 +238,7 @@ class Manual:
         return False
 
     def setpoint(self, now: float) -> Setpoint | None:
-        """What to fly now; None when nobody holds the sticks."""
+        """The setpoint of now; None when nobody holds the sticks."""
         if not self.is_fresh(now):
             return None
         pitch, roll, climb, turn = self._sticks

@@ -13,7 +13,7 @@ from m100link.missions.plan import WaypointPlan
 
 
 class VehicleOrder:
-    """What takes time and has an end; the newest one replaces what was ordered before it."""
+    """An order that takes time and has an end; the newest one replaces the one before it."""
 
     __slots__ = ()
 
@@ -91,8 +91,8 @@ class FlightSequence(VehicleOrder):
     # flown.
     items: tuple[int | None, ...] = ()
     edition: int = 0  # of the mission
-    # What the aircraft flies by itself in place of the last legs; None where the agent flies them
-    # all.
+    # The part that the aircraft flies by itself in place of the last legs; None where the agent
+    # flies them all.
     plan: WaypointPlan | None = None
     why: str = ""  # why it does, of a mission
 
@@ -109,7 +109,7 @@ class FlightSequence(VehicleOrder):
 
 @dataclass(frozen=True, slots=True)
 class MissionCommand:
-    """What is told to the mission that the aircraft flies; it replaces nothing."""
+    """An order to the mission that the aircraft flies; it replaces nothing."""
 
     order: orders.Order  # to pause it, to go on, or for another speed
     flight: FlightSequence | None = None  # which is paused or goes on; None for whichever flies

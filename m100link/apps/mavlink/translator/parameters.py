@@ -22,7 +22,7 @@ class ParamRow:
     meaning: str  # for the manual
     least: float = 0.0  # what it may be set to
     most: float = 0.0  # likewise; where both are the same it is read-only
-    # What the aircraft or the agent tells, for those that tell of it.
+    # The value as aircraft or agent report it, for the parameters that show it.
     told: Callable[[VehicleState, int], float | None] | None = None
     is_whole: bool = False  # whether it is an integer
 

@@ -52,7 +52,7 @@ class Peers:
             self._trusted[peer] = now
 
     def _make_room(self) -> bool:
-        """Who cannot be trusted makes way for who can: without a key anybody sends heartbeats."""
+        """An untrusted peer makes room for a trusted one: a heartbeat needs no key."""
         found = next((one for one in self._heard if one not in self._trusted), None)
         if found is not None:
             del self._heard[found]

@@ -1,4 +1,4 @@
-"""What a mission means: its items as flights of the agent, and what of them is not flown.
+"""The meaning of a mission: its items as flights of the agent, and those not flown.
 
 An item that changes the way and that the M100 cannot fly refuses the mission; one of a payload that
 is not there is left out, and named. Both lists are here, and the manual is made from them.
@@ -196,7 +196,7 @@ def read_route(items: Sequence[MavlinkMessage], *, ground: float | None, speed: 
 
 
 # -- A mission as the aircraft flies it by itself: a plan of waypoints, or why there is none -------
-# What a plan of the aircraft cannot say is flown by the agent instead. Two things that MAVLink says
+# The agent flies where no plan of the aircraft can express a mission. Two things that MAVLink says
 # for a leg and the plan for the whole are made up for: the speed, which is changed on the way, and
 # the heading, which stays what it was where an item names none.
 
@@ -276,7 +276,7 @@ def _stays(leg: RoutePoint) -> list[Stay]:
 
 
 def _seen(problem: BadPlan, legs: Sequence[RoutePoint]) -> str:
-    """What is wrong, by the number of the item."""
+    """The problem, by the number of the item."""
     if problem.point is None:
         return problem.seen
     return problem.seen.replace(f"waypoint {problem.point}", f"item {legs[problem.point].item}", 1)

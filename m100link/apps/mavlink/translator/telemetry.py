@@ -1,4 +1,4 @@
-"""What is told of the aircraft: one function for each message, and how often each is sent.
+"""The telemetry of the aircraft: one function for each message, and how often each is sent.
 
 A value that nobody knows is the definition's "unknown", and where there is none the message is not
 sent. Nothing here makes a number up.
@@ -303,7 +303,7 @@ def _imu(world: VehicleState, now: float) -> Fields | None:
 
 
 def _felt(acceleration: Acceleration, attitude: Attitude) -> tuple[float, float, float]:
-    """What an accelerometer in the body would say: without gravity nobody takes it for one."""
+    """The reading of an accelerometer in the body: without gravity nobody takes it for one."""
     north, east, down = acceleration.ned
     down -= 9.80665
     q0, q1, q2, q3 = attitude
@@ -381,7 +381,7 @@ class Rates:
     def __init__(self, world: VehicleState) -> None:
         self._world = world
         self._asked: dict[Peer, dict[str, float]] = {}
-        # What follows for each address: made anew, once a step, when rates or addresses changed.
+        # The rates of each address: made anew, once a step, when rates or addresses changed.
         self._audience: Audience | None = None
         self._present: set[Peer] = set()
         self._tables: dict[Address, dict[str, float]] = {}

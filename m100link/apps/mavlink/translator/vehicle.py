@@ -57,7 +57,7 @@ _AHEAD_S = 1.8  # so far ahead the fence is looked at: at a tilt of 30 degrees i
 _AWAY_M = 0.3  # so far it may be told to move away from the fence while it stands
 
 _FLIGHTS = (FlightSource.FLIGHT, FlightSource.MISSION, FlightSource.PAUSED)
-"""What leads back into the fence by itself, if it leads there."""
+"""Flights that lead back into the fence by themselves, if they lead there."""
 
 _MISSION_MESSAGES = (
     *("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_LIST", "MISSION_REQUEST_INT"),
@@ -73,7 +73,7 @@ class MavlinkVehicle:
     ) -> None:
         self.system = system
         self._autopilot = autopilot
-        # What has to be sent: to which peer, to which addresses, or None for everybody.
+        # Messages to send: to which peer, to which addresses, or None for everybody.
         self.outbox: list[tuple[MavlinkMessage, Peer | tuple[Address, ...] | None]] = []
         self.world = VehicleState(known, session)  # what is known of the aircraft
         self._texts = Texts()
@@ -107,7 +107,7 @@ class MavlinkVehicle:
         )
         self.flights = MissionFlights(self.world, self.manager, self._missions, tell)
         self._breach_m: float | None = None  # the least since it is outside; None inside
-        # Who waits for the answer to arming, and when they were told last that it takes time.
+        # Peers that wait for the answer to arming, and when each last heard that it takes time.
         self._arming: dict[Peer, float] = {}
         self._beaten_at = -math.inf
         self._beaten: tuple[object, ...] = ()
@@ -218,7 +218,7 @@ class MavlinkVehicle:
                 manual.receive(message, now)
 
     def _data_stream(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
-        """What older programs ask for: it has no answer."""
+        """The request of older programs for telemetry: it has no answer."""
         hz = message["req_message_rate"] if message["start_stop"] else 0
         self._rates.set_group(message["req_stream_id"], hz, peer)
 
@@ -396,7 +396,7 @@ class MavlinkVehicle:
     # -- time passes -----------------------------------------------------------------------------
 
     def event(self, event: Event) -> None:
-        """Something happened at the agent: people are told."""
+        """An event of the agent becomes a text for people."""
         self._texts.tell(severity_of(event.level), event.text)
         if event.topic in (EventTopic.STOPPED, EventTopic.HALTED):
             is_stop = event.topic is EventTopic.STOPPED

@@ -1,4 +1,4 @@
-"""What the bridge knows of one aircraft: fresh telemetry, home, and where the flight stands.
+"""The bridge's knowledge of one aircraft: fresh telemetry, home, and where the flight stands.
 
 Everything is read from the view of the moment. Home is kept here: the wire has no item for it.
 """
@@ -89,7 +89,7 @@ class VehicleState:
     def is_armed(self) -> bool:
         """Whether the motors may turn: they do, nobody knows, or a program has control.
 
-        Who reads this puts a hand to the propellers, so what is unknown counts as armed.
+        People who read this put a hand to the propellers: an unknown state counts as armed.
         """
         view = self.known.view
         is_standing = view.is_on_ground is True and not self.may_take_off
@@ -126,7 +126,7 @@ class VehicleState:
         return view.state.mission in _MISSIONS and view.is_connected
 
     def mode_of_others(self) -> Mode:
-        """What flies when the bridge does not."""
+        """The mode in which others fly, when the bridge does not."""
         view, phase = self.known.view, self.phase
         if phase is VehiclePhase.OTHER and view.has_authority:
             if view.state.task in _TASKS:
