@@ -193,7 +193,7 @@ class FleetAgent:
                 )
             await asyncio.sleep(0.2)
 
-    # -- what is told ----------------------------------------------------------------------------
+    # -- reports ---------------------------------------------------------------------------------
 
     def _on_event(self, event: Event) -> None:
         if event.topic in (EventTopic.STOPPED, EventTopic.HALTED):
@@ -382,7 +382,7 @@ class FleetAgent:
         return OrderReply.done(identity, self._keys.name, self.boot, error, **told)
 
     async def _wait(self, identity: str) -> None:
-        if identity in self._running:  # where it runs on, that is what is told
+        if identity in self._running:  # where it runs on, the reply says so
             await asyncio.wait({self._running[identity]}, timeout=HOLD_S)
 
     def _told(self, identity: str, *, is_repeated: bool) -> OrderReply:
@@ -453,8 +453,8 @@ def _begun_before() -> OutcomeUnknown:
 
 
 # -- whether another agent has the name of this one (pure logic, ``now`` is an argument) -----------
-# Each looks before it begins, but two behind routers that were joined later have both begun. What
-# is told of one aircraft is then told of two, and one order reaches both.
+# Each looks before it begins, but two behind routers that were joined later have both begun. Two
+# aircraft then report under one name, and one order reaches both.
 
 
 GONE_S = 5.0

@@ -102,7 +102,7 @@ class Asker:
         fence: int = 0,  # number of the lease it is asked under; 0 for none
         token: str = "",  # secret of that lease; it is proved, and not sent
         # The agent's own clock, at the earliest, s; by default what it shows now, from its answers.
-        # What moves has to say it, and is not carried out when it is old.
+        # An order that moves has to say it, and is not carried out when it is old.
         clock: float = 0.0,
         identity: str = "",  # of the order; a new one by default
         patience: float | None = None,
@@ -234,7 +234,7 @@ class Asker:
                     return reply
                 if reply.progress is Progress.RUNNING:
                     begun = max(begun, number)
-                # What was asked before the order was sent again says nothing of that.
+                # Answers to questions before the order was sent again do not count.
                 elif number > max(sent, begun):
                     if begun or self._clock() - began >= patience:
                         raise self._never_arrives(has_begun=bool(begun))

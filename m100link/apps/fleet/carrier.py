@@ -122,7 +122,7 @@ class FleetChannel:
         self._shown_at = 0.0  # when the agent showed the last time that the lease is in force
         self.lost: M100Error | None = None  # what the agent refused to renew it with
         # Why the newest setpoint that the agent told of was not flown. A page shows what is true of
-        # the newest beat: it is told again with each, until the agent says that they fly.
+        # the newest beat: it is reported with each, until the agent says that they fly.
         self._unflown: RemoteError | None = None
         self._asks = 0
         # Messages that this version cannot read, that were too long on their way to say anything,
@@ -273,7 +273,7 @@ class FleetChannel:
             message = replace(message, at=at)
         else:
             at = now
-        # What waited in the network does not make a silent agent one that is heard.
+        # A message that waited in the network does not make a silent agent one that is heard.
         if now - at > MAX_SILENCE and not isinstance(message, Event):
             self.old += 1
         else:
@@ -326,7 +326,7 @@ class FleetChannel:
             if lease is not None:
                 self._keep(lease)
             return
-        # What ends a movement is never refused here, however much waits for answers.
+        # An order that ends a movement is never refused here, however much waits for answers.
         if self._asks >= _MOST_ASKS and order.right is not Right.STOP:
             error = UsageError(f"{self._asks} orders of this client wait for answers already")
             self._answer(ask.id, None, error)
@@ -357,8 +357,8 @@ class FleetChannel:
     def _steer(self, steer: Steer) -> None:
         try:
             lease = self._leases.get(steer.fence)
-            # Who steers renews nothing else meanwhile. What comes too late to be flown renews no
-            # lease. Only renewals report that it was not flown, and how slow the link is.
+            # A client that steers renews nothing else meanwhile. A setpoint too late to be flown
+            # renews no lease. Only renewals report that it was not flown, and how slow the link is.
             if lease is None or steer.fence != self._holder.number:
                 raise LeaseRefused(f"lease {steer.fence} is not in force")
             self._keep(lease)
@@ -389,7 +389,7 @@ class FleetChannel:
                 cause="the round trip is too long for setpoints",
                 remedy="fly by tasks and fly_to(), whose loops are closed on board",
             )
-        # What its clock showed long ago says nothing of how slow the way is by now.
+        # An old reading of its clock does not show how slow the link is by now.
         if (silent := self._its_clock.silent_s(now)) > _UNANSWERED_S:
             raise UsageError(
                 f"{self._keys.name} has answered nothing for {silent:.0f} s: it is unknown whether "
@@ -447,8 +447,8 @@ class FleetChannel:
         if isinstance(order, orders.AcquireLease | orders.ConfirmTakeOver):
             request = asker.lease_request(token)
             lease, its = await asker.take_lease(request)
-            # By what is told none of them ends: that may be old, lost on the way, or of a stranger,
-            # and who believes to have control has to be able to steer, and to give it back.
+            # No report ends any of them: it may be old, lost on the way, or of a stranger, and a
+            # client that believes to have control has to be able to steer, and to give it back.
             kept = sorted({**self._leases, lease.number: lease}.items())
             self._leases = dict(kept[-_MOST_LEASES:])
             self._granted_at = self._told_at = its

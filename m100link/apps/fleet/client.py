@@ -67,7 +67,7 @@ class FleetAircraft:
         """Control of it, as ``async with``: the lease, authority, and orders to fly.
 
         Args:
-            stop: What the aircraft does when the block is left: ``hover`` or ``land``.
+            stop: Action of the aircraft when the block is left: ``hover`` or ``land``.
             take_over: Take the lease from its holder.
 
         Raises (when it is entered):
@@ -142,7 +142,7 @@ class FleetAircraft:
             UsageError: There is no such log, or it cannot be written here.
             Unreachable: Its agent is absent, or stopped answering. The part that came is kept.
             NotAllowed: It refused the question.
-            FleetError: What came differs from the log on board.
+            FleetError: The copy differs from the log on board.
         """
         return await LogFetcher(self.asker).fetch(log, to, progress)
 

@@ -399,7 +399,7 @@ class Gate:
             for name, one in rights.identities.items()
             if one.public_key is not None
         }
-        # What was let through, and until when it could be let through again.
+        # Orders that were let through, and until when each could be let through again.
         self._seen: dict[tuple[str, str], float] = {}
         self._purged_at = _PURGED_AT
 

@@ -43,7 +43,7 @@ _MOST_S = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class LostLinkPlan:
-    """What the aircraft does when its operator is lost."""
+    """The action of the aircraft when its operator is lost."""
 
     # ``hover``, and control authority goes back to the pilot with the remote control; ``land`` in
     # place, or go ``home``.
@@ -80,7 +80,7 @@ class LostLinkAction:
         self._is_descending = False
         # Whether the line was lost under this lease: nobody took what was held.
         self._is_line_lost = False
-        # Who showed that he is there; empty for nobody.
+        # The sign that somebody is there; empty for none.
         self._somebody = ""
         client.on_lease.append(self._lease_changed)
         client.on_authority_taken.append(self._authority_taken)
@@ -127,7 +127,7 @@ class LostLinkAction:
     def _event(self, event: Event) -> None:
         if event.topic is EventTopic.STOPPED:
             self._somebody = "STOP was pressed"
-        # The state is told before what is told because of it.
+        # The agent reports its state before the events that follow from it.
         client = self._client
         if client.holder.number and client.state.has_authority:
             self._aloft.flown_under(client.holder.number)

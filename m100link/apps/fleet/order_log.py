@@ -226,7 +226,7 @@ class FileOrderLog:
         """Write words; returns a report on the disk."""
         with self._in_thread:
             has_lock = is_at(self._lock, self._lock_path)
-            # What a full disk took a part of is cut off with the next word.
+            # A word of which a full disk took a part is cut off with the next word.
             has_all = os.fstat(self._file).st_size >= self._size
             is_there = has_lock and has_all and is_at(self._file, self._path)
             if not has_lock:
@@ -355,7 +355,7 @@ class OrderCache:
         self._unsure_before = unsure_before
         # The digest of what is under way, by id.
         self._running: dict[str, bytes] = {}
-        # What became of the others and when, in the order in which they ended.
+        # The replies of the others and their times, in the order in which they ended.
         self._ended: dict[str, tuple[float, OrderReply]] = {}
 
     def is_known(self, identity: str) -> bool:
@@ -451,7 +451,7 @@ class Words:
 
 
 def words(data: bytes, mark: bytes) -> Words:
-    # What has no end was cut off by the loss of power as it was written: it had not begun.
+    # Loss of power cut off a line without an end as it was written: its order had not begun.
     lines = data.decode("ascii", "replace").split("\n")[:-1]
     read = [_unsealed(line) for line in lines]
     known = {number: (first, content) for number, first, content in filter(None, read)}

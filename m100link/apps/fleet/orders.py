@@ -47,7 +47,7 @@ class Granted:
 class OrderService:
     def __init__(self, client: AgentClient, ledger: Ledger, revoked: Since = nobody) -> None:
         self._revoked = revoked
-        # Who signed for the landing under way: they may be revoked meanwhile.
+        # The signers of the landing under way: they may be revoked meanwhile.
         self._descent_signers: set[str] = set()
         self._client = client
         self._ledger = ledger
@@ -237,7 +237,7 @@ class OrderService:
             try:
                 await self._client.ask(task, lease)
             except (TaskRefused, MissionRunning):
-                # What was broken off takes its time to end, in the air or on the ground.
+                # A task that was broken off takes its time to end, in the air or on the ground.
                 if self._client.now > until:
                     raise
                 await asyncio.sleep(_AGAIN_S)

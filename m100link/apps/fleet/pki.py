@@ -51,7 +51,7 @@ class BadAuthority(
 
 
 class Kind(Enum):
-    """What a certificate is for; ``pilot`` is for a remote operator."""
+    """The purpose of a certificate; ``pilot`` is for a remote operator."""
 
     ROUTER = "router"
     AGENT = "agent"
@@ -420,8 +420,8 @@ def _of_identity(rights: Rights, one: Identity) -> Iterator[dict[str, Any]]:
         *_keys(rights, flown, _FLOWN),
     ]
     put, live = _keys(rights, flown, _PUT), _tokens(rights, watched)
-    # It may ask for all by one pattern, which has to be allowed as it stands: what it is told is
-    # decided for each key as it goes out.
+    # It may ask for all by one pattern, which has to be allowed as it stands: the router
+    # decides for each key as it goes out.
     asked = [*served, *_keys(rights, everybody, _CARDS)]
     yield _rule("ingress", ["declare_subscriber"], _keys(rights, everybody, _TOLD))
     yield _rule("egress", ["put"], told)

@@ -1,4 +1,4 @@
-"""What an agent publishes, and how others receive it.
+"""Publications of an agent, and how others receive them.
 
 A console on the ground receives what a client on board receives. Telemetry and events have keys of
 their own. :class:`StatePublisher` sends the rest as messages of the agent: its state, the holder of

@@ -129,7 +129,7 @@ class LogPart:
         self.path = self.whole.with_name(f"{name}.part")  # the file that it is
         self.at = 0  # bytes in it
         self._file: FileIO | None = None
-        # Who is cancelled closes while a thread may still be writing.
+        # A cancelled task closes while a thread may still be writing.
         self._lock = threading.Lock()
         with _telling(self.whole.parent):
             self.whole.parent.mkdir(parents=True, exist_ok=True)

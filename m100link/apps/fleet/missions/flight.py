@@ -179,7 +179,7 @@ class FleetMission:
         """The next event.
 
         Raises:
-            MissionAborted, NotObserved: What ended it before its end.
+            MissionAborted, NotObserved: The reason of its early end.
             OutcomeUnknown: Its state is unknown, or its agent restarted.
         """
         while not self._events:

@@ -140,7 +140,7 @@ class MissionManager:
         self.stage = after(self.stage, MissionInput.LEASE_ENDED)
         self.void()  # the next holder starts nothing of it
 
-    # -- what is told ----------------------------------------------------------------------------
+    # -- reports ---------------------------------------------------------------------------------
 
     @property
     def words(self) -> str:

@@ -69,7 +69,7 @@ class Conductor:
         site: Name of the site.
         who: Name of the operator who conducts, shown to other people.
         show: The show; the caller has checked it.
-        leave: What each aircraft does at the end, and when it has to leave.
+        leave: Action of each aircraft at the end, and when it has to leave.
         sign: Signs orders; without it only the router decides who may give them.
         tell: Called with progress reports for people.
         utc: POSIX time, s.

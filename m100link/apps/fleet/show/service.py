@@ -83,7 +83,7 @@ class ShowService:
         self._namesakes = namesakes
         self._beside = beside or Beside()
         self.performer = TrackExecutor(client, keys.name)
-        # What became of orders that were let through: the network may bring one twice.
+        # The outcome of orders that were let through: the network may bring one twice.
         self._known: dict[bytes, M100Error | None] = {}
         self._pieces = bytearray()
         self._placed_by = ""

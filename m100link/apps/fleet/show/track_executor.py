@@ -83,7 +83,7 @@ class TrackExecutor:
         self.neighbours: Neighbours | None = None
         # Which orders come too late: nobody waits for them, or it was stopped since.
         self.ages = OrderExpiry()
-        # Who conducts, by a word that is another one each time; empty when none was told.
+        # The id of the conductor's run, another one each time; empty when none was given.
         self.run = ""
         self._rest: RestOfTrack | None = None
         # When its show begins, by the agent's clock; None before that is known.
@@ -134,7 +134,7 @@ class TrackExecutor:
     def require_run(self, run: str) -> None:
         """Refuse an order of somebody who does not conduct the show that it is in."""
         silent = self._client.now - self._heard_at
-        # What is loaded, and that nobody conducts any more.
+        # A track is loaded, and nobody conducts any more.
         is_over = self.stage is ShowStage.LOADED and silent > ATTENDED_S
         if run not in ("", self.run) and self.stage in _IN_SHOW and not is_over:
             raise UsageError(
@@ -143,7 +143,7 @@ class TrackExecutor:
                 remedy=f"wait until that show is over, or end it: m100link fleet stop {self._name}",
             )
 
-    # -- what it is told -------------------------------------------------------------------------
+    # -- orders ----------------------------------------------------------------------------------
 
     def _require(self, order: type[ShowOrder], what: str) -> None:
         is_landing = order is LoadTrack and self._control.has_lease
@@ -273,7 +273,7 @@ class TrackExecutor:
         self._control.name = f"show of {who}"
         attending = client.background.spawn(self._attend(), "conductor of a show")
         try:
-            # It keeps the lease until it is told to begin.
+            # It keeps the lease until the order to begin.
             async with self._control.kept():
                 await self._control.obtain()
                 await self._take_place(client.check(self._control.lease), track)
@@ -379,7 +379,7 @@ class TrackExecutor:
         )
 
     async def _end(self) -> None:
-        """What follows: it hovers or lands, and lets go of control."""
+        """It hovers or lands, and lets go of control."""
         control = self._control
         if self._leave == "land" and control.has_control:
             try:

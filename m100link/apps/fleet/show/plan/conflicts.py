@@ -172,7 +172,7 @@ class Neighbours:
         for ahead, heard_at in self._heard.values():
             if own.at < ahead.at + AHEAD_S:
                 found += filter(None, [self._meets(own, ahead)])
-            # What was long on its way is as old as it says.
+            # A message that was long on its way is as old as it says.
             silent = max(now - heard_at, own.at - ahead.at)
             if silent > SILENT_S:
                 found += filter(None, [self._stands(own, ahead, silent)])

@@ -181,7 +181,7 @@ class TrackSteering:
         self._require_near(at, math.dist(here, wanted))
         if at >= self._track.end + _SETTLING_S:
             return None
-        # What is wanted once the velocity has followed, and back to where it should be now.
+        # The velocity for when the aircraft has followed, and back to where it should be now.
         ahead_n, ahead_e, _ = self._track.moment(at + _LAG_S).velocity
         ahead_up = self._track.moment(at + _LAG_UP_S).velocity[2]
         off_n, off_e, off_up = (a - b for a, b in zip(wanted, here, strict=True))
