@@ -47,8 +47,8 @@ napoleon_use_ivar = True  # attributes are described by their class, not indexed
 python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 88
 
-# References are checked against this manual alone: building it needs no network. What belongs to
-# other projects is therefore named here instead of linked.
+# Sphinx checks references against this manual alone, without a network. Names that belong to
+# other projects therefore stand here without a link.
 nitpicky = True
 nitpick_ignore_regex = [
     # The standard library and the packages that m100link stands on.
@@ -59,7 +59,7 @@ nitpick_ignore_regex = [
     (r"py:class", r"os\.PathLike"),
     (r"py:.*", r"(anyio|cryptography|serial|serial_asyncio)(\..*)?"),
     (r"py:class", r"(Path|(random\.)?Random)"),
-    # What is signed is handed on as it is.
+    # The signed order is handed on as it is.
     (r"py:class", r"m100link\.apps\.fleet\.payloads\.OrderMessage"),
     # Attributes are described by their class, they are not entries of their own.
     (r"py:attr", r"state"),

@@ -358,7 +358,7 @@ _OTHER_ROOMS = (
     *("activation", "notifications", "patterns", "requests"),
 )
 
-# What has moved, and where it is now. The old names keep working, deep ones with a warning.
+# Rooms that have moved, and their place now. The old names keep working, deep ones with a warning.
 _MOVED = {
     **dict.fromkeys(("agent", "bus", "cli", "doctor"), "apps"),
     **dict.fromkeys(("fleet", "mavlink", "ros2", "station"), "apps"),

@@ -40,8 +40,8 @@ TOO_LONG = 35  # words of a sentence
 # These may only fall. Lower them when you made them too large.
 MOST = {
     "whoever": 0,
-    "headless": 250,
-    "is told": 46,
+    "headless": 0,
+    "is told": 0,
     "of before": 0,
     "of then": 0,
     "outside": 0,

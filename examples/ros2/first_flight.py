@@ -48,7 +48,7 @@ class Program:
         self.poses = session.declare_subscriber(odometry, zenoh.handlers.RingChannel(1))
 
     def attachment(self, end: str) -> bytes:
-        """What rmw_zenoh sends with everything: a count, the time and who sends."""
+        """The attachment that rmw_zenoh sends with everything: count, time and sender."""
         self.sent[end] = self.sent.get(end, 0) + 1
         identity = self.ids.setdefault(end, os.urandom(16))
         return struct.pack("<qqB16s", self.sent[end], time.time_ns(), 16, identity)

@@ -11,7 +11,7 @@ import roslibpy
 
 
 def hear_statuses(connection: roslibpy.comm.RosBridgeProtocol) -> None:
-    """What the station cannot do for a message it tells by a `status`, left to you."""
+    """The station reports a message that it cannot use by a `status`, left to you."""
     # roslibpy 2.1 keeps an empty place for it, and takes that for taken.
     connection._message_handlers.pop("status", None)
     connection.register_message_handlers(

@@ -64,7 +64,7 @@ _PLAIN: dict[type[Any], tuple[float, float, str]] = {
 """What JSON writes by itself: the least and the greatest value, of a text its length."""
 
 _Codec = tuple[Callable[[Any], Any] | None, frozenset[type[Any]], Callable[[Any], Any]]
-"""What writes a value that JSON cannot, the types that are read as they come, what reads others."""
+"""The writer of a value that JSON lacks, types that are read as they come, the reader of others."""
 
 write_json = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 

@@ -277,8 +277,6 @@ _WAYS_DOWN: dict[Mode, LandInPlace | ReturnToLaunch] = {
 
 
 class MissionFlights:
-    """Flights of the mission of one aircraft."""
-
     def __init__(
         self,
         world: VehicleState,  # what is known of the aircraft

@@ -160,7 +160,7 @@ class Agent:
         flown = self.holding.flown
         call_each(
             (
-                lambda: self.halt("control changed hands"),  # before anybody is told
+                lambda: self.halt("control changed hands"),  # before anybody hears of it
                 lambda: self._hand_on(why, new),
                 *(partial(callback, why, new, flown) for callback in self.on_lease),
                 lambda: self.upload(PlanChanged()),  # nobody flies what somebody else left
@@ -233,7 +233,7 @@ class Agent:
     ) -> Any:
         """Begin as :meth:`ask`: returns the answer of what is done at once, else what to await.
 
-        ``at``: when it was asked, s. What a STOP has overtaken moves nothing, and undoes no STOP.
+        ``at``: when it was asked, s. An order from before a STOP moves nothing, and undoes none.
         """
         is_overtaken = at < self._stopped_at
         if is_overtaken and order.moves and not isinstance(order, _ENDS):

@@ -112,7 +112,7 @@ class AircraftConnection:
     async def _pass_on(self, one: Supervised) -> None:
         try:
             async for sample in one.telemetry(policy=Newest(50)):
-                if isinstance(sample, Sample):  # a gap is told by the events, and so is the end
+                if isinstance(sample, Sample):  # events report a gap and the end
                     with goes_on("the telling of telemetry"):
                         call_each(self.on_sample, sample)
         except M100Error:

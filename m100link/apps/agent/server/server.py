@@ -181,7 +181,7 @@ class AgentServer:
                 self._tell(self._state())
 
     def _replay_told(self, told: Replay | None) -> object:
-        """What people change of a replay; its place changes by itself."""
+        """The settings of a replay that people change; its place changes by itself."""
         return told and (told.rate, told.is_paused, told.clock - told.position_s)
 
     def _state(self) -> State:

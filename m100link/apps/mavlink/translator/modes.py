@@ -137,7 +137,7 @@ class ModeTransition(Enum):
     KEEP = "it is what flies; a mission that was changed is stopped, and begins anew"
     PAUSE = "the aircraft hovers and keeps its mission"
     RESUME = "the aircraft goes on with its mission; one that was changed is stopped, and begins"
-    STOP = "the aircraft is told to stop its mission, which ends it; then the mode request begins"
+    STOP = "the bridge stops the mission of the aircraft; then the mode request begins"
     REFUSE = "what flies goes on"
 
 

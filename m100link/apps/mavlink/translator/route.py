@@ -39,8 +39,6 @@ class Refused(Exception):
 
 @dataclass(frozen=True, slots=True)
 class RoutePoint:
-    """A place that the mission flies to."""
-
     item: int  # number of the item
     order: FlyTo
     wait: float = 0.0  # seconds to hover there
