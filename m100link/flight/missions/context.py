@@ -96,9 +96,9 @@ class MissionContext:
 # -- the guards of a mission before its first byte is sent -----------------------------------------
 
 
+# Horizontal metres to the first waypoint, centre or target from which a mission must be allowed by
+# name: a plan of another place is a mistake that is made.
 FAR_M = 500.0
-"""Horizontal metres to the first waypoint, centre or target from which a mission must be allowed by
-name: a plan of another place is a mistake that is made."""
 
 _WHAT = "the waypoint mission"
 
@@ -107,9 +107,6 @@ async def require_airborne(
     context: MissionContext, what: str, *, may_take_off: bool = False
 ) -> bool:
     """Wait for the values of the guards, and see that the aircraft flies, or may take off.
-
-    A mission that is started on the ground may take off by itself (DJI's sample): nobody is to be
-    surprised by that.
 
     Returns whether it stands on the ground. Raises ``UsageError``: it stands on the ground, and
     nobody said that it may take off. Raises ``TelemetryStalled``: nobody knows whether it flies.
@@ -124,6 +121,7 @@ async def require_airborne(
             cause="the item is not sent, or the line is broken",
             remedy="set the item to 1 Hz or more in the PC assistant",
         )
+    # Started on the ground it may take off by itself, as DJI's sample does: by name alone.
     if on_ground and not may_take_off:
         raise UsageError(
             f"{what} was asked for on the ground ({describe_situation(state.situation())})",
@@ -155,18 +153,14 @@ def check_plan(
 
 
 def check_battery(guards: GuardKeeper, state: AircraftState, plan: WaypointPlan) -> None:
-    """Whether the charge lasts for the plan, with the floor left, by estimate.
-
-    A plan that only the pilot's stick moves has no estimate; the floor ends it in flight.
-
-    Raises ``GuardRefused``: it does not.
-    """
+    """Raise ``GuardRefused`` unless the charge, by estimate, lasts for the plan and the floor."""
     floor = guards.guards.battery_floor_percent
     battery, position = known(state, Battery), known(state, Position)
     if floor is None or battery is None:
         return  # without a charge and with a floor nothing comes here
     home = None if position is None else (position.latitude_deg, position.longitude_deg)
     needed = plan.estimate(home=home).battery_percent
+    # A plan that only the pilot's stick moves has no estimate; the floor ends it in flight.
     if math.isfinite(needed) and battery.percent - needed < floor:
         raise GuardRefused(
             f"the waypoint mission was refused: it takes about {needed:.0f} % of a battery, which "
@@ -310,11 +304,9 @@ class WaypointTracker(MissionTracker):
         self._reached = self._acted = -1
 
     def _finish(self) -> Iterator[MissionEvent | Over]:
-        """The event "finished". It may come at the end of each run (inferred).
-
-        One run too many believed would leave an aircraft in flight that nobody stops: so it counts
-        on the last waypoint, when no run is to come by our own count; otherwise the status tells.
-        """
+        """The event "finished". It may come at the end of each run (inferred)."""
+        # Believed a run too early, it would leave an aircraft in flight that nobody stops. So it
+        # counts on the last waypoint, with no run to come by our own count; else the status tells.
         if self.index != self._last and self._reached < self._last:
             return  # repeated or late: that of a mission before
         if self._runs_left:

@@ -171,11 +171,7 @@ MissionEvent = (
 
 
 class Events:
-    """Events that wait for the program, oldest first.
-
-    There are few of them, whatever a program does not take: only progress comes again and again,
-    and of that the newest is kept.
-    """
+    """Events that wait for the program, oldest first."""
 
     def __init__(self) -> None:
         self._waiting: deque[MissionEvent] = deque()
@@ -188,6 +184,8 @@ class Events:
         """Something happened; nothing happens behind the end."""
         if self.is_over:
             return
+        # A program may take none for long: only progress comes again and again, so that one is
+        # replaced, and the others are few.
         if isinstance(event, MissionProgress):
             self._waiting = deque(e for e in self._waiting if not isinstance(e, MissionProgress))
         self._waiting.append(event)
@@ -360,8 +358,7 @@ ORDERS = {
     MissionKind.FOLLOW: MissionRequests(
         FollowStop(), FollowPauseResume(resume=0), FollowPauseResume(resume=1)
     ),
-}
-"""Every kind that flies by itself."""
+}  # of every kind that flies by itself
 
 _C = MissionCode
 

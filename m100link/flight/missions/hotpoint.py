@@ -60,8 +60,7 @@ _CALLED = {
     "angular_rate": "rate_deg_s",
     "start_point": "start",
     "yaw_mode": "heading",
-}
-"""A program's names for the fields of the wire."""
+}  # fields of the wire, and a program's names for them
 
 _DEGREES = {"latitude": ("latitude_deg", 90), "longitude": ("longitude_deg", 180)}
 """Likewise, with the largest value: on the wire they are radians."""
@@ -70,6 +69,7 @@ _MOST_DEG_S = 30.0
 _MOST_M_S = 10.0  # along the circle
 _REPEAT_S = 1.0  # between two transmissions of what is not acknowledged
 _LOOK_S = 0.1
+# The push tells tenths of a degree per second, and the distance as it is flown.
 _RADIUS_SHOWN_M, _RATE_SHOWN_DEG_S = 1.0, 0.15
 
 
@@ -220,6 +220,7 @@ class HotpointFlight(MissionFlight):
         """
         request = HotpointSetRadius(radius)
         _require_legal(request)
+        # The aircraft lowers a rate that is too large for the new radius: that speed is judged.
         self._check(radius, min(self._rate, largest_rate(radius)))
 
         def is_shown() -> bool:
@@ -320,6 +321,7 @@ class HotpointFlight(MissionFlight):
                     if is_shown():
                         return
                 self._run.require_in_the_air("its change")
+                # Before the aircraft has flown there, only its stored circle shows that it heard.
                 answer = await requests.execute(
                     HotpointDownload(), timeout=0.5, tries=3, refusal=MissionRefused
                 )
@@ -360,8 +362,7 @@ def _require_rate(rate: float, radius: float) -> None:
 
 _INTERVAL_S = 0.1  # targets are sent at 10 Hz at most
 _LOWEST_M = 5.0  # what the aircraft refuses to follow below (inferred number)
-_JUMP_M = 200.0
-"""A target that is so far from the one before is ignored by the aircraft (inferred)."""
+_JUMP_M = 200.0  # the aircraft ignores a target so far from the one before (inferred)
 
 
 class Target(NamedTuple):

@@ -148,6 +148,7 @@ class MissionGuard:
             await ours.stop()
             return ours.kind
         self._stop_asked_at = self._commander.link.loop.time()
+        # Without pushes (a box of the PC assistant), every kind gets a stop.
         kinds = list(self._watch.flying or ORDERS)
         if self._run is not None and self._run.flies_all_the_same:
             kinds = [self._run.kind]
@@ -216,11 +217,9 @@ class MissionGuard:
 
     @property
     def is_of_another(self) -> bool:
-        """Whether a mission flies that this block neither started nor told to stop.
-
-        A phone, a program that is gone or a block before this one started it. A block that is only
-        left is no order to break it off.
-        """
+        """Whether a mission flies that this block neither started nor told to stop."""
+        # A phone, a program that is gone or an earlier block started it, and leaving this block is
+        # no order to break it off.
         run, since = self._run, self._flying_since
         if since is None:
             return False
@@ -253,21 +252,13 @@ class MissionGuard:
 
     @property
     def lands_by_plan(self) -> bool:
-        """Whether our mission was flown, and the aircraft goes home or lands as planned.
-
-        To give authority back would leave it in the air, as far as anybody knows.
-        """
+        """Whether our mission was flown, and the aircraft goes home or lands as planned."""
+        # To give authority back then would leave it in the air, as far as anybody knows.
         return self._run is not None and self._run.state is RunState.RETURNING
 
     async def flies_on(self, failure: M100Error | None) -> bool:
-        """Whether our mission flies on although somebody else has the aircraft now.
-
-        The pushes show it within half a second; without pushes this asks the aircraft. Without an
-        answer it counts as flying on, unless it is seen to land.
-
-        One that was told to fly on without an RC is let fly when nobody is seen to have taken the
-        aircraft: then the RC is lost, and a stop would leave it to hover without a pilot.
-        """
+        """Whether our mission flies on although somebody else has the aircraft now."""
+        # The pushes show it within half a second; without pushes the aircraft is asked.
         run, clock = self._run, self._commander.link.loop.time
         since, give_up_at = clock(), clock() + _TOLD_WITHIN_S
         while run is not None and run.owes_a_stop and clock() < give_up_at:
@@ -285,9 +276,12 @@ class MissionGuard:
         is_told = self._watch.received_at > since
         if is_told and self._watch.state.kind is not run.kind:
             return False
+        # Told to fly on without an RC, and nobody is seen to have taken the aircraft: the RC is
+        # lost, and a stop would leave it to hover without a pilot.
         if run.flies_without_rc and getattr(failure, "reason", None) is LossReason.UNKNOWN:
             self.give_up(failure, "it was told to do so when the RC is lost")
             return False
+        # Without an answer it counts as flying on, unless it is seen to land.
         status = known(self._commander.state, FlightStatus)
         return is_told or status is None or status.status not in _LANDING
 
@@ -296,6 +290,7 @@ class MissionGuard:
         run = self._run
         if run is None:
             return None
+        # The push that told its end may be wrong: the next two decide.
         await run.ending.heard_out()
         if not (run.owes_a_stop or run.flies_all_the_same):
             return None

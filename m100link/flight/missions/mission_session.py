@@ -100,11 +100,9 @@ class MissionEnding:
         return status is None or status.status in _MAY_FLY_A_MISSION
 
     async def heard_out(self) -> None:
-        """Wait until two pushes more have come, and agree on whether it is flown on.
-
-        Not when the answer to a stop reported it, nor where nothing is pushed.
-        """
+        """Wait until two pushes more have come, and agree on whether it is flown on."""
         until, watch = self.told_at + _HEARD_OUT_S, self._watch
+        # An answer to a stop is certain; and where nothing is pushed, nothing will contradict.
         while not self.is_answered and self._clock() < until:
             if watch.received_at < self.told_at - DENIED_S:
                 return
@@ -152,8 +150,7 @@ async def order(commander: Commander, kind: MissionKind, what: Ordered) -> None:
 
 AUTHORITY_CODES = frozenset(
     {MissionCode.RC_NOT_IN_F, MissionCode.AUTHORITY_NEEDED, MissionCode.IOC_ON}
-)
-"""Somebody else has the aircraft: missions are broken off by that (inferred)."""
+)  # somebody else has the aircraft: missions are broken off by that (inferred)
 
 
 class MissionSession:
@@ -234,6 +231,7 @@ class MissionSession:
         nobody knows whether it flies: a stop is owed.
         """
         self.listen()
+        # Before the start leaves: from here on, any end of the block owes the aircraft a stop.
         self.feed(RunInput.START)
         self.started_at = self._pushed_at = self._clock()
         requests = self._context.commander.requests
@@ -378,6 +376,7 @@ class MissionSession:
         Raises ``MissionAborted``: it was broken off, and the program does not know. Raises
         ``AckTimeout, MissionRefused, LinkError``: it may be flying on.
         """
+        # A program that leaves at once waits for two more pushes: one alone may be wrong.
         if self._context.block.is_open:
             await self.ending.heard_out()
         if self.owes_a_stop and self._context.block.is_open:
@@ -481,8 +480,10 @@ class MissionSession:
     def _let_go(self) -> None:
         """Watch it no more."""
         watch = self._context.commander.missions
+        # By now it may be the listener of a newer mission.
         if watch.listener == self._on_push:
             watch.listener = None
+        # The watch comes here itself when it finds the end, and must not cancel itself.
         if self._watching is not None and self._watching is not asyncio.current_task():
             self._watching.cancel()
 
@@ -497,6 +498,7 @@ class MissionSession:
         except Exception as error:
             failure = M100Error(f"nobody watches the {self.name} any more: {error!r}")
             failure.__cause__ = error
+            # Before the log, which may take its time: nobody watches what flies.
             self._context.block.end(StopCause.GUARD_REFUSED, failure)
             _logger.error("nobody watches the %s any more", self.name, exc_info=error)
 

@@ -96,6 +96,7 @@ class WaypointFlight(MissionFlight):
         guards, state = self._context.guards, self._context.commander.state
         check_plan(guards, state, self.plan, allow_far=self._allow_far)
         check_battery(guards, state, self.plan)
+        # Uploaded on the ground: a plan that the aircraft refuses costs no take-off.
         await self._upload()
         if is_on_ground and self._take_off is not None:
             await self._take_off()
@@ -104,6 +105,7 @@ class WaypointFlight(MissionFlight):
 
     async def _upload(self) -> None:
         """Send the plan: one that is refused here, as ``MissionRefused``, never flew."""
+        # Before the first byte: the event of the upload comes on the heels of the last waypoint.
         self._run.listen()
         mission, points = self.plan.to_wire()
         requests = self._context.commander.requests
