@@ -204,10 +204,12 @@ class Authority:
         """Something happened. Returns whether the state changed."""
         before = self.state
         if what is _I.OBTAIN:
+            # Each request begins anew: an item that showed us before it says nothing of its grant.
             self._was_ours = False
             self._forget()
         after = TRANSITIONS[before].get(what)
         if after is None:
+            # The notification does not name the taker (document 2.2.3.2); a later item may.
             if before in _GONE and self.reason is LossReason.UNKNOWN:
                 self._explain(_REASONS.get(what, self.reason))
             return False
@@ -247,18 +249,16 @@ class Authority:
         return self.state is _S.HELD and self._clock() - self._held_since >= _SETTLING_S
 
     def observe(self, package: TelemetryPacket) -> None:
-        """Cross-check with a package: the mode switch, then CTRL_DEVICE, where it carries them.
-
-        Most packages say the same as the one before. The effect of an observation follows from the
-        watched bytes, the memory of this object, and whether authority had time to settle: where it
-        changed nothing, the same bytes change nothing again until something else does.
-        """
+        """Cross-check with a package: the mode switch, then CTRL_DEVICE, where it carries them."""
         flags = package.flags
         if package.profile is not self._firmware:
             self._watch(package.profile)
         take = self._takers.get(flags) or self._taker(flags, package.profile)
         told = take(package.value)
         known = self._known
+        # Most packages say the same as the one before, and reading each was a third of its cost.
+        # An observation follows from these bytes, this object's memory, and whether authority had
+        # time to settle: where it changed nothing, the same bytes change nothing again.
         if known.get(flags) == told:
             return
         rc, device = package.remote_control, package.control_device

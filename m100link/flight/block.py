@@ -168,12 +168,10 @@ class ControlBlock:
             self.require_flying("control")
 
     def _abandoned(self) -> None:
-        """The task that waits to run the stop path was cancelled, and so becomes the one that does.
-
-        asyncio.run cancels every task on its way out and waits for those, and for no other. The
-        program is over then and left control by hand, or it could not get as far as leaving its
-        block: its stack was used up, or nobody closed its generator.
-        """
+        """The task that waits to run the stop path was cancelled, and so begins to run it."""
+        # asyncio.run cancels every task on its way out, and waits for those and for no other. The
+        # program is over then. It left control by hand, or could not get as far as leaving its
+        # block: its stack was used up, or nobody closed its generator.
         if self._is_by_hand:
             self.end(StopCause.LEFT)
             _logger.warning("control was obtained and not released when the program ended")
@@ -204,11 +202,13 @@ class ControlBlock:
         self._claim.take(self._close)  # first: what flies already keeps its firmware
         try:
             self._commander.requests.fix_firmware()
+            # A system without descriptors, threads or modules refuses here, and not at the end.
             reserve("control", self._close)
         except M100Error:
             self._claim.give_back()
             self._commander.requests.free_firmware()
             raise
+        # Made now: at the end neither the stack nor a task factory may have room for a new task.
         self._stopping.park(self._abandoned)
         self._life.feed(BlockInput.ENTER)
         self._unsubscribe = self._authority.subscribe(self._on_authority_changed)
@@ -255,19 +255,18 @@ class ControlBlock:
             self._programs.remove(program)
 
     def end(self, cause: StopCause, failure: M100Error | None = None) -> None:
-        """Something ends the block: the stop path begins at once, in a task of its own.
-
-        It does not wait for the program, which may clean up slowly, swallow its cancellation, or be
-        gone. After the first cause only a lost line changes anything.
-        """
+        """Something ends the block: the stop path begins at once, in a task of its own."""
         is_first = self._life.state is not BlockState.STOPPING
+        # After the first cause, only a lost line and the guardian change anything (TRANSITIONS).
         if not self._life.feed(cause, failure):
             return
+        # The program is not waited for: it may clean up slowly, swallow its cancellation, be gone.
         if is_first:
             self._stopping.begin()  # first: it takes less of the stack than a frame that is sent
         with suppress(Exception):  # the stop path lets go first of all, and logs what it cannot
             self._stop_path.let_go()
         if is_first:
+            # Left, or not entered, the program is on its way out: its own error comes through.
             is_left = cause is StopCause.LEFT and not self._is_by_hand
             if not is_left and cause is not StopCause.NOT_ENTERED:
                 for program in self._programs:
@@ -278,10 +277,12 @@ class ControlBlock:
         try:
             await self._stop_path.run()
         finally:
+            # Last: killed in the middle of the stop path, the program leaves the rest to it.
             await self.guardian.end()
 
     def _on_guardian(self, error: GuardianTookOver) -> None:
-        """The guardian ends the flight: its frames have given authority back, as far as known."""
+        """The guardian ends the flight."""
+        # Its frames give authority back and it reads no acks: the state is UNRELEASED then.
         self._authority.feed(AuthorityInput.RELEASE)
         self._authority.feed(AuthorityInput.NOT_RELEASED)
         self.end(StopCause.GUARDIAN, error)
@@ -301,6 +302,7 @@ class ControlBlock:
 
     def _on_authority_changed(self, before: AuthorityState, after: AuthorityState) -> None:
         reason = self._authority.reason
+        # A lost line comes first: by its state it is LOST like authority that the app took.
         if reason is LossReason.LINK:
             lost = self._commander.link.failure or LinkLost("the line is gone")
             self.end(StopCause.LINK_LOST, lost.again())
@@ -333,12 +335,11 @@ class ControlBlock:
     def require_flying(self, what: str) -> None:
         """Raise unless the block may send: the error that ended it, or the way back to sending.
 
-        Telemetry comes first: guards would complain of values that are only old.
-
         Raises ``NoAuthority``: authority is not held, or is paused. Raises ``M100Error``: what
         ended the block.
         """
         self._commander.link.require_loop()
+        # Telemetry first: a stall ends the block, where guards would complain of old values.
         if self.admits() and self._authority.state is AuthorityState.HELD:
             return
         life = self._life
@@ -369,9 +370,9 @@ class ControlBlock:
 # -- setpoints of the program, and the gate in front of the wire -----------------------------------
 
 
+# Seconds in which no setpoint leaves, although one is due, after which a block ends: for so long a
+# line may be busy, and the aircraft does not fly on by the last one for much longer.
 BLOCKED_S = 0.5
-"""Seconds in which no setpoint leaves, although one is due, after which a block ends: for so long a
-line may be busy, and the aircraft does not fly on by the last one for much longer."""
 
 
 class SetpointSender:
@@ -416,6 +417,7 @@ class SetpointSender:
         try:
             self._guards.check(setpoint)
         except GuardRefused:
+            # A position that cannot be true makes guards refuse: that error comes before theirs.
             self.block.hurry()
             self.block.require_flying("a setpoint")
             raise
@@ -478,6 +480,7 @@ class SetpointSender:
             remedy="report it with the traceback in the log",
         )
         failure.__cause__ = error
+        # Before the log, whose handlers may raise or block.
         self.block.end(StopCause.SENDING_FAILED, failure)
         _logger.error("setpoints cannot be sent", exc_info=error)
 

@@ -19,6 +19,8 @@ import anyio
 _logger = logging.getLogger(__name__)
 
 
+# asyncio.run cancels every task once as it leaves. A program that does so again and again must
+# come to an end as well, and each attempt is bounded by the waits of the stop path.
 _ATTEMPTS = 3
 _LOOK_S = 0.1
 
@@ -61,6 +63,8 @@ class ProgramTask:
             return False
         self._is_cancelled = False
         remaining = self._host.uncancel()
+        # More requests than at the start are somebody else's (asyncio.timeout() around the block),
+        # and so is a cancellation that is raised in another task: neither may be swallowed.
         return (
             isinstance(error, asyncio.CancelledError)
             and self._host is asyncio.current_task()
@@ -69,11 +73,9 @@ class ProgramTask:
 
 
 async def undisturbed(task: asyncio.Task[None]) -> asyncio.CancelledError | None:
-    """Wait for the end of a task whatever cancels the caller; return the last cancellation.
-
-    A shielded scope alone holds off cancellation by scopes, not by ``Task.cancel()``.
-    """
+    """Wait for the end of a task whatever cancels the caller; return the last cancellation."""
     cancelled: asyncio.CancelledError | None = None
+    # The shield holds off scopes, which cancel at every await; the loop holds off Task.cancel().
     with anyio.CancelScope(shield=True):
         while not task.done():
             try:
@@ -84,10 +86,8 @@ async def undisturbed(task: asyncio.Task[None]) -> asyncio.CancelledError | None
 
 
 def new_task(work: Coroutine[Any, Any, None], name: str) -> asyncio.Task[None]:
-    """A task of the running event loop that no task factory of the program makes or refuses.
-
-    A factory may raise, or run the first lines at once, on the stack of its caller.
-    """
+    """A task of the running event loop that no task factory of the program makes or refuses."""
+    # A factory may raise, or run the first lines at once, on the stack of its caller.
     return asyncio.Task(work, loop=asyncio.get_running_loop(), name=name)
 
 
@@ -120,12 +120,10 @@ class Errand:
         self._look()
 
     def begin(self) -> asyncio.Task[None]:
-        """Begin, or begin again. One that is parked needs no frame of the stack for it.
-
-        Where there is none for the call either, it begins a tenth of a second later. Nothing here
-        completes what the parked task waits for: with too little stack that task would never be
-        woken, not even by its cancellation.
-        """
+        """Begin, or begin again. One that is parked needs no frame of the stack for it."""
+        # The future of the parked task is not completed here: with too little stack the task would
+        # never be woken, not even by its cancellation. Without a frame for call_soon() either, the
+        # timer of _look() finds this flag a tenth of a second later.
         self._is_wanted = True
         if self._task is None or self._task.done():
             self._task = new_task(self._run(), "m100link stop path")
@@ -139,6 +137,7 @@ class Errand:
             return
         if self._timer is not None:
             self._timer.cancel()
+        # Again and again: begin() may find no stack to call for it.
         self._timer = self._parked.get_loop().call_later(_LOOK_S, self._look)
         if self._is_wanted:
             self._parked.set_result(None)
@@ -202,6 +201,8 @@ taken. SIGUSR1, SIGUSR2, SIGALRM, SIGVTALRM, SIGPROF and SIGIO end a program as 
 has them sent mostly handles them in C (faulthandler, profilers), which Python cannot see: to take
 them would break that, or end a flight at a tick of a profiler."""
 
+# Seconds without a pass of the event loop after which a second Ctrl-C interrupts the program; a
+# loop that runs takes the stop path (page on safety).
 _HUNG_S = 1.0
 
 Stop = Callable[[], object]
@@ -260,6 +261,7 @@ class SignalWatch:
             self._take()
         loop = asyncio.get_running_loop()
         self._blocks[stop] = loop
+        # A signal came before this block began: it must not fly while the others stop.
         if self._received:
             loop.call_soon(stop)
 
@@ -276,6 +278,7 @@ class SignalWatch:
 
     def _let_go(self) -> None:
         for number, previous in self._previous.items():
+            # The program may have put a handler of its own there meanwhile: that one stays.
             if signal.getsignal(number) == self._on_signal:
                 signal.signal(number, _as_it_is_now(previous))
         received, self._received = self._received, []
@@ -305,6 +308,7 @@ class SignalWatch:
                 other.stop_blocks()
             for stop, loop in self._blocks.items():
                 loop.call_soon_threadsafe(self._stop, stop, signal.Signals(number))
+            # The program put our handler back, behind the last block: the signal acts at once.
             if not self._blocks:
                 self._let_go()
         elif number == signal.SIGINT and not self._is_seen and now > self._received_at + _HUNG_S:

@@ -348,6 +348,7 @@ class Control:
             NoAuthority, GuardRefused, BadSetpoint, UsageError: See :meth:`send`.
         """
         if lifetime is None:
+            # Two ticks: one that is a little late must not let the setpoint before it expire.
             lifetime = max(SETPOINT_LIFETIME, 2 * period_of(rate_hz))
         send = partial(self.send, lifetime=lifetime, allow_long_lifetime=allow_long_lifetime)
         with self._steering.ends_neutral():
@@ -370,6 +371,7 @@ class Control:
             MissionRefused, AckTimeout, NoAuthority: A mission may be flying on.
         """
         self._commander.link.require_loop()
+        # First: a loop that flies would send its next setpoint 20 ms behind the neutral.
         self._guidance.interrupt()
         if self.is_flying and self._keeper.flying:
             await self._missions.stop_mission()
@@ -424,6 +426,7 @@ class Control:
     async def _make_way_for_mission(self, what: str) -> None:
         """Nothing else steers any more: a mission is about to start."""
         self._guidance.require_idle(what)
+        # Before the start: the aircraft ignores a neutral once the mission flies.
         await self._setpoints.halt()
         self._make_way(what)
 
@@ -473,10 +476,12 @@ class Control:
         await self._run(Task.GO_HOME, timeout, progress)
 
     async def _run(self, task: Task, timeout: float | None, progress: TaskListener | None) -> None:
+        # Asked again: a take-off may have waited 1.5 s for its guards, and the block have ended.
         self._block.require_flying(what := task_name(task))
         self._make_way(what, is_landing=task is not Task.TAKE_OFF)
         before, self._unended_task = self._unended_task, task
         self._steering.running_task = task
+        # From the order on it counts as flown: stop="land" and the guardian land what may climb.
         watch = self._block.taking_off() if task is Task.TAKE_OFF else nullcontext()
         try:
             with watch, self._block.waiting(what):

@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 CLIMB_M_S = 3.0
 TURN_DEG_S = 90.0
 ARRIVED_M = 0.5
-APPROACH_M_S = 3.0
-"""How fast the autopilot flies to where a circle begins: users report about this value."""
+APPROACH_M_S = 3.0  # of the autopilot to where a circle begins: users report about this value
 SETTLE_S = 1.5  # what stopping, and being seen to have stopped, adds to a flight
 
+# The guards of battery and GPS refuse even this where they refuse the setpoints of a loop.
 _STAND = Setpoint.velocity(north=0.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 
 

@@ -41,6 +41,7 @@ _logger = logging.getLogger(__name__)
 
 
 _SESSION = 31  # the program takes the lowest that is free: this one only with thirty under way
+# 0.3 s at 50 Hz, as the stop path sends it: NEUTRAL_TIME of flight/setpoints.py.
 _NEUTRALS, _NEUTRAL_GAP_MS = 15, 20
 _REPEATS, _REPEAT_GAP_MS = 2, 20  # of the same bytes, which are carried out once
 _LANDINGS, _LANDING_GAP_MS = 8, 1500  # a task that is under way refuses it; a take-off takes 6 s
@@ -99,11 +100,7 @@ class _Orders:
 
 
 def control_plan(commander: Commander, wanted: Wanted, first_sequence: int) -> GuardianPlan:
-    """The plan for a control block: mission stop, neutral, landing, release.
-
-    The guardian reads no acks. So the plan repeats orders that the aircraft may refuse, and gives a
-    landing as much time as the stop path before the release, which would end it in the air.
-    """
+    """The plan for a control block: mission stop, neutral, landing, release."""
     orders = _Orders(commander, first_sequence)
     neutrals: tuple[GuardianStep, ...] = ()
     if wanted.neutral is not None:
@@ -111,6 +108,8 @@ def control_plan(commander: Commander, wanted: Wanted, first_sequence: int) -> G
         neutrals = (GuardianStep(frame), GuardianStep(frame, _NEUTRAL_GAP_MS, _NEUTRALS - 1))
     last: list[GuardianStep] = []
     if wanted.mission is not None:
+        # The guardian reads no acks: orders that the aircraft may refuse go out again, each under a
+        # number of its own, because a repeated number is answered from memory (document 1.4).
         for _ in range(2):
             last += orders.steps(ORDERS[wanted.mission].stop, _REPEAT_GAP_MS)
     last += neutrals
@@ -120,6 +119,7 @@ def control_plan(commander: Commander, wanted: Wanted, first_sequence: int) -> G
         for index, number in enumerate(numbers):
             gap = _LANDING_GAP_MS if index else _REPEAT_GAP_MS
             last += orders.steps(StartTask(number, Task.LAND), gap)
+        # As long as the stop path waits: the release would end the landing in the air.
         release_gap = _LANDING_MS - (_LANDINGS - 1) * _LANDING_GAP_MS
     if wanted.release:
         for _ in range(_RELEASES):
@@ -129,12 +129,11 @@ def control_plan(commander: Commander, wanted: Wanted, first_sequence: int) -> G
 
 
 def virtual_rc_plan(commander: Commander, *, falls_back: bool) -> GuardianPlan:
-    """The plan for a virtual remote control that is on: centred sticks, then off.
-
-    It is switched off once, and not before settings may come again, whenever the last ones came.
-    """
+    """The plan for a virtual remote control that is on: centred sticks, then off."""
     centred = commander.requests.prepared(CENTRED.encoded())
     off = commander.requests.prepared(VirtualRcSettings(False, falls_back))
+    # Off once, and not before settings may come again, whenever the last ones came: two within 2 s
+    # lock the aircraft (DJI's header).
     times = round(SETTINGS_INTERVAL_S * 1000) // _STICKS_GAP_MS
     last = (
         GuardianStep(centred),
@@ -243,6 +242,7 @@ class Guardian(Generic[W]):
         assert self._map is not None
         self._words = memoryview(self._map).cast("I")
         self._loop.add_reader(self._socket, self._on_word)
+        # From here on each write asks: only one of the two processes may write at a time.
         self._link.gate = self
         self.update()
         self._renew()
@@ -259,6 +259,8 @@ class Guardian(Generic[W]):
             with other:
                 self._socket.setblocking(False)
                 passed = descriptor, other.fileno(), shared
+                # -I and -S: neither variables nor packages of the program can break it. A session
+                # of its own: Ctrl-C and a closed terminal are for the program alone.
                 self._process = subprocess.Popen(
                     (sys.executable, "-I", "-S", page.__file__, *map(str, passed), str(self._pid)),
                     stdin=subprocess.DEVNULL,
@@ -292,6 +294,7 @@ class Guardian(Generic[W]):
         ]
         self._generation += 1
         half = page.sealed(self._generation, int(self._patience_s * 1000), steps)
+        # In turns: a program that is killed while it writes leaves the other half, which is whole.
         at = page.HALVES_AT + self._generation % 2 * page.HALF_SIZE
         self._map[at : at + len(half)] = half
         self._say(page.WAKE)
@@ -302,7 +305,9 @@ class Guardian(Generic[W]):
                 self._socket.send(word)
 
     def _renew(self) -> None:
-        """The event loop lives. A KeyboardInterrupt can take one of two timers."""
+        """The event loop lives."""
+        # Two timers: a KeyboardInterrupt between two lines of the loop loses the one that is due,
+        # and the flight would end for want of a token.
         for timer in self._timers:
             timer.cancel()
         self._timers = tuple(self._loop.call_later(_RENEWAL_S, self._renew) for _ in range(2))
@@ -313,6 +318,7 @@ class Guardian(Generic[W]):
             self._tell()
             return
         now = page.milliseconds()
+        # Too late: no new token calls the guardian back, and the flight ends for good.
         if self._overdue_since is not None or self._is_late(now):
             self._wait_for_it()
             return
@@ -376,6 +382,7 @@ class Guardian(Generic[W]):
             return True
         if words[page.HOLD] or self._is_late(page.milliseconds()):
             return False
+        # Before the write: killed in the middle of it, the guardian fills up the frame cut off.
         words[page.UNSENT] += size
         return True
 
@@ -397,6 +404,7 @@ class Guardian(Generic[W]):
             self._tell()
         if not self._has_taken_over and self._words is not None:
             self._is_over = True
+            # An empty plan too: a guardian that misses the word then has nothing to send.
             self._write(GuardianPlan())
             self._say(page.OVER)
         try:

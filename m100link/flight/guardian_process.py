@@ -129,6 +129,7 @@ class Watch:
                 return
             is_owed = bool(self._stalled) and token != self._neutral_for
             if is_owed and age >= STALLED_MS:
+                # Once for each standstill; then silence, on which the aircraft hovers (DJI says).
                 self._neutral_for = token
                 self._play_stalled(token)
                 continue
@@ -160,6 +161,7 @@ class Watch:
             found = opened(half)
             if found is None:
                 continue
+            # The counter wraps: newer is a half that lies less than half its range ahead.
             ahead = (found[0] - self._generation) & _WORD
             if self._generation < 0 or 0 < ahead < _WORD // 2:
                 self._generation, self._patience, self._stalled, self._last = found
@@ -173,6 +175,7 @@ class Watch:
                 self._is_dead = True  # gone, or another program runs in its process (execv)
             elif OVER in said:
                 self._is_over = True
+        # For a kernel without pidfd: an orphan has another parent.
         if os.getppid() != self._parent:
             self._is_dead = True
         if self._is_dead:
@@ -187,12 +190,14 @@ class Watch:
             self._listen(gap)
             if self._is_dead or self._is_over or self._word(TOKEN) != token:
                 break
+            # The program may run again at any moment, and must not write into this frame.
             self._hold(MID_FRAME)
             self._write(frame, is_last=False)
             self._hold(FREE)
 
     def _take_over(self) -> None:
         """End the flight. The program never writes again."""
+        # First: after this the program changes nothing, and the plan that is read next is its last.
         self._hold(TAKEN)
         self._refresh()
         self._mend()
@@ -201,11 +206,8 @@ class Watch:
             self._write(frame, is_last=True)
 
     def _mend(self) -> None:
-        """Complete a frame that was cut off, with zeros.
-
-        Otherwise the aircraft would take the next frame for its rest. Between frames it ignores
-        zeros.
-        """
+        """Complete a frame that was cut off, with zeros."""
+        # Otherwise the aircraft takes the next frame for its rest; between frames it ignores zeros.
         missing = min(max(self._word(UNSENT), self._torn), _LONGEST_FRAME)
         if missing:
             self._write(bytes(missing), is_last=self._word(HOLD) == TAKEN)

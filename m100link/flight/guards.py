@@ -53,11 +53,8 @@ GPS_HEALTH_NEEDED = 3  # from this health on the autopilot holds a position (doc
 
 MAX_COMMAND_M_S = 10.0  # of velocity setpoints on each axis (document 3.2)
 
-STICK_SPEED = 17.0
-"""Speed of full deflection in P, m/s: the fastest that the maker states for this aircraft."""
-
-FIRST_VALUES_S = 1.5
-"""Seconds that an item has for its first value: the battery item is sent once a second."""
+STICK_SPEED = 17.0  # m/s by full deflection in P: the fastest that the maker states
+FIRST_VALUES_S = 1.5  # for the first value of an item: that of the battery is sent once a second
 
 _OFF = {
     "gps": "Guards(gps=False)",
@@ -66,9 +63,7 @@ _OFF = {
 }
 
 _TAKE_OFF_POLL_S = 0.02
-
-MISSION_MARGIN_M = 5.0
-"""Metres beyond the envelope at which a mission is ended: along the edge it overshoots."""
+MISSION_MARGIN_M = 5.0  # beyond the envelope a mission is ended: along the edge it overshoots
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,6 +241,7 @@ class GuardKeeper:
         """Raise ``GuardRefused`` unless a setpoint may be sent now."""
         self._check_battery("a setpoint")
         position = known(self._state, Position)
+        # Without GPS the autopilot ignores velocities and offsets, without a notice; tilt it flies.
         needs_gps = setpoint.mode.horizontal is not Horizontal.TILT
         if needs_gps and self.guards.gps:
             mode = setpoint.mode.horizontal.name.lower().replace("_", " ")
@@ -339,8 +335,9 @@ class GuardKeeper:
             return
         battery = known(self._state, Battery)
         if battery is None:
+            # Sent once a second: for a program that takes over in flight it is on its way.
             if not on_ground and self._may_still_come(Battery):
-                return  # it is sent once a second: the first may be on its way, in flight
+                return
             raise self._unknown(what, Battery, guard="battery_floor_percent", limit=floor)
         if battery.percent < floor:
             raise GuardRefused(
@@ -377,6 +374,7 @@ class GuardKeeper:
         mode = setpoint.mode.vertical
         if mode is Vertical.HEIGHT:
             wanted: float | None = setpoint.z
+        # Thrust holds no height: whatever its value, it counts as a climb from here.
         elif mode is Vertical.THRUST or setpoint.z > 0:
             wanted = measured
             if measured is None and not self._may_still_come(Position):

@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Arrival", "GuidanceProgress"]
 
-STOOD_STILL_S = 0.25
-"""A loop that ticks so many seconds late stood still: it reads the packages of that time now."""
-
+STOOD_STILL_S = 0.25  # a loop that ticks so late stood still: packages of that time wait for it
+# One that flies through its target has not arrived: so long within tolerance, and at most so fast.
 _SETTLED_S = 0.5
 _SETTLED_M_S = 0.3
 
@@ -114,6 +113,7 @@ class _Settling:
 
     def update(self, is_within: bool) -> bool:
         velocity = known(self._state, Velocity, within=STEER_S)
+        # The item may be switched off (PC assistant): the time within tolerance then has to do.
         is_slow = velocity is None or (
             velocity.ground_speed_m_s < _SETTLED_M_S and abs(velocity.up_m_s) < _SETTLED_M_S
         )
@@ -168,11 +168,9 @@ class Guidance:
         require_in_the_air(self._state, name)
 
     async def prepare(self, name: str) -> None:
-        """As :meth:`admit`, after the packages that wait in the line were read.
-
-        A program that stood still has an old position, and a new one on its way: a loop that begins
-        then waits for it, for as long as one is fresh.
-        """
+        """As :meth:`admit`, after the packages that wait in the line were read."""
+        # A program that stood still has an old position, and a new one on its way: the loop waits
+        # for it, for as long as one is fresh, and blames the line only then.
         self.admit(name)
         if self._has_fresh_position():
             return
@@ -181,6 +179,7 @@ class Guidance:
         async for _ in Ticker():
             if self._has_fresh_position() or clock() >= until:
                 break
+        # Again: another loop may have begun, or the aircraft have landed, while this one waited.
         self.admit(name)
 
     def _has_fresh_position(self) -> bool:
@@ -204,6 +203,7 @@ class Guidance:
         try:
             async for _ in Ticker():
                 now = clock()
+                # The tick is ahead of the packages that arrived meanwhile: they are read first.
                 if now - ticked_at > STOOD_STILL_S:
                     reading_until = now + STEER_S
                 ticked_at = now

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 _logger = logging.getLogger(__name__)
 
 _PAUSE_S = 0.05  # between requests; DJI's C library waits as long
+# DJI's library repeats without an end; here the number is bounded (errata 24).
 _MAX_REQUESTS = 10
 _RELEASE_DEADLINE_S = 2.0
 _RELEASE_TIMEOUT_S = 0.4  # two requests of two tries each fit into the deadline
@@ -76,6 +77,7 @@ async def obtain_authority(commander: Commander) -> None:
         for attempt in range(_most(commander)):
             if attempt:
                 await asyncio.sleep(_PAUSE_S)
+            # Each anew: the answer says how things are at its request, not at the one before.
             authority.feed(AuthorityInput.OBTAIN)
             code = await _request(commander, obtain=True)
             if code != AuthorityCode.NOT_CHANGED:
@@ -150,12 +152,7 @@ def _obstacles(state: AircraftState, firmware: FirmwareProfile) -> list[tuple[st
 
 
 async def release_authority(commander: Commander) -> bool:
-    """Give authority back, within two seconds. A failure is logged, not raised.
-
-    The control block ends all the same: without setpoints the aircraft hovers.
-
-    Returns whether the aircraft said that it has it back.
-    """
+    """Give authority back, within two seconds; returns whether the aircraft said that it has it."""
     authority = commander.authority
     authority.feed(AuthorityInput.RELEASE)
     outcome = AuthorityInput.NOT_RELEASED
@@ -176,6 +173,7 @@ async def release_authority(commander: Commander) -> bool:
     except NotActivated:
         outcome = AuthorityInput.RELEASED  # nobody has it before an activation
     except (M100Error, TimeoutError) as error:
+        # Not raised: the block ends all the same, and without setpoints the aircraft hovers.
         _logger.error("control authority may not be released: %s", error)
     finally:
         authority.feed(outcome)
@@ -183,10 +181,8 @@ async def release_authority(commander: Commander) -> bool:
 
 
 async def explained_loss(commander: Commander, loss: AuthorityLost) -> AuthorityLost:
-    """The loss with its reason, as far as the items that follow a notification tell it.
-
-    The notification does not name the taker of control, and overtakes the items that do (2.2.3.2).
-    """
+    """The loss with its reason, as far as the items that follow a notification tell it."""
+    # It does not name the taker (document 2.2.3.2), and it overtakes the items that do.
     if loss.reason is not LossReason.UNKNOWN:
         return loss
     authority = commander.authority
@@ -209,10 +205,8 @@ async def explained_loss(commander: Commander, loss: AuthorityLost) -> Authority
 
 
 def is_unexplained(error: BaseException | None) -> bool:
-    """Whether a call of the program met a loss before it could be explained.
-
-    One that falls on the instant of the notification does, ahead of the block's cancellation.
-    """
+    """Whether a call of the program met a loss before it could be explained."""
+    # The block's cancellation comes a pass of the loop later: a call in that pass meets the loss.
     return isinstance(error, AuthorityLost) and error.reason is LossReason.UNKNOWN
 
 

@@ -36,10 +36,8 @@ if TYPE_CHECKING:
 
 
 _GRAVITY = 9.80665
-_MAX_TILT_DEG = 20.0
-"""Tilt that the circle may take; what velocity control has beyond it is for wind and drag."""
-_MAX_TURN_RAD_S = 0.7
-"""Faster turns than the velocity of the aircraft can follow: its lag would be half a radian."""
+_MAX_TILT_DEG = 20.0  # that the circle may take: the rest of the tilt is for wind and drag
+_MAX_TURN_RAD_S = 0.7  # behind faster turns the velocity would lag by half a radian
 _ACCELERATION = 0.8  # m/s² along the circle
 _BRAKING = 0.5  # m/s along the circle for each metre that remains
 _CREEP_M_S = 0.2  # until the end
@@ -61,11 +59,6 @@ class LoopOutput:
 
 class Orbit:
     """A circle that begins and ends at rest, flown by velocity setpoints.
-
-    The aircraft's velocity lags behind the setpoint. With setpoints along the circle it would fly
-    tangentially out of it. So the loop turns them inwards by lag times centripetal acceleration,
-    and makes them a little faster while it accelerates. The distance from the circle corrects the
-    rest.
 
     ``turns``: how many, more than 0. Raises ``UsageError``: it cannot be flown: with the tilt or
     the turn rate that it needs.
@@ -154,15 +147,19 @@ class Orbit:
         else:
             running = velocity[0] * ahead[0] + velocity[1] * ahead[1]
             leaving = velocity[0] * out[0] + velocity[1] * out[1]
+        # The velocity lags behind the setpoint: tangents would lead out of the circle. So inwards
+        # by lag times centripetal acceleration; distance and drift outwards correct the rest.
         inward = (
             LAG_S * running * running / distance
             + _RADIAL_GAIN * (distance - self._radius)
             + _RADIAL_DAMPING * leaving
         )
+        # Faster by the lag while it accelerates, and slower by it while it drifts outwards.
         along = self._along + LAG_S * (gain - running * leaving / distance)
         # Where both are too much, keeping to the circle comes before being fast.
         limit = self._max_speed
         inward = max(-0.8 * limit, min(0.8 * limit, inward))
+        # A hair below: rounded up, both together would be beyond the limit, and no setpoint.
         fastest = math.sqrt(limit * limit - inward * inward) * (1 - 1e-6)
         return max(-fastest, min(fastest, along)), inward
 
@@ -325,6 +322,7 @@ class ClosedLoops:
         here = position_of(self._state)
         frame = frame or LocalFrame(here.latitude_deg, here.longitude_deg)
         start = frame.to_local(here.latitude_deg, here.longitude_deg)
+        # The barometer drifts with the weather (errata 45): low down it may say less than 0 m.
         path = Path(
             [(*start, max(0.0, here.height_m)), *points],
             speed=check_speed(speed),
@@ -403,6 +401,7 @@ class ClosedLoops:
 
         Raises: as :meth:`fly_to`.
         """
+        # Without prepare(), which waits for a position: a turn needs none.
         self._guidance.admit("turn_to")
         setpoint = Setpoint.velocity(north=0.0, east=0.0, up=0.0, yaw_deg=yaw_deg)
 
@@ -490,6 +489,7 @@ class ClosedLoops:
                 timeout=timeout,
                 progress=approach,
             )
+            # Between the two flights another loop may have begun, or the aircraft have landed.
             self._guidance.admit("orbit")
         return await self._fly_around(orbit, center, height, timeout, progress)
 

@@ -18,16 +18,13 @@ if TYPE_CHECKING:
 
 __all__ = ["MissionKind", "MissionState"]
 
+# Seconds for which a push that names a mission is believed; they come at about 10 Hz (inferred).
 BELIEVED_S = 3.0
-"""Seconds for which a push that names a mission is believed; they come at about 10 Hz
-(inferred)."""
-
+# Seconds in which two pushes come. For so long a reported mission may fly, whatever the newest push
+# says: one alone may be wrong.
 DENIED_S = 0.25
-"""Seconds in which two pushes come. As long a mission that was told of may fly, whatever the newest
-push says: one alone may be wrong."""
-
+# Seconds after the end of a mission in which pushes may still tell of it: they were under way.
 _ECHO_S = 1.0
-"""Seconds after the end of a mission in which pushes may still tell of it: they were under way."""
 
 
 class MissionKind(Enum):
@@ -74,8 +71,7 @@ _KINDS = (
     MissionKind.HOTPOINT,
     MissionKind.FOLLOW,
     MissionKind.IOC,
-)
-"""By the first byte of the push."""
+)  # by the first byte of the push
 
 Listener = Callable[["MissionStatus | WaypointEvent"], None]
 
@@ -111,11 +107,9 @@ class MissionWatch:
 
     @property
     def flying(self) -> tuple[MissionKind, ...]:
-        """The missions that may fly the aircraft, by all pushes of the last moment.
-
-        Pushes that disagree may report several. The kind that they have reported for the longest
-        time stands first, because one push after the other reports a mission that flies.
-        """
+        """The missions that may fly the aircraft, by all pushes of the last moment."""
+        # Pushes that disagree may report several. The kind that they have reported for the longest
+        # time stands first: one push after the other reports a mission that flies.
         now = self._clock()
         newest = self._kind if now - self.received_at <= BELIEVED_S else None
         told = [
@@ -127,6 +121,7 @@ class MissionWatch:
 
     def on_status(self, push: MissionStatus, now: float) -> None:
         """A status push came (0x02/0x03)."""
+        # A kind that no source lists neither begins nor ends a mission here.
         if push.kind >= len(_KINDS):
             return
         kind = _KINDS[push.kind]
@@ -151,13 +146,10 @@ class MissionWatch:
         return since if self._clock() - until <= BELIEVED_S else None
 
     def ended(self, kind: MissionKind, *, is_echoing: bool) -> None:
-        """A mission ended.
-
-        ``is_echoing``: whether pushes of the moment before may still be under way. Not when a push
-        said so: they come in order, and what tells of it again contradicts.
-        """
+        """A mission ended; ``is_echoing``: pushes that still tell of it may be under way."""
         self._told.pop(kind, None)
         if self._kind is kind:
+            # Not when a push told the end: they come in order, and a later one contradicts.
             if is_echoing:
                 self._echo = kind, self._clock() + _ECHO_S
             self._kind, self._status = MissionKind.NONE, None

@@ -176,6 +176,7 @@ class Lead:
 
     def woke(self, too_early: bool) -> None:
         """Follow what a waking showed."""
+        # In balance where one waking of four is too early: that is the lower quartile.
         change = -3 * self.STEP if too_early else self.STEP
         self.seconds = min(max(self.seconds + change, 0.0), self.MOST)
 
@@ -191,6 +192,7 @@ class DeadlineTimer:
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()
         self._fd = -1
+        # A loop with a clock of its own (virtual time, uvloop) would be woken by the wrong one.
         if type(self._loop).time is asyncio.BaseEventLoop.time:
             self._fd = _create_timer()
         self._waiter: asyncio.Future[None] | None = None

@@ -13,8 +13,7 @@ from typing import ClassVar
 
 from m100link.errors import UsageError
 
-LAG_S = 0.65
-"""By how much the velocity follows what is asked for; of the model of the virtual aircraft."""
+LAG_S = 0.65  # by which the velocity follows its setpoint, in the model of the virtual aircraft
 _ACCELERATION = 1.0  # m/s² along the path
 _BRAKING = 0.4  # m/s along the path for each metre that remains
 _CROSS_GAIN = 1.0  # m/s towards the path per metre beside it
@@ -232,6 +231,7 @@ class Path:
         self, place: tuple[float, float]
     ) -> tuple[_Leg | _Bend, float, float, tuple[float, float]]:
         """The piece that is flown, how far along it, how far to its right, and its direction."""
+        # Only onwards: where a path crosses itself, the nearest piece may be another one.
         while True:
             piece = self._pieces[self._index]
             along, right, ahead = piece.locate(place)
@@ -286,9 +286,11 @@ def _rounding(
     turn = math.remainder(going - coming, math.tau)
     if abs(turn) < 1e-6:
         return wanted, 0.0, 0.0
+    # To turn back has no arc: it is flown to, as a sharp corner is.
     if abs(turn) > math.radians(175):
         return 0.0, 0.0, turn
     per_radius = math.tan(abs(turn) / 2)
+    # Half a leg for the corner at each of its ends: two arcs must not overlap.
     room = 0.5 * min(math.dist(before[:2], corner[:2]), math.dist(corner[:2], after[:2]))
     if abs(turn) < math.pi / 2:  # as near to the corner as one of 90° is passed
         wanted *= (math.sqrt(2) - 1) / (1 / math.cos(turn / 2) - 1)

@@ -160,10 +160,8 @@ class LogThread(logging.Filter):
             _say(f"m100link: {lost} log records of flights were lost: {why}")
 
     def leave_behind(self) -> None:
-        """The interpreter ends: handlers that block for ever must not keep it from that.
-
-        ``logging.shutdown`` waits for the lock of each handler, and Python for that of stderr.
-        """
+        """The interpreter ends: handlers that block for ever must not keep it from that."""
+        # logging.shutdown waits for the lock of each handler, and Python for that of stderr.
         if self._thread is None or self._flush():
             return
         for handler in {one for logger in self._covered for one in _handlers(logger)}:
@@ -234,16 +232,14 @@ _flying: dict[Close, asyncio.AbstractEventLoop] = {}
 def reserve(what: str, close: Close) -> None:
     """Load and start the parts that end a flight, so that its end need not load or open anything.
 
-    Python loads modules from a disk that may fail, with file descriptors that may run out. So this
-    loads the modules of the stop path and starts the thread of the log. After the flight, call
-    :func:`free`.
-
     ``close``: ends the flight and waits for that. It is run when the program falls off its end
-    between two runs of its event loop. Raises ``OutOfResources``: the system has no more.
+    between two runs of its event loop. After the flight, call :func:`free`. Raises
+    ``OutOfResources``: the system has no more.
     """
     for dead in [one for one, loop in _flying.items() if loop.is_closed()]:
         free(dead)  # its event loop was closed before it ended
     loop = asyncio.get_running_loop()
+    # Python loads modules from a disk that may fail, with file descriptors that may run out.
     with of_the_system(what):
         anyio.CancelScope()  # which loads what it stands on when the first one is made
         LOG_THREAD.hold(is_simulated=abs(loop.time() - time.monotonic()) > _NOW_S)

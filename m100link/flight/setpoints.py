@@ -24,8 +24,9 @@ LONG_LIFETIME = 1.0  # seconds above which a lifetime needs an argument that say
 
 _PERIOD = 1.0 / MAX_RATE_HZ  # shortest time between two frames, on average
 
+# By how much a program that ticks itself may be early or late on our grid, s: without it every
+# frame would carry the value of the tick before.
 _SLACK = 0.1 * _PERIOD
-"""By how much a program that ticks itself may be early or late on our grid, s."""
 
 
 def check_lifetime(lifetime: float, *, is_long_allowed: bool) -> None:
@@ -64,8 +65,7 @@ class SetpointLoop:
     at 50 Hz for a moment, then nothing. Nothing older than its lifetime is ever repeated.
 
     A program that ticks at the same rate jitters around our grid; so what comes a little early goes
-    out at once, and while a program renews, repeating waits that little for it. Otherwise every
-    frame would carry the value of the tick before.
+    out at once, and while a program renews, repeating waits that little for it.
     """
 
     def __init__(

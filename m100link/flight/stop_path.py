@@ -72,8 +72,10 @@ class StopPath:
         state, life, missions = self._commander.authority.state, self._life, self._missions
         if state is AuthorityState.NONE or life.state in (BlockState.NEW, BlockState.OVER):
             return NOTHING
+        # While nothing has ended the block: as if the program left it now.
         plan = STOP_PLANS[life.cause or StopCause.LEFT]
         if not self._has_authority:  # the pilot's, the app's, or nobody knows: only a release helps
+            # While it is asked for, a foreign mission may fly by what a program before obtained.
             is_ours = state is AuthorityState.OBTAINING
             return Wanted(release=plan.release and not (is_ours and missions.is_of_another))
         is_kept = missions.is_detached or missions.is_of_another
@@ -83,6 +85,7 @@ class StopPath:
         current = self._setpoints.current if plan.neutral else None
         return Wanted(
             neutral=None if current is None else current.neutral(),
+            # After a loss only a mission that is seen to fly on is stopped: a guardian sees none.
             mission=missions.to_stop if plan.mission and not plan.explain else None,
             land=lands,
             release=plan.release and not is_kept and not flies_home,
@@ -133,18 +136,14 @@ class StopPath:
         return self._commander.authority.state is AuthorityState.HELD
 
     async def _stop_mission(self) -> None:
-        """Whether authority is held is for the aircraft to say: the stop is sent all the same.
-
-        Except where somebody else took the aircraft: they fly it, and a failsafe on its way home is
-        not to be called off. Then only a mission that demonstrably flies on is stopped.
-
-        One that is not answered does not keep the other steps from their turn; the landing and the
-        release break a mission off as well.
-        """
         life = self._life
+        # A stop needs no authority, so it is sent without. But a failsafe on its way home must not
+        # be called off: where somebody else took the aircraft, only a mission that demonstrably
+        # flies on is stopped.
         if life.plan.mission and (
             not life.plan.explain or await self._missions.flies_on(life.failure)
         ):
+            # Unanswered, it keeps no step from its turn: landing and release break it off as well.
             failure = await self._missions.stop()
             life.failure = life.failure or failure
         if life.cause is StopCause.GUARDIAN:
@@ -173,13 +172,10 @@ class StopPath:
             self._take_off_at = self._clock()  # any of them may have lifted it, up to now
 
     async def _land(self) -> None:
-        """Land, although another task may be under way: the aircraft rejects it until that ended.
-
-        A landing that was under way already ends here too. Releasing authority in the middle of
-        either would leave the aircraft in the air.
-        """
+        """Land; while another task is under way the aircraft rejects it, and it is asked again."""
         if self._action != "land":
             return
+        # A landing would break off a mission of somebody else: pushes that disagree are waited for.
         await self._missions.settled()
         if self._missions.is_detached:
             return
@@ -189,6 +185,7 @@ class StopPath:
                 self._missions.flying,
             )
             return
+        # Also to the end of a landing that was under way: the release would leave it in the air.
         deadline = self._clock() + _LANDING_DEADLINE_S
         while self._life.plan.land and self._has_authority and not await self._stands():
             try:
@@ -223,6 +220,7 @@ class StopPath:
         """Blades that were started and never flew do not run on with nobody to answer for them."""
         if not self._is_armed or not self._has_authority or not self._life.plan.neutral:
             return
+        # A status from before it could leave the ground proves nothing: a newer one is waited for.
         deadline = self._clock() + 2 * _LEAVES_THE_GROUND_S
         while is_on_ground(self._commander.state) and self._may_be_airborne():
             if self._clock() >= deadline:
@@ -265,11 +263,8 @@ class StopPath:
         await release_authority(self._commander)
 
     def _leaves_another_in_flight(self) -> bool:
-        """Whether authority is kept because the release would break off somebody else's mission.
-
-        Also when the block could not be entered: the program that is gone may have obtained what
-        this one would give back.
-        """
+        """Whether authority is kept because the release would break off somebody else's mission."""
+        # Not entered, too: a program that is gone may have obtained what this one would give back.
         may_have_it = self._has_authority or self._life.cause is StopCause.NOT_ENTERED
         if not may_have_it or not self._missions.is_of_another:
             return False

@@ -102,6 +102,8 @@ TaskListener = Callable[[TaskProgress], None]  # called about four times a secon
 
 def task_sequences() -> Iterator[int]:
     """A number for each take-off, landing or go-home, 0 to 255 and round again."""
+    # From a random one: the program before may have used the first numbers, and a query by number
+    # would be answered about its order.
     return islice(cycle(range(256)), os.urandom(1)[0], None)
 
 
@@ -128,11 +130,7 @@ def run_task(
 
 
 async def _begin(commander: Commander, task: Task) -> int:
-    """Order a task; returns the number under which it is flown.
-
-    An answer that was lost, or a repeat that the aircraft took for another order because it forgot
-    what it had answered, does not make an order that is flown a refused one: it is asked by number.
-    """
+    """Order a task; returns the number under which it is flown."""
     sequence = next(commander.task_sequences)
     numbers = (*commander.unanswered.pop(task, ()), sequence)[-_MOST_UNANSWERED:]
     try:
@@ -147,6 +145,8 @@ async def _begin(commander: Commander, task: Task) -> int:
         return flown
     if code == TaskStartCode.STARTED:
         return sequence
+    # It may be flown all the same: an earlier answer was lost, or the aircraft forgot what it had
+    # answered and took the repeat for another order. So it is asked by number.
     flown = await _flown_of(commander, task, numbers)
     if flown is not None:
         return flown
@@ -258,10 +258,9 @@ class _Watch:
         return result not in (None, TaskResultCode.EXECUTING) and is_observed
 
     def _is_observed(self) -> bool:
-        """Whether telemetry shows the end, for a while: at 1 m a take-off is still climbing.
-
-        An old item shows nothing: one that stopped on the ground still says "standby".
-        """
+        """Whether telemetry shows the end, for a while: at 1 m a take-off is still climbing."""
+        # By a status that is not old: one that stopped on the ground would end a landing at any
+        # height, and the release behind it would leave the aircraft in the air.
         if self._task is not Task.TAKE_OFF:
             return is_on_ground(self._state) is True
         if not self._hovers():
@@ -301,11 +300,11 @@ class _Watch:
 # -- the sticks of a virtual remote control, and when its settings may be sent ---------------------
 
 
+# Between two settings; faster than every 2 s they lock the aircraft (DJI's header). The rest is
+# for frames that are late: a second one may catch up with the first.
 SETTINGS_INTERVAL_S = 2.2
-"""Between two settings; faster than every 2 s they lock the aircraft (DJI's header). The
-rest is for frames that are late: a second one may catch up with the first."""
-
 _ROUNDING_S = 1e-3  # timers are that exact
+# Always P: in A centred sticks drift with the wind, and DJI does not recommend it.
 _GEAR_DOWN, _MODE_P = 1324, 1552
 _CORNER = 0.9
 
@@ -325,7 +324,7 @@ class Deflections(NamedTuple):
         return down and abs(self.roll) > _CORNER and abs(self.yaw) > _CORNER
 
     def encoded(self) -> VirtualRcData:
-        """The channels. The mode is always P, in which centred sticks hover."""
+        """The channels."""
         sticks = (round(CENTRE + TRAVEL * deflection) for deflection in self)
         return VirtualRcData((*sticks, _GEAR_DOWN, CENTRE, _MODE_P, *[CENTRE] * 9))
 
@@ -335,13 +334,11 @@ GESTURE = Deflections(roll=-1.0, pitch=-1.0, throttle=-1.0, yaw=1.0)
 
 
 class SettingsPace:
-    """Lets the settings of one aircraft out, and never two within two seconds.
-
-    The program before may have sent some just before this one connected: that counts.
-    """
+    """Lets the settings of one aircraft out, and never two within two seconds."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
+        # The program before may have sent some just before this one connected.
         self.free_at = clock() + SETTINGS_INTERVAL_S
 
     async def wait(self) -> None:

@@ -195,6 +195,7 @@ class VirtualRc:
 
     async def _switch_on(self, settings: VirtualRcSettings) -> None:
         await self._pace.wait()
+        # After the wait of up to 2.2 s, in which the pilot may have left F.
         await self._require_f()
         if self._life.state is not BlockState.ENTERING:
             return
@@ -294,6 +295,8 @@ class VirtualRc:
 
     async def _centre_and_switch_off(self) -> None:
         """Centred sticks until it may be switched off, then off."""
+        # Settings within 2 s of the last ones lock the aircraft, so that even the mode switch does
+        # nothing (DJI's header): until then centred sticks go out, in which the aircraft hovers.
         settle_until = self._clock() + _NEUTRAL_S
         while self._is_on and self._life.cause not in _HOPELESS:
             if self._clock() >= max(settle_until, self._pace.free_at):
@@ -395,6 +398,7 @@ class VirtualRc:
         """
         self._require_flying()
         await self._guards.admit_take_off()
+        # Again: the guards may have waited 1.5 s for their values.
         self._require_flying()
         if not is_on_ground(self._commander.state):
             raise TaskRefused(
@@ -404,6 +408,7 @@ class VirtualRc:
                 remedy="land first; the flight_status item must be sent",
             )
         end_at = self._clock() + _GESTURE_S
+        # Off the ground it ends: the gesture that starts motors stops them, too.
         try:
             while self._clock() < end_at and is_on_ground(self._commander.state):
                 self._require_flying()
@@ -438,6 +443,7 @@ class VirtualRc:
             self._end(StopCause.SENDING_FAILED, failure)
         if self._life.state is BlockState.FLYING:
             now = self._clock()
+            # Sticks that expire between two beats go back then, and not a tenth of a second later.
             expires_at = self._renewed_at + DEAD_MAN_S
             is_soon = self._sticks != CENTRED and now < expires_at < now + _PERIOD_S
             self._timer = self._loop.call_at(expires_at if is_soon else now + _PERIOD_S, self._beat)

@@ -30,11 +30,9 @@ _READINGS = 3
 
 
 def asleep_s() -> float:
-    """Return the seconds for which the computer was suspended since it started, plus a constant.
-
-    The order matters, because the process may be stopped between the two readings. That makes the
-    result smaller, so no sleep is seen where there was none.
-    """
+    """Return the seconds for which the computer was suspended since it started, plus a constant."""
+    # In this order: a process that is stopped between the two readings makes the result smaller, so
+    # no sleep is seen where there was none.
     with_sleep = time.clock_gettime(_WITH_SLEEP)
     return with_sleep - time.monotonic()
 
@@ -48,6 +46,7 @@ class SuspendWatch:
     """
 
     def __init__(self) -> None:
+        # The largest of some readings is the one between which the process was not stopped.
         self._before_s = max(asleep_s() for _ in range(_READINGS))
 
     def slept_s(self) -> float:
@@ -97,12 +96,13 @@ class _Deadline:
     ) -> bool:
         """Whether it did not; ``seen`` is how much there is, None while it need not grow.
 
-        ``asked`` is the direction. One that is asked to go back has that time anew: no aircraft
-        follows a direction that changes faster than it can tilt.
+        ``asked`` is the direction.
         """
         if seen is None:
             self._since = None
             return False
+        # Asked to go back, it has that time anew: no aircraft follows a direction that changes
+        # faster than it can tilt, and a tracker that hunts around its target asks for that.
         goes_back = asked[0] * self._asked[0] + asked[1] * self._asked[1] <= 0.0
         if self._since is None or goes_back or seen - self._from >= needed:
             self._since, self._from, self._asked = now, seen, asked
@@ -363,6 +363,7 @@ class TelemetryWatchdog:
     def is_quiet(self) -> bool:
         """False when something is found here and now."""
         now = self._clock()
+        # First: the loop's clock stood still meanwhile, so every age is too small.
         slept = self._suspended.slept_s()
         if slept:
             seen = f"this computer was suspended for {slept:.1f} s while flying"
@@ -397,6 +398,7 @@ class TelemetryWatchdog:
     def _is_forgiven(self) -> bool:
         now = self._clock()
         if self._grace_ends_at is None:
+            # A timer this late: the program did not run, and packages wait in the line to be read.
             was_blocked = self._timer is not None and now - self._timer.when() > _BLOCKED_S
             self._grace_ends_at = now + _GRACE_S if was_blocked else now
         return now < self._grace_ends_at
