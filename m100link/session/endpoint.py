@@ -44,11 +44,9 @@ class Endpoint:
         self.decoder.cipher = self.sender.cipher = self.receiver.cipher = cipher
 
     def receive_data(self, data: bytes, now: float) -> Sequence[Event]:
-        """Take bytes from the line and return what happened, in order. Nothing that arrives raises.
-
-        Pushes, which are most of what arrives, are their own events and pass without being touched.
-        """
+        """Take bytes from the line; return what happened, in order. Nothing that arrives raises."""
         frames = self.decoder.feed(data)
+        # A hundred pushes a second are most of what arrives: they are their own events, untouched.
         for frame in frames:
             if frame[0] or frame[1]:  # session, is_ack: by name it takes twice as long
                 self.only_pushes = False
@@ -173,9 +171,11 @@ class Receiver:
 
     def receive_command(self, frame: Frame, now: float) -> Frame | None:
         """Take a command frame; None when it repeats one that was delivered before."""
+        # Session 1 has no memory: its sender tolerates a lost ack, and repeats nothing (errata 31).
         if frame.session > ACK_ONCE_SESSION:
             memory = self._memories.get(frame.session)
             if memory is not None and self._is_repeat(memory, frame, now):
+                # At work: the session exists so that nothing is executed twice (document 1.4).
                 if memory.wire is None:
                     self.statistics.unanswered_repeats += 1
                 else:
@@ -222,6 +222,8 @@ class Receiver:
         )
         if command.session > ACK_ONCE_SESSION:
             memory = self._memories.get(command.session)
+            # The sender has gone on to another number in this session. Stored, this ack would
+            # answer the repeats of a command that is still at work.
             if memory is None or memory.sequence != command.sequence:
                 self.statistics.stale_replies += 1
                 return
@@ -234,10 +236,9 @@ class Receiver:
         self._memories.clear()
 
     def forget_answered(self) -> None:
-        """Forget the requests that were answered; those at work still get their answer.
-
-        Of frames that come together the later ones are at work as the first one is carried out.
-        """
+        """Forget the requests that were answered; those at work still get their answer."""
+        # A version query forgets in the middle of a read: without their memory, the commands behind
+        # it in the same bytes got no answer, and their repeats were carried out again.
         at_work = {s: memory for s, memory in self._memories.items() if memory.wire is None}
         self._memories = at_work
 
@@ -413,6 +414,7 @@ class Sender:
                 self.statistics.late_acks += 1
             return None
         self._retire(request, was_answered=True)
+        # The other end stores the ack of its newest number alone (document 1.4): others are free.
         self._taken[session] = {sequence}
         if self._waiting:
             self._begin_waiting(now)
@@ -429,6 +431,7 @@ class Sender:
 
     def handle_timer(self, now: float) -> None:
         """Repeat or expire what is due."""
+        # A list first: a request that expires leaves the table that is looked through.
         for request in [r for r in self._in_flight.values() if r.deadline <= now]:
             if request.tries_left > 0:
                 self._transmit(request, now)
@@ -474,6 +477,7 @@ class Sender:
             self._begin_reliable(request, now)
 
     def _begin_reliable(self, request: _Request, now: float) -> None:
+        # Taken once its frame is made: a request that raises leaves the session free.
         self._begin(request, self._free[0], now)
         heappop(self._free)
 
@@ -508,10 +512,9 @@ class Sender:
             heappush(self._free, request.session)
 
     def _next_sequence(self, session: int) -> int:
-        """One counter for all sessions, but no number that the other end may remember.
-
-        It remembers one per session: the last that it acked, or one sent since whose ack was lost.
-        """
+        """One counter for all sessions, but no number that the other end may remember."""
+        # It remembers one per session: the last that it acked, or one sent since whose ack was
+        # lost. A request with such a number would be answered from memory and never executed.
         taken: set[int] = set()
         if session != NO_ACK_SESSION:
             taken = self._taken.setdefault(session, set())

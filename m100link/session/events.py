@@ -52,11 +52,8 @@ class Expired(NamedTuple):
 
 
 Event = Acked | Expired | Frame
-"""Anything the session layer reports.
-
-A frame is a command or push to be handled by the layer above. When its session is not 0 the sender
-wants an ack.
-"""
+"""A report of the session layer. A frame is a command or push for the layer above; with a session
+that is not 0, its sender wants an ack."""
 
 
 @dataclass(slots=True)
