@@ -35,8 +35,7 @@ FEWEST_POINTS, MOST_POINTS = 2, 99
 MOST_ACTIONS = 15
 NEAREST_M, FARTHEST_M = 2.0, 2000.0
 """Between neighbours, in three dimensions. Documents since 2017 allow 0.5 m, the M100's say 2."""
-LONGEST_M = 30_000.0
-"""From the first point to the last; with the ways from home and back it is twice that."""
+LONGEST_M = 30_000.0  # from the first point to the last; twice that with the ways of home and back
 SMALLEST_DAMPING_M, LARGEST_DAMPING_M = 0.2, 1000.0
 FASTEST_M_S = 15.0
 MOST_REPEATS = 15
@@ -70,15 +69,13 @@ _PARAMETERS = {Stay: _Range(0, 32.767, "s"), TurnTo: _HEADING, GimbalPitch: _PIT
 
 
 def problems(plan: PlanValues) -> Iterator[BadPlan]:
-    """Everything that is wrong with a plan, from the whole to its points; nothing if it is sound.
-
-    Distances are only looked at when every point is somewhere.
-    """
+    """Everything that is wrong with a plan, from the whole to its points; nothing if it is good."""
     fields = [*_problems_of_choices(plan), *_problems_of_speed(plan)]
     for index, waypoint in enumerate(plan.waypoints[:MOST_POINTS]):
         fields += _problems_of_point(index, waypoint, plan.trace)
     yield from _problems_of_count(plan.waypoints)
     yield from fields
+    # Only where every point is somewhere: distances from a NaN would say nothing.
     if not fields and len(plan.waypoints) <= MOST_POINTS:
         yield from _problems_of_way(plan)
 
@@ -86,7 +83,6 @@ def problems(plan: PlanValues) -> Iterator[BadPlan]:
 def _outside(
     value: object, limits: _Range, field: str, point: int | None = None, *, whole: bool = False
 ) -> Iterator[BadPlan]:
-    """One problem, or none."""
     place = field if point is None else f"waypoint {point}: {field}"
     found = number(value)
     if found is None or not math.isfinite(found):
@@ -155,6 +151,7 @@ def _not_bool(value: object, field: str, point: int | None = None) -> Iterator[B
 def _problems_of_speed(plan: PlanValues) -> Iterator[BadPlan]:
     slow = list(_outside(plan.max_speed, _MAX_SPEED, "max_speed"))
     yield from slow
+    # Beside a max_speed that is wrong itself, the limit of the aircraft judges the speed.
     fastest = FASTEST_M_S if slow else plan.max_speed
     for problem in _outside(plan.speed, _Range(-fastest, fastest, "m/s"), "speed"):
         problem.remedy += (
@@ -412,10 +409,8 @@ def _stop(plan: PlanValues) -> float:
 
 
 def seconds_of_actions(plan: PlanValues) -> list[float]:
-    """How long the actions of each waypoint take if nothing cuts them off, s.
-
-    The gimbal looks ahead at first.
-    """
+    """How long the actions of each waypoint take if nothing cuts them off, s."""
+    # The gimbal looks ahead at first.
     pitch, found = 0.0, []
     for point, heading in zip(plan.waypoints, _headings(plan), strict=True):
         if plan.gimbal_by_waypoint:

@@ -82,6 +82,7 @@ def _action_value(action: WaypointAction) -> Any:
 def load_object(text: str | bytes) -> dict[str, Any]:
     """The object that a JSON text is; ``BadPlan``: it is none, or a name stands twice in one."""
     try:
+        # Some editors begin a file with a byte order mark, at which JSON ends.
         decoded = text.decode("utf-8-sig") if isinstance(text, bytes) else text.lstrip("\ufeff")
         value = read_json(decoded, pairs=_object)
     except UnicodeDecodeError as error:
@@ -137,6 +138,7 @@ def from_json(document: Mapping[str, Any]) -> dict[str, Any]:
             cause="the file is something else",
             remedy=f'"format": "{FORMAT}", or a .plan of QGroundControl',
         )
+    # True equals 1 in Python, and is no version.
     if document.get("version") != VERSION or isinstance(document["version"], bool):
         raise BadPlan(
             f"version {_short(document.get('version'))} of the format is not known",

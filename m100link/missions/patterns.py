@@ -57,6 +57,7 @@ def survey(
     # Along the lines and across them.
     turned = [(n * cosine + e * sine, e * cosine - n * sine) for n, e in polygon]
     low, high = min(across for _, across in turned), max(across for _, across in turned)
+    # By rounding, a width of whole spacings must not get a line more.
     count = max(1, math.ceil((high - low) / spacing - 1e-9))
     if high - low < 1e-6 or count > _MAX_LINES:
         raise UsageError(
@@ -91,6 +92,7 @@ def _crossings(corners: Sequence[tuple[float, float]], across: float) -> list[tu
     """Where a line enters and leaves the polygon, in its order."""
     found = []
     for (a1, c1), (a2, c2) in zip(corners, [*corners[1:], corners[0]], strict=True):
+        # One end of an edge belongs to it: a line through a corner crosses there once.
         if (c1 <= across) != (c2 <= across):
             found.append(a1 + (a2 - a1) * (across - c1) / (c2 - c1))
     return [(along, across) for along in sorted(found)]

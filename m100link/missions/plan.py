@@ -228,6 +228,8 @@ class WaypointPlan(PlanValues):
         if written is not None:
             plan = cls(**written)
             made = qgroundcontrol.document_of(plan)
+            # Of a file that was changed in QGroundControl the items count: its user saw those. A
+            # fence that was drawn beside them is refused, because nothing here would keep it.
             if made["mission"] == found.get("mission"):
                 qgroundcontrol.refuse_fences(found, leave_out)
                 return plan

@@ -159,7 +159,8 @@ def items_of(
 
 
 def refuse_fences(document: dict[str, Any], leave_out: Collection[int | str]) -> None:
-    """Raise ``BadPlan`` for a fence: one that is not kept would be believed in."""
+    """Raise ``BadPlan`` for a fence."""
+    # One that is read and not kept would be believed in.
     for name, parts in (("geoFence", ("circles", "polygons")), ("rallyPoints", ("points",))):
         fence = document.get(name)
         found = isinstance(fence, dict) and any(fence.get(part) for part in parts)
@@ -226,8 +227,7 @@ def _simple(place: str, command: int, entry: dict[str, Any]) -> QgcItem:
 
 # -- qgroundcontrol --------------------------------------------------------------------------------
 
-_RELATIVE_FRAMES = (3, 6)
-"""Heights above the home position: MAV_FRAME_GLOBAL_RELATIVE_ALT, and the same in integers."""
+_RELATIVE_FRAMES = (3, 6)  # above home: MAV_FRAME_GLOBAL_RELATIVE_ALT, and the same in integers
 _SEA_LEVEL_FRAMES = (0, 5)
 _TERRAIN_FRAMES = (10, 11)
 
@@ -272,7 +272,6 @@ class _Builder:
     since_photo: float = 0.0  # metres flown since the last of them
 
     def read(self, item: QgcItem) -> None:
-        """The next item."""
         if self.at_end is not None:
             raise item.refuse("it comes after the item that ends the mission")
         reader = _READERS.get(item.command)
@@ -285,7 +284,6 @@ class _Builder:
         reader(self, item)
 
     def arguments(self) -> dict[str, Any]:
-        """Of the plan."""
         if self.waiting and not self.points:
             raise bad("mission.items", "the mission has no waypoint", 0)
         speed = self.speed
@@ -451,6 +449,7 @@ def _land(builder: _Builder, item: QgcItem) -> None:
     has_place = not (math.isnan(latitude) or math.isnan(longitude)) and (latitude or longitude)
     if has_place and builder.points:
         last = builder.points[-1]
+        # At the height that it has: that of a landing item is the ground's (MAVLink, 21).
         there = replace(last, latitude_deg=latitude, longitude_deg=longitude)
         if not _is_there(last, there):
             builder.add(item, math.nan, height=last.height)

@@ -19,8 +19,7 @@ from m100link.errors import UsageError
 from m100link.geodesy import LocalFrame
 
 _SINGLE = Struct("<f")
-_COORDINATE_DECIMALS = 12
-"""Of a degree: 0.1 µm, and far enough apart that radians and back give the same number."""
+_COORDINATE_DECIMALS = 12  # 0.1 µm, far enough apart that radians and back give the same degrees
 
 
 class Heading(IntEnum):
@@ -106,6 +105,7 @@ def as_single(value: Any) -> Any:
         wanted = single(found)
     except OverflowError:
         return value
+    # Nine digits tell every number of single precision apart.
     shortened = (float(f"{wanted:.{digits}g}") for digits in range(6, 10))
     return next(short for short in shortened if single(short) == wanted)
 
@@ -298,7 +298,6 @@ class Waypoint:
 
 
 def _places(track: Iterable[tuple[float, float, float]]) -> list[tuple[float, float, float]]:
-    """The points of a track, each three numbers."""
     if not isinstance(track, Iterable):
         raise UsageError(f"the track is {track!r}", remedy="points (north, east, height) in metres")
     made = []

@@ -27,7 +27,7 @@ from m100link.missions.waypoint import (
 )
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
 
-_SLOTS = 16  # places for actions in a point; 15 of them are used
+_SLOTS = 16  # places for actions in a point; 15 of them are used (errata 55)
 _NO_TIME_LIMIT = 0xFFFF  # what DJI's programs send for none
 _ROS_DEMO_YAW_MODE = 4  # DJI's ROS demo sends it; taken as 0
 
@@ -127,7 +127,7 @@ def from_wire(mission: WaypointMission, points: Iterable[WaypointPoint]) -> dict
 
 
 def _known(kind: Any, value: int) -> Any:
-    """The member, or the number: then the plan says what is wrong."""
+    # The number of no member is kept: the checks of the plan name it, with its limits.
     return kind(value) if value in kind.__members__.values() else value
 
 
@@ -136,6 +136,7 @@ def _flag(value: int) -> Any:
 
 
 def _waypoint(point: WaypointPoint) -> Waypoint:
+    # The aircraft ignores actions behind has_action 0: they are no part of the plan.
     count = point.action_count if point.has_action else 0
     coded = zip(point.actions[:count], point.parameters[:count], strict=True)
     limit = point.action_time_limit
