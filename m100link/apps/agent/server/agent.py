@@ -42,8 +42,9 @@ LONGEST_KEPT = 60.0
 """Seconds that control authority is kept for nobody at most."""
 
 _LEASE_CHECK = 0.1
+# Seconds between two looks at the lease; in a longer time this program did not run, and nobody
+# could renew.
 _LONGEST_STEP = 0.3
-"""Seconds between two looks at the lease; in a longer time this program did not run."""
 
 _LOST_MEANWHILE = "control was lost meanwhile"
 _PAUSE_S = 1.0  # without a setpoint; the next one is a new wish, though not after STOP
@@ -235,6 +236,7 @@ class Agent:
 
         ``at``: when it was asked, s. An order from before a STOP moves nothing, and undoes none.
         """
+        # A front or an agent that stood still reads and sends in another order than people acted.
         is_overtaken = at < self._stopped_at
         if is_overtaken and order.moves and not isinstance(order, _ENDS):
             raise GuardRefused(
@@ -294,6 +296,8 @@ class Agent:
         """
         now = self.now
         self.leases.renew(token, now)
+        # After a loss, a pause of a second is a new wish: a stream that goes on is not, because it
+        # would fly on over the hands of a pilot who is back in F.
         since, self._steered_at = now - self._steered_at, now
         is_new = since > _PAUSE_S and self.holding.has_authority
         if is_new and self._begin_anew == _LOST_MEANWHILE:

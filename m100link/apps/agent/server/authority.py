@@ -159,12 +159,10 @@ class AuthorityManager:
 
     @property
     def task(self) -> str | None:
-        """Name of the task that the aircraft flies, or None."""
         return self.flying.task if self.flying is not None else None
 
     @property
     def pattern(self) -> str | None:
-        """Name of the program that flies the aircraft, or None."""
         return self.flying.pattern if self.flying is not None else None
 
     @property
@@ -209,6 +207,7 @@ class AuthorityManager:
         self.feed(HoldingInput.ASKED)
         if self._block is None:
             self._begin(aircraft)
+        # Shielded: others may wait for the same request, and cancelling one must not end theirs.
         if self._granted is not None:
             await asyncio.shield(self._granted)
 
@@ -225,10 +224,8 @@ class AuthorityManager:
             await asyncio.wait([self._block])
 
     async def stop_landing(self) -> bool:
-        """Let go of a mission that was flown and goes home or lands; returns whether one does.
-
-        As long as it counts as flown by plan, authority would not be given back: it lands by that.
-        """
+        """Let go of a mission that was flown and goes home or lands; returns whether one does."""
+        # Flown by plan, it keeps authority when its block is left, because it lands by that.
         flying = self.flying
         if flying is None or not flying.mission.is_landing:
             return False
@@ -297,6 +294,7 @@ class AuthorityManager:
         self._tell_mission(error.seen, is_seen=error.reason is not LossReason.LINK)
         if not granted.done():
             granted.set_exception(error)
+        # Whatever a callback raises: nobody else sees the pilot come back.
         try:
             call_each(self.on_lost, error)
         finally:
@@ -362,10 +360,8 @@ class OrphanedAuthority:
             self._work = self._background.spawn(self._give_back(aircraft), "inherited authority")
 
     async def settle(self) -> None:
-        """Wait until nothing goes back any more: a request would overtake it, and be undone.
-
-        The client that asks now holds it in its own name, and nothing is owed.
-        """
+        """Wait until nothing goes back any more: a request would overtake it, and be undone."""
+        # The client that asks now holds it in its own name, and nothing is owed.
         self._is_owed = False
         if self._work is not None:
             await asyncio.wait([self._work])

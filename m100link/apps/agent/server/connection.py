@@ -38,12 +38,7 @@ class ConnectionState(Enum):
 
 
 class AircraftConnection:
-    """Keeps an aircraft connected, whichever it is.
-
-    A :class:`~m100link.Supervised` ends when another aircraft answers. Nobody flies then: a control
-    block ended with the line. So a station begins another supervision, and the client that flew
-    has to obtain control of that one.
-    """
+    """Keeps an aircraft connected, whichever it is."""
 
     def __init__(self, connect: Connect, journal: Journal) -> None:
         self._connect = connect
@@ -61,7 +56,6 @@ class AircraftConnection:
 
     @property
     def version(self) -> Version | None:
-        """The aircraft's newest version answer."""
         return self._supervised.version
 
     @property
@@ -76,6 +70,8 @@ class AircraftConnection:
             if (task := asyncio.current_task()) is not None and task.cancelling():
                 return  # an error on the way out took the place of the cancellation
             await asyncio.sleep(RECONNECT_PAUSE)
+            # A supervision ends when another aircraft answers. Nobody flies then, because a control
+            # block ends with its line; the client that flew has to obtain control of the new one.
             self._supervised = self._new()
 
     async def _keep_one(self) -> None:
@@ -104,6 +100,7 @@ class AircraftConnection:
         elif event.after is SupervisionState.CONNECTING:
             self.state = ConnectionState.CONNECTING
         elif event.error is not None:
+            # An attempt fails each second: the same reason is one line of the journal.
             is_news = str(event.error) != str(self.error)
             self.error = event.error
             if is_news:

@@ -43,6 +43,7 @@ from m100link.protocol.setpoint import Setpoint
 
 MissionOrder = Literal["pause", "resume", "stop"]
 
+# Seconds that the neutral of a halt lives: it expires at once, and silence follows after 0.3 s.
 _AT_ONCE = 1e-3
 
 Pattern = Callable[[Control, Callable[[Setpoint], None]], Coroutine[Any, Any, None]]
@@ -77,15 +78,12 @@ class ActiveFlight:
 
     @property
     def pattern(self) -> str | None:
-        """Name of the program that flies the aircraft, or None."""
         return self._pattern[0] if self._pattern is not None else None
 
     @property
     def is_in_task(self) -> bool:
-        """Whether the autopilot may fly a task: of an order, of a program, or of a mission.
-
-        A program or a mission that was ended does not end the take-off that it had begun.
-        """
+        """Whether the autopilot may fly a task: of an order, of a program, or of a mission."""
+        # A program or a mission that was ended does not end the take-off that it had begun.
         return self.task is not None or self._control.unended_task is not None
 
     @property
@@ -104,10 +102,8 @@ class ActiveFlight:
     # -- setpoints -------------------------------------------------------------------------------
 
     def steer(self, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
-        """Fly this setpoint until it is renewed or its lifetime ends. Ends a program.
-
-        Letting go of a stick is not steering: a neutral setpoint leaves a program alone.
-        """
+        """Fly this setpoint until it is renewed or its lifetime ends. Ends a program."""
+        # Letting go of a stick is not steering: a neutral setpoint leaves a program alone.
         if self._pattern is not None or self.guiding.order is not None or self.mission.is_flying:
             if setpoint == setpoint.neutral():
                 return
@@ -352,7 +348,6 @@ class GuidedFlightManager:
 
     @property
     def order(self) -> GuidedOrder | None:
-        """The order that flies, None for nothing."""
         return None if self._flight is None else self._flight.order
 
     async def fly(self, order: GuidedOrder, accepted: Callable[[], None]) -> None:
@@ -377,6 +372,7 @@ class GuidedFlightManager:
         ended, level = f"{name} is done", "info"
         try:
             before = self._works - {asyncio.current_task()}
+            # The neutral of the flight before may still be going out: this one waits for its end.
             if before:
                 await asyncio.wait(before)
             await self._steer(flight)
@@ -401,6 +397,7 @@ class GuidedFlightManager:
                 self._journal.note(f"{order.label} begins")
                 flight.accepted()
 
+        # Nothing of the estimate was measured on an aircraft: it may take three times as long.
         expected = preview(order, control.state, GuardLimits()).seconds
         timeout = _PATIENCE_S + _PATIENCE * expected
         if isinstance(order, orders.FlyTo):

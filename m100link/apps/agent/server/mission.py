@@ -87,6 +87,7 @@ class ActiveMission:
     async def circle(self, request: HotpointStart) -> None:
         """Let it fly around a place; done when the aircraft has begun."""
         self.require_none("a hotpoint")
+        # A front may send any number: one that is no CircleStart would be a ValueError below.
         for problem in request.problems():
             raise problem.error(request.NAME)
         flight = self._control.hotpoint(
@@ -202,11 +203,8 @@ class ActiveMission:
         await self.ended()
 
     def cut_off(self) -> str:
-        """Control was lost, and the mission with it; returns its name, empty for none.
-
-        The reason of the loss comes a moment later, from the aircraft: the caller has to report
-        the end with that reason.
-        """
+        """Control was lost, and the mission with it; returns its name, empty for none."""
+        # The reason of the loss comes a moment later, from the aircraft: the caller reports it.
         if self._watch is None or self._flight is None:  # it has not begun: its start fails
             self.end("control ended")
             return ""
@@ -221,7 +219,7 @@ class ActiveMission:
 
 
 def look_at(future: asyncio.Future[None]) -> None:
-    """Nobody may wait for it: then the journal alone tells its error."""
+    # Nobody may wait for it: then the journal alone tells its error, and not asyncio's log.
     if not future.cancelled():
         future.exception()
 

@@ -65,7 +65,7 @@ class AgentServer:
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
         self._fronts: set[ClientSession] = set()
-        self._told: tuple[object, ...] = ()
+        self._told: tuple[object, ...] = ()  # of the state, when it was sent last
         agent.connection.on_sample.append(self._sample)
         agent.connection.on_aircraft.append(self._aircraft_changed)
         agent.journal.on_event.append(self._event)
@@ -139,6 +139,7 @@ class AgentServer:
             await asyncio.sleep(STATE_INTERVAL)
             with goes_on("the telling of the state"):
                 lags.append(max(0.0, self._agent.now - due))
+                # Sent although nothing changed: fronts take silence of 2 s for an agent that hangs.
                 self._told = ()
                 self._tell_state()
                 if len(lags) * STATE_INTERVAL >= 1.0:
@@ -266,6 +267,7 @@ class ClientSession:
     def greet(self, state: State) -> None:
         """Say hello and where everything stands, then listen."""
         agent = self._agent
+        # First, so that a front of another version parts before it reads anything else.
         self.tell(Hello(VERSION, "agent", agent.now))
         lease = agent.leases.holder(agent.now)
         self.tell(LeaseChanged(lease.number, lease.name) if lease else LeaseChanged(0, ""))
@@ -302,6 +304,7 @@ class ClientSession:
 
     def _receive(self, message: Message) -> None:
         if isinstance(message, Hello) and not self._name:
+            # Fields of another version may have another meaning: nobody flies by a guess.
             if message.version != VERSION:
                 self.close(f"this agent speaks version {VERSION}, not {message.version}")
                 return
