@@ -23,7 +23,6 @@ class TaskSet:
         self._tasks: set[asyncio.Task[Any]] = set()
 
     def spawn(self, work: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
-        """Run something in a task of that name."""
         task = asyncio.create_task(work, name=f"m100link: {name}")
         self._tasks.add(task)
         task.add_done_callback(self._done)
@@ -65,10 +64,8 @@ class TaskSet:
 
 
 def call_each(callbacks: Iterable[Callable[..., object]], *told: object) -> None:
-    """Call each of them, whatever one of them raises: the next one may hold control, or end it.
-
-    Raises the first error afterwards.
-    """
+    """Call each of them, and raise the first error afterwards."""
+    # Whatever one of them raises: the next one may hold control, or end it.
     failed: Exception | None = None
     for callback in tuple(callbacks):
         try:
@@ -85,6 +82,7 @@ def goes_on(what: str) -> Iterator[None]:
     try:
         yield
     except Exception:
+        # A handler of the log may raise, too, and must not end the loop in its place.
         with suppress(Exception):
             _logger.exception("%s failed, and goes on", what)
 

@@ -55,10 +55,9 @@ from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 from m100link.telemetry.subscription import Hub, Policy, Subscription
 
+# Messages that do not show that the agent runs: a network's channel makes the first three itself
+# when nothing arrives any more, and an agent sends events however old they are.
 _NO_SIGN = frozenset({OrderOutcome, SteerRefused, LeaseChanged, Event})
-"""Messages that do not show that the agent runs: a network's channel makes the first three itself
-when nothing arrives any more, and an agent sends events however old they are."""
-
 _MAX_EVENTS = 200
 
 T = TypeVar("T")
@@ -183,12 +182,13 @@ class AgentClient:
         self._channel.require()
         if self.events:
             self._known_until = self.events[-1].at
+        # Counted, because another agent may give the same number of a lease to somebody else.
         self.agents_before += 1
         self.state, self.heard_at = State(at=self.now), self.now
         self.telemetry = self.link = None  # of another aircraft, maybe
         self._channel = OwnLoop(channel)
         self._answers.begin(self._channel.send)
-        self._view = None
+        self._view = None  # of the agent before
         self._greet()
 
     # -- what comes in ---------------------------------------------------------------------------
@@ -404,6 +404,7 @@ class PendingRequests:
             raise agent_gone(self.gone)
         self._count += 1
         number = self._count
+        # Known before it leaves: inside one process the answer is here when send() returns.
         answer: asyncio.Future[OrderOutcome] = self._create_future()
         self._waiting[number] = answer, accepted
         try:
@@ -466,7 +467,6 @@ class OwnLoop:
         require_loop(self._loop, _MADE_IN)
 
     def open(self, on_message: Callable[[Message], None], on_closed: Callable[[str], None]) -> None:
-        """Begin to receive. Raises as :meth:`require`."""
         self.require()
         self._channel.open(on_message, on_closed)
 
@@ -476,6 +476,5 @@ class OwnLoop:
         self._channel.send(message)
 
     def close(self, reason: str = "") -> None:
-        """Close it. Raises as :meth:`require`."""
         self.require()
         self._channel.close(reason)

@@ -92,6 +92,7 @@ def _write_bytes(value: bytes) -> str:
 
 
 def _read_bytes(value: Any) -> bytes:
+    # The length first: strangers choose it, and decoding takes memory.
     if type(value) is str and len(value) <= 2 * MAX_BYTES:
         try:
             data = base64.b64decode(value, validate=True)
@@ -341,6 +342,7 @@ def encode(message: Message) -> bytes:
     except (ValueError, struct.error) as error:
         raise MessageError(f"{kind.__name__} cannot be sent: {error}") from None
     data = text.encode("ascii")
+    # Refused here, too: the other end would close the channel, and the lease would end with it.
     if len(data) > MAX_SIZE:
         raise MessageError(f"{kind.__name__} would have {len(data)} bytes, at most {MAX_SIZE} go")
     return data

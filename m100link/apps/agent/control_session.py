@@ -175,6 +175,7 @@ class ControlSession:
 
     def close(self) -> None:
         """Give the lease back, and hear no more: it never holds one again."""
+        # First: a request that is under way gives its lease back from here on (adopt).
         heard, self._heard = self._heard, []
         for callbacks, callback in heard:
             callbacks.remove(callback)
@@ -296,12 +297,14 @@ class ControlSession:
             return held or await self._take(grant or partial(self._granted, take_over))
 
     async def _take(self, grant: Grant) -> Lease:
+        # Counted, because it may be let go while the agent is asked: then a late lease goes back.
         began = self._let_gos
         self._look()
         if not self.has_lease:
             self._forget()
         self.feed(_I.ASKED)
         asking = self._agent.background.spawn(grant(), "lease")
+        # Shielded: a lease that is granted behind a cancellation would be held by nobody for 3 s.
         try:
             lease: Lease = await asyncio.shield(asking)
         except BaseException as error:
@@ -354,6 +357,7 @@ class ControlSession:
                 self.feed(_I.ACTIVATE)
                 await self._agent.ask(orders.Activate(), lease)
                 self._require(lease)
+            # A STOP between two steps of one request must not be undone by its last step.
             if stopped_at != self.stopped_at:
                 raise NoAuthority(
                     "STOP was pressed while control was asked for; nothing was sent",
@@ -513,13 +517,14 @@ class ControlSession:
     def steer(self, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
         """Fly this for its lifetime, s. A refusal comes to ``on_refused``, after this returned.
 
-        It goes to an agent that is heard, even while somebody else has authority: the agent has to
-        see that a stream goes on, which does not fly when authority is back.
+        It goes to an agent that is heard, even while somebody else has authority.
 
         Raises:
             NoAuthority: The lease is not held, or the agent is not heard.
         """
         lease, view = self._lease, self._agent.view
+        # Sent without authority, too: held back here, a stream that goes on while the pilot flies
+        # would look to the agent like a pause, and fly on when the switch comes back to F.
         if lease is None or lease.number != view.holder.number or view.hearing is not Hearing.HEARD:
             raise self._no_control()
         if self._state is _S.SUSPENDED and view.has_authority:
@@ -556,6 +561,7 @@ class ControlSession:
             self._forget()  # this agent may give the same number to somebody else
             self._number = 0
             return
+        # Late: of a lease before this one.
         if 0 < message.number < lease.number:
             return
         if message.number == lease.number:  # the report of its end was wrong

@@ -33,12 +33,11 @@ DRIFT = 100e-6
 """By how much two clocks may run apart, seconds per second: 50 ppm is a cheap crystal."""
 
 _GRAIN = 1e-5
+# No clock shows so much. Beyond it a double is coarser than what is measured here.
 _MOST_S = 1e10
-"""No clock shows so much. Beyond it a double is coarser than what is measured here."""
-
 _WINDOW = 15.0
+# The newest round trips show the present delay: earlier fast ones do not.
 _TRIPS = 8
-"""The newest round trips, which show the present delay: earlier fast ones do not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +107,7 @@ class ClockEstimate:
         Returns whether it says anything; nonsense counts as a round trip that does not end.
         """
         trip = now - asked_at
+        # Nonsense of a stranger counts as a trip without an end: nobody steers by such a path.
         if not (abs(there) < _MOST_S and -self._grain <= trip < math.inf):
             self._trips.append(math.inf)
             return False

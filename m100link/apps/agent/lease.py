@@ -143,9 +143,8 @@ class LeaseManager:
         self._lease: Lease | None = None
         self._expires_at = 0.0
         self._count = leases_before
-        # When it was last called.
         self._advanced_at: float | None = None
-        # The request of request of client does not cancel that of of.
+        # Side by side: the request of one client does not cancel that of another.
         self._take_overs: list[TakeOver] = []
 
     def holder(self, now: float) -> Lease | None:
@@ -194,6 +193,7 @@ class LeaseManager:
         """
         self.advance(now)
         lease = self._lease
+        # In constant time: how long a comparison takes tells how much of a guessed token is right.
         if lease is None or not secrets.compare_digest(lease.token.encode(), token.encode()):
             raise not_in_force(None if lease is None else lease.name)
         return lease

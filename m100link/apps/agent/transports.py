@@ -255,6 +255,8 @@ class UnixChannel(asyncio.BufferedProtocol):
         if transport is None:
             return
         waiting = transport.get_write_buffer_size()
+        # An end that does not read must not cost the one that flies its memory. Telemetry is
+        # replaced by the next package; orders and their outcomes are not, so that channel ends.
         if waiting > DROP_ABOVE and isinstance(message, Telemetry):
             self.dropped += 1
         elif waiting > CLOSE_ABOVE:

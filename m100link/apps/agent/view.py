@@ -20,17 +20,14 @@ from m100link.telemetry.state import FRESH_S, STEER_S, AircraftState, is_possibl
 
 R = TypeVar("R", bound=tuple[Any, ...])
 
+# Seconds without a word after which the agent counts as silent; it tells its state at 4 Hz.
 MAX_SILENCE = 2.0
-"""Seconds without a word after which the agent counts as silent; it tells its state at 4 Hz."""
-
+# Seconds for which an aircraft is heard that tells anything once a second.
 HEARD_S = 1.2
-"""Seconds for which an aircraft is heard that tells anything once a second."""
-
+# Seconds for which an item of another package belongs to this one.
 TOGETHER_S = 0.3
-"""Seconds for which an item of another package belongs to this one."""
-
+# Seconds that a view is of one moment, if nothing arrives: no step of a front is shorter.
 MOMENT_S = 0.005
-"""Seconds that a view is of one moment, if nothing arrives: no step of a front is shorter."""
 
 _NOT_ASKED: Any = object()
 
