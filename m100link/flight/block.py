@@ -208,7 +208,7 @@ class ControlBlock:
             self._claim.give_back()
             self._commander.requests.free_firmware()
             raise
-        # Made now: at the end neither the stack nor a task factory may have room for a new task.
+        # Made now: at the end, the stack or the system may have no room for a new task.
         self._stopping.park(self._abandoned)
         self._life.feed(BlockInput.ENTER)
         self._unsubscribe = self._authority.subscribe(self._on_authority_changed)

@@ -185,7 +185,7 @@ class StopPath:
                 self._missions.flying,
             )
             return
-        # Also to the end of a landing that was under way: the release would leave it in the air.
+        # A landing that was under way is awaited as well: the release would leave it in the air.
         deadline = self._clock() + _LANDING_DEADLINE_S
         while self._life.plan.land and self._has_authority and not await self._stands():
             try:

@@ -80,6 +80,7 @@ async def _recording(flights: Flights | None) -> AsyncIterator[Recorder | None]:
     except BaseException:
         if flights is not None and log is not None:
             await log.aclose()
+            # In a thread: another aircraft may fly in this event loop, and a disk take its time.
             await asyncio.to_thread(flights.drop, log)
         raise
     if flights is not None and log is not None:
