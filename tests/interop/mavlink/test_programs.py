@@ -6,6 +6,7 @@ import importlib.util
 import json
 import math
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -25,7 +26,11 @@ PATIENCE = 240.0
 
 GRPC = "mavsdk_grpc" if importlib.util.find_spec("mavsdk_grpc") else "mavsdk"
 needs_grpc = pytest.mark.skipif(
-    importlib.util.find_spec(f"{GRPC}.generated") is None and GRPC == "mavsdk",
+    GRPC == "mavsdk"
+    and (
+        importlib.util.find_spec("mavsdk") is None
+        or importlib.util.find_spec("mavsdk.generated") is None
+    ),
     reason="MAVSDK over gRPC is not installed: mavsdk-grpc, or mavsdk below 4",
 )
 needs_native = pytest.mark.skipif(
@@ -188,6 +193,19 @@ def test_the_example_by_mavsdk_flies_a_square() -> None:
 def test_qgroundcontrols_order_is_answered(firmware: str) -> None:
     with site(firmware) as found:
         assert "done" in run("pymavlink_station.py", "ground_station", found.address)
+
+
+@needs_pymavlink
+def test_the_program_of_the_manual_flies_offboard(tmp_path: Path) -> None:
+    page = (HERE.parents[2] / "docs/howto/fly-by-mavlink.md").read_text("utf-8")
+    [program] = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    assert ":14540" in program
+    with site("1.0") as found:
+        place = tmp_path / "offboard.py"
+        place.write_text(program.replace(":14540", f":{found.port}"), "utf-8")
+        assert "take off is done" in run(str(place))
+        found.until(lambda: found.truth()["flight_status"] == "standby")
+        assert found.truth()["north"] == pytest.approx(4.0, abs=1.0)
 
 
 @needs_pymavlink
