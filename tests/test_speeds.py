@@ -50,7 +50,8 @@ def test_what_is_dear_and_not_called_slow_fails_the_run_on_a_quiet_machine(
     tmp_path: Path, others: float
 ) -> None:
     machine = f"from tests import speeds\nspeeds.taken_by_others = lambda: {others}\n"
-    status, told = outcome(tmp_path, machine + DEAR.format(2.0))
+    # Far above the limit: beside others, one measurement of the machine may be twice off.
+    status, told = outcome(tmp_path, machine + DEAR.format(4.0))
     assert (status, "1 passed" in told) == (0 if others else 1, True)
     assert "SLOW test_it.py::test_it: " in told
     assert ("Not judged: others took 90 %" in told) is bool(others)
