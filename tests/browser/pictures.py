@@ -69,7 +69,7 @@ async ([png, width]) => {
   canvas.width = image.width * scale;
   canvas.height = image.height * scale;
   canvas.getContext("2d").drawImage(image, 0, 0, canvas.width, canvas.height);
-  return canvas.toDataURL("image/webp", 0.72).split(",")[1];
+  return canvas.toDataURL("image/webp", 0.7).split(",")[1];
 }
 """
 
