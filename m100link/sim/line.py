@@ -147,14 +147,14 @@ class LineFaults:
 
     Attributes:
         loss: Probability that a frame does not arrive, 0 to 1.
-        damage: Probability that one to four of its bits are flipped.
-        duplicate: Probability that it arrives twice.
-        delay: Seconds that everything takes.
-        jitter: Up to so many seconds more, differently for each frame; the order stays.
+        damage: Probability that one to four bits of a frame are flipped.
+        duplicate: Probability that a frame arrives twice.
+        delay: Delay of every frame, seconds.
+        jitter: Greatest random delay on top of that, seconds; frames keep their order.
         noise: Bursts of random bytes per second.
-        noise_bytes: Longest burst.
-        baud_rate: Bits per second of a slow device in between (8N1). Bytes that it cannot place
-            within half a second are dropped.
+        noise_bytes: Length of the longest burst.
+        baud_rate: Bits per second of a slow device on the line (8N1). It drops bytes that it
+            cannot send within half a second.
         radio: The half-duplex 433 MHz modules of the document's quick start: while one side
             transmits, the other cannot, and half of what starts in that time is lost.
         mute: The wire from the aircraft carries nothing.

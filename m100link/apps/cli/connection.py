@@ -167,10 +167,10 @@ async def link(
 ) -> None:
     """Measure the line: damage, its causes, round trips, item rates.
 
-    The command only asks for the version, again and again: nothing moves.
+    The command only requests the version, again and again: nothing moves.
 
     Args:
-        rate: Questions per second; each waits for the answer to the last.
+        rate: Requests per second; each waits for the previous answer.
     """
     place = options.place(url)
     async with place.connect() as aircraft:

@@ -229,7 +229,7 @@ def row(record: Any) -> dict[str, Any]:
 
 
 Items = Annotated[
-    str, offered(BY_NAME), Parameter(help="Item names, such as position; all without one.")
+    str, offered(BY_NAME), Parameter(help="Item names, such as position; by default all.")
 ]
 
 

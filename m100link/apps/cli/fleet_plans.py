@@ -200,7 +200,7 @@ def _ordering(
 def upload(
     name: str, plan: File, /, *, file: FileOptions | None = None, options: FleetOptions = NO_OPTIONS
 ) -> int:
-    """Upload a plan to the agent, where it waits for its start. Needs a running `fleet lease`.
+    """Upload a plan to the agent, for `start`. Needs a running `fleet lease`; void when that ends.
 
     Args:
         name: Name of the aircraft.
@@ -225,7 +225,7 @@ def start(
     take_off: bool = False,
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
-    """Start the plan that `upload` sent; it flies while `fleet lease` runs.
+    """Start the uploaded plan; it flies while `fleet lease` runs.
 
     Args:
         name: Name of the aircraft.
@@ -351,7 +351,7 @@ def _read(file: File) -> Show:
 def check(
     show: File, /, *, guards: ShowEnvelopeOptions = ShowEnvelopeOptions(), json: AsJson = None
 ) -> int:
-    """Check a show: the limits of each aircraft, and which two come too near to each other, when.
+    """Check a show: the limits of each aircraft, and when which two come too near to each other.
 
     The exit status is 0 if the show may be flown, 2 if not.
 

@@ -175,14 +175,14 @@ def agent(
         connect: Endpoint of a router (M100LINK_FLEET); may be repeated.
         site: Name of the site (M100LINK_SITE).
         lost: Action of the aircraft when its operator is lost: hover, land or home.
-        lost_after: Seconds of hovering before that.
+        lost_after: Seconds that it hovers before that.
         ledger: Folder in which the agent records orders that it begins, so that none runs twice
             after a restart; by default in the user's state folder, for real aircraft only.
         pki: Folder with its certificate and key, for a router behind tls/ (M100LINK_PKI).
         rights: File of rights: the agent refuses orders that are not signed by an identity with the
             right to them. With --pki it also refuses those of names in revoked.list there, which
             fleet pki push updates.
-        log_rate: Megabytes of flight logs a second that leave each aircraft at most.
+        log_rate: Megabytes of flight logs per second that each aircraft sends at most.
     """
     words = url
     if count > 1:
@@ -433,7 +433,7 @@ def check(
     pki: Pki = None,
     json: AsJson = None,
 ) -> int:
-    """Say what each identity may do with each aircraft.
+    """List what each identity may do with each aircraft.
 
     Args:
         file: A file of rights, TOML.

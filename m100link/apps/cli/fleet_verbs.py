@@ -133,7 +133,7 @@ def takeoff(*names: Names, everybody: All = False, options: FleetOptions = NO_OP
 
 @app.command
 def land(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
-    """Land aircraft, all at once, even while others control them; nobody is asked.
+    """Land aircraft, all at once, without a question, even while others control them.
 
     Args:
         names: Names of aircraft.

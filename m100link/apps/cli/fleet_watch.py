@@ -63,7 +63,7 @@ def monitor(
     --json the command prints one object for each aircraft and second.
 
     Args:
-        rate: Times a second that the table is drawn.
+        rate: Tables drawn per second.
     """
 
     async def run() -> None:

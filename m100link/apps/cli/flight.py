@@ -67,7 +67,7 @@ async def land(
 ) -> None:
     """Land in place and stop the motors.
 
-    It asks nothing, and first stops a mission that flies. Ctrl-C ends the landing: the aircraft
+    The command does not ask, and first stops any mission. Ctrl-C ends the landing: the aircraft
     hovers.
     """
     async with in_control(options.place(url), "land", is_sure=True) as (aircraft, control):
@@ -94,7 +94,7 @@ async def fly(
     """Fly the given metres north, east and up, and hover there.
 
     Args:
-        place: Where the aircraft is, if no --url or M100LINK_URL says it; then metres north, east
+        place: The aircraft, if no --url or M100LINK_URL names it; then metres north, east
             and up, such as -5 0 1.5.
     """
     has_place = bool(place) and not _is_number(place[0])
@@ -294,12 +294,12 @@ async def gimbal(
     """Show the angles of the gimbal, and point it.
 
     Args:
-        yaw: Degrees clockwise from north, -320 to 320; an axis without an angle stays as it is.
+        yaw: Degrees clockwise from north, -320 to 320; axes without an angle stay as they are.
         pitch: Degrees, -90 (straight down) to 30.
         roll: Degrees, -35 to 35.
-        seconds: Time to reach the angles, or to turn at the rates.
+        seconds: Time to reach the angles, or to turn.
         relative: Count angles from the present ones.
-        rates: Take the numbers as degrees per second, -180 to 180.
+        rates: Turn instead: the numbers are degrees per second, -180 to 180.
         wait: Wait until telemetry shows the angles.
     """
     place = options.place(url)
@@ -353,7 +353,7 @@ async def camera(
     """Take a photo, start or stop video; the aircraft confirms neither.
 
     Args:
-        words: Where the aircraft is, if no --url or M100LINK_URL says it; then the action.
+        words: The aircraft, if no --url or M100LINK_URL names it; then the action.
     """
     actions = [word for word in words if word in _CAMERA]
     if len(actions) != 1 or words[-1] != actions[0] or len(words) > 2:
@@ -399,7 +399,7 @@ async def rates(
     """Show at which rate each item arrives, and set rates (firmware 3.1).
 
     Args:
-        words: Where the aircraft is, if no --url or M100LINK_URL says it; then rates, such as
+        words: The aircraft, if no --url or M100LINK_URL names it; then rates, such as
             attitude=50 battery=1, each 0, 1, 10, 50 or 100 Hz.
     """
     place, asked = link.place_among(words, _is_rate)

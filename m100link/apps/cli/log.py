@@ -350,8 +350,8 @@ async def record(
 
     Args:
         output: A new file, or a folder for a file named by the time; by default this folder.
-        rate: Most decoded telemetry, Hz; 0 for every package. At any rate the log has the bytes of
-            every package.
+        rate: Decoded telemetry at most so often, Hz; 0 for every package. The log has the bytes
+            of every package in any case.
     """
     place = link.place(url)
     recorder = Recorder(output, rate_hz=rate)

@@ -80,7 +80,7 @@ def fly(
 
     Args:
         take_off: Take off first, from the ground.
-        allow_far: Allow a start more than 500 m from here.
+        allow_far: Allow a first waypoint more than 500 m from the aircraft.
     """
     # First, as it tells of arguments that are exchanged; and while Ctrl-C ends a wait for a pipe.
     found = read_plan(plan, file)
@@ -298,7 +298,7 @@ async def _going_on(
 
 @app.command
 async def pause(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> None:
-    """Pause the mission that flies; the aircraft hovers. Authority is not given back."""
+    """Pause the mission that flies; the aircraft hovers. Does not release authority."""
     await _going_on(in_control(options.place(url)), Control.pause_mission, "paused: {}")
 
 
@@ -306,7 +306,7 @@ async def pause(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> Non
 async def resume(
     url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False
 ) -> None:
-    """Let a paused mission fly on by itself. Authority is not given back."""
+    """Let a paused mission fly on by itself. Does not release authority."""
     ask = "let the mission go on"
     flight = in_control(options.place(url), ask, is_sure=yes, is_told=False)
     await _going_on(flight, Control.resume_mission, "resumed: {}; it flies on by itself")

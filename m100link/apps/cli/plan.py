@@ -59,7 +59,7 @@ class EstimateOptions:
     """The assumptions of the estimate.
 
     Attributes:
-        home: LATITUDE,LONGITUDE of the take-off point, to count the legs from and to it.
+        home: LATITUDE,LONGITUDE of the take-off point, to include the legs from and to it.
         hover_minutes: Minutes that a full battery keeps the aircraft in a hover.
     """
 
@@ -115,11 +115,11 @@ def check(
     reckoning: EstimateOptions | None = None,
     json: AsJson = None,
 ) -> int:
-    """Check a plan: its faults, its surprises, its length and its time.
+    """Check a plan: its faults and surprises, its length and duration.
 
-    The exit status is 0 if the aircraft would take the plan, and 2 if not. The check names the
-    first mistake of a file that it cannot read, else every value that the aircraft cannot fly, else
-    distances between waypoints.
+    The exit status is 0 if the aircraft would take the plan, and 2 if not. The check names every
+    value that the aircraft cannot fly; without one, every distance between waypoints that it cannot
+    fly. Of a file that it cannot read it names the first mistake.
     """
     as_json = wants_json(json)
     reckoning = reckoning or EstimateOptions()

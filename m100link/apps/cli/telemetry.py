@@ -78,7 +78,7 @@ async def echo(
     ``utc`` the same as POSIX time.
 
     Args:
-        rate: Most packages per second.
+        rate: Packages per second, at most.
         count: Packages until the command ends by itself.
         csv: Print CSV with a header line, as --table does.
     """

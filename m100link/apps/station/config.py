@@ -53,8 +53,8 @@ class Settings:
     Attributes:
         url: Where the aircraft is: a URL, a port, or a name of the configuration file.
         baud_rate: Baud rate, if the URL has none.
-        firmware: Use this firmware profile, and not the one that the version answer selects.
-        timeout: Seconds in which an aircraft must answer.
+        firmware: Firmware profile, in place of the one that the aircraft's version selects.
+        timeout: Seconds to wait for an answer of the aircraft.
         sim: Bring a virtual aircraft.
         app_id: App id that DJI assigned.
         key: The app's key itself. Every user of this machine can see it: prefer a file.
@@ -77,10 +77,10 @@ class Settings:
         tls_key: Its private key, PEM.
         pages: Folder of web pages to serve on the rosbridge port, such as DJI's keyboard page.
         tiles: Folder of map tiles {z}/{x}/{y}.png; without it the console draws a grid.
-        max_clients: Most clients at once.
-        keep_authority: Seconds to keep control authority, hovering, when the process that serves
-            clients is lost and with it the client that flew; 0 gives authority back at once.
-        front_niceness: How much lower the priority of the process that serves clients is, 0 to 19.
+        max_clients: Greatest number of clients at once.
+        keep_authority: Seconds to keep control authority, in a hover, when the process that serves
+            clients fails while one of them flies; 0 gives authority back at once.
+        front_niceness: Niceness added to the process that serves clients, 0 to 19.
         max_height: Greatest height above the take-off point, m.
         max_radius: Greatest distance from the point where control was obtained, m.
         mavlink: Serve MAVLink at this address, usually udp://127.0.0.1:14550; repeatable. Beyond
@@ -91,18 +91,18 @@ class Settings:
         autopilot: Autopilot in the heartbeat: px4, which ground stations know, or generic.
         signing_key_file: File with the MAVLink signing key: 64 hex digits, readable by you alone.
             Messages that are not signed with it move nothing.
-        ros2: Be a ROS 2 node, for every program in its graph.
+        ros2: Be a ROS 2 node: every program in its graph can fly.
         ros2_namespace: Namespace of the node, such as /drones.
         ros2_node: Name of the node; its private names stand below it: /m100/imu.
         ros2_domain: Domain id of the graph.
         ros2_remap: Rename a topic or service, from:=to, such as ~/imu:=/imu; repeatable.
         ros2_dji_names: Also publish with the names and types of DJI's node, such as dji_sdk/imu.
-        record: Folder for a flight log of each connection; nothing in it is removed. By default
-            `serve`, `console` and `fleet agent` keep logs in m100link/flights of your state folder
-            (~/.local/state).
+        record: Folder for a flight log of each connection; m100link removes nothing there. By
+            default `serve`, `console` and `fleet agent` keep logs in m100link/flights of your state
+            folder (~/.local/state).
         no_record: Record nothing.
-        record_keep: Flight logs to keep in that default folder; older ones of this program are
-            removed, 0 removes none.
+        record_keep: Flight logs to keep in that default folder; m100link removes older ones of
+            its own; 0 keeps all.
         record_keep_mb: Megabytes of flight logs to keep there; 0 for any number.
         origins: Where each value came from.
         unused: Parameters of the launch file that have no use here.

@@ -64,8 +64,8 @@ class AircraftSettings:
         missions: How it takes waypoint, hotpoint and follow missions.
         latitude_deg: Where the aircraft stands when it is switched on, degrees north.
         longitude_deg: The same, degrees east.
-        ground_altitude: Altitude of that place as the barometer has it, metres. DJI's flight sample
-            waits for 0 after landing.
+        ground_altitude: Altitude of that place by the barometer, metres. DJI's flight sample waits
+            for 0 after landing.
         heading_deg: Where the nose points then, degrees from north, clockwise.
         wind_north: Velocity of the air to the north, m/s.
         wind_east: Velocity of the air to the east, m/s.
@@ -85,8 +85,8 @@ class AircraftSettings:
         movement_timeout: Seconds without a movement command until the aircraft brakes and hovers
             (undocumented; DJI's header says only that it hovers).
         rc_lost_after: Seconds without remote control until it goes home by itself.
-        server_delay: Seconds that the server takes to answer; the first attempt of an app on a new
-            aircraft is answered 3, and so are all others in this time.
+        server_delay: Seconds that DJI's server takes to answer. A new aircraft answers the first
+            attempt of an app with 3, and all others in this time.
         forget_acks_after: Seconds after which a stored ack is forgotten; None keeps it, as the
             document says (1.4). A version query forgets all of them in any case: it is what a
             program begins with, and DJI's begin with the same numbers each time.

@@ -39,8 +39,8 @@ class MissionSettings:
     ``docs/explanation/simulator-limits.md`` lists.
 
     Attributes:
-        status_hz: Rate of the status push 0x02/0x03; 0 is the box *Ground Station Status* of the
-            assistant not ticked, and then no mission pushes anything.
+        status_hz: Rate of the status push 0x02/0x03. At 0 no mission pushes anything: the box
+            *Ground Station Status* of the assistant is not ticked.
         status_when_idle: Push the status before the first mission, too.
         takes_off_by_itself: A waypoint mission started on the ground takes off; else it is refused.
         busy_is_one_code: Answer "conditions not met" for all of taking off, landing, going home
@@ -57,13 +57,13 @@ class MissionSettings:
             back and a program resumes it; else it is broken off.
         stick_pauses: The pilot's roll or throttle stick pauses a waypoint mission. (Pitch is its
             speed, and yaw its heading where the yaw mode says so.)
-        radius_limit: Metres from home that no mission may leave; infinite when not set in the app.
-        never_logged_in: Nobody ever logged in to the app: 30 m of height, 50 m around home.
+        radius_limit: Greatest distance of a mission from home, metres, if the app sets one.
+        never_logged_in: Nobody ever logged in to the app: limits of 30 m height, 50 m around home.
         beginner_mode: The app's beginner mode, in which no mission starts.
         no_fly_zones: Circles that no mission may enter.
         turn_rate_deg: How fast a mission turns the nose on the spot, degrees per second.
         photo_seconds: How long a photo or video action takes, seconds.
-        hotpoint_acks: Answer 0x03/0x23 to 0x25, which a real one does not.
+        hotpoint_acks: Answer 0x03/0x23 to 0x25, which a real aircraft does not.
         radial_speed: How fast a hotpoint's radius changes, m/s.
         hotpoint_reach: Farther than this outside its circle, a hotpoint mission cannot resume.
         follow_yaw_reversed: Yaw mode 0 looks at the target and 1 obeys the remote control.
