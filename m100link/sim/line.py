@@ -149,8 +149,8 @@ class LineFaults:
         loss: Probability that a frame does not arrive, 0 to 1.
         damage: Probability that one to four bits of a frame are flipped.
         duplicate: Probability that a frame arrives twice.
-        delay: Delay of every frame, seconds.
-        jitter: Greatest random delay on top of that, seconds; frames keep their order.
+        delay: Delay of all bytes, seconds.
+        jitter: Greatest random delay of a frame on top of that, seconds; the order stays.
         noise: Bursts of random bytes per second.
         noise_bytes: Length of the longest burst.
         baud_rate: Bits per second of a slow device on the line (8N1). It drops bytes that it
