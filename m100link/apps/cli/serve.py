@@ -470,7 +470,7 @@ class Ros2Options(
 
 
 async def ros2(*url: Urls, options: Ros2Options = Ros2Options()) -> int:
-    """Be a ROS 2 node, without a ROS installation, until Ctrl-C.
+    """Run a ROS 2 node, without a ROS installation, until Ctrl-C.
 
     Programs with RMW_IMPLEMENTATION=rmw_zenoh_cpp see and fly the aircraft, by the router at
     localhost:7447 or that of ZENOH_SESSION_CONFIG_URI and ZENOH_CONFIG_OVERRIDE. Every program that

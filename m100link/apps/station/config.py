@@ -91,7 +91,7 @@ class Settings:
         autopilot: Autopilot in the heartbeat: px4, which ground stations know, or generic.
         signing_key_file: File with the MAVLink signing key: 64 hex digits, readable by you alone.
             Messages that are not signed with it move nothing.
-        ros2: Be a ROS 2 node: every program in its graph can fly.
+        ros2: Run a ROS 2 node: every program in its graph can fly.
         ros2_namespace: Namespace of the node, such as /drones.
         ros2_node: Name of the node; its private names stand below it: /m100/imu.
         ros2_domain: Domain id of the graph.
