@@ -115,7 +115,7 @@ class FleetAgent:
         self._lost = LostLinkAction(client, self._lost_plan, descend, self._aloft)
         self._running: dict[str, asyncio.Task[None]] = {}  # orders under way, by id
         # Long orders, which wait until short ones have been read.
-        self._long: deque[Question] = deque()
+        self._long: deque[tuple[str, Question]] = deque()
         self._has_long = asyncio.Event()
         self._stream = SetpointStream()
         self._thinner = Thinner()
@@ -136,7 +136,7 @@ class FleetAgent:
             for outlet in (self._event, self._state, self._full, self._wall):
                 hold(outlet)
             for key in (keys.command, keys.lease):
-                hold(bus.serve(key, self._on_order))
+                hold(bus.serve(key, partial(self._on_order, key)))
             hold(bus.serve(keys.status(), self._on_status))
             hold(bus.serve(keys.state, self._on_state))
             hold(bus.serve(keys.mission, self._on_mission, depth=_MOST_WAITING))
@@ -280,11 +280,11 @@ class FleetAgent:
 
     # -- orders ----------------------------------------------------------------------------------
 
-    def _on_order(self, question: Question) -> None:
+    def _on_order(self, key: str, question: Question) -> None:
         if len(question.payload) <= _READ_AT_ONCE_BYTES:
-            self.client.background.spawn(self._answer_order(question), "order of the fleet")
+            self.client.background.spawn(self._answer_order(key, question), "order of the fleet")
         elif len(self._long) < _MAX_LONG_ORDERS:
-            self._long.append(question)
+            self._long.append((key, question))
             self._has_long.set()
         else:
             question.drop()  # its sender asks again
@@ -293,17 +293,15 @@ class FleetAgent:
         """Long orders one after the other, with time between them: STOP is short."""
         while True:
             await self._has_long.wait()
-            question = self._long.popleft()
+            work = self._answer_order(*self._long.popleft())
             if not self._long:
                 self._has_long.clear()
-            self.client.background.spawn(self._answer_order(question), "order of the fleet")
+            self.client.background.spawn(work, "order of the fleet")
             await asyncio.sleep(_LONG_ORDER_PAUSE_S)
 
-    async def _answer_order(self, question: Question) -> None:
+    async def _answer_order(self, key: str, question: Question) -> None:
         # The key of this aircraft, whatever pattern was asked: of several answers under one key
         # the network hands over one, and hides the other's failure.
-        is_lease = question.key.endswith("/lease")
-        key = self._keys.lease if is_lease else self._keys.command
         try:
             order: OrderMessage = unpack(OrderMessage, question.payload)
             is_repeated = self._book.heard(order.id, order.digest)
