@@ -408,7 +408,7 @@ class PendingRequests:
         answer: asyncio.Future[OrderOutcome] = self._create_future()
         self._waiting[number] = answer, accepted
         try:
-            self._send(Ask(number, order, fence, asked_at))
+            self._send(Ask(number, order, fence, asked_at, accepted is not None))
             return await answer
         finally:
             self._waiting.pop(number, None)

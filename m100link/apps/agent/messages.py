@@ -37,7 +37,7 @@ JOURNAL_LOG = __name__
 
 _logger = logging.getLogger(JOURNAL_LOG)
 
-VERSION = 12
+VERSION = 13
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
 
 LEVELS = ("info", "warning", "error")
@@ -252,6 +252,7 @@ class Ask:
     order: Order  #: the order
     fence: int = 0  #: number of the lease it is asked under; 0 for none
     sent_at: float = 0.0  #: when it was asked, by the front's clock, s; 0 where nobody says
+    hears_begin: bool = False  #: whether an outcome tells the begin, too
 
 
 @dataclass(frozen=True, slots=True)

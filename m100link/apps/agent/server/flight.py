@@ -181,7 +181,7 @@ class ActiveFlight:
         outcome, level = f"{name} is done", "info"
         try:
             self._journal.note(f"{name} begins")
-            await run(progress=progress)
+            await run(progress=None if accepted is ignore else progress)
         except M100Error as error:
             outcome, level = f"{name}: {error.seen}", "error"
             raise

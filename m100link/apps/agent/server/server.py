@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 from m100link.aircraft import Aircraft
-from m100link.apps.agent.background import call_each, goes_on
+from m100link.apps.agent.background import call_each, goes_on, ignore
 from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseRefused, TakeOver
 from m100link.apps.agent.messages import (
     LEVELS,
@@ -387,7 +387,7 @@ class ClientSession:
 
     def _begin(self, ask: Ask) -> Any:
         token = self._tokens.get(ask.fence, "")
-        accepted = partial(self._answer, ask, Stage.ACCEPTED)
+        accepted = partial(self._answer, ask, Stage.ACCEPTED) if ask.hears_begin else ignore
         return self._agent.begin(ask.order, token, accepted, ask.sent_at or math.inf)
 
     def _answer(

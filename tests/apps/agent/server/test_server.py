@@ -117,6 +117,19 @@ async def service(rig: Rig) -> AgentServer:
     return AgentServer(rig.agent)
 
 
+@pytest.mark.parametrize(
+    ("hears_begin", "stages"), [(True, [Stage.ACCEPTED, Stage.DONE]), (False, [Stage.DONE])]
+)
+async def test_a_begin_is_told_to_a_front_that_hears_it(
+    rig: Rig, service: AgentServer, hears_begin: bool, stages: list[Stage]
+) -> None:
+    front = Front(rig, service)
+    await front.airborne()
+    front.send(Ask(3, orders.Land(), front.granted.number, hears_begin=hears_begin))
+    await front.outcome(3)
+    assert [one.stage for one in front.all(OrderOutcome) if one.id == 3] == stages
+
+
 async def test_a_front_is_greeted_with_everything_it_has_to_know(
     rig: Rig, service: AgentServer
 ) -> None:
@@ -142,8 +155,6 @@ async def test_a_flight_by_messages(rig: Rig, service: AgentServer) -> None:
     front = Front(rig, service)
     fence = await front.airborne()
     assert front.all(State)[-1].has_authority
-    stages = [one.stage for one in front.all(OrderOutcome) if one.id == 2]
-    assert stages == [Stage.ACCEPTED, Stage.DONE]
     front.send(Steer(fence, rig.agent.now, 0.3, NORTH))
     await anyio.sleep(0.1)
     assert front.moves[-1].roll_or_x == 1.0
@@ -419,7 +430,7 @@ async def test_a_flight_to_a_place_by_messages(rig: Rig, service: AgentServer) -
     front, watcher = Front(rig, service), Front(rig, service)
     fence = await front.airborne()
     order = ahead(rig, 30.0)
-    front.send(Ask(7, order, fence))
+    front.send(Ask(7, order, fence, hears_begin=True))
     await front.outcome(7, Stage.ACCEPTED)
     await anyio.sleep(2.0)
     for one in (front, watcher):  # whoever draws it
