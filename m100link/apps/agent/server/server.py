@@ -41,7 +41,6 @@ from m100link.apps.agent.messages import (
 )
 from m100link.apps.agent.orders import Halt, Right
 from m100link.apps.agent.server.agent import Agent, Answer
-from m100link.apps.agent.server.connection import ConnectionState
 from m100link.apps.agent.server.mission import push_of
 from m100link.apps.agent.transports import Channel
 from m100link.errors import AuthorityLost, GuardRefused, M100Error, UsageError
@@ -81,6 +80,7 @@ class AgentServer:
         front = ClientSession(
             self._agent, channel, on_gone=self._fronts.discard, before_outcome=self._tell_state
         )
+        self._tell_state()
         self._fronts.add(front)
         front.greet(self._state())
 
@@ -186,36 +186,37 @@ class AgentServer:
         return told and (told.rate, told.is_paused, told.clock - told.position_s)
 
     def _state(self) -> State:
-        agent = self._agent
-        connection, activation, holding = agent.connection, agent.activation, agent.holding
-        is_connected = connection.state is ConnectionState.CONNECTED
-        aircraft = connection.aircraft if is_connected else None
+        """The state as :meth:`_tell_state` saw it last, with what changes all the time."""
+        agent, now = self._agent, self._agent.now
+        connection, error, is_activated, code, fault, holding, has_authority, *rest = self._told
+        flown, mission, _ = rest
+        task, pattern, _ = flown or (None, None, None)
+        mission = mission or MissionState()
+        aircraft, flying = agent.connection.aircraft, agent.holding.flying
         link = aircraft.statistics() if aircraft is not None else None
-        mission = aircraft.mission if aircraft is not None else MissionState()
-        flying = holding.flying
         return State(
-            at=agent.now,
-            connection=connection.state.value,
-            connection_fault=None if is_connected else fault_of(connection.error),
+            at=now,
+            connection=connection.value,
+            connection_fault=fault_of(error),
             firmware=str(aircraft.firmware) if aircraft is not None else "",
-            is_activated=aircraft is not None and aircraft.is_activated,
-            activation_code=None if activation.code is None else int(activation.code),
-            activation_fault=fault_of(activation.error),
-            holding=holding.state.value,
-            has_authority=holding.has_authority,
-            task=holding.task or "",
-            pattern=holding.pattern or "",
+            is_activated=bool(is_activated),
+            activation_code=None if code is None else int(code),
+            activation_fault=fault_of(fault),
+            holding=holding.value,
+            has_authority=has_authority,
+            task=task or "",
+            pattern=pattern or "",
             guided=flying.guiding.told() if flying is not None else None,
             mission=mission.kind.value if mission.is_running or mission.kind is _NONE else "",
             mission_index=-1 if mission.index is None else mission.index,
             mission_status=-1 if mission.status is None else mission.status,
-            lease_remaining=agent.leases.remaining(agent.now),
-            round_trip=connection.round_trip,
+            lease_remaining=agent.leases.remaining(now),
+            round_trip=agent.connection.round_trip,
             discards=sum(link.discards.values()) if link else 0,
             late_acks=link.late_acks + link.foreign_acks if link else 0,
             dropped_writes=link.dropped_writes if link else 0,
             mismatches=aircraft.telemetry_mismatches if aircraft is not None else 0,
-            limits=holding.limits,
+            limits=agent.holding.limits,
             replay=None if agent.replay is None else agent.replay.told(),
         )
 
