@@ -254,8 +254,7 @@ class _Watch:
             )
         # Observation decides when the query brought nothing. While the aircraft says that it is
         # executing, it would ignore what comes next; before the first query nobody knows.
-        is_observed = self._is_observed()
-        return result not in (None, TaskResultCode.EXECUTING) and is_observed
+        return result is not None and self._is_observed() and result != TaskResultCode.EXECUTING
 
     def _is_observed(self) -> bool:
         """Whether telemetry shows the end, for a while: at 1 m a take-off is still climbing."""
