@@ -12,6 +12,7 @@ import time
 import uuid
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
+from functools import partial
 from typing import Self
 
 from m100link.apps.agent import orders
@@ -221,12 +222,14 @@ class Asker:
                     sent = questions.ask(key, payload, within=left)
                 elif questions.is_due:
                     questions.ask(status, within=left)
-                number, reply = await self._next(questions, order, began, min(left, questions.left))
+                ended = await questions.answered(min(left, questions.left))
+                number, answers = ended or (0, [])
+                reply = self._read(answers, order, began)
                 if isinstance(reply, MessageError):
                     # The agent may well have done it, but its answer cannot be read.
                     raise OutcomeUnknown(reply.seen, cause=reply.cause, remedy=reply.remedy)
                 if reply is None:
-                    if questions.is_due:
+                    if questions.is_due:  # nobody was there for the newest one, or it waits
                         await asyncio.sleep(_AGAIN_S)
                     continue
                 silent_since = self._clock()
@@ -245,23 +248,6 @@ class Asker:
             cause="the link is cut or slower than that, the agent hangs, or the router lets no "
             "answer pass to this identity",
         )
-
-    async def _next(
-        self, questions: Questions, order: OrderMessage, began: float, within: float
-    ) -> tuple[int, OrderReply | MessageError | None]:
-        """The next answer and the number of its question; none when it is to be asked again."""
-        until = self._clock() + within
-        while (left := until - self._clock()) > 0:
-            ended = await questions.answered(left)
-            if ended is None:
-                break
-            number, answers = ended
-            found = self._read(answers, order, began)
-            if found is not None:
-                return number, found
-            if questions.is_due:  # nobody was there for the newest one
-                break
-        return 0, None
 
     def _never_arrives(self, *, has_begun: bool) -> OutcomeUnknown:
         """It answers what became of the order, and does not know it, or not any more."""
@@ -457,8 +443,8 @@ def believed(
             remedy="end one of them, and look at both aircraft",
         )
     # One agent gives one answer. When it was given, and whether it had been before, may differ.
-    said = (repr(replace(one, clock=0.0, is_repeated=False)) for one in replies)
-    if len(replies) > 1 and len(set(said)) > 1:
+    said = partial(replace, clock=0.0, is_repeated=False)
+    if len(replies) > 1 and len(set(map(repr, map(said, replies)))) > 1:
         raise OutcomeUnknown(
             f"two answers of {keys.name} to one order disagree",
             cause="a stranger answers in its name",
