@@ -195,7 +195,7 @@ class GuardKeeper:
 
     def check_mission(self, what: str) -> None:
         """Raise ``GuardRefused`` where the battery, or 5 m beyond the envelope, ends a mission."""
-        self._check_battery(what)
+        self._check_battery(what, known(self._state, Battery))
         envelope = self.guards.envelope
         if envelope is None:
             return
@@ -228,18 +228,18 @@ class GuardKeeper:
             needed.append(Position)
         clock = asyncio.get_running_loop().time
         deadline = clock() + FIRST_VALUES_S
-        while unknown := [item for item in needed if known(self._state, item) is None]:
+        while None in (found := {item: known(self._state, item) for item in needed}).values():
             if clock() >= deadline:
                 break
             await asyncio.sleep(_TAKE_OFF_POLL_S)
-        self._check_battery(what, on_ground=True)
-        if Position in unknown:
+        self._check_battery(what, found.get(Battery), on_ground=True)
+        if Position in found and found[Position] is None:
             guard = "gps" if self.guards.gps else "envelope"
             raise self._unknown(what, Position, guard=guard, limit=None)
 
     def check(self, setpoint: Setpoint) -> None:
         """Raise ``GuardRefused`` unless a setpoint may be sent now."""
-        self._check_battery("a setpoint")
+        self._check_battery("a setpoint", known(self._state, Battery))
         position = known(self._state, Position)
         # Without GPS the autopilot ignores velocities and offsets, without a notice; tilt it flies.
         needs_gps = setpoint.mode.horizontal is not Horizontal.TILT
@@ -329,11 +329,12 @@ class GuardKeeper:
             + (off or _OFF[guard]),
         )
 
-    def _check_battery(self, what: str, *, on_ground: bool = False) -> None:
+    def _check_battery(
+        self, what: str, battery: Battery | None, *, on_ground: bool = False
+    ) -> None:
         floor = self.guards.battery_floor_percent
         if floor is None:
             return
-        battery = known(self._state, Battery)
         if battery is None:
             # Sent once a second: for a program that takes over in flight it is on its way.
             if not on_ground and self._may_still_come(Battery):

@@ -318,23 +318,22 @@ class FleetAgent:
         """Hear an order for the first time."""
         if not _ID.fullmatch(order.id):
             raise MessageError("the id of an order is 32 hexadecimal digits")
-        asked = admit(order, self._keys, orders.Order, self._verify)
+        asked, now = admit(order, self._keys, orders.Order, self._verify), self.client.now
         try:
-            self._require_now(order, asked)
+            self._require_now(order, asked, now)
         except M100Error as error:
             if self._verify is None:
                 raise
             # Signatures let an order through once: the same again hears the same.
-            self._book.begin(order.id, order.digest, self.client.now)
+            self._book.begin(order.id, order.digest, now)
             self._end(order, error)
             return
-        self._book.begin(order.id, order.digest, self.client.now)
+        self._book.begin(order.id, order.digest, now)
         work = self._carry_out(order, asked)
         self._running[order.id] = self.client.background.spawn(work, "order of the fleet")
 
-    def _require_now(self, order: OrderMessage, asked: orders.Order) -> None:
+    def _require_now(self, order: OrderMessage, asked: orders.Order, now: float) -> None:
         """Refuse an order that may not begin now."""
-        now = self.client.now
         if asked.moves:
             self.namesakes.require_none(now)
         if self._may_have_begun(order, asked):  # whatever it comes under now
