@@ -383,6 +383,13 @@ async def test_strangers_reach_neither_disk_nor_memory(rig: Rig) -> None:
     assert one.ledger.begun == {}
 
 
+async def test_an_order_under_a_pattern_is_answered_under_each_key_that_heard_it(rig: Rig) -> None:
+    await rig.aircraft("a1")
+    stop = pack(order(orders.Stop()))
+    answers = await rig.network.session().ask(KEYS.of("*"), stop, timeout=2.0)
+    assert {one.key for one in answers} >= {KEYS.command, KEYS.lease}
+
+
 async def test_fences_rise_over_a_restart(rig: Rig) -> None:
     ledger = MemoryOrderLog()
     one = await rig.aircraft("a1", ledger=ledger)
