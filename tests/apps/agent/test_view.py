@@ -29,6 +29,7 @@ from m100link.apps.fleet.signing import signing, verifying
 from m100link.apps.mavlink.translator.codec import MavlinkMessage, write_frame
 from m100link.apps.mavlink.translator.modes import MODES, Mode
 from m100link.apps.mavlink.translator.numbers import MavCommand
+from m100link.link.transport import MemoryTransport
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
     Attitude,
@@ -460,7 +461,15 @@ async def test_a_take_off_of_a_fleet_is_a_few_calls(monkeypatch: pytest.MonkeyPa
                 await anyio.sleep(SLOT_S)
             await anyio.sleep(SLOT_S)
             began_at = anyio.current_time()
+            on_line: list[int] = []
+            write = MemoryTransport.write
+
+            def writes(line: MemoryTransport, data: bytes) -> None:
+                on_line.append(counted.total())
+                write(line, data)
+
             with counting() as counted:
+                monkeypatch.setattr(MemoryTransport, "write", writes)
                 order = asyncio.create_task(control.take_off())
                 await asked_again.wait()
             assert anyio.current_time() - began_at == pytest.approx(SLOT_S, abs=1e-3)
@@ -473,6 +482,7 @@ async def test_a_take_off_of_a_fleet_is_a_few_calls(monkeypatch: pytest.MonkeyPa
         "written once, and signed and sent as it was written"
     )
     assert counted["AgentServer._state"] == 1
+    assert on_line[0] <= 300, "from the order to its frame, at one instant"
     assert counted.total() <= 400, counted.most_common(12)
 
 
