@@ -309,8 +309,11 @@ class Agent:
                 cause="the sender has not begun anew since",
                 remedy="ask for control again; at a page, let go of the keys",
             )
-        self.connection.require_aircraft()  # which says why control is over, if the line is lost
-        self.holding.require().steer(setpoint, lifetime)
+        flying = self.holding.flying
+        if self.connection.aircraft is None or flying is None or not flying.has_authority:
+            self.connection.require_aircraft()  # which says why, if the line is lost
+            flying = self.holding.require()
+        flying.steer(setpoint, lifetime)
 
     def halt(self, why: str = "", token: str = "") -> None:
         """Stop moving; anybody may call this at any time. A task goes on in the autopilot.

@@ -47,7 +47,8 @@ class ActiveMission:
         self._journal = journal
         self._background = background
         self._flight: MissionFlight | None = None
-        self._watch: asyncio.Task[None] | None = None
+        # Flies it, from its beginning to its end; None where none was begun, or it is over.
+        self.watch: asyncio.Task[None] | None = None
         self._what = ""  # the name of the newest one, for people
         self._is_cut_off = False  # by a caller that knows why, and reports it
         self._ended_because = ""  # why this agent ended it, for those who wait for its end
@@ -58,7 +59,7 @@ class ActiveMission:
     @property
     def is_flying(self) -> bool:
         """Whether one was begun and is not over."""
-        return self._watch is not None
+        return self.watch is not None
 
     @property
     def is_landing(self) -> bool:
@@ -110,7 +111,7 @@ class ActiveMission:
         over.add_done_callback(look_at)
         self._what, self._is_cut_off = what, False
         self._ended_because, self._is_landing = "", False
-        self._watch = self._background.spawn(self._fly(flight, what, begun, over), "mission")
+        self.watch = self._background.spawn(self._fly(flight, what, begun, over), "mission")
         try:
             await asyncio.shield(begun)
         except asyncio.CancelledError:
@@ -150,7 +151,7 @@ class ActiveMission:
             if not begun.done():
                 begun.set_exception(UsageError("control ended before the mission began"))
                 begun.exception()  # nobody may be there to hear it
-            self._flight = self._watch = None
+            self._flight = self.watch = None
             if is_flown:
                 over.set_result(None)
             else:
@@ -179,9 +180,9 @@ class ActiveMission:
 
     def end(self, why: str) -> None:
         """Stop it, and do not wait for the answer: leaving its block sends the stop."""
-        if self._watch is not None:
+        if self.watch is not None:
             self._ended_because = why
-            self._watch.cancel()
+            self.watch.cancel()
             self._journal.note(f"the mission is stopped: {why}")
 
     async def stop(self) -> None:
@@ -209,13 +210,13 @@ class ActiveMission:
             self.end("control ended")
             return ""
         self._is_cut_off = True
-        self._watch.cancel()
+        self.watch.cancel()
         return self._what
 
     async def ended(self) -> None:
         """Wait for the end of its stop."""
-        if self._watch is not None:
-            await asyncio.wait([self._watch])
+        if self.watch is not None:
+            await asyncio.wait([self.watch])
 
 
 def look_at(future: asyncio.Future[None]) -> None:
