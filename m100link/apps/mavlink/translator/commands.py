@@ -36,7 +36,6 @@ from m100link.apps.mavlink.translator.orders import (
     TakeOffAndClimb,
     VehicleOrder,
 )
-from m100link.apps.mavlink.translator.parameters import ParameterProtocol
 from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.telemetry import NUMBERS, STREAMS, Rates
 from m100link.apps.mavlink.translator.vehicle_state import VehicleState
@@ -77,7 +76,7 @@ class CommandProtocol:
         self,
         world: VehicleState,
         manager: FlightModeManager,  # what decides about flights
-        parameters: ParameterProtocol,  # heights and speeds that commands leave open
+        settings: Mapping[str, float],  # heights and speeds that commands leave open
         rates: Rates,  # how often telemetry is sent, which each peer may ask for
         *,
         tell: Callable[[Severity, str], None],
@@ -90,7 +89,7 @@ class CommandProtocol:
     ) -> None:
         self._world = world
         self._manager = manager
-        self._parameters = parameters
+        self._settings = settings
         self._rates = rates
         self._tell = tell
         self._request = request
@@ -186,7 +185,7 @@ class CommandProtocol:
         return ground
 
     def _take_off_height(self, altitude: float) -> float:
-        height = self._parameters["MIS_TAKEOFF_ALT"]
+        height = self._settings["MIS_TAKEOFF_ALT"]
         if math.isfinite(altitude):
             height = altitude - self._ground()
         if height <= 0.0:
@@ -309,7 +308,7 @@ class CommandProtocol:
     def _speed_of(self, wanted: float) -> float:
         if wanted > 0:  # infinity is refused with its flight
             return wanted
-        return self._parameters["MPC_XY_CRUISE"] if self._speed is None else self._speed
+        return self._settings["MPC_XY_CRUISE"] if self._speed is None else self._speed
 
     def _is_place(self, asked: Asked) -> bool:
         if math.isnan(asked.x) or math.isnan(asked.y):

@@ -7,11 +7,11 @@ worked out anew at each step, so nothing that was sent long ago goes on moving t
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from m100link.apps.mavlink.translator.codec import MavlinkMessage
 from m100link.apps.mavlink.translator.numbers import MavFrame
-from m100link.apps.mavlink.translator.parameters import ParameterProtocol
 from m100link.apps.mavlink.translator.vehicle_state import VehicleState
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
@@ -51,10 +51,10 @@ def _limited(value: float, limit: float) -> float:
     return max(-limit, min(limit, value))
 
 
-def _fastest(world: VehicleState, parameters: ParameterProtocol) -> float:
+def _fastest(world: VehicleState, settings: Mapping[str, float]) -> float:
     """Horizontal speed that is asked for at most, m/s."""
     limit = world.known.view.state.limits.max_speed_m_s
-    return min(parameters["MPC_XY_VEL_MAX"], 10.0 if limit is None else limit)
+    return min(settings["MPC_XY_VEL_MAX"], 10.0 if limit is None else limit)
 
 
 def _turn(yaw: float) -> float:
@@ -64,9 +64,9 @@ def _turn(yaw: float) -> float:
 class Offboard:
     """The newest setpoint of the operator."""
 
-    def __init__(self, world: VehicleState, parameters: ParameterProtocol) -> None:
+    def __init__(self, world: VehicleState, settings: Mapping[str, float]) -> None:
         self._world = world
-        self._parameters = parameters
+        self._settings = settings  # of the bridge, by the names of its parameters
         self.target: OffboardTarget | None = None  # the newest one; None before the first
 
     def receive(self, message: MavlinkMessage, now: float) -> str:
@@ -116,7 +116,7 @@ class Offboard:
         roll = math.atan2(2 * (q0 * q1 + q2 * q3), 1 - 2 * (q1 * q1 + q2 * q2))
         pitch = math.asin(max(-1.0, min(1.0, 2 * (q0 * q2 - q1 * q3))))
         yaw = math.atan2(2 * (q0 * q3 + q1 * q2), 1 - 2 * (q2 * q2 + q3 * q3))
-        up = (thrust - _HOVER) / _FULL * self._parameters["MPC_Z_VEL_MAX_UP"]
+        up = (thrust - _HOVER) / _FULL * self._settings["MPC_Z_VEL_MAX_UP"]
         if thrust == 0.0:
             up = 0.0  # "no thrust" while a program begins; the M100 does not fall
         tilt = (math.degrees(roll), math.degrees(pitch))
@@ -132,7 +132,7 @@ class Offboard:
         return ""
 
     def is_fresh(self, now: float) -> bool:
-        return self.target is not None and now - self.target.at <= self._parameters["COM_OF_LOSS_T"]
+        return self.target is not None and now - self.target.at <= self._settings["COM_OF_LOSS_T"]
 
     # -- what is flown ---------------------------------------------------------------------------
 
@@ -173,8 +173,8 @@ class Offboard:
             height = self._world.height if self._is_located else None
             climb = 0.0 if height is None else climb + _GAIN * (target.height - height)
         if climb < 0.0:
-            return max(-self._parameters["MPC_Z_VEL_MAX_DN"], climb)
-        return min(self._parameters["MPC_Z_VEL_MAX_UP"], climb)
+            return max(-self._settings["MPC_Z_VEL_MAX_DN"], climb)
+        return min(self._settings["MPC_Z_VEL_MAX_UP"], climb)
 
     def _speed(self, target: OffboardTarget) -> tuple[float, float]:
         first, second = target.velocity or (0.0, 0.0)
@@ -184,7 +184,7 @@ class Offboard:
                 return 0.0, 0.0  # without a place of its own nothing leads there
             first += _GAIN * (target.place[0] - here[0])
             second += _GAIN * (target.place[1] - here[1])
-        fastest = _fastest(self._world, self._parameters)
+        fastest = _fastest(self._world, self._settings)
         scale = max(1.0, math.hypot(first, second) / fastest)
         return first / scale, second / scale
 
@@ -216,10 +216,10 @@ class Manual:
     """The newest sticks of the operator."""
 
     def __init__(
-        self, world: VehicleState, parameters: ParameterProtocol, *, is_tilt: bool
+        self, world: VehicleState, settings: Mapping[str, float], *, is_tilt: bool
     ) -> None:
         self._world = world
-        self._parameters = parameters
+        self._settings = settings
         self._is_tilt = is_tilt
         self._sticks = (0.0, 0.0, 0.0, 0.0)
         self._at = float("-inf")
@@ -242,7 +242,7 @@ class Manual:
         if not self.is_fresh(now):
             return None
         pitch, roll, climb, turn = self._sticks
-        values = self._parameters
+        values = self._settings
         up = climb * values["MPC_Z_VEL_MAX_UP" if climb > 0 else "MPC_Z_VEL_MAX_DN"]
         yaw_rate = turn * values["MPC_MAN_Y_MAX"]
         if self._is_tilt:

@@ -69,16 +69,17 @@ class ParameterProtocol:
     def __init__(self, world: VehicleState, system: int) -> None:
         self._world = world
         self._system = system
-        self._values = {name: one.value for name, one in PARAMETERS.items()}
+        # Those of the bridge itself, by name, as they are set now: what flies reads them here.
+        self.values = {name: one.value for name, one in PARAMETERS.items() if one.value is not None}
 
-    def __getitem__(self, name: str) -> float:
-        one = PARAMETERS[name]
-        value = self._values[name] if one.told is None else one.told(self._world, self._system)
+    def _value(self, name: str) -> float:
+        told = PARAMETERS[name].told
+        value = self.values[name] if told is None else told(self._world, self._system)
         return 0.0 if value is None else value
 
     def message(self, name: str) -> MavlinkMessage:
         """PARAM_VALUE."""
-        one, value = PARAMETERS[name], self[name]
+        one, value = PARAMETERS[name], self._value(name)
         if one.is_whole:  # an integer travels as its bits
             (value,) = struct.unpack("<f", struct.pack("<i", int(value)))
         fields = {
@@ -101,7 +102,7 @@ class ParameterProtocol:
                 name = _NAMES[index] if index < len(_NAMES) else ""
             return [self.message(name)] if name in PARAMETERS else []
         if PARAMETERS[name].is_settable:
-            self._values[name] = message["param_value"]
+            self.values[name] = message["param_value"]
         return [self.message(name)]
 
     def refusal(self, message: MavlinkMessage) -> str:
@@ -114,4 +115,4 @@ class ParameterProtocol:
             is_right = one.least <= value <= one.most  # which no NaN is
             return "" if is_right else f"{name} is {one.least:g} to {one.most:g}"
         given = struct.unpack("<i", struct.pack("<f", value))[0] if one.is_whole else value
-        return "" if given == self[name] else f"{name} is read-only"
+        return "" if given == self._value(name) else f"{name} is read-only"

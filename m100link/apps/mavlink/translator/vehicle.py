@@ -78,9 +78,10 @@ class MavlinkVehicle:
         self.world = VehicleState(known, session)  # what is known of the aircraft
         self._texts = Texts()
         self._parameters = ParameterProtocol(self.world, system)
-        self._offboard = Offboard(self.world, self._parameters)
+        settings = self._parameters.values
+        self._offboard = Offboard(self.world, settings)
         self._manual = {
-            mode: Manual(self.world, self._parameters, is_tilt=mode is Mode.ALTCTL)
+            mode: Manual(self.world, settings, is_tilt=mode is Mode.ALTCTL)
             for mode in (Mode.POSCTL, Mode.ALTCTL)
         }
         tell = self._texts.tell
@@ -91,7 +92,7 @@ class MavlinkVehicle:
         self._commands = CommandProtocol(
             self.world,
             self.manager,
-            self._parameters,
+            settings,
             self._rates,
             tell=tell,
             request=self._request,
@@ -102,7 +103,7 @@ class MavlinkVehicle:
             self._send,
             tell,
             ground=lambda: self.world.ground_altitude,
-            speed=lambda: self._parameters["MPC_XY_CRUISE"],
+            speed=lambda: settings["MPC_XY_CRUISE"],
             may_change=self._may_change,
         )
         self.flights = MissionFlights(self.world, self.manager, self._missions, tell)

@@ -70,7 +70,7 @@ class Asked:
         self.commands = CommandProtocol(
             world,
             cast(FlightModeManager, manager),
-            ParameterProtocol(world, 1),
+            ParameterProtocol(world, 1).values,
             Rates(world),
             tell=lambda _, text: self.texts.append(text),
             request=lambda *_: False,

@@ -28,7 +28,7 @@ Four = tuple[float, float, float, float]
 
 def offboard(known: Known | None = None, home: Any = HERE) -> Offboard:
     world = world_of(known or Known(), home=home)
-    return Offboard(world, ParameterProtocol(world, 1))
+    return Offboard(world, ParameterProtocol(world, 1).values)
 
 
 def message(frame: int, says: int, **fields: float) -> MavlinkMessage:
@@ -277,7 +277,7 @@ NONE = 0x7FFF
 
 def manual(*, is_tilt: bool, known: Known | None = None) -> Manual:
     world = world_of(known or Known())
-    return Manual(world, ParameterProtocol(world, 1), is_tilt=is_tilt)
+    return Manual(world, ParameterProtocol(world, 1).values, is_tilt=is_tilt)
 
 
 def flown_by_sticks(
