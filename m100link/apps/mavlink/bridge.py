@@ -20,13 +20,15 @@ from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.mavlink.order_executor import OrderExecutor
 from m100link.apps.mavlink.translator.codec import (
+    MOST_PEERS,
+    Address,
     MavlinkMessage,
     MessageReader,
     PacketSigner,
+    Peer,
     write_frame,
 )
 from m100link.apps.mavlink.translator.numbers import AUTOPILOT_PX4
-from m100link.apps.mavlink.translator.peers import Address, Peer, Peers
 from m100link.apps.mavlink.translator.vehicle import MavlinkVehicle
 from m100link.errors import PortBusy, PortFailed, UsageError
 
@@ -52,6 +54,66 @@ _MESSAGE_COST = 60
 
 _STOOD_STILL_S = 1.0  # seconds without a step after which what waits to be read is old
 _SINCE_2015 = 1_420_070_400
+LOST_AFTER = 3.0  # seconds without a heartbeat after which a ground station counts as lost
+FORGOTTEN_AFTER = 10.0  # seconds after which nothing is sent to it any more
+
+
+class Peers:
+    """Those that have been heard, by address and system id."""
+
+    def __init__(self, always: tuple[Address, ...] = ()) -> None:
+        self._always = always
+        self._heard: dict[Peer, float] = {}
+        # Those whose heartbeat nobody else can have sent, and when.
+        self._trusted: dict[Peer, float] = {}
+        self.refused = 0
+
+    def heartbeat(self, peer: Peer, now: float, *, is_trusted: bool = True) -> None:
+        """It is there, and one of the peers unless these are too many.
+
+        ``now``: s. One that is trusted keeps a flight going: with a key only what is signed by it.
+        """
+        if peer not in self._heard and len(self._heard) >= MOST_PEERS:
+            self.forget(now)
+            if len(self._heard) >= MOST_PEERS and not (is_trusted and self._make_room()):
+                self.refused += 1
+                return
+        self._heard[peer] = now
+        if is_trusted:
+            self._trusted[peer] = now
+
+    def _make_room(self) -> bool:
+        """An untrusted peer makes room for a trusted one: a heartbeat needs no key."""
+        found = next((one for one in self._heard if one not in self._trusted), None)
+        if found is not None:
+            del self._heard[found]
+        return found is not None
+
+    def knows(self, peer: Peer, now: float) -> bool:
+        """Whether it has been heard lately: others are not obeyed, and not answered."""
+        return now - self._heard.get(peer, -FORGOTTEN_AFTER) < FORGOTTEN_AFTER
+
+    def is_lost(self, peer: Peer, now: float) -> bool:
+        """Whether its heartbeat fails to come."""
+        return now - self._trusted.get(peer, -LOST_AFTER) >= LOST_AFTER
+
+    def is_known(self, address: Address) -> bool:
+        """Whether somebody there has been heard, and was not forgotten."""
+        return any(one.address == address for one in self._heard)
+
+    def forget(self, now: float) -> None:
+        for peer, at in tuple(self._heard.items()):
+            if now - at >= FORGOTTEN_AFTER:
+                del self._heard[peer]
+                self._trusted.pop(peer, None)
+
+    def audience(self, now: float) -> dict[Address, tuple[Peer, ...]]:
+        """Where telemetry goes, with the peers that are there."""
+        self.forget(now)
+        found: dict[Address, tuple[Peer, ...]] = dict.fromkeys(self._always, ())
+        for peer in self._heard:
+            found[peer.address] = (*found.get(peer.address, ()), peer)
+        return found
 
 
 class _Craft:

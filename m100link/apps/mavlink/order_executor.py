@@ -13,6 +13,7 @@ from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import MissionReport
 from m100link.apps.agent.orders import ChangeHeight, GuidedOrder
 from m100link.apps.agent.preview import preview_plan
+from m100link.apps.mavlink.translator.codec import Peer
 from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
 from m100link.apps.mavlink.translator.missions import MissionProtocol
 from m100link.apps.mavlink.translator.modes import FlightSource, Mode
@@ -31,7 +32,6 @@ from m100link.apps.mavlink.translator.orders import (
     TakeOffAndClimb,
     VehicleOrder,
 )
-from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.route import (
     Refused,
     Route,

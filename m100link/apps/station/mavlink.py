@@ -17,9 +17,8 @@ from m100link.apps.mavlink.bridge import (
     serving,
     signature_time,
 )
-from m100link.apps.mavlink.translator.codec import PacketSigner, SignatureMemory, Snapshot
+from m100link.apps.mavlink.translator.codec import Address, PacketSigner, SignatureMemory, Snapshot
 from m100link.apps.mavlink.translator.numbers import AUTOPILOT_GENERIC, AUTOPILOT_PX4
-from m100link.apps.mavlink.translator.peers import Address
 from m100link.apps.station.config import Settings
 from m100link.apps.station.listeners import Fronts, beside
 from m100link.errors import UsageError

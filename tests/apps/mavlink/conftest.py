@@ -20,6 +20,7 @@ from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import MemoryChannel, memory_channels
 from m100link.apps.mavlink.bridge import Bridge
 from m100link.apps.mavlink.translator.codec import (
+    Address,
     MavlinkMessage,
     MessageReader,
     PacketSigner,
@@ -27,7 +28,6 @@ from m100link.apps.mavlink.translator.codec import (
 )
 from m100link.apps.mavlink.translator.modes import MODES, Mode
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
-from m100link.apps.mavlink.translator.peers import Address
 from m100link.apps.mavlink.translator.vehicle_state import VehicleState
 from m100link.protocol.records import FlightPhase, FlightStatus, Position
 from m100link.sim.clock import virtual_clock_loop

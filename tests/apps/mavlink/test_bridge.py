@@ -15,6 +15,7 @@ import pytest
 from m100link.apps.mavlink.bridge import IDLE_STEP_S, STEP_S
 from m100link.apps.mavlink.translator.codec import (
     LAYOUTS,
+    MOST_PEERS,
     MavlinkMessage,
     MessageLayout,
     PacketSigner,
@@ -24,7 +25,6 @@ from m100link.apps.mavlink.translator.commands import COMMANDS
 from m100link.apps.mavlink.translator.modes import Mode
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
 from m100link.apps.mavlink.translator.parameters import PARAMETERS
-from m100link.apps.mavlink.translator.peers import MOST_PEERS
 from m100link.apps.mavlink.translator.route import ITEMS
 from tests.apps.mavlink.conftest import Ground, Rig
 

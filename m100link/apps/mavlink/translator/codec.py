@@ -171,6 +171,26 @@ class MavlinkMessage:
         return self.fields[name]
 
 
+Address = tuple[str, int]  # host and port
+MOST_PEERS = 16  # ground stations and programs at once: each costs the telemetry of every aircraft
+
+
+@dataclass(frozen=True, slots=True)
+class Peer:
+    address: Address  # where its datagrams come from
+    system: int
+    component: int
+
+    @property
+    def name(self) -> str:
+        return f"MAVLink {self.system} at {self.address[0]}:{self.address[1]}"
+
+    @property
+    def target(self) -> dict[str, int]:
+        """The fields of a message that is for it alone."""
+        return {"target_system": self.system, "target_component": self.component}
+
+
 @dataclass(frozen=True, slots=True)
 class _Field:
     """A field: name, whether it is text, and how many values it has (0: it is not an array)."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from m100link.apps.agent import orders
 from m100link.apps.agent.orders import GuidedOrder
 from m100link.apps.agent.preview import preview, preview_plan
-from m100link.apps.mavlink.translator.codec import LAYOUTS, MavlinkMessage
+from m100link.apps.mavlink.translator.codec import LAYOUTS, MavlinkMessage, Peer
 from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
 from m100link.apps.mavlink.translator.modes import (
     Mode,
@@ -36,7 +36,6 @@ from m100link.apps.mavlink.translator.orders import (
     TakeOffAndClimb,
     VehicleOrder,
 )
-from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.telemetry import NUMBERS, STREAMS, Rates
 from m100link.apps.mavlink.translator.vehicle_state import VehicleState
 from m100link.errors import GuardRefused, UsageError

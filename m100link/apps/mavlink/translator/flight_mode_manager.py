@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from m100link.apps.agent.orders import PauseMission, ResumeMission
+from m100link.apps.mavlink.translator.codec import Peer
 from m100link.apps.mavlink.translator.modes import (
     ARM_VERDICTS,
     DISARM_VERDICTS,
@@ -38,7 +39,6 @@ from m100link.apps.mavlink.translator.orders import (
     TakeOffAndClimb,
     VehicleOrder,
 )
-from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.vehicle_state import VehicleState
 from m100link.errors import GuardRefused, M100Error, NoAuthority, TaskRefused
 from m100link.protocol.setpoint import Setpoint

@@ -11,14 +11,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-from m100link.apps.mavlink.translator.codec import MavlinkMessage
+from m100link.apps.mavlink.translator.codec import MavlinkMessage, Peer
 from m100link.apps.mavlink.translator.numbers import (
     MavCommand,
     MissionResult,
     MissionType,
     Severity,
 )
-from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.route import Refused, Route, read_route
 from m100link.geodesy import WGS84_FLATTENING, WGS84_SEMI_MAJOR_AXIS_M, LocalFrame
 

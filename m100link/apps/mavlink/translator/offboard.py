@@ -242,15 +242,14 @@ class Manual:
         if not self.is_fresh(now):
             return None
         pitch, roll, climb, turn = self._sticks
-        values = self._settings
-        up = climb * values["MPC_Z_VEL_MAX_UP" if climb > 0 else "MPC_Z_VEL_MAX_DN"]
-        yaw_rate = turn * values["MPC_MAN_Y_MAX"]
+        up = climb * self._settings["MPC_Z_VEL_MAX_UP" if climb > 0 else "MPC_Z_VEL_MAX_DN"]
+        yaw_rate = turn * self._settings["MPC_MAN_Y_MAX"]
         if self._is_tilt:
-            tilt = values["MPC_MAN_TILT_MAX"]
+            tilt = self._settings["MPC_MAN_TILT_MAX"]
             return Setpoint.tilt(
                 roll_deg=roll * tilt, pitch_deg=-pitch * tilt, up=up, yaw_rate_deg_s=yaw_rate
             )
-        speed = _fastest(self._world, values)
+        speed = _fastest(self._world, self._settings)
         scale = max(1.0, (pitch * pitch + roll * roll) ** 0.5)
         return Setpoint.velocity(
             forward=pitch * speed / scale,

@@ -12,7 +12,13 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from m100link.apps.mavlink.translator.codec import LAYOUTS, MavlinkMessage
+from m100link.apps.mavlink.translator.codec import (
+    LAYOUTS,
+    MOST_PEERS,
+    Address,
+    MavlinkMessage,
+    Peer,
+)
 from m100link.apps.mavlink.translator.modes import MODES, Mode
 from m100link.apps.mavlink.translator.numbers import (
     BaseMode,
@@ -22,7 +28,6 @@ from m100link.apps.mavlink.translator.numbers import (
     Severity,
     SystemStatus,
 )
-from m100link.apps.mavlink.translator.peers import MOST_PEERS, Address, Peer
 from m100link.apps.mavlink.translator.vehicle_state import VehicleState
 from m100link.protocol.records import (
     Acceleration,
@@ -365,9 +370,7 @@ NUMBERS = {LAYOUTS[name].number: name for name in STREAMS}  # names by the numbe
 
 MOST_HZ = 50.0  # how often a message is sent at most; who asks for more gets this
 
-_MOST_ASKED = 2 * MOST_PEERS
-"""Peers whose rates are known, those included that are silent and may come back."""
-
+_MOST_ASKED = 2 * MOST_PEERS  # peers whose rates are known; a silent one may come back
 _ALL = 0  # the group of REQUEST_DATA_STREAM that has all others
 _USUAL = {name: stream.hz for name, stream in STREAMS.items()}
 

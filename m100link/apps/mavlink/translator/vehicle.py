@@ -11,7 +11,7 @@ from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.messages import Event, EventTopic
 from m100link.apps.agent.orders import FlyAround, FlyTo
 from m100link.apps.mavlink.order_executor import MissionFlights
-from m100link.apps.mavlink.translator.codec import LAYOUTS, MavlinkMessage
+from m100link.apps.mavlink.translator.codec import LAYOUTS, Address, MavlinkMessage, Peer
 from m100link.apps.mavlink.translator.commands import Asked, CommandProtocol, read_command
 from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
 from m100link.apps.mavlink.translator.missions import MissionProtocol
@@ -33,7 +33,6 @@ from m100link.apps.mavlink.translator.numbers import (
 )
 from m100link.apps.mavlink.translator.offboard import Manual, Offboard
 from m100link.apps.mavlink.translator.parameters import ParameterProtocol
-from m100link.apps.mavlink.translator.peers import Address, Peer
 from m100link.apps.mavlink.translator.telemetry import (
     NUMBERS,
     Audience,
@@ -59,6 +58,7 @@ _AWAY_M = 0.3  # so far it may be told to move away from the fence while it stan
 _FLIGHTS = (FlightSource.FLIGHT, FlightSource.MISSION, FlightSource.PAUSED)
 """Flights that lead back into the fence by themselves, if they lead there."""
 
+_PARAMETER_MESSAGES = ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET")
 _MISSION_MESSAGES = (
     *("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_LIST", "MISSION_REQUEST_INT"),
     *("MISSION_REQUEST", "MISSION_CLEAR_ALL", "MISSION_ACK"),
@@ -115,9 +115,7 @@ class MavlinkVehicle:
         self._handlers: dict[str, Callable[[MavlinkMessage, Peer, float], None]] = {
             **dict.fromkeys(("COMMAND_LONG", "COMMAND_INT"), self._command),
             "SET_MODE": self._set_mode,
-            "PARAM_REQUEST_LIST": self._parameter,
-            "PARAM_REQUEST_READ": self._parameter,
-            "PARAM_SET": self._parameter,
+            **dict.fromkeys(_PARAMETER_MESSAGES, self._parameter),
             "SET_POSITION_TARGET_LOCAL_NED": self._setpoint,
             "SET_ATTITUDE_TARGET": self._setpoint,
             "MANUAL_CONTROL": self._sticks,

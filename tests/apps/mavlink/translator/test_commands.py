@@ -11,7 +11,7 @@ import pytest
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.messages import GuardLimits, State
-from m100link.apps.mavlink.translator.codec import LAYOUTS, MavlinkMessage
+from m100link.apps.mavlink.translator.codec import LAYOUTS, MavlinkMessage, Peer
 from m100link.apps.mavlink.translator.commands import COMMANDS, CommandProtocol, read_command
 from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
 from m100link.apps.mavlink.translator.modes import MODES, Mode, VehiclePhase
@@ -25,7 +25,6 @@ from m100link.apps.mavlink.translator.orders import (
     TakeOffAndClimb,
 )
 from m100link.apps.mavlink.translator.parameters import ParameterProtocol
-from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.telemetry import Rates
 from m100link.geodesy import LocalFrame
 from tests.apps.mavlink.conftest import Ground, Rig, world_of

@@ -11,6 +11,7 @@ import pytest
 from m100link.apps.agent.messages import LeaseChanged, State
 from m100link.apps.agent.orders import ChangeHeight, FlyTo, PauseMission, ResumeMission
 from m100link.apps.mavlink.order_executor import MissionFlights
+from m100link.apps.mavlink.translator.codec import Peer
 from m100link.apps.mavlink.translator.flight_mode_manager import REMEMBERED_S, FlightModeManager
 from m100link.apps.mavlink.translator.modes import (
     ARM_VERDICTS,
@@ -37,7 +38,6 @@ from m100link.apps.mavlink.translator.orders import (
     TakeOffAndClimb,
     VehicleOrder,
 )
-from m100link.apps.mavlink.translator.peers import Peer
 from m100link.apps.mavlink.translator.vehicle_state import VehicleState
 from m100link.errors import GuardRefused, LinkError, NoAuthority, TaskRefused
 from m100link.missions.plan import Waypoint, WaypointPlan

@@ -17,13 +17,14 @@ from m100link.apps.agent.messages import LeaseChanged, State
 from m100link.apps.agent.view import VehicleView
 from m100link.apps.mavlink.translator.codec import (
     LAYOUTS,
+    MOST_PEERS,
     MavlinkMessage,
     MessageReader,
+    Peer,
     write_frame,
 )
 from m100link.apps.mavlink.translator.modes import Mode
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult, Severity
-from m100link.apps.mavlink.translator.peers import MOST_PEERS, Peer
 from m100link.apps.mavlink.translator.telemetry import (
     MOST_HZ,
     STREAMS,
