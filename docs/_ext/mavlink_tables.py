@@ -1,6 +1,6 @@
 """What the bridge to MAVLink understands, made of its own tables.
 
-```{mavlink-modes}        m100link.apps.mavlink.translator.modes.MODES
+```{mavlink-modes}        m100link.apps.mavlink.translator.vehicle_state.MODES
 ```{mavlink-commands}     m100link.apps.mavlink.translator.commands.COMMANDS
 ```{mavlink-streams}      m100link.apps.mavlink.translator.telemetry.STREAMS
 ```{mavlink-items}        m100link.apps.mavlink.translator.route.ITEMS
@@ -16,11 +16,11 @@ from sphinx.application import Sphinx
 from tables import TableDirective
 
 from m100link.apps.mavlink.translator.commands import COMMANDS
-from m100link.apps.mavlink.translator.modes import MODES
 from m100link.apps.mavlink.translator.numbers import MavCommand
 from m100link.apps.mavlink.translator.parameters import PARAMETERS
 from m100link.apps.mavlink.translator.route import ITEMS
 from m100link.apps.mavlink.translator.telemetry import STREAMS
+from m100link.apps.mavlink.translator.vehicle_state import MODES
 
 
 class Modes(TableDirective):

@@ -30,7 +30,7 @@ from m100link.apps.fleet.payloads import TakePlace
 from m100link.apps.fleet.show.conductor import Conductor
 from m100link.apps.fleet.show.plan.document import Show
 from m100link.apps.fleet.show.service import ShowService
-from m100link.apps.mavlink.translator.modes import Mode
+from m100link.apps.mavlink.translator.vehicle_state import Mode
 from m100link.apps.station.fleet import Ships
 from m100link.apps.station.ros.graph import Graph
 from m100link.errors import BadSetpoint, M100Error

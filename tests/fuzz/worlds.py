@@ -75,8 +75,8 @@ from m100link.apps.fleet.publisher import FleetTelemetry
 from m100link.apps.fleet.show.plan.conflicts import ConflictMonitor
 from m100link.apps.fleet.show.service import ShowService
 from m100link.apps.mavlink.translator.codec import LAYOUTS, MavlinkMessage, write_frame
-from m100link.apps.mavlink.translator.modes import Mode
 from m100link.apps.mavlink.translator.numbers import MavCommand
+from m100link.apps.mavlink.translator.vehicle_state import Mode
 from m100link.apps.ros2.graph import data_key, write_attachment
 from m100link.apps.ros2.topics import INPUTS, SERVICES
 from m100link.errors import M100Error

@@ -16,7 +16,6 @@ from m100link.apps.agent.preview import preview_plan
 from m100link.apps.mavlink.translator.codec import Peer
 from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
 from m100link.apps.mavlink.translator.missions import MissionProtocol
-from m100link.apps.mavlink.translator.modes import FlightSource, Mode
 from m100link.apps.mavlink.translator.numbers import Severity
 from m100link.apps.mavlink.translator.orders import (
     CancelTakeOff,
@@ -40,7 +39,7 @@ from m100link.apps.mavlink.translator.route import (
     flies_missions,
     plan_of,
 )
-from m100link.apps.mavlink.translator.vehicle_state import VehicleState
+from m100link.apps.mavlink.translator.vehicle_state import FlightSource, Mode, VehicleState
 from m100link.errors import (
     AckTimeout,
     M100Error,

@@ -27,9 +27,9 @@ from m100link.apps.agent.transports import memory_channels
 from m100link.apps.agent.view import Hearing
 from m100link.apps.fleet.signing import signing, verifying
 from m100link.apps.mavlink.translator.codec import MavlinkMessage, write_frame
-from m100link.apps.mavlink.translator.modes import MODES, Mode
 from m100link.apps.mavlink.translator.numbers import MavCommand
 from m100link.link.transport import MemoryTransport
+from m100link.apps.mavlink.translator.vehicle_state import MODES, Mode
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
     Attitude,
@@ -413,7 +413,7 @@ async def test_a_setpoint_of_mavlink_is_a_few_calls() -> None:
     assert counted["AgentClient.steer"] == 1
     is_asked_once(counted, 190)
     # A reader follows it through these files, from the socket to the frame: they may only fall.
-    assert len(counted.files) <= 39, sorted(counted.files)
+    assert len(counted.files) <= 36, sorted(counted.files)
 
 
 @pytest.mark.anyio

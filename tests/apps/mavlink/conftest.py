@@ -26,9 +26,8 @@ from m100link.apps.mavlink.translator.codec import (
     PacketSigner,
     write_frame,
 )
-from m100link.apps.mavlink.translator.modes import MODES, Mode
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
-from m100link.apps.mavlink.translator.vehicle_state import VehicleState
+from m100link.apps.mavlink.translator.vehicle_state import MODES, Mode, VehicleState
 from m100link.protocol.records import FlightPhase, FlightStatus, Position
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver

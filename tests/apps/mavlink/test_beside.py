@@ -13,8 +13,8 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.transports import memory_channels
-from m100link.apps.mavlink.translator.modes import Mode, VehiclePhase
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult, MissionResult
+from m100link.apps.mavlink.translator.vehicle_state import Mode, VehiclePhase
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.mavlink.conftest import Ground, Rig
 from tests.apps.mavlink.test_bridge import send_velocity

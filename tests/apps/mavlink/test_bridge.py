@@ -22,10 +22,10 @@ from m100link.apps.mavlink.translator.codec import (
     write_frame,
 )
 from m100link.apps.mavlink.translator.commands import COMMANDS
-from m100link.apps.mavlink.translator.modes import Mode
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
 from m100link.apps.mavlink.translator.parameters import PARAMETERS
 from m100link.apps.mavlink.translator.route import ITEMS
+from m100link.apps.mavlink.translator.vehicle_state import Mode
 from tests.apps.mavlink.conftest import Ground, Rig
 
 pytestmark = pytest.mark.anyio

@@ -5,8 +5,8 @@ from __future__ import annotations
 import anyio
 import pytest
 
-from m100link.apps.mavlink.translator.modes import Mode, VehiclePhase
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
+from m100link.apps.mavlink.translator.vehicle_state import Mode, VehiclePhase
 from m100link.sim.vehicle.flight import FlightController
 from tests.apps.mavlink.conftest import Ground, Rig
 

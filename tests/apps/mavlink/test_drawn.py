@@ -12,8 +12,8 @@ import pytest
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlState
-from m100link.apps.mavlink.translator.modes import Mode
 from m100link.apps.mavlink.translator.numbers import MavCommand
+from m100link.apps.mavlink.translator.vehicle_state import Mode
 from m100link.errors import M100Error
 from tests.apps.mavlink.conftest import Ground, Rig
 from tests.apps.mavlink.test_bridge import send_velocity

@@ -10,8 +10,8 @@ import anyio
 import pytest
 
 from m100link.apps.agent import view
-from m100link.apps.mavlink.translator.modes import Mode
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult, MissionType
+from m100link.apps.mavlink.translator.vehicle_state import Mode
 from m100link.sim.line import LineFaults
 from m100link.sim.vehicle.missions.route import MissionSettings
 from m100link.sim.vehicle.settings import AircraftSettings

@@ -11,12 +11,6 @@ from m100link.apps.agent.orders import GuidedOrder
 from m100link.apps.agent.preview import preview, preview_plan
 from m100link.apps.mavlink.translator.codec import LAYOUTS, MavlinkMessage, Peer
 from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
-from m100link.apps.mavlink.translator.modes import (
-    Mode,
-    VehiclePhase,
-    mode_of_number,
-    mode_of_standard,
-)
 from m100link.apps.mavlink.translator.numbers import (
     RELATIVE,
     SEA_LEVEL,
@@ -37,7 +31,13 @@ from m100link.apps.mavlink.translator.orders import (
     VehicleOrder,
 )
 from m100link.apps.mavlink.translator.telemetry import NUMBERS, STREAMS, Rates
-from m100link.apps.mavlink.translator.vehicle_state import VehicleState
+from m100link.apps.mavlink.translator.vehicle_state import (
+    Mode,
+    VehiclePhase,
+    VehicleState,
+    mode_of_number,
+    mode_of_standard,
+)
 from m100link.errors import GuardRefused, UsageError
 
 _Place = tuple[float, float]  # latitude and longitude, degrees

@@ -1,8 +1,8 @@
 """Mode requests of ground stations become orders to the agent, one at a time.
 
-The tables of :mod:`m100link.apps.mavlink.translator.modes` decide about each mode request. There is
-no I/O here: :attr:`FlightModeManager.orders` collects orders, the order executor carries them out
-and reports how each ended, and the time is an argument.
+The tables of :mod:`m100link.apps.mavlink.translator.vehicle_state` decide about each mode request.
+There is no I/O here: :attr:`FlightModeManager.orders` collects orders, the order executor carries
+them out and reports how each ended, and the time is an argument.
 """
 
 from __future__ import annotations
@@ -12,17 +12,6 @@ from dataclasses import replace
 
 from m100link.apps.agent.orders import PauseMission, ResumeMission
 from m100link.apps.mavlink.translator.codec import Peer
-from m100link.apps.mavlink.translator.modes import (
-    ARM_VERDICTS,
-    DISARM_VERDICTS,
-    RUNNING,
-    VERDICTS,
-    FlightSource,
-    Mode,
-    ModeTransition,
-    ModeVerdict,
-    VehiclePhase,
-)
 from m100link.apps.mavlink.translator.numbers import MavResult, Severity
 from m100link.apps.mavlink.translator.offboard import Manual, Offboard
 from m100link.apps.mavlink.translator.orders import (
@@ -39,7 +28,18 @@ from m100link.apps.mavlink.translator.orders import (
     TakeOffAndClimb,
     VehicleOrder,
 )
-from m100link.apps.mavlink.translator.vehicle_state import VehicleState
+from m100link.apps.mavlink.translator.vehicle_state import (
+    ARM_VERDICTS,
+    DISARM_VERDICTS,
+    RUNNING,
+    VERDICTS,
+    FlightSource,
+    Mode,
+    ModeTransition,
+    ModeVerdict,
+    VehiclePhase,
+    VehicleState,
+)
 from m100link.errors import GuardRefused, M100Error, NoAuthority, TaskRefused
 from m100link.protocol.setpoint import Setpoint
 

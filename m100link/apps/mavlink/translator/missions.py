@@ -66,7 +66,7 @@ class MissionProtocol:
         self.current = 0  # number of the item that is flown to, or would be
         self.edition = 0  # counts what was uploaded, cleared, or told to begin elsewhere
         self._reached = -1
-        self._told_at = float("-inf")
+        self._told_at = self.due_at = float("-inf")  # MISSION_CURRENT; the next of :meth:`due`
 
     @property
     def items(self) -> tuple[MavlinkMessage, ...]:
@@ -129,6 +129,7 @@ class MissionProtocol:
 
     def _ask(self, upload: _Upload, now: float) -> None:
         upload.asked_at = now
+        self.due_at = min(self.due_at, now + _AGAIN_S)
         fields = {"seq": len(upload.items)} | _to(upload.peer, upload.kind)
         self._send(MavlinkMessage("MISSION_REQUEST_INT", fields), upload.peer)
 
@@ -207,7 +208,7 @@ class MissionProtocol:
     def restart(self) -> None:
         """It begins at its first item."""
         self.current, self._reached = 0, -1
-        self._told_at = float("-inf")
+        self._told_at = self.due_at = float("-inf")
 
     def begin_at(self, number: int) -> None:
         """Somebody wants it flown from that item on."""
@@ -218,7 +219,7 @@ class MissionProtocol:
     def flies_to(self, number: int) -> None:
         if number != self.current:
             self.current = number
-            self._told_at = float("-inf")
+            self._told_at = self.due_at = float("-inf")
 
     def reached(self, number: int) -> None:
         self._reached = number
@@ -250,6 +251,8 @@ class MissionProtocol:
         if now - self._told_at >= _CURRENT_S:
             self._told_at = now
             yield self.current_message(is_flying=is_flying)
+        again_at = math.inf if self._upload is None else self._upload.asked_at + _AGAIN_S
+        self.due_at = min(self._told_at + _CURRENT_S, again_at)
 
     def current_message(self, *, is_flying: bool) -> MavlinkMessage:
         """MISSION_CURRENT."""

@@ -8,7 +8,7 @@ from typing import ClassVar
 from m100link.apps.agent import orders
 from m100link.apps.agent.orders import FlyTo, GuidedOrder
 from m100link.apps.mavlink.translator.codec import Peer
-from m100link.apps.mavlink.translator.modes import FlightSource, Mode
+from m100link.apps.mavlink.translator.vehicle_state import FlightSource, Mode
 from m100link.missions.plan import WaypointPlan
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from m100link.apps.agent.orders import FlyTo
 from m100link.apps.mavlink.translator.codec import MavlinkMessage
-from m100link.apps.mavlink.translator.modes import Mode
 from m100link.apps.mavlink.translator.numbers import RELATIVE, SEA_LEVEL, MavCommand, MissionResult
+from m100link.apps.mavlink.translator.vehicle_state import Mode
 from m100link.errors import BadPlan
 from m100link.geodesy import normalize_degrees
 from m100link.missions.checks import MOST_ACTIONS

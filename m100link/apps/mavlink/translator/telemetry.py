@@ -19,16 +19,13 @@ from m100link.apps.mavlink.translator.codec import (
     MavlinkMessage,
     Peer,
 )
-from m100link.apps.mavlink.translator.modes import MODES, Mode
 from m100link.apps.mavlink.translator.numbers import (
-    BaseMode,
     Estimator,
     LandedState,
     Sensor,
     Severity,
-    SystemStatus,
 )
-from m100link.apps.mavlink.translator.vehicle_state import VehicleState
+from m100link.apps.mavlink.translator.vehicle_state import LOWEST_BATTERY, VehicleState
 from m100link.protocol.records import (
     Acceleration,
     AngularVelocity,
@@ -41,8 +38,6 @@ from m100link.protocol.records import (
     Velocity,
 )
 from m100link.telemetry.integrity import GOOD_GPS
-
-LOWEST_BATTERY = 20  # percent below which the agent refuses to take off: not ready to arm
 
 Fields = dict[str, Any]
 
@@ -62,22 +57,6 @@ def _ms(now: float) -> int:
 
 def _cm(value: float) -> int:
     return max(-0x7FFF, min(0x7FFF, round(value * 100)))
-
-
-def heartbeat(world: VehicleState, mode: Mode, autopilot: int) -> Fields:
-    """HEARTBEAT."""
-    row, is_armed = MODES[mode], world.is_armed
-    battery = world.known.view.get(Battery)
-    is_low = battery is not None and battery.percent < LOWEST_BATTERY and is_armed
-    status = SystemStatus.ACTIVE if is_armed else SystemStatus.STANDBY
-    return {
-        "custom_mode": row.number,
-        "type": 2,
-        "autopilot": autopilot,
-        "base_mode": BaseMode.CUSTOM | row.base | (BaseMode.ARMED if is_armed else 0),
-        "system_status": SystemStatus.CRITICAL if is_low else status,
-        "mavlink_version": 3,
-    }
 
 
 def _sys_status(world: VehicleState, now: float) -> Fields:
@@ -385,7 +364,8 @@ class Rates:
         self._world = world
         self._asked: dict[Peer, dict[str, float]] = {}
         # The rates of each address: made anew, once a step, when rates or addresses changed.
-        self._audience: Audience | None = None
+        self.audience: Audience | None = None
+        self.due_at = -math.inf  # when something is due for that audience
         self._present: set[Peer] = set()
         self._tables: dict[Address, dict[str, float]] = {}
         self.is_often = False  # whether anything is sent more often than usual telemetry ever is
@@ -405,7 +385,7 @@ class Rates:
         if len(self._asked) > _MOST_ASKED:
             del self._asked[next(one for one in self._asked if one not in self._present)]
         self._due.get(peer.address, {}).pop(name, None)  # at once, then at its rate
-        self._audience = None
+        self.audience = None
 
     def set_group(self, group: int, hz: float, peer: Peer) -> None:
         """Send the messages of a group of REQUEST_DATA_STREAM so often."""
@@ -414,7 +394,7 @@ class Rates:
                 self.set_hz(name, hz, peer)
 
     def _arrange(self, audience: Audience, now: float) -> None:
-        self._audience = audience
+        self.audience = audience
         self._present = {peer for peers in audience.values() for peer in peers}
         self._tables = {
             address: {
@@ -444,7 +424,7 @@ class Rates:
         self, now: float, audience: Audience
     ) -> Iterator[tuple[MavlinkMessage, tuple[Address, ...]]]:
         """Those whose time has come, and where they go."""
-        if audience != self._audience:
+        if audience != self.audience:
             self._arrange(audience, now)
         wanted: dict[str, list[Address]] = {}
         for address, table in self._tables.items():
@@ -455,6 +435,8 @@ class Rates:
                 # From when it was due, so that the rate holds; not from long ago.
                 due[name] = max(due.get(name, now) + 1 / hz, now)
                 wanted.setdefault(name, []).append(address)
+        times = (at for due in self._due.values() for at in due.values())
+        self.due_at = min(times, default=math.inf)
         for name, addresses in wanted.items():
             message = self.message(name, now)
             if message is not None:
@@ -481,21 +463,21 @@ class Texts:
     """Texts on their way out: few at once, and none twice in two seconds."""
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[Severity, str]] = deque(maxlen=int(_AT_ONCE))
+        self.waiting: deque[tuple[Severity, str]] = deque(maxlen=int(_AT_ONCE))
         self._told: dict[str, float] = {}
         self._count = 0
         self._allowed, self._at = _AT_ONCE, 0.0
 
     def tell(self, severity: Severity, text: str) -> None:
-        self._waiting.append((severity, text))
+        self.waiting.append((severity, text))
 
     def due(self, now: float) -> Iterator[MavlinkMessage]:
         """The messages; a long text comes in parts of 50 characters, four at most."""
         self._allowed = min(_AT_ONCE, self._allowed + (now - self._at) * _PER_S)
         self._at = now
         self._told = {text: at for text, at in self._told.items() if now - at < _AGAIN_S}
-        while self._waiting and self._allowed >= 1.0:
-            severity, text = self._waiting.popleft()
+        while self.waiting and self._allowed >= 1.0:
+            severity, text = self.waiting.popleft()
             if text in self._told:
                 continue
             self._told[text] = now

@@ -15,14 +15,6 @@ from m100link.apps.mavlink.translator.codec import LAYOUTS, Address, MavlinkMess
 from m100link.apps.mavlink.translator.commands import Asked, CommandProtocol, read_command
 from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
 from m100link.apps.mavlink.translator.missions import MissionProtocol
-from m100link.apps.mavlink.translator.modes import (
-    FlightSource,
-    Mode,
-    VehiclePhase,
-    available,
-    current,
-    mode_of_number,
-)
 from m100link.apps.mavlink.translator.numbers import (
     BaseMode,
     Capability,
@@ -38,10 +30,18 @@ from m100link.apps.mavlink.translator.telemetry import (
     Audience,
     Rates,
     Texts,
-    heartbeat,
     severity_of,
 )
-from m100link.apps.mavlink.translator.vehicle_state import VehicleState
+from m100link.apps.mavlink.translator.vehicle_state import (
+    FlightSource,
+    Mode,
+    VehiclePhase,
+    VehicleState,
+    available,
+    current,
+    heartbeat,
+    mode_of_number,
+)
 from m100link.errors import M100Error
 from m100link.geodesy import LocalFrame
 from m100link.protocol.records import Position, Velocity
@@ -419,16 +419,15 @@ class MavlinkVehicle:
             if now - told_at >= _PROGRESS_S:
                 self._arming[peer] = now
                 self._acknowledge(MavCommand.COMPONENT_ARM_DISARM, MavResult.IN_PROGRESS, peer)
-        for text in self._texts.due(now):
-            self._send(text)
+        if self._texts.waiting:
+            for text in self._texts.due(now):
+                self._send(text)
         # A vehicle that nobody hears is silent: a ground station has to see that it is lost.
         if self.world.known.view.is_heard:
             self._tell_state(now, audience)
 
     def _heartbeat(self) -> MavlinkMessage:
-        return MavlinkMessage(
-            "HEARTBEAT", heartbeat(self.world, self.manager.mode, self._autopilot)
-        )
+        return heartbeat(self.world, self.manager.mode, self._autopilot)
 
     def _tell_state(self, now: float, audience: Audience) -> None:
         beat = self._heartbeat()
@@ -438,9 +437,11 @@ class MavlinkVehicle:
                 self._send(current(self.manager.mode))
             self._beaten, self._beaten_at = told, now
             self._send(beat)
-        self.outbox += self._rates.due(now, audience)
-        for message in self._missions.due(now, is_flying=self.manager.flies_mission):
-            self._send(message)
+        if now >= self._rates.due_at or audience != self._rates.audience:
+            self.outbox += self._rates.due(now, audience)
+        if now >= self._missions.due_at:
+            for message in self._missions.due(now, is_flying=self.manager.flies_mission):
+                self._send(message)
 
 
 def _whole(value: float) -> int:

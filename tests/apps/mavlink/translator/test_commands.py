@@ -14,7 +14,6 @@ from m100link.apps.agent.messages import GuardLimits, State
 from m100link.apps.mavlink.translator.codec import LAYOUTS, MavlinkMessage, Peer
 from m100link.apps.mavlink.translator.commands import COMMANDS, CommandProtocol, read_command
 from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
-from m100link.apps.mavlink.translator.modes import MODES, Mode, VehiclePhase
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult, MissionResult
 from m100link.apps.mavlink.translator.orders import (
     FlightSequence,
@@ -26,6 +25,7 @@ from m100link.apps.mavlink.translator.orders import (
 )
 from m100link.apps.mavlink.translator.parameters import ParameterProtocol
 from m100link.apps.mavlink.translator.telemetry import Rates
+from m100link.apps.mavlink.translator.vehicle_state import MODES, Mode, VehiclePhase
 from m100link.geodesy import LocalFrame
 from tests.apps.mavlink.conftest import Ground, Rig, world_of
 from tests.apps.mavlink.translator.test_missions import Exchange, waypoint

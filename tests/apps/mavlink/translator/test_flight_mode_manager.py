@@ -13,17 +13,6 @@ from m100link.apps.agent.orders import ChangeHeight, FlyTo, PauseMission, Resume
 from m100link.apps.mavlink.order_executor import MissionFlights
 from m100link.apps.mavlink.translator.codec import Peer
 from m100link.apps.mavlink.translator.flight_mode_manager import REMEMBERED_S, FlightModeManager
-from m100link.apps.mavlink.translator.modes import (
-    ARM_VERDICTS,
-    DISARM_VERDICTS,
-    RUNNING,
-    VERDICTS,
-    FlightSource,
-    Mode,
-    ModeTransition,
-    ModeVerdict,
-    VehiclePhase,
-)
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult, Severity
 from m100link.apps.mavlink.translator.orders import (
     CancelTakeOff,
@@ -38,7 +27,18 @@ from m100link.apps.mavlink.translator.orders import (
     TakeOffAndClimb,
     VehicleOrder,
 )
-from m100link.apps.mavlink.translator.vehicle_state import VehicleState
+from m100link.apps.mavlink.translator.vehicle_state import (
+    ARM_VERDICTS,
+    DISARM_VERDICTS,
+    RUNNING,
+    VERDICTS,
+    FlightSource,
+    Mode,
+    ModeTransition,
+    ModeVerdict,
+    VehiclePhase,
+    VehicleState,
+)
 from m100link.errors import GuardRefused, LinkError, NoAuthority, TaskRefused
 from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.setpoint import Setpoint

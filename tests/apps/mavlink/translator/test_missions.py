@@ -13,7 +13,6 @@ import pytest
 from m100link.apps.agent.view import VehicleView
 from m100link.apps.mavlink.translator.codec import MavlinkMessage
 from m100link.apps.mavlink.translator.missions import read_fence
-from m100link.apps.mavlink.translator.modes import MODES, Mode
 from m100link.apps.mavlink.translator.numbers import (
     MavCommand,
     MavResult,
@@ -21,6 +20,7 @@ from m100link.apps.mavlink.translator.numbers import (
     MissionType,
 )
 from m100link.apps.mavlink.translator.route import Refused
+from m100link.apps.mavlink.translator.vehicle_state import MODES, Mode
 from m100link.geodesy import LocalFrame, geodesic
 from m100link.protocol.records import Position, Velocity
 from m100link.sim.line import LineFaults

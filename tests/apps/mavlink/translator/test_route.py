@@ -9,7 +9,6 @@ import pytest
 
 from m100link.apps.agent.orders import FlyTo
 from m100link.apps.mavlink.translator.codec import MavlinkMessage
-from m100link.apps.mavlink.translator.modes import Mode
 from m100link.apps.mavlink.translator.numbers import MissionResult
 from m100link.apps.mavlink.translator.route import (
     Refused,
@@ -20,6 +19,7 @@ from m100link.apps.mavlink.translator.route import (
     plan_of,
     read_route,
 )
+from m100link.apps.mavlink.translator.vehicle_state import Mode
 from m100link.missions.plan import AtEnd, Heading
 
 GLOBAL, MISSION, RELATIVE, GLOBAL_INT, RELATIVE_INT, TERRAIN = 0, 2, 3, 5, 6, 10

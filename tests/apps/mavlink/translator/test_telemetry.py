@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import random
 from collections import Counter
 from typing import Any
 
@@ -23,14 +24,12 @@ from m100link.apps.mavlink.translator.codec import (
     Peer,
     write_frame,
 )
-from m100link.apps.mavlink.translator.modes import Mode
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult, Severity
 from m100link.apps.mavlink.translator.telemetry import (
     MOST_HZ,
     STREAMS,
     Rates,
     Texts,
-    heartbeat,
     severity_of,
 )
 from m100link.apps.mavlink.translator.vehicle_state import VehicleState
@@ -318,25 +317,6 @@ def test_a_battery_of_more_than_all_is_not_known(percent: int) -> None:
     assert told("SYS_STATUS", Known(Battery(percent)))["battery_remaining"] == -1
 
 
-@pytest.mark.parametrize(
-    ("known", "status", "base"),
-    [
-        (Known(), 4, 1 + 8 + 128),
-        (Known(FlightStatus(1)), 3, 1 + 8),
-        (Known(Battery(19)), 5, 1 + 8 + 128),
-        (Known(Battery(20)), 4, 1 + 8 + 128),
-        (Known(FlightStatus(1), Battery(5)), 3, 1 + 8),
-        (Known().without(FlightStatus), 4, 1 + 8 + 128),
-        (Known(FlightStatus(1)).flown(), 4, 1 + 8 + 128),
-    ],
-)
-def test_the_heartbeat_is_armed_where_motors_may_turn(known: Known, status: int, base: int) -> None:
-    found = heartbeat(world_of(known), Mode.OFFBOARD, 12)
-    assert (found["type"], found["autopilot"], found["mavlink_version"]) == (2, 12, 3)
-    assert found["custom_mode"] == 6 << 16
-    assert (found["system_status"], found["base_mode"]) == (status, base)
-
-
 # Bit 1024: GPS glitch. GPS is sensor 0x20 of SYS_STATUS.
 @pytest.mark.parametrize(
     ("state", "flags", "has_gps"),
@@ -475,6 +455,31 @@ def test_what_comes_seldom_comes_soon_when_who_wanted_that_has_gone() -> None:
     assert counted(one, NEIGHBOUR, begin=10.0)["SYS_STATUS", PEER_HERE[1]] == pytest.approx(
         20, abs=1
     )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_is_due_before_the_time_that_says_so(seed: int) -> None:
+    """Rates that are asked in each step, and the same asked only when they say so."""
+    chance = random.Random(seed)
+    always, due = rates(), rates()
+    audience: dict[tuple[str, int], tuple[Peer, ...]] = {}
+    skipped, now = 0, 0.0
+    for step in range(1000):
+        now += chance.choice((0.02, 0.02, 0.05))
+        if chance.random() < 0.02:
+            name, hz = chance.choice(list(STREAMS)), chance.choice((0.0, 0.3, 7.0, 50.0, None))
+            always.set_hz(name, hz, FIRST)
+            due.set_hz(name, hz, FIRST)
+        if chance.random() < 0.01:
+            audience = dict.fromkeys(chance.sample((PEER_HERE, THERE), chance.randrange(3)), ())
+            audience |= {one: (FIRST,) for one in audience if one == PEER_HERE}
+        expected = list(always.due(now, audience))
+        if now >= due.due_at or audience != due.audience:
+            assert list(due.due(now, audience)) == expected, (seed, step)
+        else:
+            skipped += 1
+            assert expected == [], (seed, step)
+    assert skipped > 100, "that is what it is for"
 
 
 def test_a_group_is_what_older_programs_ask_for() -> None:

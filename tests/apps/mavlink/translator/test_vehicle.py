@@ -9,10 +9,10 @@ import anyio
 import pytest
 
 from m100link.apps.mavlink.translator.codec import LAYOUTS
-from m100link.apps.mavlink.translator.modes import MODES, Mode
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
 from m100link.apps.mavlink.translator.parameters import PARAMETERS
 from m100link.apps.mavlink.translator.telemetry import STREAMS
+from m100link.apps.mavlink.translator.vehicle_state import MODES, Mode
 from m100link.protocol.records import FlightPhase, RcMode
 from tests.apps.mavlink.conftest import Ground, Rig
 
