@@ -8,12 +8,10 @@ import select
 import selectors
 import signal
 import threading
-from asyncio import _get_running_loop  # the other one raises where none runs
 from typing import Protocol
 from weakref import WeakSet
 
 from m100link.errors import LinkClosed
-from m100link.errors.usage import of_another_loop
 
 GUARDIAN_NAME = "m100link-guard"
 """Process name of the guardian, which ends the flight of a program that cannot."""
@@ -39,21 +37,6 @@ def descriptor_of(transport: asyncio.BaseTransport | None) -> int | None:
             number = line.fileno()
             return number if isinstance(number, int) and number >= 0 else None
     return None
-
-
-# -- whose event loop a connection is: another one, or a thread, would break it for its owner ------
-
-
-def require_loop(own: asyncio.AbstractEventLoop, name: str = "aircraft.link.loop") -> None:
-    """Refuse a call when another event loop runs here, or its own elsewhere or nowhere.
-
-    ``own``: the event loop in which the connection was made. Raises ``UsageError``: it is another
-    one.
-    """
-    here = _get_running_loop()
-    # Between two runs of its loop, as at a prompt, none runs here.
-    if here is not own and (here or own.is_running() or own.is_closed()):
-        raise of_another_loop(name)
 
 
 # -- detach a forked child from the line and the event loop of its parent --------------------------

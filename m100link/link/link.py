@@ -15,7 +15,8 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, cast
 
 from m100link.errors import AckTimeout, LinkClosed, LinkError, LinkLost
-from m100link.link.gate import WriteGate, descriptor_of, lose_at_fork, lose_line, require_loop
+from m100link.errors.usage import of_another_loop
+from m100link.link.gate import WriteGate, descriptor_of, lose_at_fork, lose_line
 from m100link.link.statistics import (
     LinkStatistics,
     RoundTrips,
@@ -49,6 +50,18 @@ _LEVEL_S = 0.1  # between two looks at the level of the log
 
 def ignore(*_: object) -> None:
     """The default of the callbacks."""
+
+
+def require_loop(own: asyncio.AbstractEventLoop, name: str = "aircraft.link.loop") -> None:
+    """Refuse a call when another event loop runs here, or its own elsewhere or nowhere.
+
+    ``own``: the event loop in which the connection was made. Raises ``UsageError``: it is another
+    one.
+    """
+    here = _get_running_loop()
+    # Between two runs of its loop, as at a prompt, none runs here.
+    if here is not own and (here or own.is_running() or own.is_closed()):
+        raise of_another_loop(name)
 
 
 class Link(asyncio.Protocol):

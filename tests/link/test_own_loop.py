@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from m100link import UsageError
-from m100link.link.gate import require_loop
+from m100link.link.link import require_loop
 
 
 def test_a_loop_is_its_own_while_it_runs_and_between_two_runs() -> None:

@@ -46,7 +46,7 @@ from m100link.apps.agent.orders import SETPOINT_LIFETIME
 from m100link.apps.agent.transports import Channel
 from m100link.apps.agent.view import MOMENT_S, VehicleView
 from m100link.errors import AuthorityLost, BadPlan, LayoutMismatch, M100Error
-from m100link.link.gate import require_loop
+from m100link.link.link import require_loop
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.firmware import PROFILES
