@@ -229,7 +229,7 @@ class AgentClient:
         if state.connection != "connected":
             self.telemetry = self.link = None
         elif self.telemetry is None:
-            self.telemetry = AircraftState(lambda: self.state.flight_time(self.now))
+            self.telemetry = AircraftState(lambda: self.view.now)
 
     def _on_telemetry(self, message: Telemetry) -> None:
         try:

@@ -148,10 +148,6 @@ class State:
     limits: GuardLimits = GuardLimits()  #: the limits of the guards
     replay: Replay | None = None  #: where the replay is; None for an aircraft, real or virtual
 
-    def flight_time(self, now: float) -> float:
-        """The time of telemetry, which a replay has of its own, at the agent's time ``now``, s."""
-        return now if self.replay is None else self.replay.time(now - self.at)
-
 
 @dataclass(frozen=True, slots=True)
 class LinkCounted:

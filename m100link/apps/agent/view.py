@@ -61,7 +61,8 @@ class VehicleView:
 
     def __post_init__(self) -> None:
         say, state = partial(object.__setattr__, self), self.state
-        now, telemetry = state.flight_time(self.at), self.telemetry
+        replay, telemetry = state.replay, self.telemetry
+        now = self.at if replay is None else replay.time(self.at - state.at)
         # A time that is none, and one that is to come, is no word of anybody.
         is_there = not self.is_gone and abs(self.at - self.heard_at) <= MAX_SILENCE
         is_connected = is_there and state.connection == "connected"

@@ -128,7 +128,7 @@ def inputs_of(client: AgentClient) -> Inputs:
     return Inputs(
         vehicle=seen(
             client.telemetry,
-            client.state.flight_time(client.now),
+            client.view.now,
             state=client.state,
             holder=client.holder,
         ),
