@@ -19,8 +19,8 @@ from m100link.flight.loops import ClosedLoops
 from m100link.flight.missions.context import MissionContext
 from m100link.flight.missions.mission_guard import MissionGuard
 from m100link.flight.missions.missions import Missions
-from m100link.flight.pacing import MAX_RATE_HZ, Pace, Tick, Ticker, period_of
-from m100link.flight.setpoints import SETPOINT_LIFETIME, Hold
+from m100link.flight.pacing import MAX_RATE_HZ, Tick, Ticker, period_of
+from m100link.flight.setpoints import SETPOINT_LIFETIME, Hold, Pace
 from m100link.flight.stop_path import StopAction
 from m100link.flight.tasks import Commander, Motors, TaskListener, run_task, task_name
 from m100link.geodesy import LocalFrame

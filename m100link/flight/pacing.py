@@ -9,7 +9,6 @@ import os
 import sys
 import time
 import weakref
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Self
@@ -82,66 +81,6 @@ class Ticker:
         else:  # a consumer that is always late must not starve the others
             await asyncio.sleep(0)
         return Tick(index, index * self.period, missed, max(0.0, loop.time() - deadline))
-
-
-KEPT = 0.9  # share of the frames of a second that have to go out: below it the rate is not kept
-
-_WINDOW_S = 1.0
-
-
-class Pace:
-    """Measures whether setpoints go out at the requested rate.
-
-    A computer that does not keep up flies by fewer setpoints, and nothing else would show it.
-
-    Args:
-        on_missed: Called with how many frames were missed, after the frame behind them.
-        on_slow: Called once when the rate is not kept, after the frame that shows it.
-
-    Attributes:
-        missed: Frames that did not go out in their time, in all.
-        rate_hz: Frames a second, of the newest second in which something was sent; None before it.
-        is_kept: Whether at least 0.9 of those that were asked for went out in that second.
-    """
-
-    def __init__(self, on_missed: Callable[[int], None], on_slow: Callable[[], None]) -> None:
-        self._on_missed, self._on_slow = on_missed, on_slow
-        self.missed = 0
-        self.rate_hz: float | None = None
-        self.is_kept = True
-        self._last: float | None = None  # time of the frame before, None after silence
-        self._period = 0.0  # at which the next frame was to follow it
-        self._elapsed = self._asked = 0.0
-        self._frames = 0
-
-    def sent(self, now: float, period: float) -> None:
-        """A frame went out, and another one is to follow within a period."""
-        last, expected = self._last, max(self._period, period)
-        self._last, self._period = now, period
-        if last is None:
-            return
-        periods = (now - last) / expected
-        missed = round(periods) - 1
-        if missed > 0:
-            self.missed += missed
-            self._on_missed(missed)
-        self._elapsed += now - last
-        self._asked += periods
-        self._frames += 1
-        if self._elapsed >= _WINDOW_S:
-            self._judge()
-
-    def _judge(self) -> None:
-        was_kept, self.is_kept = self.is_kept, self._frames >= KEPT * self._asked
-        self.rate_hz = self._frames / self._elapsed
-        self._elapsed = self._asked = 0.0
-        self._frames = 0
-        if was_kept and not self.is_kept:
-            self._on_slow()
-
-    def silence(self) -> None:
-        """Nothing follows until the next frame."""
-        self._last = None
 
 
 @cache  # asked for each setpoint

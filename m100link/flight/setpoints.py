@@ -1,4 +1,4 @@
-"""The one task that sends setpoints."""
+"""The one task that sends setpoints, and whether it keeps their rate."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from m100link.errors import UsageError
 from m100link.flight.cancellation import new_task
-from m100link.flight.pacing import INSTANT, KEPT, MAX_RATE_HZ, DeadlineTimer, Pace
+from m100link.flight.pacing import INSTANT, MAX_RATE_HZ, DeadlineTimer
 from m100link.protocol.setpoint import Setpoint
 
 _logger = logging.getLogger(__name__)
@@ -27,6 +27,9 @@ _PERIOD = 1.0 / MAX_RATE_HZ  # shortest time between two frames, on average
 # By how much a program that ticks itself may be early or late on our grid, s: without it every
 # frame would carry the value of the tick before.
 _SLACK = 0.1 * _PERIOD
+
+KEPT = 0.9  # share of the frames of a second that have to go out: below it the rate is not kept
+_WINDOW_S = 1.0  # in which that share is measured
 
 
 def check_lifetime(lifetime: float, *, is_long_allowed: bool) -> None:
@@ -53,6 +56,61 @@ class Hold:
             NoAuthority, GuardRefused, BadSetpoint: See :meth:`Control.send`.
         """
         self._send(setpoint)
+
+
+class Pace:
+    """Measures whether setpoints go out at the requested rate.
+
+    A computer that does not keep up flies by fewer setpoints, and nothing else would show it.
+
+    Args:
+        on_missed: Called with how many frames were missed, after the frame behind them.
+        on_slow: Called once when the rate is not kept, after the frame that shows it.
+
+    Attributes:
+        missed: Frames that did not go out in their time, in all.
+        rate_hz: Frames a second, of the newest second in which something was sent; None before it.
+        is_kept: Whether at least 0.9 of those that were asked for went out in that second.
+    """
+
+    def __init__(self, on_missed: Callable[[int], None], on_slow: Callable[[], None]) -> None:
+        self._on_missed, self._on_slow = on_missed, on_slow
+        self.missed = 0
+        self.rate_hz: float | None = None
+        self.is_kept = True
+        self._last: float | None = None  # time of the frame before, None after silence
+        self._period = 0.0  # at which the next frame was to follow it
+        self._elapsed = self._asked = 0.0
+        self._frames = 0
+
+    def sent(self, now: float, period: float) -> None:
+        """A frame went out, and another one is to follow within a period."""
+        last, expected = self._last, max(self._period, period)
+        self._last, self._period = now, period
+        if last is None:
+            return
+        periods = (now - last) / expected
+        missed = round(periods) - 1
+        if missed > 0:
+            self.missed += missed
+            self._on_missed(missed)
+        self._elapsed += now - last
+        self._asked += periods
+        self._frames += 1
+        if self._elapsed >= _WINDOW_S:
+            self._judge()
+
+    def _judge(self) -> None:
+        was_kept, self.is_kept = self.is_kept, self._frames >= KEPT * self._asked
+        self.rate_hz = self._frames / self._elapsed
+        self._elapsed = self._asked = 0.0
+        self._frames = 0
+        if was_kept and not self.is_kept:
+            self._on_slow()
+
+    def silence(self) -> None:
+        """Nothing follows until the next frame."""
+        self._last = None
 
 
 class SetpointLoop:

@@ -16,8 +16,8 @@ from m100link.flight.guidance import Arrival, Progress
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.hotpoint import CircleHeading, CircleStart, Target
 from m100link.flight.missions.waypoint import UploadListener
-from m100link.flight.pacing import MAX_RATE_HZ, Pace, Tick
-from m100link.flight.setpoints import SETPOINT_LIFETIME
+from m100link.flight.pacing import MAX_RATE_HZ, Tick
+from m100link.flight.setpoints import SETPOINT_LIFETIME, Pace
 from m100link.flight.tasks import TaskListener
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import WaypointPlan
