@@ -385,6 +385,7 @@ class SetpointSender:
         self._authority = commander.authority
         self._guards = guards  # asked before each frame
         self._missions = missions  # while one flies, nothing else steers
+        self._pushes = commander.missions
         # Flown by the autopilot, which ignores setpoints meanwhile; None: none is.
         self.running_task: Task | None = None
         self._refused: GuardRefused | None = None  # why the newest setpoint was ended
@@ -432,7 +433,8 @@ class SetpointSender:
                 cause="the aircraft ignores movement during take-off, landing and go-home",
                 remedy="await the task first",
             )
-        self._missions.require_none(what)
+        if self._pushes.may_fly:
+            self._missions.require_none(what)
 
     @contextmanager
     def ends_neutral(self) -> Iterator[None]:

@@ -89,6 +89,8 @@ class MissionWatch:
         self._status: MissionStatus | None = None
         # From when to when pushes reported each kind, without a longer gap than one is believed.
         self._told: dict[MissionKind, tuple[float, float]] = {}
+        self._is_claimed = False  # by a block that entered a mission, whatever came of it
+        self.may_fly = False  # a mission, ours or another's: setpoints ask no more while none may
         # Until when pushes that name a mission which has ended are taken for late ones.
         self._echo: tuple[MissionKind, float] | None = None
 
@@ -119,6 +121,10 @@ class MissionWatch:
         ]
         return tuple(map(itemgetter(1), sorted(told, key=itemgetter(0))))
 
+    def claim(self) -> None:
+        """A control block enters a mission: pushes may tell of it later than it flies."""
+        self._is_claimed = self.may_fly = True
+
     def on_status(self, push: MissionStatus, now: float) -> None:
         """A status push came (0x02/0x03)."""
         # A kind that no source lists neither begins nor ends a mission here.
@@ -132,6 +138,8 @@ class MissionWatch:
             self._echo = None
         self.received_at, self._status, self._kind = now, push, kind
         self._told[kind] = now if (since := self.told_since(kind)) is None else since, now
+        told = [one for one in self._told if self.told_since(one) is not None]
+        self.may_fly = self._is_claimed or any(one.is_mission for one in told)
         if self.listener is not None:
             self.listener(push)
 

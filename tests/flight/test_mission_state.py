@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+
 import pytest
 
 from m100link import MissionKind
@@ -99,6 +101,32 @@ def test_what_is_pushed_behind_a_push_that_ended_a_mission_is_no_late_one() -> N
     found.on_status(told(MissionKind.WAYPOINT), time.now)
     assert found.state.is_running
     assert found.state.since == time.now
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_flies_by_the_pushes_may_fly_and_what_was_claimed_may_for_good(seed: int) -> None:
+    """Pushes, silence and ends by chance; the setpoints of a program ask that one value."""
+    chance = random.Random(seed)
+    found, time = watch()
+    assert not found.may_fly
+    seen = set()
+    for step in range(400):
+        kind = chance.choice([one for one in MissionKind if one is not MissionKind.UNKNOWN])
+        if chance.random() < 0.6:
+            kind = MissionKind.NONE
+        if chance.random() < 0.1:
+            found.ended(kind, is_echoing=chance.random() < 0.5)
+        else:
+            found.on_status(told(kind), time.now)
+        assert found.may_fly or not found.flying, (seed, step)
+        seen.add(found.may_fly)
+        time.now += chance.choice((0.0, 0.1, 0.1, 1.0, 4.0))
+        assert found.may_fly or not found.flying, (seed, step)
+    assert seen == {True, False}
+    found.claim()
+    time.now += 2 * BELIEVED_S
+    found.on_status(told(MissionKind.NONE), time.now)
+    assert found.may_fly, "nobody tells of it yet"
 
 
 def test_a_kind_that_nobody_knows_changes_nothing() -> None:

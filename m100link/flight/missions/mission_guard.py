@@ -69,6 +69,7 @@ class MissionGuard:
                 remedy="leave the block of that one first",
             )
         self._run = run
+        self._watch.claim()
 
     def give_back(self, run: MissionSession) -> None:
         """It could not be begun; one that may be flying all the same stays ours."""

@@ -412,7 +412,7 @@ async def test_a_setpoint_of_mavlink_is_a_few_calls() -> None:
     assert counted["AgentClient.steer"] == 1
     is_asked_once(counted, 190)
     # A reader follows it through these files, from the socket to the frame: they may only fall.
-    assert len(counted.files) <= 33, sorted(counted.files)
+    assert len(counted.files) <= 31, sorted(counted.files)
 
 
 @pytest.mark.anyio
