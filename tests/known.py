@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import Any, cast
 
 from m100link.apps.agent import orders
+from m100link.apps.agent.client import VehicleView
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import (
     VERSION,
@@ -28,7 +29,6 @@ from m100link.apps.agent.messages import (
 )
 from m100link.apps.agent.orders import LeaseOrder
 from m100link.apps.agent.transports import MemoryChannel
-from m100link.apps.agent.view import VehicleView
 from m100link.protocol.firmware import FIRMWARE_3_1, PROFILES
 from m100link.protocol.records import (
     Acceleration,

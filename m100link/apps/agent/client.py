@@ -1,4 +1,4 @@
-"""A front's end of an agent: the newest values, and the orders that it can give.
+"""A front's end of an agent: the newest values, the view of them, and the orders that it can give.
 
 Everything here is true as of the newest message. The agent decides again when an order arrives: it
 refuses one whose lease has ended meanwhile, or whose authority was lost.
@@ -10,7 +10,8 @@ import asyncio
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from enum import Enum
 from functools import partial
 from typing import Any, Self, TypeVar
 
@@ -44,23 +45,22 @@ from m100link.apps.agent.messages import (
 )
 from m100link.apps.agent.orders import SETPOINT_LIFETIME
 from m100link.apps.agent.transports import Channel
-from m100link.apps.agent.view import MOMENT_S, VehicleView
 from m100link.errors import AuthorityLost, BadPlan, LayoutMismatch, M100Error
 from m100link.link.link import require_loop
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.firmware import PROFILES
+from m100link.protocol.records import FlightPhase, FlightStatus, Position, RcMode, RemoteControl
 from m100link.protocol.setpoint import Setpoint
+from m100link.telemetry.integrity import GOOD_GPS, Integrity, IntegrityState
 from m100link.telemetry.sample import Sample
-from m100link.telemetry.state import AircraftState
+from m100link.telemetry.state import FRESH_S, STEER_S, AircraftState, is_possible
 from m100link.telemetry.subscription import Hub, Policy, Subscription
 
 # Messages that do not show that the agent runs: a network's channel makes the first three itself
 # when nothing arrives any more, and an agent sends events however old they are.
 _NO_SIGN = frozenset({OrderOutcome, SteerRefused, LeaseChanged, Event})
 _MAX_EVENTS = 200
-
-T = TypeVar("T")
 
 
 class AgentClient:

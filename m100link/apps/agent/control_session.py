@@ -19,11 +19,10 @@ from typing import Any
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.background import ignore
-from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.client import AgentClient, Hearing
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused, TakeOver
 from m100link.apps.agent.messages import Event, EventTopic, LeaseChanged, OrderOutcome
 from m100link.apps.agent.orders import SETPOINT_LIFETIME
-from m100link.apps.agent.view import Hearing
 from m100link.errors import (
     AuthorityLost,
     GuardRefused,

@@ -22,10 +22,9 @@ from typing import TypeVar
 
 import m100link
 from m100link.apps.agent import orders
-from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.client import AgentClient, Hearing
 from m100link.apps.agent.messages import Event, EventTopic, MessageError, Telemetry
 from m100link.apps.agent.orders import Age, Right
-from m100link.apps.agent.view import Hearing
 from m100link.apps.bus.network import Bus, Held, Question
 from m100link.apps.fleet.expiry import Dropped, OrderExpiry, SetpointStream, broken, require_young
 from m100link.apps.fleet.identity import Since, nobody

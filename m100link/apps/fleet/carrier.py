@@ -16,6 +16,7 @@ from dataclasses import replace
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.background import TaskSet
+from m100link.apps.agent.client import MAX_SILENCE
 from m100link.apps.agent.lease import (
     LEASE_LIFETIME,
     TAKE_OVER_LIFETIME,
@@ -44,7 +45,6 @@ from m100link.apps.agent.messages import (
     agent_gone,
 )
 from m100link.apps.agent.orders import Right
-from m100link.apps.agent.view import MAX_SILENCE
 from m100link.apps.bus.network import Held
 from m100link.apps.fleet.asking import Asker
 from m100link.apps.fleet.payloads import OrderReply, pack_steer, unpack_message

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, TypeVar
 
-from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.client import AgentClient, Hearing, VehicleView
 from m100link.apps.agent.messages import Event, MissionReport
-from m100link.apps.agent.view import Hearing, VehicleView
 from m100link.apps.ros2.endpoints import PublishedTopic
 from m100link.apps.ros2.graph import Names
 from m100link.apps.ros2.topics import DJI_OUTPUTS, OUTPUTS, dji_makers

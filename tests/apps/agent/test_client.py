@@ -13,7 +13,7 @@ import anyio
 import pytest
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.client import AgentClient, OwnLoop, PendingRequests
+from m100link.apps.agent.client import AgentClient, Hearing, OwnLoop, PendingRequests
 from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused
 from m100link.apps.agent.messages import (
@@ -33,7 +33,6 @@ from m100link.apps.agent.orders import ChangeHeight
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import MemoryChannel, memory_channels
-from m100link.apps.agent.view import Hearing
 from m100link.errors import (
     GuardRefused,
     LinkError,

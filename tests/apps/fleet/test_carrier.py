@@ -9,11 +9,10 @@ import anyio
 import pytest
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.client import AgentClient, Hearing
 from m100link.apps.agent.lease import Lease, LeaseHeld
 from m100link.apps.agent.messages import EventTopic, LeaseChanged, State
 from m100link.apps.agent.orders import FlyTo
-from m100link.apps.agent.view import Hearing
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.payloads import pack

@@ -9,7 +9,7 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent import view
+from m100link.apps.agent import client as view
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult, MissionType
 from m100link.apps.mavlink.translator.vehicle_state import Mode
 from m100link.sim.line import LineFaults

@@ -16,8 +16,7 @@ from itertools import pairwise
 from operator import attrgetter
 from typing import Any
 
-from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.view import Hearing, VehicleView
+from m100link.apps.agent.client import AgentClient, Hearing, VehicleView
 from m100link.apps.station.console.view.fly import FREE_FOR_S
 from m100link.protocol.items import ITEMS
 from m100link.protocol.records import FlightPhase

@@ -12,9 +12,8 @@ from urllib.parse import urlencode
 from starlette.status import WS_1008_POLICY_VIOLATION
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.client import AgentClient, Hearing
 from m100link.apps.agent.control_session import RENEWAL_S, ControlSession
-from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.kept import Preferences
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.view.fly import live, seen_from_afar

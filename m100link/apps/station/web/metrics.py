@@ -26,9 +26,8 @@ from starlette.applications import Starlette
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route
 
-from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.client import AgentClient, Hearing
 from m100link.apps.agent.messages import LinkCounted
-from m100link.apps.agent.view import Hearing
 from m100link.apps.station.listeners import Fronts
 from m100link.apps.station.ros.client import Client
 from m100link.apps.station.web.access_control import AccessControl

@@ -10,7 +10,7 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.agent.view import VehicleView
+from m100link.apps.agent.client import VehicleView
 from m100link.apps.mavlink.translator.codec import MavlinkMessage
 from m100link.apps.mavlink.translator.missions import read_fence
 from m100link.apps.mavlink.translator.numbers import (

@@ -14,8 +14,8 @@ from typing import Any
 import anyio
 import pytest
 
+from m100link.apps.agent.client import VehicleView
 from m100link.apps.agent.messages import LeaseChanged, State
-from m100link.apps.agent.view import VehicleView
 from m100link.apps.mavlink.translator.codec import (
     LAYOUTS,
     MOST_PEERS,

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 
+from m100link.apps.agent.client import Hearing
 from m100link.apps.agent.lease import Flown, LeaseChange
-from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.situation import AlarmLevel, Situation
 from m100link.apps.station.console.view.texts import Quantity, Text, tr
 from m100link.errors import LossReason

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from m100link.apps.agent.client import VehicleView
 from m100link.apps.agent.latency import MAX_ROUND_TRIP
-from m100link.apps.agent.view import VehicleView
 from m100link.apps.station.console.view.situation import Inputs, Situation
 from m100link.apps.station.console.view.texts import Quantity, Text, tr
 from m100link.protocol.records import (

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
+from m100link.apps.agent.client import Hearing
 from m100link.apps.agent.messages import Replay
-from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.situation import AlarmLevel, Inputs, Ship, Situation
 from m100link.apps.station.console.view.texts import Quantity, QuantityKind, Text, problem_text, tr
 from m100link.missions.plan import WaypointPlan

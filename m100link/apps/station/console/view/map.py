@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from m100link.apps.agent import orders
+from m100link.apps.agent.client import Hearing
 from m100link.apps.agent.orders import GuidedOrder
 from m100link.apps.agent.preview import Preview
-from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.situation import Inputs
 from m100link.apps.station.console.view.texts import Quantity, QuantityKind, Text, reason_text, tr
 from m100link.errors import GuardRefused, LinkError, M100Error, TelemetryStalled, UsageError

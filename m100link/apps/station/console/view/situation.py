@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import Enum
 
+from m100link.apps.agent.client import Hearing, VehicleView
 from m100link.apps.agent.messages import Event, EventTopic, GuardLimits, LeaseChanged, LinkCounted
-from m100link.apps.agent.view import Hearing, VehicleView
 from m100link.errors import LossReason, M100Error
 from m100link.geodesy import distance_m
 from m100link.missions.plan import WaypointPlan

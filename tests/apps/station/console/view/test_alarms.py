@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from m100link.apps.agent.client import Hearing
 from m100link.apps.agent.lease import Flown, LeaseChange
 from m100link.apps.agent.messages import GuardLimits, LeaseChanged
-from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.alarms import (
     ALARMS,
     TRANSITIONS,

@@ -8,9 +8,9 @@ from typing import Any
 import anyio
 import pytest
 
+from m100link.apps.agent.client import Hearing
 from m100link.apps.agent.messages import GuardLimits, LeaseChanged, State
 from m100link.apps.agent.orders import GuidedFlight
-from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.fly import (
     ACTIONS,
     ENOUGH_BATTERY,

@@ -13,8 +13,8 @@ import anyio
 import pytest
 
 from m100link.apps.agent import orders
+from m100link.apps.agent.client import Hearing
 from m100link.apps.agent.messages import LeaseChanged, RemoteError, Replay, State
-from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.header import (
     RULES,
     Cause,

@@ -7,8 +7,8 @@ from dataclasses import replace
 import anyio
 import pytest
 
+from m100link.apps.agent.client import Hearing
 from m100link.apps.agent.messages import Event, EventTopic, GuardLimits, LeaseChanged, State
-from m100link.apps.agent.view import Hearing
 from m100link.apps.station.console.view.situation import (
     Inputs,
     Situation,
