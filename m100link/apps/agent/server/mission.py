@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
 from m100link.apps.agent.background import TaskSet
@@ -112,12 +113,20 @@ class ActiveMission:
         self._what, self._is_cut_off = what, False
         self._ended_because, self._is_landing = "", False
         self.watch = self._background.spawn(self._fly(flight, what, begun, over), "mission")
+        self.watch.add_done_callback(partial(self._ended_unbegun, begun))
         try:
             await asyncio.shield(begun)
         except asyncio.CancelledError:
             self.end("nobody waits for it")
             raise
         return over
+
+    def _ended_unbegun(self, begun: asyncio.Future[None], watch: asyncio.Task[None]) -> None:
+        """One that was ended in the turn of the loop in which it was asked for never ran."""
+        if self.watch is watch:
+            self.watch = None
+            if not begun.done():
+                begun.set_exception(NotObserved("the mission was stopped before it began"))
 
     async def _fly(
         self,

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import pytest
 
 from m100link.apps.agent.server.mission import push_of
+from m100link.errors import NotObserved
 from m100link.flight.missions.events import (
     ActionsDone,
     Finished,
@@ -17,6 +20,7 @@ from m100link.flight.missions.events import (
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
+from m100link.protocol.setpoint import Setpoint
 from tests.apps.agent.conftest import Rig, airborne, mission
 
 
@@ -54,3 +58,21 @@ async def test_what_a_mission_reaches_is_told_to_people() -> None:
             "waypoint 1 reached",
             "the mission of 2 waypoints is over",
         ]
+
+
+@pytest.mark.anyio
+async def test_a_hover_in_the_turn_of_the_loop_in_which_a_mission_is_asked_for_ends_it() -> None:
+    async with Rig(firmware="3.1").running() as rig:
+        await airborne(rig)
+        state = rig.agent.connection.require_aircraft().state.position
+        assert state is not None
+        frame = LocalFrame(state.latitude_deg, state.longitude_deg)
+        places = [Waypoint(*frame.to_geodetic(north, 0.0), height=6) for north in (5.0, 10.0)]
+        plan = WaypointPlan(places, speed=5)
+        flying = rig.holding.require()
+        asked = asyncio.create_task(flying.start_mission(plan, take_off=False))
+        asyncio.get_running_loop().call_soon(flying.halt, "hover")
+        with pytest.raises(NotObserved, match="stopped before it began"):
+            await asyncio.wait_for(asked, 5.0)
+        assert not flying.mission.is_flying
+        flying.steer(Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0))
