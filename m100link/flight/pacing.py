@@ -9,6 +9,7 @@ import os
 import sys
 import time
 import weakref
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from typing import Self
@@ -125,7 +126,7 @@ class DeadlineTimer:
 
     The event loop rounds its time-outs up to whole milliseconds. Where the system has timerfd
     (Linux), it is used instead, a :class:`Lead` before the deadline; on event loops with a clock of
-    their own (virtual or scaled time, uvloop), and elsewhere, ``call_at`` does it.
+    their own (virtual or scaled time, uvloop), and elsewhere, ``asyncio.sleep`` does it.
     """
 
     def __init__(self) -> None:
@@ -147,13 +148,10 @@ class DeadlineTimer:
         if self._fd >= 0:
             await self._sleep_by_timer(deadline)
             return
-        while deadline - self._loop.time() > INSTANT:
-            self._waiter = self._loop.create_future()
-            handle = self._loop.call_at(deadline, self._wake)
-            try:
-                await self._waiter
-            finally:
-                handle.cancel()
+        left = deadline - self._loop.time()
+        while left > INSTANT:  # a timer may come a moment early
+            await asyncio.sleep(left)
+            left = deadline - self._loop.time()
 
     async def _sleep_by_timer(self, deadline: float) -> None:
         clock, lead = self._loop.time, self._lead
@@ -168,15 +166,12 @@ class DeadlineTimer:
             left = deadline - clock()
 
     def _on_alarm(self) -> None:
-        try:
-            os.read(self._fd, 8)
-        except BlockingIOError:
-            return  # re-armed before it was read
-        self._wake()
-
-    def _wake(self) -> None:
+        # First: where that fails for want of memory, the loop calls again, because nothing was
+        # read. A task that sleeps on sends no neutral.
         if self._waiter is not None and not self._waiter.done():
             self._waiter.set_result(None)
+        with suppress(BlockingIOError):  # it was set again before it was read
+            os.read(self._fd, 8)
 
     def close(self) -> None:
         """Give the timer back. May be called any number of times."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import inspect
 import math
 import os
 import random
@@ -12,6 +13,7 @@ import sys
 import time
 from itertools import islice, pairwise
 from pathlib import Path
+from types import FrameType
 
 import pytest
 
@@ -300,6 +302,33 @@ class TestOnTheRealClock:
             for end in ends:
                 os.close(end)
 
+    @pytest.mark.parametrize("number", range(3))
+    async def test_a_call_that_finds_no_memory_leaves_nobody_asleep(self, number: int) -> None:
+        """Between the alarm and the task that it wakes; setpoints would end without a neutral."""
+        loop, left, before = asyncio.get_running_loop(), number, sys.gettrace()
+        loop.set_exception_handler(lambda *_: None)
+
+        def trace(frame: FrameType, event: str, _: object) -> None:
+            nonlocal left
+            code = frame.f_code
+            is_call = event == "call" and not code.co_flags & inspect.CO_COROUTINE
+            if is_call and code.co_filename.endswith("flight/pacing.py"):
+                left -= 1
+                if left < 0:
+                    sys.settrace(before)
+                    raise MemoryError(code.co_name)
+
+        with DeadlineTimer() as alarm:
+            task = asyncio.create_task(alarm.sleep_until(loop.time() + 0.02))
+            await asyncio.sleep(0)
+            sys.settrace(trace)
+            try:
+                await asyncio.wait([task], timeout=PATIENCE)
+            finally:
+                sys.settrace(before)
+            assert task.done()
+            assert isinstance(task.exception(), MemoryError | None)
+
     async def test_a_blocking_stall_gives_no_burst(self) -> None:
         loop = asyncio.get_running_loop()
         times = []
@@ -321,16 +350,16 @@ async def test_who_is_woken_beside_another_timer_does_not_sleep_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """An event loop takes a nanosecond for none; loops of one grid fall into it all the time."""
-    loop, woken = virtual_loop(), list[float]()
-    wake = DeadlineTimer._wake
+    loop, slept, sleep = virtual_loop(), list[float](), asyncio.sleep
 
-    def counted(self: DeadlineTimer) -> None:
-        woken.append(loop.time())
-        wake(self)
+    async def counted(seconds: float) -> None:
+        slept.append(seconds)
+        await sleep(seconds)
 
-    monkeypatch.setattr(DeadlineTimer, "_wake", counted)
+    monkeypatch.setattr(asyncio, "sleep", counted)
     first = loop.time() + 0.3
-    loop.call_at(first, woken.clear)
+    loop.call_at(first, slept.clear)
     with DeadlineTimer() as alarm:
         await alarm.sleep_until(math.nextafter(first, math.inf))
-    assert woken == [first]
+    assert slept == []
+    assert loop.time() >= first
