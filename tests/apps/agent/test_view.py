@@ -27,8 +27,8 @@ from m100link.apps.agent.transports import memory_channels
 from m100link.apps.fleet.signing import signing, verifying
 from m100link.apps.mavlink.translator.codec import MavlinkMessage, write_frame
 from m100link.apps.mavlink.translator.numbers import MavCommand
-from m100link.link.transport import MemoryTransport
 from m100link.apps.mavlink.translator.vehicle_state import MODES, Mode
+from m100link.link.transport import MemoryTransport
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
     Attitude,

@@ -104,7 +104,8 @@ class ActiveFlight:
     def steer(self, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
         """Fly this setpoint until it is renewed or its lifetime ends. Ends a program."""
         # Letting go of a stick is not steering: a neutral setpoint leaves a program alone.
-        if self._pattern is not None or self.guiding.order is not None or self.mission.is_flying:
+        is_flown = self._pattern is not None or self.guiding.order is not None
+        if is_flown or self.mission.watch is not None:
             if setpoint == setpoint.neutral():
                 return
             self.mission.require_none("a setpoint")  # which the aircraft would ignore

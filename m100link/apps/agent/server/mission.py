@@ -215,7 +215,7 @@ class ActiveMission:
     def cut_off(self) -> str:
         """Control was lost, and the mission with it; returns its name, empty for none."""
         # The reason of the loss comes a moment later, from the aircraft: the caller reports it.
-        if self._watch is None or self._flight is None:  # it has not begun: its start fails
+        if self.watch is None or self._flight is None:  # it has not begun: its start fails
             self.end("control ended")
             return ""
         self._is_cut_off = True

@@ -64,7 +64,7 @@ class AgentServer:
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
         self._fronts: set[ClientSession] = set()
-        self._told: tuple[object, ...] = ()  # of the state, when it was sent last
+        self._told: tuple[Any, ...] = ()  # of the state, when it was sent last
         agent.connection.on_sample.append(self._sample)
         agent.connection.on_aircraft.append(self._aircraft_changed)
         agent.journal.on_event.append(self._event)
