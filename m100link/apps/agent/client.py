@@ -487,21 +487,24 @@ class AgentClient:
             raise not_in_force(self.holder.name if self.holder.number else None)
         return lease
 
-    async def acquire(self, name: str) -> Lease:
-        """As :meth:`~m100link.apps.agent.lease.LeaseManager.acquire`. Raises LinkError, too."""
-        return given((await self.ask(orders.AcquireLease(name))).lease)
+    async def acquire(self, name: str, asked_at: float | None = None) -> Lease:
+        """As :meth:`~m100link.apps.agent.lease.LeaseManager.acquire`. Raises LinkError, too.
+
+        ``asked_at``: as in :meth:`ask`.
+        """
+        return given((await self.ask(orders.AcquireLease(name), asked_at=asked_at)).lease)
 
     async def release_lease(self, token: str) -> None:
         """As ``LeaseManager.release``: motion stops, and authority goes back."""
         await self.ask(orders.ReleaseLease(token))
 
-    async def ask_take_over(self, name: str) -> TakeOver:
+    async def ask_take_over(self, name: str, asked_at: float | None = None) -> TakeOver:
         """As in LeaseManager: the client that would lose control."""
-        return given((await self.ask(orders.AskTakeOver(name))).offer)
+        return given((await self.ask(orders.AskTakeOver(name), asked_at=asked_at)).offer)
 
-    async def confirm(self, token: str) -> Lease:
+    async def confirm(self, token: str, asked_at: float | None = None) -> Lease:
         """As in LeaseManager: take the lease from the client that the first step named."""
-        return given((await self.ask(orders.ConfirmTakeOver(token))).lease)
+        return given((await self.ask(orders.ConfirmTakeOver(token), asked_at=asked_at)).lease)
 
     def keep(self, lease: Lease) -> None:
         """Renew a lease without waiting for the answer."""

@@ -41,8 +41,8 @@ _DUE_S = 0.45  # a timer of 0.5 s that wakes a moment early is not to wait for a
 _TAKE_OVERS = 3
 """Attempts to take a lease over that changes hands meanwhile."""
 
-Grant = Callable[[], Coroutine[Any, Any, Lease]]
-"""Asks the agent for a lease."""
+Grant = Callable[[float], Coroutine[Any, Any, Lease]]
+"""Asks the agent for a lease that was wanted at that time, s: a STOP since then overtakes it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,12 +270,12 @@ class ControlSession:
     # -- control is taken ------------------------------------------------------------------------
 
     @asynccontextmanager
-    async def _request(self) -> AsyncIterator[tuple[float, float]]:
+    async def _request(self, at: float | None = None) -> AsyncIterator[tuple[float, float]]:
         """One request at a time; a request that waits for another ends by :meth:`let_go`, too.
 
         Yields when it was made, and when the newest STOP before it was.
         """
-        began, made_at = self._let_gos, (self._agent.now, self.stopped_at)
+        began, made_at = self._let_gos, (at or self._agent.now, self.stopped_at)
         async with self._changing:
             if began != self._let_gos or not self._heard:
                 raise self._not_wanted()
@@ -291,9 +291,9 @@ class ControlSession:
             NoAuthority: It was let go before it came.
             LinkError: The agent has gone.
         """
-        async with self._request():
+        async with self._request() as (asked_at, _):
             held = None if grant is not None else self.lease
-            return held or await self._take(grant or partial(self._granted, take_over))
+            return held or await self._take(grant or partial(self._granted, take_over), asked_at)
 
     async def _take(self, grant: Grant) -> Lease:
         # Counted, because it may be let go while the agent is asked: then a late lease goes back.
@@ -319,15 +319,17 @@ class ControlSession:
         self.adopt(lease)
         return lease
 
-    async def _granted(self, take_over: bool) -> Lease:
+    async def _granted(self, take_over: bool, asked_at: float) -> Lease:
+        agent = self._agent
         for left in reversed(range(_TAKE_OVERS)):
             try:
-                return await self._agent.acquire(self.name)
+                return await agent.acquire(self.name, asked_at)
             except LeaseHeld:
                 if not take_over:
                     raise
             try:
-                return await self._agent.confirm((await self._agent.ask_take_over(self.name)).token)
+                offer = await agent.ask_take_over(self.name, asked_at)
+                return await agent.confirm(offer.token, asked_at)
             except (LeaseRefused, StaleLease):  # it ended, or went to another one, meanwhile
                 if not left:
                     raise
@@ -338,23 +340,26 @@ class ControlSession:
             self._number = asking.result().number
             self._agent.let_go(asking.result())
 
-    async def obtain(self, *, take_over: bool = False) -> None:
+    async def obtain(self, *, take_over: bool = False, asked_at: float | None = None) -> None:
         """Take the lease and control authority; a STOP is over. A failure gives the lease back.
+
+        ``asked_at``: when it was wanted, s, if not now: a STOP since then overtakes it.
 
         Raises:
             LeaseHeld: Somebody else has the lease.
             NoAuthority: Control was let go before it was obtained.
             M100Error: As :meth:`m100link.apps.agent.client.AgentClient.ask`.
         """
-        async with self._request() as made_at:
-            lease = self.lease or await self._take(partial(self._granted, take_over))
+        async with self._request(asked_at) as made_at:
+            grant = partial(self._granted, take_over)
+            lease = self.lease or await self._take(grant, made_at[0])
             await self._obtain(lease, *made_at)
 
     async def _obtain(self, lease: Lease, asked_at: float, stopped_at: float) -> None:
         try:
             if self._terms.activates and not self._agent.state.is_activated:
                 self.feed(_I.ACTIVATE)
-                await self._agent.ask(orders.Activate(), lease)
+                await self._agent.ask(orders.Activate(), lease, asked_at=asked_at)
                 self._require(lease)
             # A STOP between two steps of one request must not be undone by its last step.
             if stopped_at != self.stopped_at:
@@ -395,7 +400,7 @@ class ControlSession:
             M100Error: As :meth:`obtain`.
         """
         async with self._request() as made_at:
-            lease = await self._take(partial(self._agent.confirm, wanted.token))
+            lease = await self._take(partial(self._agent.confirm, wanted.token), made_at[0])
             await self._obtain(lease, *made_at)
 
     def adopt(self, lease: Lease) -> None:

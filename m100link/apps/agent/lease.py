@@ -233,6 +233,10 @@ class LeaseManager:
         self._take_overs = [*self._take_overs[-_MAX_TAKE_OVERS + 1 :], wanted]
         return wanted
 
+    def void_take_overs(self) -> None:
+        """Let nobody confirm a take-over that was asked for until now."""
+        self._take_overs.clear()
+
     def confirm(self, token: str, now: float) -> Lease:
         """Second step: take the lease from the client that the first step named.
 
@@ -251,7 +255,8 @@ class LeaseManager:
         if wanted is None or now >= wanted.expires_at or number != wanted.number:
             raise LeaseRefused(
                 "there is nothing to confirm",
-                cause="the request is too old, was used, or control changed hands meanwhile",
+                cause="the request is too old, was used, or control changed hands or STOP was "
+                "pressed meanwhile",
                 remedy="look who has control now, and ask again",
             )
         return self._grant(LeaseChange.TAKEN_OVER, wanted.name, now)

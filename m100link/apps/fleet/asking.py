@@ -125,11 +125,14 @@ class Asker:
         key = self.keys.lease if isinstance(asked, orders.LeaseOrder) else self.keys.command
         return _raised(await self._answered(key, order, patience or self.patience))
 
-    def lease_request(self, offer: str = "") -> LeaseRequest:
-        """A request for the lease, for :meth:`take_lease`; an offer confirms a take-over."""
+    def lease_request(self, offer: str = "", clock: float = 0.0) -> LeaseRequest:
+        """A request for the lease, for :meth:`take_lease`; an offer confirms a take-over.
+
+        ``clock``: as in :meth:`ask`.
+        """
         half = Half()
         asked = orders.ConfirmTakeOver(offer) if offer else orders.AcquireLease(self._name)
-        return LeaseRequest(self.around(asked, key=half.public), half)
+        return LeaseRequest(self.around(asked, clock=clock, key=half.public), half)
 
     async def take_lease(self, request: LeaseRequest) -> tuple[Lease, float]:
         """Ask for the lease, whose secret this side and the agent then know and nobody else.

@@ -75,6 +75,7 @@ class FleetControl:
         return lease.number, lease.token
 
     async def __aenter__(self) -> Self:
+        asked_at = self._clock()
         # An order that says when it was made is not carried out when nobody waits for it any more.
         if await self._asker.is_there():
             await self._asker.look(within=STEP_S)
@@ -89,7 +90,7 @@ class FleetControl:
             client.on_steer_refused.append(self._steer_refused)
             self._stack.push_async_callback(self._give_back)  # once nothing renews it any more
             await self._stack.enter_async_context(self._session.kept())
-            await self._session.obtain(take_over=self._is_take_over)
+            await self._session.obtain(take_over=self._is_take_over, asked_at=asked_at)
         except BaseException as error:
             await self._leave()
             self._raise_lost(error, owner)

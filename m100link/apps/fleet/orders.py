@@ -35,13 +35,16 @@ class Done:
     fault: RemoteError | None = None  # why the last setpoint was not flown
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Granted:
     """A lease that was granted to the fleet."""
 
     lease: Lease  # as the agent knows it; its token never leaves the aircraft
     secret: str = field(repr=False)  # what orders and setpoints under it are proved with
     signer: str  # who signed for it, who may be revoked meanwhile; empty when nobody did
+    # When it was asked for, s: a STOP since then overtakes the authority that is asked for next.
+    # None behind that.
+    asked_at: float | None
 
 
 class OrderService:
@@ -105,7 +108,7 @@ class OrderService:
             case orders.AcquireLease() | orders.ConfirmTakeOver():
                 return await self._granted(order, asked)
             case orders.AskTakeOver():
-                offer = await client.ask_take_over(order.by)
+                offer = await client.ask_take_over(order.by, order.clock)
                 return Done(offer.from_name, offer.number, offer.token)
             case orders.ReleaseLease():
                 await client.release_lease(self.require_lease(order).token)
@@ -141,7 +144,11 @@ class OrderService:
         if isinstance(asked, orders.StartMission) and lease is not None:
             await self.missions.start(lease, asked)
             return Done()
-        outcome = await self._client.ask(asked, lease)
+        asked_at = None
+        if isinstance(asked, orders.Obtain) and lease is not None:
+            granted = self.leases[lease.number]
+            asked_at, granted.asked_at = granted.asked_at, None
+        outcome = await self._client.ask(asked, lease, asked_at=asked_at)
         if isinstance(asked, orders.PauseMission | orders.ResumeMission):
             self.missions.paused(is_paused=isinstance(asked, orders.PauseMission))
         return Done(outcome.text, outcome.number)
@@ -174,15 +181,16 @@ class OrderService:
 
     async def _granted(self, order: OrderMessage, asked: orders.LeaseOrder) -> Done:
         key, secret = agree(order)  # before anything is taken from anybody
+        asked_at = order.clock or self._client.now
         if isinstance(asked, orders.ConfirmTakeOver):
-            lease = await self._client.confirm(asked.token)
+            lease = await self._client.confirm(asked.token, order.clock)
         else:
-            lease = await self._client.acquire(order.by)
+            lease = await self._client.acquire(order.by, order.clock)
         since = self._revoked(order.signer)
         if since:  # while it was being granted
             self._client.let_go(lease)
             raise NotAllowed(f"{order.signer} is revoked since {since}")
-        self.leases[lease.number] = Granted(lease, secret, order.signer)
+        self.leases[lease.number] = Granted(lease, secret, order.signer, asked_at)
         await self._ledger.granted(lease.number)
         return Done(lease.name, lease.number, key=key)
 

@@ -270,7 +270,7 @@ async def test_a_request_that_a_stop_overtook_is_refused_where_its_front_hears_o
     one, client = session(pilots), pilots.clients[0]
     client.on_event.clear()
 
-    async def slow() -> Lease:
+    async def slow(_: float) -> Lease:
         await anyio.sleep(1.0)
         return await client.acquire("first")
 
@@ -281,6 +281,34 @@ async def test_a_request_that_a_stop_overtook_is_refused_where_its_front_hears_o
     assert isinstance(end, GuardRefused)
     assert end.seen == "STOP was pressed after obtain was asked for; nothing was sent"
     assert at(one) is S.ABSENT
+
+
+@pytest.mark.parametrize("step", ["AcquireLease", "AskTakeOver", "ConfirmTakeOver", "Obtain"])
+async def test_a_stop_before_a_step_of_a_take_over_ends_all_of_it(
+    pilots: Pilots, step: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its front hears of no STOP, and makes every step that is left after it."""
+    one, other, agent = session(pilots), session(pilots, 1), pilots.rig.agent
+    client, asked = pilots.clients[0], pilots.clients[0].ask
+    client.on_event.clear()
+    await other.obtain()
+    steps: list[str] = []
+
+    async def ask(order: orders.Order, *rest: Any, **more: Any) -> Any:
+        await anyio.sleep(0.05)
+        steps.append(type(order).__name__)
+        if steps[-1] == step:
+            await agent.stop()
+        return await asked(order, *rest, **more)
+
+    monkeypatch.setattr(client, "ask", ask)
+    with pytest.raises(GuardRefused, match="STOP was pressed after"):
+        await one.obtain(take_over=True)
+    assert steps[-1] == step
+    assert at(one) is S.ABSENT
+    await anyio.sleep(0.1)
+    # The other's lease was not taken, or the own one, from before the STOP, went back.
+    assert client.holder.number == (0 if step == "Obtain" else 2)
 
 
 async def test_who_let_go_before_a_stop_does_not_undo_it(pilots: Pilots) -> None:
@@ -833,7 +861,7 @@ async def test_a_lease_that_comes_when_it_is_wanted_no_more_goes_back(
     asyncio.get_running_loop().set_exception_handler(lambda _, context: wrong.append(context))
     coming: asyncio.Future[Lease] = asyncio.get_running_loop().create_future()
 
-    async def grant() -> Lease:
+    async def grant(_: float) -> Lease:
         return await coming
 
     async with front() as pilot:
@@ -864,7 +892,7 @@ async def test_a_lease_that_comes_when_it_is_wanted_no_more_goes_back(
 
 
 async def test_a_lease_that_is_held_is_asked_for_again_by_a_question_of_the_callers() -> None:
-    async def grant() -> Lease:
+    async def grant(_: float) -> Lease:
         pilot.agent.tell(LeaseChanged(8, "front"))
         return EIGHT
 
@@ -897,7 +925,7 @@ async def test_a_loss_that_nobody_told_is_seen_by_the_next_word_and_the_next_que
         pilot.states.clear()
         pilot.client.holder = LeaseChanged(number, "")
 
-        async def refuse() -> Lease:
+        async def refuse(_: float) -> Lease:
             raise LeaseHeld("another has control")
 
         with pytest.raises(LeaseHeld):
@@ -916,13 +944,13 @@ async def test_a_lease_that_changes_hands_meanwhile_is_taken_over_in_three_attem
 ) -> None:
     tokens: list[str] = []
 
-    async def held(name: str) -> Lease:
+    async def held(name: str, _: float) -> Lease:
         raise LeaseHeld("another has control")
 
-    async def offer(name: str) -> TakeOver:
+    async def offer(name: str, _: float) -> TakeOver:
         return TakeOver(name, "another", f"offer {len(tokens)}", 5, 9.0)
 
-    async def confirm(token: str) -> Lease:
+    async def confirm(token: str, _: float) -> Lease:
         tokens.append(token)
         if len(tokens) <= refusals:
             raise refusal
@@ -1322,7 +1350,7 @@ class Chaos:
         if what < 2:
             await self.begin(one.obtain(take_over=self.draw.random() < 0.3))
         elif what == 2:
-            await self.begin(one.take(lambda: client.acquire("first")))
+            await self.begin(one.take(lambda asked_at: client.acquire("first", asked_at)))
         elif what == 3:
             await self.confirm()
         elif what == 4:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 
 import anyio
 import pytest
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient, Hearing
+from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.lease import Lease, LeaseHeld
 from m100link.apps.agent.messages import EventTopic, LeaseChanged, State
 from m100link.apps.agent.orders import FlyTo
@@ -19,7 +21,9 @@ from m100link.apps.fleet.payloads import pack
 from m100link.errors import LinkError, M100Error, StaleLease
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
+from m100link.sim.virtual import VirtualAircraft
 from tests.apps.fleet.conftest import SITE, Rig
+from tests.rig import put_in_the_air
 
 pytestmark = pytest.mark.anyio
 
@@ -333,3 +337,69 @@ async def test_what_this_side_fails_over_is_told_once(
         await rig.until(lambda: channel.untaken >= 10)
         assert len([one for one in caplog.records if "was not taken" in one.message]) == 1
         assert far.is_connected
+
+
+# -- a request for control of several steps, and a STOP that its front does not hear ---------------
+
+
+async def _moved(rig: Rig, kind: str, way_s: float, stop_after: float | None) -> tuple[float, bool]:
+    """Ask for control, with a STOP meanwhile; then steer. How long it took, and whether it flew."""
+    virtual = VirtualAircraft(seed=5)
+    put_in_the_air(virtual, 2.4)
+    one = await rig.served("a1", virtual=virtual)
+    pilot, clock = await rig.pilot(), anyio.current_time
+    async with AsyncExitStack() as stack:
+        if "take-over" in kind:
+            held = ControlSession(one.client, "another")
+            await stack.enter_async_context(held.kept())
+            await held.obtain()
+        far = None
+        if "page" in kind:
+            far = await stack.enter_async_context(front(rig, pilot))
+            session = ControlSession(far, "page")
+            await stack.enter_async_context(session.kept())
+            far.on_event.clear()  # it hears of no STOP
+        rig.network.weather.delay_s, began = way_s, clock()
+        if stop_after is not None:
+
+            async def stop() -> None:
+                await anyio.sleep(stop_after)
+                await one.agent.stop()
+
+            one.agent.background.spawn(stop(), "STOP")
+        take_over = "take-over" in kind
+        send = None
+        with suppress(M100Error):
+            if far is not None:
+                await session.obtain(take_over=take_over)
+                send = lambda: session.steer(NORTH)  # noqa: E731
+            else:
+                block = pilot["a1"].control(take_over=take_over)
+                control = await stack.enter_async_context(block)
+                send = lambda: control.send(NORTH)  # noqa: E731
+        took = clock() - began
+        rig.network.weather.delay_s = 0.0
+        await anyio.sleep(max(3.0, (stop_after or 0.0) - took + 0.1))  # its clock is known again
+        fastest = 0.0
+        for _ in range(25):
+            if send is not None:
+                with suppress(M100Error):
+                    send()
+            await anyio.sleep(0.05)
+            fastest = max(fastest, one.speed)
+    return took, fastest > 0.3
+
+
+@pytest.mark.parametrize("kind", ["page", "page, take-over", "block", "block, take-over"])
+async def test_a_stop_between_two_steps_of_a_request_for_control_ends_all_of_it(kind: str) -> None:
+    """Drawn: the STOP comes between any two steps, and the front does not hear of it."""
+    draw = random.Random(kind)
+    for way_s in (0.02, 0.3):
+        took = 0.0
+        for number in range(3):
+            after = draw.uniform(0.0, took) if number else None
+            rig = Rig()
+            async with rig.stack:
+                seconds, flew = await _moved(rig, kind, way_s, after)
+            took = took or seconds
+            assert flew == (after is None), (kind, way_s, after, took)

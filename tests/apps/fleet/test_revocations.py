@@ -212,8 +212,8 @@ async def test_a_lease_that_is_being_granted_is_granted_to_nobody(
     orders = site.one.fleet_agent._orders
     acquire = site.one.client.acquire
 
-    async def slow(name: str) -> Any:
-        lease = await acquire(name)
+    async def slow(name: str, asked_at: float) -> Any:
+        lease = await acquire(name, asked_at)
         site.revocations.take_in(site.revoked("anna"))
         return lease
 

@@ -346,17 +346,25 @@ class Agent:
         self._begin_anew = "STOP was pressed"
         try:
             self._stopped_at = self.now
-            self.journal.note("stop", topic=EventTopic.STOPPED)
+            self.leases.void_take_overs()
             flying = self.holding.flying
-            is_in_task = flying is not None and flying.is_in_task
-            is_in_task = is_in_task or await self.holding.stop_landing()
-            self.halt("stop")
+            landing = flying.mission if flying and flying.mission.is_landing else None
+            is_in_task = landing is not None or (flying is not None and flying.is_in_task)
+            try:
+                if landing is None:
+                    self.halt("stop")
+            finally:
+                self.journal.note("stop", topic=EventTopic.STOPPED)
+            if landing is not None:
+                # As long as it counts as flown by plan, authority would not be given back.
+                await landing.let_go()
+                self.halt("stop")
         except BaseException:
             self.holding.let_go()  # nobody knows what flies: the end of the control block ends it
             raise
         if is_in_task or self._unclaimed is not None:
-            self.journal.note("control authority is given back to end the task", "warning")
             await self.give_back()
+            self.journal.note("control authority was given back to end the task", "warning")
 
 
 # -- a handler for each order ----------------------------------------------------------------------

@@ -212,6 +212,13 @@ class ActiveMission:
                 raise
         await self.ended()
 
+    async def let_go(self) -> None:
+        """As :meth:`stop`; a refusal is noted."""
+        try:
+            await self.stop()
+        except M100Error as error:
+            self._journal.note(error.seen, "error")
+
     def cut_off(self) -> str:
         """Control was lost, and the mission with it; returns its name, empty for none."""
         # The reason of the loss comes a moment later, from the aircraft: the caller reports it.
