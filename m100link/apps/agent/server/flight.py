@@ -125,18 +125,18 @@ class ActiveFlight:
 
         A take-off, landing or go-home goes on in the autopilot.
         """
-        self.mission.end(why or "halted")
-        self._end_program(why or "halted")
         last, self._last = self._last, None
-        if last is None:
-            return
         try:
-            self._control.send(last.neutral(), lifetime=_AT_ONCE)
+            if last is not None:
+                self._control.send(last.neutral(), lifetime=_AT_ONCE)
         except GuardRefused:
             # Guards do not keep it from stopping.
             self._background.spawn(self._control.stop(), "neutral")
         except M100Error:
             pass  # without authority nothing moves
+        finally:  # behind it, in the same turn: both report
+            self.mission.end(why or "halted")
+            self._end_program(why or "halted")
 
     # -- tasks -----------------------------------------------------------------------------------
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import re
 import sys
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from itertools import product
 from random import Random
 from types import FrameType
 
@@ -16,7 +19,7 @@ import pytest
 from m100link.aircraft import Aircraft
 from m100link.apps.agent import orders
 from m100link.apps.agent.background import ignore
-from m100link.apps.agent.lease import LeaseChange, LeaseRefused
+from m100link.apps.agent.lease import Flown, LeaseChange, LeaseRefused
 from m100link.apps.agent.orders import ChangeHeight
 from m100link.apps.agent.server.authority import HoldingState
 from m100link.apps.agent.server.connection import ConnectionState
@@ -24,6 +27,7 @@ from m100link.errors import GuardRefused, M100Error, NoAuthority, NotObserved, U
 from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.commands.gimbal import GimbalAngle
 from m100link.protocol.commands.hotpoint import HotpointStart
+from m100link.protocol.records import Device
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.agent.conftest import Rig, airborne, guided
 from tests.rig import put_in_the_air
@@ -394,6 +398,79 @@ def no_memory_at(number: int) -> Iterator[None]:
         yield
     finally:
         sys.settrace(before)
+
+
+class SlowLog(logging.Handler):
+    """Blocks another thread until it is let go; keeps what the loop's own thread waited for."""
+
+    def __init__(self, is_over: Callable[[], bool]) -> None:
+        super().__init__()
+        self._is_over, self._here = is_over, threading.get_ident()
+        self.gate = threading.Event()
+        self.waited_for: list[str] = []
+
+    def handle(self, record: logging.LogRecord) -> bool:  # without the lock of a handler
+        if threading.get_ident() != self._here:
+            self.gate.wait(10.0)
+        elif not self._is_over():
+            self.waited_for.append(record.getMessage())
+        return True
+
+
+@pytest.mark.parametrize(
+    ("flown", "end"),
+    [
+        *product(("setpoints", "program", "task"), ("release", "stop")),
+        *product(("program", "task"), ("silence",)),
+        *product(("setpoints", "program"), ("take-over",)),
+    ],
+)
+async def test_no_end_of_a_flight_waits_for_a_log(rig: Rig, flown: str, end: str) -> None:
+    """First it acts: a library's user may log to a disk that stands still."""
+    agent, holding = rig.agent, rig.holding
+    put_in_the_air(rig.aircraft)
+    await agent.ask(orders.Obtain(), rig.token)
+    if flown == "setpoints":
+        agent.steer(rig.token, NORTH, 1.0)
+    elif flown == "program":
+        await agent.ask(orders.FlyPattern(1), rig.token)
+    else:
+        agent.background.spawn(agent.ask(orders.GoHome(), rig.token), "task")
+    await anyio.sleep(0.2)
+
+    def is_over() -> bool:
+        """It hovers, or the pilot has it; of a task nobody says that it hovers."""
+        flying = holding.flying
+        if flying is None:
+            return rig.aircraft.vehicle.authority.device is Device.RC
+        return flown != "task" and flying.flown is Flown.NOTHING and holding.pattern is None
+
+    rig.renewing.cancel()
+    if end == "silence":
+        await anyio.sleep(agent.leases.remaining(agent.now) - 0.05)
+    told_early: list[str] = []  # to fronts, which may take their time as well
+    agent.journal.on_event.append(
+        lambda event: None if flown == "task" or is_over() else told_early.append(event.text)
+    )
+    log, logger = SlowLog(is_over), logging.getLogger("m100link")
+    level = logger.level
+    logger.setLevel(logging.INFO)
+    logger.addHandler(log)
+    try:
+        if end == "release":
+            agent.leases.release(rig.token, agent.now)
+        elif end == "stop":
+            await agent.stop()
+        elif end == "take-over":
+            agent.leases.confirm(agent.leases.ask_take_over("other", agent.now).token, agent.now)
+        await anyio.sleep(1.0)
+    finally:
+        logger.removeHandler(log)
+        logger.setLevel(level)
+        log.gate.set()
+    assert log.waited_for == [], log.waited_for
+    assert not told_early, told_early
+    assert is_over()
 
 
 @pytest.mark.parametrize("end", ["release", "silence", "stop"])
