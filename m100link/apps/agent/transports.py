@@ -14,6 +14,7 @@ from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 from typing import Protocol
 
+from m100link.apps.agent.background import SparingLogger
 from m100link.apps.agent.codec import MAX_SIZE, decode, encode
 from m100link.apps.agent.messages import Goodbye, Message, MessageError, Telemetry
 from m100link.errors import PortFailed, PortNotFound
@@ -60,6 +61,7 @@ class MemoryChannel:
 
     def __init__(self, *, as_bytes: bool = False) -> None:
         self._as_bytes = as_bytes
+        self._log = SparingLogger(_logger)
         self._peer: MemoryChannel | None = None
         self._on_message: Callable[[Message], None] | None = None
         self._on_closed: Callable[[str], None] | None = None
@@ -87,9 +89,9 @@ class MemoryChannel:
             return
         try:
             self._on_message(message)
-        except Exception:
+        except Exception:  # noqa: BLE001 (logged)
             # As with a socket: a failure at one end does not reach the other.
-            _logger.exception("a %s was not taken", type(message).__name__)
+            self._log.exception("a %s was not taken", type(message).__name__)
 
     def close(self, reason: str = "") -> None:
         """Close both ends."""
@@ -136,6 +138,7 @@ class UnixChannel(asyncio.BufferedProtocol):
     """
 
     def __init__(self, on_connected: Callable[[UnixChannel], None] | None = None) -> None:
+        self._log = SparingLogger(_logger)
         self._on_connected = on_connected
         self._loop = asyncio.get_running_loop()
         self._transport: asyncio.Transport | None = None
@@ -214,9 +217,9 @@ class UnixChannel(asyncio.BufferedProtocol):
         elif self._on_message is not None:
             try:
                 self._on_message(message)
-            except Exception:
+            except Exception:  # noqa: BLE001 (logged)
                 # A failure with one message does not end the reader.
-                _logger.exception("a %s was not taken", type(message).__name__)
+                self._log.exception("a %s was not taken", type(message).__name__)
 
     def _refuse(self, reason: str) -> None:
         """End it for a bad message: neither end has asked for that, so both get the reason."""

@@ -75,6 +75,9 @@ def test_what_goes_wrong_at_one_end_stays_there(caplog: pytest.LogCaptureFixture
     one.send(A)
     assert "a JournalNote was not taken" in caplog.text
     assert "a front's mistake" in caplog.text
+    for _ in range(500):  # as with ten seconds of telemetry
+        one.send(A)
+    assert len(caplog.records) == 10
 
 
 # -- the carrier between two processes: frames, an end that does not read, an end that goes --------
@@ -244,6 +247,10 @@ async def test_a_mistake_with_one_message_does_not_end_the_reader(
             front.channel.send(JournalNote("info", "x"))
         await until(lambda: len(taken) == 2)
         assert "a JournalNote was not taken" in caplog.text
+        for _ in range(50):
+            front.channel.send(JournalNote("info", "x"))
+        await until(lambda: len(taken) == 52)
+        assert len([one for one in caplog.records if "was not taken" in one.message]) == 10
         front.channel.close()
 
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qs, unquote_plus, urlsplit
 
-from m100link.apps.station.web.limits import SparingLogger
+from m100link.apps.agent.background import SparingLogger
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Receive, Scope, Send

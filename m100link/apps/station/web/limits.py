@@ -1,4 +1,4 @@
-"""Limits for strangers: orders, log lines, connections, places and dear answers.
+"""Limits for strangers: orders, connections, places and dear answers.
 
 Each limit is a rule of its own; none waits or reads a clock, except for the last.
 """
@@ -6,11 +6,9 @@ Each limit is a rule of its own; none waits or reads a clock, except for the las
 from __future__ import annotations
 
 import asyncio
-import logging
-import time
 from collections import Counter
-from collections.abc import Callable, Collection
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from collections.abc import Collection
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -50,55 +48,6 @@ class TokenBucket:
     def wait(self, now: float) -> float:
         self._fill(now)
         return max(0.0, -self._level / self._rate)
-
-
-# -- log lines that strangers cause ----------------------------------------------------------------
-
-
-class SparingLogger(logging.LoggerAdapter[logging.Logger]):
-    """A logger that writes so many lines of a kind at once, and then one in a while.
-
-    The kind of a line is its text before the arguments stand in it. The next line of a kind says
-    how many were left out before it.
-    """
-
-    def __init__(
-        self,
-        logger: logging.Logger,  # where the lines go
-        *,
-        at_once: int = 10,  # lines of a kind that are written however fast they come
-        interval: float = 6.0,  # seconds after which one more may be written
-        clock: Callable[[], float] = time.monotonic,  # seconds of a clock that never goes back
-        least: int = logging.NOTSET,  # the lowest level that is written, whatever the log shows
-    ) -> None:
-        super().__init__(logger, None)
-        self._least = least
-        self._at_once, self._interval, self._clock = at_once, interval, clock
-        # By kind: when the allowance will be full again, and lines left out. The kinds are the
-        # texts in this program: strangers add none.
-        self._kinds: dict[str, tuple[float, int]] = {}
-
-    @property
-    def level(self) -> int:
-        return self.logger.level
-
-    def isEnabledFor(self, level: int) -> bool:  # noqa: N802 - the name that logging gives it
-        """Whether lines of that level are written."""
-        return level >= self._least and super().isEnabledFor(level)
-
-    def log(self, level: int, msg: object, *args: object, **keywords: Any) -> None:
-        if not self.isEnabledFor(level):
-            return
-        kind, now = str(msg), self._clock()
-        full_at, left_out = self._kinds.get(kind, (now, 0))
-        full_at = max(full_at, now) + self._interval
-        if full_at - now > self._at_once * self._interval:
-            self._kinds[kind] = (full_at - self._interval, left_out + 1)
-            return
-        self._kinds[kind] = (full_at, 0)
-        if left_out:
-            msg = f"{msg} (and {left_out} more before it)"
-        super().log(level, msg, *args, **keywords)
 
 
 # -- how many connections may speak HTTP -----------------------------------------------------------

@@ -23,8 +23,9 @@ from websockets.exceptions import ProtocolError
 from websockets.frames import Frame, Opcode
 from websockets.server import ServerProtocol
 
+from m100link.apps.agent.background import SparingLogger
 from m100link.apps.station.web.intake import Intake, Metered
-from m100link.apps.station.web.limits import ConnectionLimit, SparingLogger
+from m100link.apps.station.web.limits import ConnectionLimit
 
 if TYPE_CHECKING:
     from uvicorn._types import ASGISendEvent

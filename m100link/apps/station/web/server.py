@@ -24,6 +24,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.status import WS_1008_POLICY_VIOLATION
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from m100link.apps.agent.background import SparingLogger
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.station.config import namespace_of
 from m100link.apps.station.listeners import Fronts
@@ -34,7 +35,7 @@ from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.node_2015 import Node2015
 from m100link.apps.station.web.access_control import AccessControl
 from m100link.apps.station.web.intake import Intake, SocketListener
-from m100link.apps.station.web.limits import SparingLogger, to_evict
+from m100link.apps.station.web.limits import to_evict
 from m100link.apps.station.web.protocol import PATIENCE, Config, HttpConnection, WebSocketConnection
 from m100link.errors import UsageError
 

@@ -15,7 +15,7 @@ from m100link.apps.station.web.access_control import (
     host_of,
     is_loopback,
 )
-from tests.apps.station.web.test_limits import Clock
+from tests.apps.agent.test_background import Clock
 
 pytestmark = pytest.mark.anyio
 
