@@ -245,6 +245,34 @@ class BesideAnAgent(Front):
         await self.passes(0.5)
         await self._lease(action="release", token=proof)
 
+    async def take_over_out_of_f(self) -> None:
+        """The other takes the lease while the pilot flies, who comes back to F then."""
+        self.aircraft.leave_f()
+        await self.passes(1.0)
+        if not await self.take_over():  # a front that gives way has given it back
+            await self._lease(action="acquire", name=OTHER)
+        await self.passes(0.5)
+        self.aircraft.return_to_f()
+
+    def _give_up(self) -> None:
+        """Control is given back, or a request for it is called off."""
+        raise NotImplementedError
+
+    def _ask_for_control(self) -> None:
+        """Ask, and do not wait for the answer."""
+        raise NotImplementedError
+
+    async def call_off(self) -> None:
+        """Give control back, and call requests for it off at several moments."""
+        self._give_up()
+        await self.passes(1.0)
+        assert await self.holder() == "", "it was not given back"
+        for seconds in (0.0, 0.001, 0.01, 0.03, 0.1):
+            self._ask_for_control()
+            await anyio.sleep(seconds)
+            self._give_up()
+            await self.passes(0.3)
+
     async def stop_elsewhere(self) -> None:
         """STOP at a page, which needs no control."""
         self.other_page.say("stop")
@@ -289,6 +317,23 @@ class Page(BesideAnAgent):
     async def land(self) -> None:
         tab = self.page.tab
         self.spawn(tab.attempt(lambda: tab.session.ask(orders.Land())))
+
+    def _give_up(self) -> None:
+        self.page.tab.session.let_go()
+
+    def _ask_for_control(self) -> None:
+        self.spawn(self.page.tab.session.obtain())
+
+    async def order_late(self) -> None:
+        """A button that was pressed three seconds ago."""
+        tab, at = self.page.tab, 1000 * (self.page.now - 3.0)
+
+        async def pressed() -> None:
+            tab.check_order(at)
+            await tab.session.ask(orders.GoHome())
+
+        await tab.attempt(pressed)
+        self.heard.append(self.page.problem)
 
     def let_go(self) -> None:
         super().let_go()
@@ -379,6 +424,15 @@ class Rosbridge(Station):
 
     def send(self) -> None:
         self._joy()
+
+    def _switch(self, enable: int) -> None:
+        self.client.call("/dji_sdk/sdk_control_authority", control_enable=enable)
+
+    def _give_up(self) -> None:
+        self._switch(0)
+
+    def _ask_for_control(self) -> None:
+        self._switch(1)
 
     async def stop(self) -> None:
         """There is none: see the table."""
@@ -525,6 +579,12 @@ class Ros2(AloneWithAgent):
     def send(self) -> None:
         self.rig.program.speed(SPEED_M_S)  # its nose points to the north
 
+    def _give_up(self) -> None:
+        self.spawn(self._call("~/release_control"))
+
+    def _ask_for_control(self) -> None:
+        self.spawn(self._call("~/obtain_control"))
+
     async def stop(self) -> None:
         self.spawn(self._call("~/stop"))
 
@@ -637,6 +697,21 @@ class FleetPilot(OfAFleet):
             self.control.send(NORTH)
         except Exception as error:  # noqa: BLE001 - the user reads it, whatever it is
             self.heard.append(f"{type(error).__name__}: {error}")
+
+    def _give_up(self) -> None:
+        self.is_over.set()
+        self.tasks[-1].cancel()
+
+    def _ask_for_control(self) -> None:
+        self.is_over = asyncio.Event()
+        self.spawn(self._fly())
+
+    async def order_late(self) -> None:
+        """An order to go home of six seconds ago."""
+        (fence, token), asker = self.control.proof, self.pilot.asker("a1")
+        clock = self.agent.now - 6.0
+        self.spawn(asker.ask(orders.GoHome(), fence=fence, token=token, clock=clock))
+        await self.passes(0.5)
 
     async def stop(self) -> None:
         self.spawn(self.control.stop())

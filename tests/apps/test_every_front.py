@@ -52,6 +52,9 @@ class Event(Enum):
     LAND = "this front lands it"
     TAKE_OVER = "another client takes the lease over"
     LEAVE_F = "the pilot leaves F and is back after 2 s"
+    TAKE_OVER_OUT_OF_F = "another client takes the lease over while the pilot is out of F"
+    CALL_OFF = "control is given back, and asked for and called off again and again"
+    ORDER_LATE = "an order to go home comes later than it may"
     SILENCE = "no setpoint any more; the sender is there"
     HANG = "the sender hangs"
     KILL = "the front is killed"
@@ -74,6 +77,7 @@ class Has(Enum):
 
     FRONT = "this front, as before"
     OTHER = "the other"
+    LEASE_ONLY = "the other has the lease, and the pilot the sticks: nobody asked for authority"
     NOBODY = "nobody: the pilot has the sticks"
     UNHEARD = "the aircraft was told nothing; it obeys nobody's setpoints, and the pilot out of F"
 
@@ -101,7 +105,7 @@ class Cannot(NamedTuple):
 BRAKES, LASTS_02, LASTS_03, LASTS_05 = 1.2, 1.4, 1.5, 1.7
 LANDED = 7.0
 H, L, G = Does
-FRONT, OTHERS, NOBODY, UNHEARD = Has
+FRONT, OTHERS, LEASE_ONLY, NOBODY, UNHEARD = Has
 PAD_HELD = "you still hold a key or stick; it was not flown"
 UNTOLD = ""
 
@@ -158,6 +162,22 @@ TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
         FarConsole: End(H, BRAKES, FRONT, f"control was lost meanwhile, and {PAD_HELD}", "let go"),
         Performer: End(H, BRAKES, NOBODY, "a1 left: the pilot moved the mode switch out of F"),
         Sync: End(H, BRAKES, NOBODY, "AuthorityLost: the pilot moved the mode switch", "control"),
+    },
+    Event.TAKE_OVER_OUT_OF_F: {
+        **dict.fromkeys(FRONTS, End(H, BRAKES, LEASE_ONLY, UNTOLD)),
+        Sync: Cannot("without an agent there is no lease"),
+    },
+    Event.CALL_OFF: {
+        **dict.fromkeys(FRONTS, End(H, BRAKES, NOBODY, UNTOLD)),
+        Mavlink: Cannot("a command to arm is not called off; in the air nobody may disarm"),
+        Performer: Cannot("the conductor calls it off by STOP"),
+        Sync: Cannot("a call without await is over before the next one"),
+    },
+    Event.ORDER_LATE: {
+        **dict.fromkeys(FRONTS, Cannot("its orders do not say when they were made")),
+        Console: End(G, 0.0, FRONT, "a pressed button arrived 3.* late; nothing was done"),
+        FleetPilot: End(G, 0.0, FRONT, "not carried out: it is older than 5 s"),
+        FarConsole: End(G, 0.0, FRONT, "a pressed button arrived 3.* late; nothing was done"),
     },
     Event.SILENCE: {
         Console: End(H, LASTS_03, FRONT, UNTOLD, "let go"),
@@ -290,14 +310,15 @@ def assert_does(front: Front, end: End, since: float) -> None:
 
 async def assert_has(front: Front, end: End) -> None:
     device = front.aircraft.vehicle.authority.device
-    assert (device is Device.RC) == (end.has is Has.NOBODY) or end.has is Has.OTHER
+    is_pilots = end.has in (Has.NOBODY, Has.LEASE_ONLY)
+    assert (device is Device.RC) == is_pilots or end.has is Has.OTHER
     holder = await front.holder()
     if holder is None or end.has is Has.UNHEARD:
         return
     if end.has is Has.FRONT:
         assert holder not in ("", OTHER)
     else:
-        assert holder == (OTHER if end.has is Has.OTHER else "")
+        assert holder == (OTHER if end.has in (Has.OTHER, Has.LEASE_ONLY) else "")
 
 
 async def begin_again(front: Front, how: str) -> None:
@@ -377,7 +398,8 @@ class Cells:
             if event is Event.STALE:
                 since = front.now()
             await front.passes(end.within + LONGER_S.get(event, 2.0))
-            since += 2.0 * (event is Event.LEAVE_F)  # the sticks' time is not counted
+            # The sticks' time is not counted.
+            since += 2.0 * (event in (Event.LEAVE_F, Event.TAKE_OVER_OUT_OF_F))
             told = "\n".join((Counter(front.words().split("\n")) - heard).elements())
             assert_does(front, end, since)
             await assert_has(front, end)
@@ -399,6 +421,15 @@ class Cells:
 
     async def test_leave_f(self) -> None:
         await self.judge(Event.LEAVE_F)
+
+    async def test_take_over_out_of_f(self) -> None:
+        await self.judge(Event.TAKE_OVER_OUT_OF_F)
+
+    async def test_call_off(self) -> None:
+        await self.judge(Event.CALL_OFF)
+
+    async def test_order_late(self) -> None:
+        await self.judge(Event.ORDER_LATE)
 
     async def test_silence(self) -> None:
         await self.judge(Event.SILENCE)
