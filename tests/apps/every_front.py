@@ -80,7 +80,7 @@ class Front(ABC):
     """
 
     name: ClassVar[str]
-    has_agent, has_stop = True, True
+    has_agent = True
 
     def __init__(self) -> None:
         self.samples: list[Sample] = []
@@ -399,7 +399,6 @@ class Rosbridge(Station):
     """A program with roslib."""
 
     name = "rosbridge"
-    has_stop = False
 
     async def come(self) -> None:
         self.client = self.rig.client("program")
@@ -435,7 +434,7 @@ class Rosbridge(Station):
         self._switch(1)
 
     async def stop(self) -> None:
-        """There is none: see the table."""
+        self.client.call("/m100link/stop")
 
     async def hang(self) -> None:
         """The station's WebSockets cut a client off that answers no ping, at latest after this."""

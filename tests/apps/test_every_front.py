@@ -112,10 +112,7 @@ UNTOLD = ""
 TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
     Event.STOP: {
         Console: End(H, BRAKES, FRONT, f"STOP was pressed, and {PAD_HELD}", "let go"),
-        Rosbridge: Cannot(
-            "it has no STOP: a number below 0 of /sdk_request_simple_task ends what flies by "
-            "itself, and a setpoint of the same client behind it is the newer wish"
-        ),
+        Rosbridge: End(H, BRAKES, FRONT, "STOP was pressed", "control"),
         Mavlink: End(H, BRAKES, FRONT, "is in HOLD", "control"),
         Ros2: End(H, BRAKES, FRONT, r"it was stopped: call ~/obtain_control", "control"),
         FleetPilot: End(H, BRAKES, FRONT, "STOP was pressed; setpoints that go on", "control"),
@@ -343,7 +340,7 @@ async def begin_again(front: Front, how: str) -> None:
 async def at_once(front: Any, chance: random.Random) -> None:
     """One thing after which nobody's stream may go on, for as long as it happens to last."""
     match chance.choice(("stop", "stop elsewhere", "take over", "F", "plug", "app")):
-        case "stop" if front.has_stop:
+        case "stop":
             await front.stop()
         case "stop elsewhere" if front.has_agent:
             await front.stop_elsewhere()

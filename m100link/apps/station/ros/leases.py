@@ -38,6 +38,7 @@ class Clients:
         self._terms = Terms(activates=False, remedy=remedy)
         graph.on_leave.append(self._left)
         graph.add_service("/m100link/lease", "m100link/Lease", self._on_lease)
+        graph.add_service("/m100link/stop", "std_srvs/Trigger", self._on_stop)
 
     def session(self, client: GraphListener) -> ControlSession:
         """The control session of that client; a closed one when the client has gone."""
@@ -184,6 +185,18 @@ class Clients:
 
     async def _status(self, call: ServiceCall) -> Message:
         return {}
+
+    def _on_stop(self, call: ServiceCall) -> None:
+        """Needs no control, and is never one order too many."""
+        self._agent.background.spawn(self._stop(call), f"stop for {call.session.name}")
+
+    async def _stop(self, call: ServiceCall) -> None:
+        try:
+            await self.session(call.session).stop()
+        except M100Error as error:
+            call.respond({"success": False, "message": str(error)})
+        else:
+            call.respond({"success": True, "message": ""})
 
     async def _acquire(self, call: ServiceCall) -> Message:
         name = call.request["name"] or call.session.name
