@@ -254,6 +254,40 @@ class BesideAnAgent(Front):
         await self.passes(0.5)
         self.aircraft.return_to_f()
 
+    def near(self) -> AgentClient:
+        """The client beside the agent, by which this front's orders come."""
+        found: AgentClient = self.rig.front
+        return found
+
+    async def stop_unheard(self) -> None:
+        """STOP before the last step of a request for control, whose front hears of none."""
+        await self.take_over_and_give_back()
+        client, ask = self.near(), self.near().ask
+
+        async def overtaken(order: orders.Order, *rest: Any, **more: Any) -> Any:
+            if isinstance(order, orders.Obtain):
+                await anyio.sleep(0.01)
+                await self.agent.stop()
+            return await ask(order, *rest, **more)
+
+        with patch.object(client, "on_event", []), patch.object(client, "ask", overtaken):
+            with suppress(M100Error, AssertionError):  # it is refused
+                await self.take_control()
+            await self.passes(0.5)
+
+    async def hold_up(self) -> None:
+        """What the front says is on its way to the agent for a second."""
+        self.let_go()
+        await self.passes(2.5)
+        held: list[Any] = []
+        with patch.object(self.channels[0], "send", held.append):
+            for _ in range(10):
+                self.send()
+                await self.tick()
+            await self.passes(1.0)
+        for one in held:
+            self.channels[0].send(one)
+
     def _give_up(self) -> None:
         """Control is given back, or a request for it is called off."""
         raise NotImplementedError
@@ -477,6 +511,10 @@ class Rosbridge(Station):
 class AloneWithAgent(BesideAnAgent):
     """A front with an agent of its own."""
 
+    def near(self) -> AgentClient:
+        found: AgentClient = self.rig.client
+        return found
+
     @abstractmethod
     def make(self) -> Any:
         """The rig of its room."""
@@ -617,6 +655,10 @@ class Ros2(AloneWithAgent):
 
 class OfAFleet(BesideAnAgent):
     """An aircraft of a fleet, flown from elsewhere over the network."""
+
+    def near(self) -> AgentClient:
+        found: AgentClient = self.one.client
+        return found
 
     def make(self) -> VirtualAircraft:
         aircraft = VirtualAircraft(seed=5)

@@ -61,6 +61,8 @@ class Event(Enum):
     LOSE_AGENT = "the agent is killed"
     LOSE_LINK = "the cable is pulled"
     STALE = "setpoints come a second late"
+    HOLD_UP = "setpoints come late to the agent"
+    STOP_UNHEARD = "STOP between two steps of a request for control; its front hears of none"
     JUNK = "bytes that mean nothing"
 
 
@@ -236,6 +238,16 @@ TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
         Performer: End(G, 0.0, FRONT, "a1 is flying and cannot place"),
         Sync: Cannot("there is no way between a program and its own control"),
     },
+    Event.HOLD_UP: {
+        **dict.fromkeys(FRONTS, End(H, 0.0, FRONT, UNTOLD)),
+        Performer: Cannot("no setpoint is on its way while it flies its track"),
+        Sync: Cannot("there is no way between a program and its own control"),
+    },
+    Event.STOP_UNHEARD: {
+        **dict.fromkeys(FRONTS, End(H, BRAKES, NOBODY, UNTOLD)),
+        Performer: Cannot("a show takes no aircraft back that left it"),
+        Sync: Cannot("without an agent nobody else can press STOP"),
+    },
     Event.JUNK: dict.fromkeys(FRONTS, End(G, 0.0, FRONT, UNTOLD)),
 }
 """By hand, from safety.md, the page of each front and agent.md."""
@@ -392,7 +404,7 @@ class Cells:
             heard = Counter(front.words().split("\n"))
             since = front.now()
             await let_it_happen(front, event)
-            if event is Event.STALE:
+            if event in (Event.STALE, Event.HOLD_UP):
                 since = front.now()
             await front.passes(end.within + LONGER_S.get(event, 2.0))
             # The sticks' time is not counted.
@@ -445,6 +457,12 @@ class Cells:
 
     async def test_stale(self) -> None:
         await self.judge(Event.STALE)
+
+    async def test_hold_up(self) -> None:
+        await self.judge(Event.HOLD_UP)
+
+    async def test_stop_unheard(self) -> None:
+        await self.judge(Event.STOP_UNHEARD)
 
     async def test_junk(self) -> None:
         await self.judge(Event.JUNK)
