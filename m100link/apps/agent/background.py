@@ -12,6 +12,39 @@ from typing import Any
 from m100link.errors import M100Error
 
 
+class TokenBucket:
+    """Fills with time up to a limit, and is spent (pure logic, ``now`` is an argument)."""
+
+    __slots__ = ("_at", "_burst", "_level", "_rate")
+
+    def __init__(self, rate: float, burst: float) -> None:
+        self._rate, self._burst = rate, burst
+        self._level = burst
+        self._at: float | None = None
+
+    def _fill(self, now: float) -> None:
+        if self._at is not None:
+            self._level = min(self._burst, self._level + (now - self._at) * self._rate)
+        self._at = now
+
+    def take(self, now: float, cost: float = 1.0) -> bool:
+        """Spend its cost; False, and nothing is spent, if too little is there."""
+        self._fill(now)
+        if self._level < cost:
+            return False
+        self._level -= cost
+        return True
+
+    def spend(self, now: float, cost: float) -> None:
+        """Spend a cost that arose already; that may be more than there is."""
+        self._fill(now)
+        self._level -= cost
+
+    def wait(self, now: float) -> float:
+        self._fill(now)
+        return max(0.0, -self._level / self._rate)
+
+
 class SparingLogger(logging.LoggerAdapter[logging.Logger]):
     """A logger that writes so many lines of a kind at once, and then one in a while.
 

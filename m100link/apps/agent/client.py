@@ -488,10 +488,7 @@ class AgentClient:
         return lease
 
     async def acquire(self, name: str, asked_at: float | None = None) -> Lease:
-        """As :meth:`~m100link.apps.agent.lease.LeaseManager.acquire`. Raises LinkError, too.
-
-        ``asked_at``: as in :meth:`ask`.
-        """
+        """As :meth:`~m100link.apps.agent.lease.LeaseManager.acquire`. Raises LinkError, too."""
         return given((await self.ask(orders.AcquireLease(name), asked_at=asked_at)).lease)
 
     async def release_lease(self, token: str) -> None:

@@ -157,10 +157,6 @@ class LeaseManager:
         self.advance(now)
         return self._expires_at - now if self._lease is not None else 0.0
 
-    def next_wakeup(self) -> float | None:
-        """When :meth:`advance` has something to do."""
-        return self._expires_at if self._lease is not None else None
-
     def advance(self, now: float) -> None:
         """Let time pass: end a lease that nobody renewed."""
         step = now - self._advanced_at if self._advanced_at is not None else 0.0
@@ -251,8 +247,7 @@ class LeaseManager:
                 wanted = one
         if wanted is not None:
             self._take_overs.remove(wanted)
-        number = None if self._lease is None else self._lease.number
-        if wanted is None or now >= wanted.expires_at or number != wanted.number:
+        if wanted is None or now >= wanted.expires_at:  # each change of the lease voids all
             raise LeaseRefused(
                 "there is nothing to confirm",
                 cause="the request is too old, was used, or control changed hands or STOP was "

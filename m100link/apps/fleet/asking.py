@@ -126,10 +126,7 @@ class Asker:
         return _raised(await self._answered(key, order, patience or self.patience))
 
     def lease_request(self, offer: str = "", clock: float = 0.0) -> LeaseRequest:
-        """A request for the lease, for :meth:`take_lease`; an offer confirms a take-over.
-
-        ``clock``: as in :meth:`ask`.
-        """
+        """For :meth:`take_lease`; an offer confirms a take-over. ``clock``: as in :meth:`ask`."""
         half = Half()
         asked = orders.ConfirmTakeOver(offer) if offer else orders.AcquireLease(self._name)
         return LeaseRequest(self.around(asked, clock=clock, key=half.public), half)

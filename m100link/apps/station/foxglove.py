@@ -26,14 +26,13 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.status import WS_1008_POLICY_VIOLATION
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from m100link.apps.agent.background import SparingLogger
+from m100link.apps.agent.background import SparingLogger, TokenBucket
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event
 from m100link.apps.station.config import Settings, namespace_of
 from m100link.apps.station.listeners import Fronts
 from m100link.apps.station.ros.messages import without_nan
 from m100link.apps.station.web.access_control import AccessControl
-from m100link.apps.station.web.limits import TokenBucket
 from m100link.apps.station.web.protocol import WebSocketConnection
 from m100link.apps.station.web.server import frames_of, serve_http, until_one_ends
 from m100link.errors.texts import read_json

@@ -12,6 +12,7 @@ from typing import Any
 
 from m100link.aircraft import Aircraft
 from m100link.apps.agent.background import call_each, goes_on, ignore
+from m100link.apps.agent.background import TokenBucket, call_each, goes_on
 from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseRefused, TakeOver
 from m100link.apps.agent.messages import (
     LEVELS,
@@ -255,8 +256,7 @@ class ClientSession:
         self._asks = 0
         # Of these, those that were heard in this turn of the loop and begin in the next one.
         self._unbegun = 0
-        self._notes = _MAX_NOTES
-        self._noted_at = agent.now
+        self._notes = TokenBucket(_NOTES_PER_S, _MAX_NOTES)
         self._handlers: dict[type[Any], Callable[[Any], None]] = {
             Steer: self._on_steer,
             Ask: self._on_ask,
@@ -343,13 +343,7 @@ class ClientSession:
 
     def _may_note(self) -> bool:
         """Whether one more event of this front is not one of very many."""
-        now = self._agent.now
-        gained = (now - self._noted_at) * _NOTES_PER_S
-        self._notes, self._noted_at = min(_MAX_NOTES, self._notes + gained), now
-        if self._notes < 1.0:
-            return False
-        self._notes -= 1.0
-        return True
+        return self._notes.take(self._agent.now)
 
     def _on_note(self, note: JournalNote) -> None:
         if note.level in LEVELS and self._may_note():

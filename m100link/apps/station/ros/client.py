@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from m100link.apps.agent.background import TokenBucket
 from m100link.apps.station.ros.graph import (
     Graph,
     Publication,
@@ -29,7 +30,6 @@ from m100link.apps.station.ros.messages import (
     to_cbor,
     to_png,
 )
-from m100link.apps.station.web.limits import TokenBucket
 from m100link.errors.texts import read_json
 
 _Packing = tuple[int | None, str]

@@ -12,12 +12,12 @@ from functools import partial
 from typing import Any
 
 from m100link.apps.agent import orders
+from m100link.apps.agent.background import TokenBucket
 from m100link.apps.agent.client import AgentClient, given
 from m100link.apps.agent.control_session import ControlSession, ControlState, Terms
 from m100link.apps.agent.lease import LeaseRefused, not_in_force
 from m100link.apps.station.ros.graph import Graph, GraphListener, ServiceCall
 from m100link.apps.station.ros.messages import Message
-from m100link.apps.station.web.limits import TokenBucket
 from m100link.errors import CommandRefused, M100Error, UsageError
 
 TASKS: dict[int, orders.Order] = {4: orders.TakeOff(), 6: orders.Land(), 1: orders.GoHome()}

@@ -23,8 +23,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Protocol, cast
 
-from m100link.apps.agent.background import SparingLogger
-from m100link.apps.station.web.limits import ConnectionLimit, TokenBucket
+from m100link.apps.agent.background import SparingLogger, TokenBucket
+from m100link.apps.station.web.limits import ConnectionLimit
 
 _log = SparingLogger(logging.getLogger(__name__))
 
