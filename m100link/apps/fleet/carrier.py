@@ -15,8 +15,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.background import TaskSet
 from m100link.apps.agent.client import MAX_SILENCE
+from m100link.apps.agent.background import SparingLogger, TaskSet
 from m100link.apps.agent.lease import (
     LEASE_LIFETIME,
     TAKE_OVER_LIFETIME,
@@ -125,9 +125,10 @@ class FleetChannel:
         # the newest beat: it is reported with each, until the agent says that they fly.
         self._unflown: RemoteError | None = None
         self._asks = 0
-        # Messages that this version cannot read, that were too long on their way to say anything,
-        # and that this side failed over.
-        self.unread = self.old = self.untaken = 0
+        # Messages that this version cannot read, and that were too long on their way to say
+        # anything.
+        self.unread = self.old = 0
+        self._log = SparingLogger(_logger)
         self.unread_why = ""
 
     # -- the channel -----------------------------------------------------------------------------
@@ -298,12 +299,9 @@ class FleetChannel:
             return
         try:
             self._on_message(message)
-        except Exception:
-            # As with a socket: an error at one end does not happen to the other. Logged again and
-            # again, it would fill a disk.
-            if not self.untaken:
-                _logger.exception("a %s was not taken", type(message).__name__)
-            self.untaken += 1
+        except Exception:  # noqa: BLE001 (logged)
+            # As with a socket: an error at one end does not happen to the other.
+            self._log.exception("a %s was not taken", type(message).__name__)
 
     # -- what goes out ---------------------------------------------------------------------------
 

@@ -233,7 +233,7 @@ MAX_SETPOINT_AGE = 0.3
 
 _MAX_ASKS = 64
 _MAX_NOTE = 200
-_NOTES_PER_S, _MAX_NOTES = 5.0, 20.0
+_NOTES_PER_S, _MAX_NOTES = 5.0, 20.0  # the others are dropped
 
 
 class ClientSession:
@@ -341,12 +341,8 @@ class ClientSession:
 
     # -- everything else -------------------------------------------------------------------------
 
-    def _may_note(self) -> bool:
-        """Whether one more event of this front is not one of very many."""
-        return self._notes.take(self._agent.now)
-
     def _on_note(self, note: JournalNote) -> None:
-        if note.level in LEVELS and self._may_note():
+        if note.level in LEVELS and self._notes.take(self._agent.now):
             self._agent.journal.note(_line(note.text), note.level)
 
     def _on_ask(self, ask: Ask) -> None:
@@ -374,11 +370,10 @@ class ClientSession:
 
     def _tell_halt(self, why: str) -> None:
         """Tell the holder that another front had it hover: its flight may have more to come."""
-        holder = self._agent.leases.holder(self._agent.now)
-        if holder is not None and holder.number not in self._tokens and self._may_note():
-            self._agent.journal.note(
-                _line(why or f"{self._name}: hover"), "info", EventTopic.HALTED
-            )
+        agent, now = self._agent, self._agent.now
+        holder = agent.leases.holder(now)
+        if holder is not None and holder.number not in self._tokens and self._notes.take(now):
+            agent.journal.note(_line(why or f"{self._name}: hover"), "info", EventTopic.HALTED)
 
     def _begin(self, ask: Ask) -> Any:
         token = self._tokens.get(ask.fence, "")
