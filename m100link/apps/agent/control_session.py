@@ -464,9 +464,7 @@ class ControlSession:
         """The pilot is there: the lease lasts three more seconds.
 
         A front that calls this for a pilot who is silent keeps the aircraft from all others.
-
-        Args:
-            is_idle: Whether nothing is wanted of the aircraft.
+        ``is_idle``: nothing is wanted of the aircraft.
         """
         agent, lease, now = self._agent, self._lease, self._agent.now
         if lease is None or lease.number != agent.holder.number:

@@ -45,13 +45,9 @@ class LeaseHeld(
     cause="another client steers the aircraft",
     remedy="wait until it releases control, or ask its operator",
 ):
-    """Another client holds the lease.
+    """Another client holds the lease."""
 
-    Attributes:
-        holder: Its name.
-    """
-
-    holder: str = ""
+    holder: str = ""  #: its name
 
 
 def not_in_force(holder: str | None) -> LeaseRefused:

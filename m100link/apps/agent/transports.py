@@ -133,8 +133,7 @@ class UnixChannel(asyncio.BufferedProtocol):
     Args:
         on_connected: Called when it is connected; for the end that serves.
 
-    Attributes:
-        dropped: Telemetry packages dropped because the other end does not read.
+    ``dropped``: telemetry packages dropped because the other end does not read.
     """
 
     def __init__(self, on_connected: Callable[[UnixChannel], None] | None = None) -> None:
