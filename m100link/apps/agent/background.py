@@ -163,7 +163,7 @@ def goes_on(what: str) -> Iterator[None]:
     """One step of a loop on which safety depends: an error is logged, and the next step comes."""
     try:
         yield
-    except Exception:
+    except Exception:  # noqa: BLE001 (logged)
         # A handler of the log may raise, too, and must not end the loop in its place.
         with suppress(Exception):
             _sparing.exception(f"{what} failed, and goes on")

@@ -295,14 +295,14 @@ class ControlSession:
             held = None if grant is not None else self.lease
             return held or await self._take(grant or partial(self._granted, take_over), asked_at)
 
-    async def _take(self, grant: Grant) -> Lease:
+    async def _take(self, grant: Grant, asked_at: float) -> Lease:
         # Counted, because it may be let go while the agent is asked: then a late lease goes back.
         began = self._let_gos
         self._look()
         if not self.has_lease:
             self._forget()
         self.feed(_I.ASKED)
-        asking = self._agent.background.spawn(grant(), "lease")
+        asking = self._agent.background.spawn(grant(asked_at), "lease")
         # Shielded: a lease that is granted behind a cancellation would be held by nobody for 3 s.
         try:
             lease: Lease = await asyncio.shield(asking)

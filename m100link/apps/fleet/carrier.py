@@ -15,8 +15,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.client import MAX_SILENCE
 from m100link.apps.agent.background import SparingLogger, TaskSet
+from m100link.apps.agent.client import MAX_SILENCE
 from m100link.apps.agent.lease import (
     LEASE_LIFETIME,
     TAKE_OVER_LIFETIME,

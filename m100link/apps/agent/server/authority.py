@@ -223,18 +223,6 @@ class AuthorityManager:
         ):
             await asyncio.wait([self._block])
 
-    async def stop_landing(self) -> bool:
-        """Let go of a mission that was flown and goes home or lands; returns whether one does."""
-        # Flown by plan, it keeps authority when its block is left, because it lands by that.
-        flying = self.flying
-        if flying is None or not flying.mission.is_landing:
-            return False
-        try:
-            await flying.mission.stop()
-        except M100Error as error:
-            self._journal.note(error.seen, "error")
-        return True
-
     # -- the control block -----------------------------------------------------------------------
 
     def _begin(self, aircraft: Aircraft) -> None:

@@ -11,8 +11,7 @@ from functools import partial
 from typing import Any
 
 from m100link.aircraft import Aircraft
-from m100link.apps.agent.background import call_each, goes_on, ignore
-from m100link.apps.agent.background import TokenBucket, call_each, goes_on
+from m100link.apps.agent.background import TokenBucket, call_each, goes_on, ignore
 from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseRefused, TakeOver
 from m100link.apps.agent.messages import (
     LEVELS,
