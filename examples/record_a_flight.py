@@ -32,9 +32,9 @@ async def main(url: str, place: str = ".") -> None:
     print(f"highest: {max(heights):.1f} m, of {len(heights)} packages")
     began = summary.began_utc or 0.0
     for message in flight.messages("/m100/command"):
-        told = message.content()
-        if told["command"] == "start_task" and not told["is_ack"]:
-            print(f"{message.utc - began:6.2f} s  {told['task']}")
+        content = message.content()
+        if content["command"] == "start_task" and not content["is_ack"]:
+            print(f"{message.utc - began:6.2f} s  {content['task']}")
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ async def main(url: str) -> None:
     writer.writerow(COLUMNS)
     async with m100link.connect(url) as aircraft:
         # Every package of these items, thinned to ten a second. If this program fell behind by more
-        # than a hundred, it would be told by TelemetryOverflow instead of losing rows in silence.
+        # than a hundred, TelemetryOverflow would report it instead of losing rows in silence.
         policy = Lossless(100)
         async with aircraft.telemetry(
             Position, Attitude, policy=policy, rate_hz=RATE_HZ

@@ -356,9 +356,9 @@ def svg_dot(
     spot: Spot, radius: float, fill: str = "none", stroke: str = "currentColor", title: str = ""
 ) -> str:
     """A ring or a dot there; ``title`` is what a pointer over it shows."""
-    told = f"><title>{escaped(title)}</title></circle>" if title else "/>"
+    end = f"><title>{escaped(title)}</title></circle>" if title else "/>"
     x, y = spot
-    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}" fill="{fill}" stroke="{stroke}"{told}'
+    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}" fill="{fill}" stroke="{stroke}"{end}'
 
 
 def escaped(words: str) -> str:

@@ -22,6 +22,7 @@ HABITS = {
     "of before": "write 'earlier orders', 'the previous value'",
     "of then": "write 'at that time', 'the time at which …'",
     "outside": "name the errata entry, the section of DJI's document, or a page of the manual",
+    "halt": "write 'hover' for the order, 'stop' for STOP and for the end of a program or mission",
 }
 # One pass over all texts. Lines of a comment begin with "#". A headless sentence has a full stop:
 # a question, a heading and a cell of a table have none.
@@ -31,6 +32,7 @@ FIND = re.compile(
     | (?P<headless>(?:Who|What)[\s#]+[a-z](?=(?:[^.?!|\n]|\n(?!\s*\n)|\.(?=\w))*\.))
     | (?P<is_told>(?:is|are)[\s#]+told\b)
     | of[\s#]+(?:(?P<of_before>before\b)|(?P<of_then>then\b))
+    | (?P<halt>(?<!\.)halt(?:s|ed|ing)?\b(?![("`]))
     | (?P<outside>[Ff]acts[ ](?:[A-Z]\d|§)|facts(?:\.md|-later)|design/|judged/)
     )""",
     re.VERBOSE,
@@ -45,6 +47,7 @@ MOST = {
     "of before": 0,
     "of then": 0,
     "outside": 0,
+    "halt": 0,
     "long sentences": 2,
     "shared class names": 12,
 }
@@ -150,6 +153,8 @@ def test_a_public_class_name_stands_for_one_class() -> None:
         ("of then", "the time of then", 1),
         ("outside", "(facts K7), Facts §3, see facts.md, as design/x says", 4),
         ("outside", "the facts of a flight, design / build, not judged", 0),
+        ("halt", "It halts, and was halted; a halt.", 3),
+        ("halt", "client.halt is hover(), `Halt`, def halt(why), halten", 0),
     ],
 )
 def test_what_a_habit_is(habit: str, text: str, count: int) -> None:

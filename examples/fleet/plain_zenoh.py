@@ -17,15 +17,15 @@ def ask(session: zenoh.Session, key: str, payload: bytes | None = None) -> list[
 
 
 def order(name: str, asked: object) -> bytes:
-    told: dict[str, Any] = {
+    body: dict[str, Any] = {
         "id": uuid.uuid4().hex,
         "site": "site",
         "aircraft": name,
         "by": "plain zenoh",
     }
-    told |= {"fence": 0, "at": time.time(), "order": asked, "clock": 0.0, "signer": "", "key": ""}
+    body |= {"fence": 0, "at": time.time(), "order": asked, "clock": 0.0, "signer": "", "key": ""}
     unsigned, unproved = bytes(64), bytes(16)
-    return b"\x03" + unsigned + unproved + json.dumps(told).encode()
+    return b"\x03" + unsigned + unproved + json.dumps(body).encode()
 
 
 config = zenoh.Config()

@@ -16,7 +16,7 @@ from m100link.link.statistics import TapListener
 from m100link.protocol.firmware import FirmwareProfile, profile
 
 if TYPE_CHECKING:
-    from m100link.log.channels import Told
+    from m100link.log.channels import Entry
 
 
 class Recording(Protocol):
@@ -32,7 +32,7 @@ class Recording(Protocol):
         self,
         link: Link,
         firmware: Callable[[], FirmwareProfile],
-        look: Callable[[], Iterable[Told]],
+        look: Callable[[], Iterable[Entry]],
     ) -> None:
         """Log the events and counters of a connection besides its bytes."""
 

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from enum import Enum
 
 from m100link.aircraft.aircraft import Aircraft
-from m100link.log.channels import EVENT, LINK, Told
+from m100link.log.channels import EVENT, LINK, Entry
 
 # The text of an error may quote its input: an address with its options, a key.
 _SECRET = re.compile(r"\b((?:key|app[-_ ]?id)[=: ]+)[^\s&,;]+", re.IGNORECASE)
@@ -18,24 +18,24 @@ _KEY = re.compile(r"(?<![0-9a-f])[0-9a-f]{64}(?![0-9a-f])", re.IGNORECASE)
 COUNTERS_S = 1.0  # between two records of the counters of the link
 
 
-def observer(aircraft: Aircraft) -> Callable[[], list[Told]]:
+def observer(aircraft: Aircraft) -> Callable[[], list[Entry]]:
     """The function that gives the log new records: each event, counters once a second."""
     events = aircraft.events()
     counted_at = -math.inf
 
-    def look() -> list[Told]:
+    def look() -> list[Entry]:
         nonlocal counted_at
-        told: list[Told] = []
+        entries: list[Entry] = []
         while (event := events.get_nowait()) is not None:
             kind = type(event).__name__.removesuffix("Event").lower()
             values = {name: _plain(value) for name, value in event._asdict().items()}
-            told.append((EVENT, {"event": kind, **values}))
+            entries.append((EVENT, {"event": kind, **values}))
         now = aircraft.link.loop.time()
         if now - counted_at >= COUNTERS_S:
             counted_at = now
             counters = asdict(aircraft.statistics())
-            told.append((LINK, {"firmware": aircraft.firmware.name, **counters}))
-        return told
+            entries.append((LINK, {"firmware": aircraft.firmware.name, **counters}))
+        return entries
 
     return look
 

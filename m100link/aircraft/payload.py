@@ -232,7 +232,7 @@ class AircraftGimbal:
             try:
                 self._requests.push(GimbalSpeed())
             except LinkError as error:
-                _logger.debug("the gimbal was not told to stop: %s", error.seen)
+                _logger.debug("the gimbal could not be stopped: %s", error.seen)
 
     async def _repeat(self, rates: GimbalRates) -> None:
         while True:
@@ -297,7 +297,7 @@ def _not_shown(
     if age is not None and age > _FIRST_VALUE_S:
         cause = f"the gimbal item stopped {age:.1f} s ago"
     return NotObserved(
-        f"the gimbal was told {named} and does not show it within {timeout:g} s"
+        f"the gimbal was ordered to {named} and does not show it within {timeout:g} s"
         + (f"; it shows {shown}" if shown else ""),
         situation={"gimbal": found, "age_s": age},
         cause=cause,

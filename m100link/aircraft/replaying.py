@@ -109,7 +109,7 @@ async def open_replay(
         PlaybackTarget(
             decode=link.decode,
             deliver=link.deliver,
-            tell=lambda told: _tell(aircraft.authority, told),
+            tell=lambda event: _tell(aircraft.authority, event),
             forget=lambda: _forget(aircraft.authority),
             end=link.end,
             has_consumers=lambda: telemetry.hub.has_consumers,
@@ -126,12 +126,12 @@ def _forget(authority: Authority) -> None:
         authority.feed(_I.RELEASED)
 
 
-def _tell(authority: Authority, told: dict[str, Any]) -> None:
+def _tell(authority: Authority, event: dict[str, Any]) -> None:
     """Repeat a change of authority in the log that the line does not show: the program made it."""
-    if told.get("event") != "authority":
+    if event.get("event") != "authority":
         return
     try:
-        after = AuthorityState(told.get("after"))
+        after = AuthorityState(event.get("after"))
     except ValueError:
         return  # of a later version
     if after is authority.state:

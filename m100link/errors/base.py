@@ -70,13 +70,13 @@ class M100Error(_Keywords):
         """Page and anchor of the manual that describe this class of errors."""
         return f"reference/errors#{self.error_code.lower()}"
 
-    def __init__(self, seen: str, *, cause: str = "", remedy: str = "", **told: object) -> None:
-        if unknown := told.keys() - self.own.keys():
+    def __init__(self, seen: str, *, cause: str = "", remedy: str = "", **data: object) -> None:
+        if unknown := data.keys() - self.own.keys():
             raise TypeError(f"{type(self).__name__} has no {', '.join(sorted(unknown))}")
         self.seen = seen
         self.cause = cause
         self.remedy = remedy
-        known = {name: one for name, one in told.items() if one is not None}
+        known = {name: one for name, one in data.items() if one is not None}
         vars(self).update({name: copy(default) for name, default in self.own.items()} | known)
         super().__init__(seen, cause, remedy)
 

@@ -254,12 +254,12 @@ class Authority:
         if package.profile is not self._firmware:
             self._watch(package.profile)
         take = self._takers.get(flags) or self._taker(flags, package.profile)
-        told = take(package.value)
+        value = take(package.value)
         known = self._known
         # Most packages say the same as the one before, and reading each was a third of its cost.
         # An observation follows from these bytes, this object's memory, and whether authority had
         # time to settle: where it changed nothing, the same bytes change nothing again.
-        if known.get(flags) == told:
+        if known.get(flags) == value:
             return
         rc, device = package.remote_control, package.control_device
         if rc is not None:
@@ -267,7 +267,7 @@ class Authority:
         if device is not None:
             self.observe_control_device(device)
         if self.state is not _S.HELD or self._is_settled:
-            known[flags] = told  # in what is forgotten already, if something changed
+            known[flags] = value  # in what is forgotten already, if something changed
 
     def _watch(self, firmware: FirmwareProfile) -> None:
         """From here on packages are those of that firmware."""

@@ -23,7 +23,7 @@ from m100link.errors import (
     UsageError,
 )
 from m100link.flight.authority import AuthorityInput, AuthorityState
-from m100link.flight.cancellation import SIGNALS, Errand, ProgramTask
+from m100link.flight.cancellation import SIGNALS, ProgramTask, ShieldedTask
 from m100link.flight.guardian import Guardian, control_plan
 from m100link.flight.guards import GuardKeeper
 from m100link.flight.handover import authority_lost, is_unexplained, obtain_authority
@@ -75,7 +75,7 @@ class ControlBlock:
         # hand, those that wait in a call of it at that moment.
         self._programs: list[ProgramTask] = []
         self._is_by_hand = False
-        self._is_told = False  # by hand: a call of the program raised what ended the block
+        self._is_raised = False  # by hand: a call of the program raised what ended the block
         self._stop_path = StopPath(commander, self._life, setpoints, missions, stop)
         self.armed = self._stop_path.armed
         first_sequence = int.from_bytes(os.urandom(2))
@@ -86,7 +86,7 @@ class ControlBlock:
             self._on_guardian,
             patience_s,
         )
-        self._stopping = Errand(self._stop, self._on_stopped)
+        self._stopping = ShieldedTask(self._stop, self._on_stopped)
         self._on_signal = partial(self.end, StopCause.SIGNALLED)
         loop = commander.link.loop
         self._watchdog = TelemetryWatchdog(
@@ -191,8 +191,8 @@ class ControlBlock:
         self.end(StopCause.LEFT)
         await self._stopping.ended()
         failure = self._life.failure
-        if self._is_by_hand and failure is not None and not self._is_told:
-            self._is_told = True
+        if self._is_by_hand and failure is not None and not self._is_raised:
+            self._is_raised = True
             raise failure.again() from failure.__cause__
 
     def _begin(self) -> None:
@@ -344,7 +344,7 @@ class ControlBlock:
             return
         life = self._life
         if life.failure is not None:
-            self._is_told = True
+            self._is_raised = True
             raise life.failure.again()
         state = self._authority.state.value
         remedy = "use it inside `async with aircraft.control()`, or obtain() it"

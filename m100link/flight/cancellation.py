@@ -91,7 +91,7 @@ def new_task(work: Coroutine[Any, Any, None], name: str) -> asyncio.Task[None]:
     return asyncio.Task(work, loop=asyncio.get_running_loop(), name=name)
 
 
-class Errand:
+class ShieldedTask:
     """Work in a task of its own that is carried to its end, whatever is cancelled meanwhile.
 
     asyncio.run cancels every task there is on its way out, the one that works among them: then the

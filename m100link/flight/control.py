@@ -47,7 +47,7 @@ def _of_part(
 
     async def call(self: Control, /, *args: P.args, **kwargs: P.kwargs) -> R:
         self._block.require_flying(method.__name__)  # what ended the block comes first
-        self._keeper.require_none(method.__name__)
+        self._mission_guard.require_none(method.__name__)
         return await method(getattr(self, part), *args, **kwargs)
 
     return update_wrapper(call, method)
@@ -93,14 +93,14 @@ class Control:
         self._requests = commander.requests
         self._authority = commander.authority
         self._guards = GuardKeeper(guards or Guards(), commander.state)
-        keeper = MissionGuard(commander)
-        self._steering = SetpointSender(commander, self._guards, keeper)
+        mission_guard = MissionGuard(commander)
+        self._steering = SetpointSender(commander, self._guards, mission_guard)
         self._setpoints = self._steering.setpoints
         self._block = self._steering.block = ControlBlock(
             commander,
             claim,
             self._setpoints,
-            keeper,
+            mission_guard,
             self._guards,
             stop=stop,
             on_pause=on_pause,
@@ -108,13 +108,13 @@ class Control:
             patience_s=patience_of(guardian),
         )
         self._guidance = Guidance(
-            commander.state, steer=self._steering.steer, halt=self._setpoints.halt
+            commander.state, steer=self._steering.steer, hover=self._setpoints.hover
         )
         self._loops = ClosedLoops(commander.state, self._guards, self._guidance)
         self._motors = Motors(commander, self._guards, self._make_way, self._block.armed)
-        self._keeper = keeper
+        self._mission_guard = mission_guard
         context = MissionContext(commander, self._guards, self._block, self._make_way_for_mission)
-        self._missions = Missions(context, keeper, self.take_off)
+        self._missions = Missions(context, mission_guard, self.take_off)
         self._unended_task: Task | None = None
 
     # -- the block -------------------------------------------------------------------------------
@@ -285,7 +285,7 @@ class Control:
         """
         self._block.require_flying("a raw movement command")
         self._guidance.require_idle("a raw movement command")
-        self._keeper.require_none("a raw movement command")
+        self._mission_guard.require_none("a raw movement command")
         return self._requests.push(move)
 
     def ticks(self, rate_hz: float = MAX_RATE_HZ) -> Ticker:
@@ -373,9 +373,9 @@ class Control:
         self._commander.link.require_loop()
         # First: a loop that flies would send its next setpoint 20 ms behind the neutral.
         self._guidance.interrupt()
-        if self.is_flying and self._keeper.flying:
+        if self.is_flying and self._mission_guard.flying:
             await self._missions.stop_mission()
-        await self._setpoints.halt()
+        await self._setpoints.hover()
 
     async def wait_resumable(self) -> None:
         """With ``on_pause="wait"``: wait until the pilot has given the aircraft back."""
@@ -427,7 +427,7 @@ class Control:
         """Nothing else steers any more: a mission is about to start."""
         self._guidance.require_idle(what)
         # Before the start: the aircraft ignores a neutral once the mission flies.
-        await self._setpoints.halt()
+        await self._setpoints.hover()
         self._make_way(what)
 
     # -- motors and tasks ------------------------------------------------------------------------
@@ -455,7 +455,7 @@ class Control:
             AckTimeout: Nobody knows whether it began.
         """
         self._block.require_flying(what := task_name(Task.TAKE_OFF))
-        self._keeper.require_none(what)
+        self._mission_guard.require_none(what)
         await self._guards.admit_take_off()
         await self._run(Task.TAKE_OFF, timeout, progress)
 
@@ -498,7 +498,7 @@ class Control:
 
     def _make_way(self, what: str, *, is_landing: bool = False) -> None:
         """Setpoints end, for what the autopilot does by itself; one thing at a time."""
-        self._keeper.require_none(what, is_landing=is_landing)
+        self._mission_guard.require_none(what, is_landing=is_landing)
         if (running := self._steering.running_task) is not None:
             raise TaskRefused(
                 f"{what} was asked for during {task_name(running)}",

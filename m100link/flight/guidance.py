@@ -135,11 +135,11 @@ class Guidance:
         *,
         # Sends a setpoint until it expires or the next one comes.
         steer: Callable[[Setpoint], None],
-        halt: Callable[[], Awaitable[None]],  # neutral for a moment, then silence
+        hover: Callable[[], Awaitable[None]],  # neutral for a moment, then silence
     ) -> None:
         self._state = state
         self._steer = steer
-        self._halt = halt
+        self._hover = hover
         # Name of the loop that is flying, or nothing: two would fight for the aircraft.
         self.flying = ""
         self._task: asyncio.Task[object] | None = None  # in which it flies
@@ -224,7 +224,7 @@ class Guidance:
                 self._steer(setpoint)
         finally:
             self.flying, self._task = "", None
-            await self._halt()
+            await self._hover()
         return Arrival(elapsed, found.distance_m, found.height_error_m, found.heading_error_deg)
 
     def _not_arrived(self, name: str, timeout: float, found: GuidanceProgress) -> NotObserved:

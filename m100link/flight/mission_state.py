@@ -88,7 +88,7 @@ class MissionWatch:
         self._kind = MissionKind.UNKNOWN
         self._status: MissionStatus | None = None
         # From when to when pushes reported each kind, without a longer gap than one is believed.
-        self._told: dict[MissionKind, tuple[float, float]] = {}
+        self._reported: dict[MissionKind, tuple[float, float]] = {}
         self._is_claimed = False  # by a block that entered a mission, whatever came of it
         self.may_fly = False  # a mission, ours or another's: setpoints ask no more while none may
         # Until when pushes that name a mission which has ended are taken for late ones.
@@ -97,13 +97,13 @@ class MissionWatch:
     @property
     def state(self) -> MissionState:
         """The newest push, read."""
-        told: dict[str, Any] = {} if self._status is None else self._status.raw()
+        values: dict[str, Any] = {} if self._status is None else self._status.raw()
         is_fresh = self._clock() - self.received_at <= BELIEVED_S
         return MissionState(
             kind=self._kind,
-            index=told.get("index"),
-            status=told.get("status"),
-            since=self.told_since(self._kind),
+            index=values.get("index"),
+            status=values.get("status"),
+            since=self.reported_since(self._kind),
             is_running=is_fresh and self._kind.is_mission,
         )
 
@@ -114,12 +114,12 @@ class MissionWatch:
         # time stands first: one push after the other reports a mission that flies.
         now = self._clock()
         newest = self._kind if now - self.received_at <= BELIEVED_S else None
-        told = [
+        kinds = [
             (since, kind)
-            for kind, (since, until) in self._told.items()
+            for kind, (since, until) in self._reported.items()
             if kind.is_mission and (now - until <= DENIED_S or kind is newest)
         ]
-        return tuple(map(itemgetter(1), sorted(told, key=itemgetter(0))))
+        return tuple(map(itemgetter(1), sorted(kinds, key=itemgetter(0))))
 
     def claim(self) -> None:
         """A control block enters a mission: pushes may tell of it later than it flies."""
@@ -137,9 +137,9 @@ class MissionWatch:
                 return
             self._echo = None
         self.received_at, self._status, self._kind = now, push, kind
-        self._told[kind] = now if (since := self.told_since(kind)) is None else since, now
-        told = [one for one in self._told if self.told_since(one) is not None]
-        self.may_fly = self._is_claimed or any(one.is_mission for one in told)
+        self._reported[kind] = now if (since := self.reported_since(kind)) is None else since, now
+        reported = [one for one in self._reported if self.reported_since(one) is not None]
+        self.may_fly = self._is_claimed or any(one.is_mission for one in reported)
         if self.listener is not None:
             self.listener(push)
 
@@ -148,14 +148,14 @@ class MissionWatch:
         if self.listener is not None:
             self.listener(push)
 
-    def told_since(self, kind: MissionKind) -> float | None:
+    def reported_since(self, kind: MissionKind) -> float | None:
         """Since when pushes tell of it, others between them or not; None when none did of late."""
-        since, until = self._told.get(kind, (0.0, -math.inf))
+        since, until = self._reported.get(kind, (0.0, -math.inf))
         return since if self._clock() - until <= BELIEVED_S else None
 
     def ended(self, kind: MissionKind, *, is_echoing: bool) -> None:
         """A mission ended; ``is_echoing``: pushes that still tell of it may be under way."""
-        self._told.pop(kind, None)
+        self._reported.pop(kind, None)
         if self._kind is kind:
             # Not when a push told the end: they come in order, and a later one contradicts.
             if is_echoing:

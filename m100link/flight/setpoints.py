@@ -158,7 +158,7 @@ class SetpointLoop:
         self._task: asyncio.Task[None] | None = None
         self.sent = 0  # frames sent, neutrals included
         self.expired = 0  # setpoints that were not renewed in time
-        self._told = 0  # of those, in the log
+        self._logged = 0  # of those, in the log
 
     @property
     def current(self) -> Setpoint | None:
@@ -213,7 +213,7 @@ class SetpointLoop:
         if self._owed is not None and self._admits(self._owed):
             self._transmit(self._owed, self._loop.time())
 
-    async def halt(self) -> None:
+    async def hover(self) -> None:
         """Neutral for a moment, then silence."""
         if self._setpoint is not None:
             self.neutralise()
@@ -306,8 +306,8 @@ class SetpointLoop:
                     continue  # the program may have sent one itself meanwhile
                 self._is_renewed = False
                 self._take_turn(self._setpoint, now)
-                if self.expired > self._told:  # the neutral first: a log can take its time
-                    self._told = self.expired
+                if self.expired > self._logged:  # the neutral first: a log can take its time
+                    self._logged = self.expired
                     _logger.warning("a setpoint was not renewed in time: sending neutral")
                 # A send that blocks for longer than a period must not starve the other tasks.
                 await asyncio.sleep(0)

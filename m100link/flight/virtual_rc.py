@@ -24,7 +24,7 @@ from m100link.errors import (
     TaskRefused,
     UsageError,
 )
-from m100link.flight.cancellation import SIGNALS, Errand, ProgramTask
+from m100link.flight.cancellation import SIGNALS, ProgramTask, ShieldedTask
 from m100link.flight.guardian import Guardian, GuardianPlan, patience_of, virtual_rc_plan
 from m100link.flight.guards import FIRST_VALUES_S, GuardKeeper, Guards, known
 from m100link.flight.lifecycle import (
@@ -115,7 +115,7 @@ class VirtualRc:
         self._clock = self._loop.time
         self._life = Lifecycle()
         self._program = ProgramTask(self._loop)
-        self._stopping = Errand(self._stop, self._on_stopped)
+        self._stopping = ShieldedTask(self._stop, self._on_stopped)
         self._guardian = Guardian(
             commander.link,
             self._is_to_end,

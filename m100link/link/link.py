@@ -40,7 +40,7 @@ FORGET_AFTER = 5.0
 """Seconds after which the same number is a new command, not a repeat.
 
 The document forgets never (1.4). But an end that restarts counts from the start again, and a loss
-of authority must not be taken for one that was told before.
+of authority must not be taken for one that came before.
 """
 
 _HEADER = 12
@@ -113,7 +113,7 @@ class Link(asyncio.Protocol):
         # The first reason counts; every later caller gets the same one.
         self._failure: LinkError | None = None
         # Whether all who wait, and the owner, know of it.
-        self._is_failure_told = False
+        self._is_failure_reported = False
         self._connected: asyncio.Future[None] = self._loop.create_future()
         self._disconnected = asyncio.Event()
         # Whether received frames are logged, and when to look again whether they shall be.
@@ -522,7 +522,7 @@ class Link(asyncio.Protocol):
 
     def _tell_of_failure(self) -> None:
         """Tell everybody who waits, and the owner; what Ctrl-C cuts off may be done again."""
-        if self._is_failure_told or self._failure is None:
+        if self._is_failure_reported or self._failure is None:
             return
         error = self._failure
         for timer in self._timers:
@@ -537,10 +537,10 @@ class Link(asyncio.Protocol):
         if isinstance(error, LinkLost):
             _logger.warning("%s", error.seen)
         try:
-            self._is_failure_told = True
+            self._is_failure_reported = True
             self.on_lost(error)
         except KeyboardInterrupt:
-            self._is_failure_told = False  # it may not have heard, and may hear twice
+            self._is_failure_reported = False  # it may not have heard, and may hear twice
             raise
 
 

@@ -149,10 +149,10 @@ class SerialTransport(asyncio.Transport):
         self._arrived: deque[bytes] = deque()
         # Bytes accepted that the system has not taken: none, unless the line takes no more.
         self._unsent = _NOTHING
-        # Whether the protocol was told to pause, and not yet to resume.
+        # Whether the protocol was asked to pause, and not yet to resume.
         self._is_protocol_paused = False
         # Whether it has heard of the end.
-        self._is_protocol_told = False
+        self._is_protocol_notified = False
         self.dropped = 0  # pieces that did not fit
         os.set_blocking(self._fd, False)
         protocol.connection_made(self)
@@ -327,7 +327,7 @@ class SerialTransport(asyncio.Transport):
         self.state = PortState.ENDING
 
     def _finish(self, error: OSError | None) -> None:
-        if self._is_protocol_told:
+        if self._is_protocol_notified:
             return
         if self.state is not PortState.CLOSED:
             self._loop.remove_reader(self._fd)
@@ -335,7 +335,7 @@ class SerialTransport(asyncio.Transport):
             self.state = PortState.CLOSED  # the number of the file may soon be another's
         self._give_back()
         self._protocol.connection_lost(error)
-        self._is_protocol_told = True
+        self._is_protocol_notified = True
 
     def _give_back(self) -> None:
         """Close the port, without the wait for a line that takes nothing."""

@@ -32,7 +32,7 @@ COMMAND, EVENT, LINK = "/m100/command", "/m100/event", "/m100/link"
 TRANSFORM, MESSAGE, STATE = "/tf", "/m100/log", "/m100/state"
 """The topics that a client that watches a flight gets live besides."""
 
-Told = tuple[str, dict[str, Any]]  # a topic, and a message on it
+Entry = tuple[str, dict[str, Any]]  # a topic, and a message on it
 
 
 class Schema(NamedTuple):
@@ -253,8 +253,8 @@ def layout() -> dict[str, Any]:
         _split("column", "Plot!battery", "Plot!attitude", 50),
         50,
     )
-    told = _split("row", "RawMessages!event", "RosOut!log", 50)
-    right = _split("column", plots, _split("column", "StateTransitions!status", told, 35), 70)
+    types = _split("row", "RawMessages!event", "RosOut!log", 50)
+    right = _split("column", plots, _split("column", "StateTransitions!status", types, 35), 70)
     return {
         "configById": panels,
         "globalVariables": {},
@@ -300,7 +300,7 @@ class FrameInterpreter:
         # within 65536 requests, so there are never more.
         self._asked: dict[tuple[int, int, bool], type[Command]] = {}
 
-    def sent(self, data: bytes, cipher: Cipher | None, profile: FirmwareProfile) -> Iterator[Told]:
+    def sent(self, data: bytes, cipher: Cipher | None, profile: FirmwareProfile) -> Iterator[Entry]:
         """The messages in the bytes of a write."""
         self._sent.cipher = cipher
         for frame in self._sent.feed(data):
@@ -308,7 +308,7 @@ class FrameInterpreter:
 
     def received(
         self, data: bytes, now: float, cipher: Cipher | None, profile: FirmwareProfile
-    ) -> Iterator[Told]:
+    ) -> Iterator[Entry]:
         """The messages in the bytes of a read."""
         self._received.cipher = cipher
         for frame in self._received.feed(data):
@@ -317,16 +317,16 @@ class FrameInterpreter:
             else:
                 yield from self._frame(frame, profile, is_ours=False)
 
-    def _telemetry(self, value: bytes, now: float, profile: FirmwareProfile) -> Iterator[Told]:
-        told = self._thinning.hear(value, profile, now)
-        if told is None:
+    def _telemetry(self, value: bytes, now: float, profile: FirmwareProfile) -> Iterator[Entry]:
+        thinned = self._thinning.hear(value, profile, now)
+        if thinned is None:
             return
-        yield TELEMETRY, told.row
-        position = told.get(Position)
+        yield TELEMETRY, thinned.row
+        position = thinned.get(Position)
         if position is not None and position.is_possible:
             yield FIX, fix_of(position)
 
-    def _frame(self, frame: Frame, profile: FirmwareProfile, *, is_ours: bool) -> Iterator[Told]:
+    def _frame(self, frame: Frame, profile: FirmwareProfile, *, is_ours: bool) -> Iterator[Entry]:
         if not frame.data:
             return
         head = {

@@ -121,7 +121,7 @@ class Losses:
         self._places: list[tuple[int, int]] = []
         self.topics: dict[int, str] = {}  # what each channel is called
         self._rows: dict[int, _Row] = {}
-        self.told: dict[int, int] = {}  # messages of each channel, by the end of the file
+        self.counts: dict[int, int] = {}  # messages of each channel, by the end of the file
         self._unnamed: Counter[int] = Counter()
         self._holes: list[_Hole] = []
         self._is_open = False  # whether no message came since the newest hole
@@ -172,9 +172,9 @@ class Losses:
     def damage(self) -> Damage:
         """The damage found so far."""
         missing: Counter[str] = Counter()
-        for channel in sorted(self._rows.keys() | self.told.keys()):
+        for channel in sorted(self._rows.keys() | self.counts.keys()):
             row = self._rows.get(channel) or _Row()
-            lost = max(row.gap, self.told.get(channel, 0) - row.count)
+            lost = max(row.gap, self.counts.get(channel, 0) - row.count)
             missing[self.topics.get(channel, "")] += lost + self._unnamed[channel]
         missing = +missing
         if self._is_open and missing:

@@ -63,7 +63,7 @@ class Flights:
         self._tell = tell
         self.newest: Path | None = None  # the log of the newest connection; None before the first
         self._ending: set[asyncio.Future[None]] = set()
-        self._told = ""  # why it is not recorded: once is enough
+        self._reported = ""  # why it is not recorded: once is enough
 
     async def begin(self) -> Recorder | None:
         """A log for the next connection; None, with a warning, when it cannot be.
@@ -79,8 +79,8 @@ class Flights:
         except (M100Error, OSError) as error:
             why = error.seen if isinstance(error, M100Error) else f"{error}"
             remedy = error.remedy if isinstance(error, UsageError) else ""
-            if why != self._told:
-                self._told = why
+            if why != self._reported:
+                self._reported = why
                 self._tell(f"not recorded: {why}" + (f" ({remedy})" if remedy else ""), "warning")
             return None
 
@@ -97,7 +97,7 @@ class Flights:
 
     def keep(self, log: Recorder) -> None:
         """An aircraft answered: this log is kept, the oldest make room for it."""
-        self._told = ""
+        self._reported = ""
         self.newest = log.path
         self._tell(f"recorded into {log.path}", "info")
         threading.Thread(target=self.make_room, name="m100link: old logs", daemon=True).start()
@@ -133,8 +133,8 @@ class Flights:
         found = []
         for path in self.folder.iterdir():
             if is_log_name(path.name) and path.is_file() and not path.is_symlink():
-                told = path.stat()
-                found.append(_Kept(told.st_mtime, told.st_size, path))
+                status = path.stat()
+                found.append(_Kept(status.st_mtime, status.st_size, path))
         return found
 
 

@@ -161,12 +161,12 @@ def begin_pcapng(
     stream: IO[bytes], firmware: FirmwareProfile | None, *, is_decrypted: bool = False
 ) -> None:
     """Write the head before the packets: a section, and one or two interfaces."""
-    told = "" if firmware is None else f", firmware {firmware.name}"
+    firmware_name = "" if firmware is None else f", firmware {firmware.name}"
     stream.write(_block(_SECTION, pack("<IHHq", 0x1A2B3C4D, 1, 0, -1)))
     for name in ("m100link", "m100link decrypted")[: 2 if is_decrypted else 1]:
         options = (
             _option(_NAME, name.encode())
-            + _option(_DESCRIPTION, f"{name}{told}".encode())
+            + _option(_DESCRIPTION, f"{name}{firmware_name}".encode())
             + _option(_RESOLUTION, b"\x09")
             + _option(0, b"")
         )

@@ -39,7 +39,7 @@ _logger = logging.getLogger(__name__)
 
 _APART_S = 1.0  # at most between the two directions of one time in a file
 
-_MOST_TOLD = 10**9  # µs after a message, or bytes in it: far more than a recorder writes
+_MOST_PLAUSIBLE = 10**9  # µs after a message, or bytes in it: far more than a recorder writes
 
 _AT = itemgetter(1)
 
@@ -190,15 +190,15 @@ class FlightLog:
             if message.topic != CHUNKS:
                 raw_by_time[message.topic, message.at] = message
                 continue
-            told = message.content()
-            if not _tells_chunks(told):
+            content = message.content()
+            if not _tells_chunks(content):
                 raise _foreign(message.topic)
-            direction = Direction(told["direction"])
+            direction = Direction(content["direction"])
             topic = RX if direction is Direction.RECEIVED else TX
             raw = raw_by_time.pop((topic, message.at), None)
             if raw is None:  # it stood in a part of the file that is damaged
                 continue
-            ready += _pieces(direction, raw, told["offset_us"], told["length"])
+            ready += _pieces(direction, raw, content["offset_us"], content["length"])
             ready.sort(key=_AT)  # nearly sorted it is, which takes no time
             done = bisect_left(ready, message.at - _APART_S, key=_AT)
             if done:
@@ -364,14 +364,14 @@ def _foreign(topic: str) -> UsageError:
     )
 
 
-def _tells_chunks(told: dict[str, Any]) -> bool:
-    offsets, lengths = told.get("offset_us"), told.get("length")
+def _tells_chunks(content: dict[str, Any]) -> bool:
+    offsets, lengths = content.get("offset_us"), content.get("length")
     return (
-        told.get("direction") in ("rx", "tx")
+        content.get("direction") in ("rx", "tx")
         and isinstance(offsets, list)
         and isinstance(lengths, list)
         and len(offsets) == len(lengths)
-        and all(type(one) is int and 0 <= one <= _MOST_TOLD for one in (*offsets, *lengths))
+        and all(type(one) is int and 0 <= one <= _MOST_PLAUSIBLE for one in (*offsets, *lengths))
     )
 
 
@@ -422,9 +422,9 @@ def _copy(source: FlightLog, stream: IO[bytes]) -> int:
     return saved
 
 
-def _renumbered(told: dict[str, str], channels: dict[str, int], writer: Any) -> dict[str, str]:
+def _renumbered(content: dict[str, str], channels: dict[str, int], writer: Any) -> dict[str, str]:
     """The recording's data on itself, with the numbers that its topics have in the new file."""
     for topic in (RX, TX, *SCHEMAS):
-        if topic in told and topic not in channels:
+        if topic in content and topic not in channels:
             channels[topic] = registered(writer, topic)
-    return told | {topic: str(number) for topic, number in channels.items() if topic in told}
+    return content | {topic: str(number) for topic, number in channels.items() if topic in content}

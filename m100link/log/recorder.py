@@ -25,7 +25,7 @@ from typing import IO, TYPE_CHECKING, Any
 from m100link.errors import UsageError
 from m100link.errors.texts import read_path
 from m100link.link import Direction, Link
-from m100link.log.channels import CHUNKS, FIX, LINK, RX, SCHEMAS, TX, FrameInterpreter, Told
+from m100link.log.channels import CHUNKS, FIX, LINK, RX, SCHEMAS, TX, Entry, FrameInterpreter
 from m100link.log.records import PART_SIZE, mcap_module, registered
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.wire import Cipher, encode_frame
@@ -172,7 +172,7 @@ MAX_WAITING = 16_000_000
 """Bytes of memory for what waits for a disk that stands still; the rest is dropped and counted."""
 
 # Besides its bytes: a tuple, a time and a bytes object; a dictionary of counters.
-_EACH_CHUNK, _EACH_TOLD = 150, 3000
+_EACH_CHUNK, _EACH_REPORTED = 150, 3000
 
 END_TIMEOUT_S = 15.0
 """How long closing waits for the disk; one that others write to takes seconds for a last piece."""
@@ -185,7 +185,7 @@ class _Batch:
     """The events of the loop since the last batch, and the link's state at that time."""
 
     chunks: list[tuple[Direction, bytes, float]] = field(default_factory=list)
-    told: list[tuple[float, Told]] = field(default_factory=list)
+    entries: list[tuple[float, Entry]] = field(default_factory=list)
     cipher: Cipher | None = None
     profile: FirmwareProfile | None = None
     dropped: int = 0
@@ -198,7 +198,7 @@ class _Batch:
     @property
     def size(self) -> int:
         """Bytes of memory that it holds, or more."""
-        return self.heard + _EACH_CHUNK * len(self.chunks) + _EACH_TOLD * len(self.told)
+        return self.heard + _EACH_CHUNK * len(self.chunks) + _EACH_REPORTED * len(self.entries)
 
 
 class Recorder:
@@ -226,7 +226,7 @@ class Recorder:
         self.path, stream = _new_file(read_path(path))
         self.dropped = 0
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._look: Callable[[], Iterable[Told]] = tuple
+        self._look: Callable[[], Iterable[Entry]] = tuple
         self._known: Callable[[], tuple[Cipher | None, FirmwareProfile | None]] = _nothing
         self._batch = _Batch()
         self._timer: asyncio.TimerHandle | None = None
@@ -275,7 +275,7 @@ class Recorder:
         self,
         link: Link,
         firmware: Callable[[], FirmwareProfile],
-        look: Callable[[], Iterable[Told]],
+        look: Callable[[], Iterable[Entry]],
     ) -> None:
         """Log the state of a connection besides its bytes.
 
@@ -311,7 +311,7 @@ class Recorder:
         try:
             if self._loop is not None:
                 now = self._loop.time()
-                batch.told = [(now, told) for told in self._look()]
+                batch.entries = [(now, entry) for entry in self._look()]
             batch.cipher, batch.profile = self._known()
         except Exception:
             _logger.exception("%s: from here on only bytes are recorded", self.path)
@@ -437,7 +437,7 @@ class _Scribe:
 
     def write(self, batch: _Batch) -> None:
         if not self._is_begun:
-            if not (batch.chunks or batch.told):
+            if not (batch.chunks or batch.entries):
                 return
             self._begin()
         # Sent bytes first: an echo of them stands in the same batch.
@@ -455,12 +455,12 @@ class _Scribe:
         if batch.profile is not None:
             for way, data, now in batch.chunks:
                 if way is Direction.SENT:
-                    told = self._witness.sent(data, batch.cipher, batch.profile)
+                    entries = self._witness.sent(data, batch.cipher, batch.profile)
                 else:
-                    told = self._witness.received(data, now, batch.cipher, batch.profile)
-                for topic, content in told:
+                    entries = self._witness.received(data, now, batch.cipher, batch.profile)
+                for topic, content in entries:
                     self._json(topic, content, now)
-        for now, (topic, content) in batch.told:
+        for now, (topic, content) in batch.entries:
             extra = {"log_dropped_bytes": batch.dropped} if topic == LINK else {}
             self._json(topic, {**content, **extra}, now)
 
@@ -530,12 +530,12 @@ class _Scribe:
                 at += len(data)
         topic = RX if direction is Direction.RECEIVED else TX
         self._add(topic, b"".join(pieces), first)
-        told = {
+        content = {
             "direction": direction.value,
             "offset_us": [round((now - first) * 1e6) for _, now in chunks],
             "length": [len(piece) for piece in pieces],
         }
-        self._json(CHUNKS, told, first)
+        self._json(CHUNKS, content, first)
 
     def _json(self, topic: str, content: dict[str, Any], now: float) -> None:
         if topic == FIX:

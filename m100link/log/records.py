@@ -262,7 +262,7 @@ class _Reader:
                 losses.place(self._data_end, end)
             else:
                 self._is_summary_whole = True
-                losses.told = self._counted
+                losses.counts = self._counted
         try:
             record = None if kind == _MESSAGE and self._has_parts else _parsed(kind, body)
         except (struct.error, UnicodeDecodeError, LookupError):

@@ -448,11 +448,11 @@ def _messages(
         return
     for sample in flight.samples(firmware=firmware):
         at_ns = max(0, round((sample.received_at + offset) * 1e9))
-        for topic, data in _told(sample, divmod(at_ns, 10**9)):
+        for topic, data in _messages_of(sample, divmod(at_ns, 10**9)):
             yield topic, at_ns, data
 
 
-def _told(sample: Sample, stamp: Stamp) -> Iterator[tuple[str, bytes]]:
+def _messages_of(sample: Sample, stamp: Stamp) -> Iterator[tuple[str, bytes]]:
     made = _MESSAGES
     position, attitude = sample.get(Position), sample.get(Attitude)
     if position is not None:

@@ -258,7 +258,7 @@ RELIABLE_SESSIONS = range(2, MAX_SESSION + 1)
 
 _ALWAYS_FITS = 991  # bytes of data that are not too many for a frame, encrypted or not
 _REMEMBERED_UNANSWERED = 1024  # numbers per session that went unanswered one after the other
-_REMEMBERED = 256  # finished requests whose acks are still told apart from foreign ones
+_REMEMBERED = 256  # finished requests whose acks are still distinguished from foreign ones
 
 
 @dataclass(slots=True)

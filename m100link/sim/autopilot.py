@@ -87,7 +87,7 @@ class Autopilot:
         self._power_on: float | None = None
         self._ticks = 0
         # Losses of authority reported to the onboard device, out of vehicle.authority_losses.
-        self._told_losses = 0
+        self._pushed_losses = 0
 
     def _fresh_endpoint(self) -> Endpoint:
         endpoint = Endpoint(forget_after=self.vehicle.settings.forget_acks_after)
@@ -131,7 +131,7 @@ class Autopilot:
 
     def frames_to_send(self) -> list[bytes]:
         """Take the frames that wait to be sent, oldest first."""
-        if self._told_losses < self.vehicle.authority_losses:
+        if self._pushed_losses < self.vehicle.authority_losses:
             self._tell_of_losses()  # a switch was moved between two steps
         outbox = self._outbox
         if len(outbox) == 1:
@@ -206,15 +206,15 @@ class Autopilot:
         vehicle.step()
         if vehicle.is_restarting:
             return
-        if self._told_losses < vehicle.authority_losses:
+        if self._pushed_losses < vehicle.authority_losses:
             self._tell_of_losses()
         if self._from_mobile and vehicle.time >= self._mobile_free_at:
             message = self._from_mobile.popleft()
             self._mobile_free_at = vehicle.time + len(message) / _MOBILE_BYTES_PER_S
             self.notify(FromMobile(message))
         if vehicle.missions.is_active:
-            for told in vehicle.missions.news(vehicle.time):
-                self.notify(told)
+            for notification in vehicle.missions.news(vehicle.time):
+                self.notify(notification)
         frame = self._telemetry.frame(self._sequence)
         if frame is not None:
             self._next_sequence()
@@ -222,8 +222,8 @@ class Autopilot:
 
     def _tell_of_losses(self) -> None:
         """Notify the onboard device of each loss of authority not reported to it yet."""
-        while self._told_losses < self.vehicle.authority_losses:
-            self._told_losses += 1
+        while self._pushed_losses < self.vehicle.authority_losses:
+            self._pushed_losses += 1
             wants_ack = self.vehicle.settings.authority_push_session != 0
             mode = SessionMode.RELIABLE if wants_ack else SessionMode.NO_ACK
             self.notify(AuthorityChanged(), mode)
@@ -288,7 +288,7 @@ class Autopilot:
         self._from_mobile.clear()
         self._mobile_free_at = 0.0
         self._sequence = 0
-        self._told_losses = self.vehicle.authority_losses
+        self._pushed_losses = self.vehicle.authority_losses
         self._telemetry.set_rates(self.vehicle.assistant.rates_hz)
 
 

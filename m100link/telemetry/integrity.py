@@ -312,8 +312,8 @@ class IntegrityMonitor:
 
     def _look_at_place(self, sample: Sample) -> None:
         position = sample[Position]
-        told = self._newest(FlightStatus)
-        status = None if told is None else told[FlightStatus]
+        flight = self._newest(FlightStatus)
+        status = None if flight is None else flight[FlightStatus]
         if not has_fix(position) or (status is not None and status.status in _DOWN):
             self._forget()
             self._fault = None

@@ -63,7 +63,7 @@ def is_possible(record: tuple[Any, ...]) -> bool:
     return not isinstance(record, Battery) or record.is_possible
 
 
-def _told(field: tuple[str, object]) -> str:
+def _shown(field: tuple[str, object]) -> str:
     name, value = field
     return f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"
 
@@ -151,8 +151,8 @@ class AircraftState(RecordViews):
         rows = []
         for record, item in BY_RECORD.items():
             value, age, rate = self.get(record), self.age(record), self.statistics(record).rate_hz
-            told = "" if value is None else escape(", ".join(map(_told, value._asdict().items())))
-            cells = (item.name, told, "never" if age is None else f"{age:.2f} s")
+            shown = "" if value is None else escape(", ".join(map(_shown, value._asdict().items())))
+            cells = (item.name, shown, "never" if age is None else f"{age:.2f} s")
             known_rate = "" if rate is None else f"{rate:.1f}"
             rows.append("".join(f"<td>{cell}</td>" for cell in (*cells, known_rate)))
         head = "".join(f"<th>{title}</th>" for title in ("item", "value", "age", "Hz"))

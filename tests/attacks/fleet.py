@@ -140,7 +140,7 @@ class Measured:
         loss: Of what.
         still_s: Seconds until it was below 0.3 m/s, and stayed there for a second.
         landed_s: Seconds until it was down; None where nobody was left to land it.
-        gone_s: Seconds until a pilot who watches was told that the agent is gone; None where it
+        gone_s: Seconds until a client that watches heard that the agent is gone; None where it
             is not, or the watcher itself is cut off.
         moved_m_s: Greatest horizontal speed in the three seconds after the lost one was back.
     """
@@ -193,7 +193,7 @@ class Site:
                 *(*fleet, "agent", self.url, "--name", "a1", "--json"),
                 *("--connect", self.place_of("agent")),
                 *("--lost", "land", "--lost-after", f"{_LOST_AFTER_S:g}"),
-                *("--ledger", str(self._folder)),
+                *("--order-log", str(self._folder)),
             ),
             "pilot": (sys.executable, "-c", _PILOT, self.place_of("pilot")),
             "page": (sys.executable, "-c", _PAGE, self.place_of("pilot")),

@@ -79,7 +79,7 @@ def _untold_of_log(path: Path, every: list[Message], whole: bytes, copy: bytes) 
     if lost and not is_told:
         return f"{len(lost)} messages are missing in silence"
     if damage.missing_messages > len(lost):
-        return f"{damage.missing_messages} are told of {len(lost)} that are missing"
+        return f"{damage.missing_messages} are reported of {len(lost)} that are missing"
     newest = {every[number].topic: number for number in numbers}
     for number in sorted(set(range(len(every))) - set(numbers)):
         message = every[number]
@@ -88,12 +88,12 @@ def _untold_of_log(path: Path, every: list[Message], whole: bytes, copy: bytes) 
             for one, other in damage.spans_utc
         )
         if number < newest.get(message.topic, -1) and not is_within:
-            return f"{message.topic} at {message.utc} is within no span that is told"
+            return f"{message.topic} at {message.utc} is within no reported span"
     if whole.endswith(copy[-_MAGIC_BYTES:]) and len(copy) == len(whole) and lost and not damage:
-        return "a hole is told as the end of a process"
+        return "a hole is reported as the end of a process"
     was_ended = whole.endswith(b"\x89MCAP0\r\n")
     if was_ended and copy[: len(whole) - _MAGIC_BYTES] != whole[:-_MAGIC_BYTES] and not is_told:
-        return "a change of the file is not told"
+        return "a change of the file is not reported"
     return ""
 
 
@@ -149,9 +149,11 @@ def _untold_of_ledger(found: FileOrderLog, true: FileOrderLog) -> str:
         return "an order that nobody gave, or at another time"
     if found.leases_before < true.leases_before:
         return "leases begin below those that were granted"
-    if found.aloft != true.aloft and (found.aloft and found.aloft.ago_s is not None):
-        return f"{found.aloft} flew, and it was {true.aloft}"
-    is_same = (found.begun, found.aloft) == (true.begun, true.aloft)
+    if found.last_flight != true.last_flight and (
+        found.last_flight and found.last_flight.ago_s is not None
+    ):
+        return f"{found.last_flight} flew, and it was {true.last_flight}"
+    is_same = (found.begun, found.last_flight) == (true.begun, true.last_flight)
     if not is_same and not found.damaged:
         return "it forgets in silence"
     return ""
@@ -219,7 +221,7 @@ def configurations(folder: Path) -> tuple[list[bytes], Judge]:
         with suppress(M100Error):
             read(path)
         if told.records:
-            return "a file that somebody wrote is told as damaged"
+            return "a file that somebody wrote is reported as damaged"
         written = path.stat().st_mtime_ns
         path.write_bytes(copy)
         os.utime(path, ns=(written, written))  # disks do not say when they failed

@@ -117,7 +117,7 @@ class Site:
         """Start the agent, with the ledger that it had."""
         self.agent = await self._start(
             *("agent", self._url, "--name", "a1", "--connect", self.place, "--json"),
-            *("--ledger", str(self._folder), "--no-record"),
+            *("--order-log", str(self._folder), "--no-record"),
         )
 
     async def kill_agent(self) -> None:

@@ -11,7 +11,7 @@ from typing import cast
 import anyio
 import pytest
 
-from m100link.flight.cancellation import Errand, ProgramTask
+from m100link.flight.cancellation import ProgramTask, ShieldedTask
 
 pytestmark = pytest.mark.anyio
 
@@ -22,7 +22,7 @@ class Work:
     def __init__(self, error: Exception | None = None) -> None:
         self.begun = self.done = self.ended = 0
         self.error = error
-        self.errand = Errand(self.work, self.on_end)
+        self.errand = ShieldedTask(self.work, self.on_end)
 
     async def work(self) -> None:
         self.begun += 1
@@ -83,7 +83,7 @@ async def test_work_that_is_cancelled_itself_is_begun_again() -> None:
     assert (work.begun, work.done, work.ended) == (3, 1, 1)
 
 
-async def test_whoever_cancels_it_sees_it_cancelled_when_the_work_is_done() -> None:
+async def test_its_caller_sees_it_cancelled_when_the_work_is_done() -> None:
     work = Work()
     task = work.errand.begin()
     await asyncio.sleep(0.5)

@@ -39,7 +39,7 @@ def test_before_any_push_nobody_knows() -> None:
 
 
 @pytest.mark.parametrize("kind", [kind for kind in MissionKind if kind is not MissionKind.UNKNOWN])
-def test_each_kind_is_told_and_only_missions_run(kind: MissionKind) -> None:
+def test_each_kind_is_reported_and_only_missions_run(kind: MissionKind) -> None:
     found, time = watch()
     found.on_status(told(kind), time.now)
     time.now += 1.0
@@ -74,21 +74,21 @@ def test_late_pushes_of_a_mission_that_has_ended_are_not_a_new_one() -> None:
     assert found.state.is_running, "it goes on, whatever was said"
 
 
-def test_a_kind_is_told_of_since_its_first_push_whatever_others_say_between() -> None:
+def test_a_kind_is_reported_since_its_first_push_whatever_others_say_between() -> None:
     found, time = watch()
     for kind in (MissionKind.WAYPOINT, MissionKind.NONE, MissionKind.WAYPOINT):
         found.on_status(told(kind), time.now)
         time.now += BELIEVED_S
-    assert found.state.since == found.told_since(MissionKind.WAYPOINT) == 100.0 + 2 * BELIEVED_S
+    assert found.state.since == found.reported_since(MissionKind.WAYPOINT) == 100.0 + 2 * BELIEVED_S
     time.now -= BELIEVED_S
     for _ in range(3):
         time.now += 0.5 * BELIEVED_S
         found.on_status(told(MissionKind.HOTPOINT), time.now)
         found.on_status(told(MissionKind.WAYPOINT), time.now)
-    assert found.told_since(MissionKind.WAYPOINT) == 100.0 + 2 * BELIEVED_S
-    assert found.told_since(MissionKind.FOLLOW) is None
+    assert found.reported_since(MissionKind.WAYPOINT) == 100.0 + 2 * BELIEVED_S
+    assert found.reported_since(MissionKind.FOLLOW) is None
     time.now += BELIEVED_S + 0.1
-    assert found.told_since(MissionKind.HOTPOINT) is None
+    assert found.reported_since(MissionKind.HOTPOINT) is None
 
 
 def test_what_is_pushed_behind_a_push_that_ended_a_mission_is_no_late_one() -> None:
@@ -96,7 +96,7 @@ def test_what_is_pushed_behind_a_push_that_ended_a_mission_is_no_late_one() -> N
     found.on_status(told(MissionKind.WAYPOINT), time.now)
     found.on_status(told(MissionKind.NONE), time.now)
     found.ended(MissionKind.WAYPOINT, is_echoing=False)
-    assert found.told_since(MissionKind.WAYPOINT) is None
+    assert found.reported_since(MissionKind.WAYPOINT) is None
     time.now += 0.1
     found.on_status(told(MissionKind.WAYPOINT), time.now)
     assert found.state.is_running

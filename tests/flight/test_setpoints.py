@@ -132,7 +132,7 @@ async def test_nothing_older_than_its_lifetime_is_ever_sent(rig: Rig) -> None:
     assert max(time for time, setpoint in rig.frames if setpoint == NORTH) < 0.05
 
 
-async def test_expiry_is_told(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
+async def test_expiry_is_reported(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         rig.set(NORTH)
         await asyncio.sleep(1.0)
@@ -391,7 +391,7 @@ async def test_what_the_line_did_not_take_was_not_sent_and_goes_out_when_it_does
 async def test_behind_a_halt_there_is_silence(rig: Rig, after: float) -> None:
     rig.setpoints.set(NORTH, lifetime=10.0, period=0.5)
     await asyncio.sleep(after)
-    await rig.setpoints.halt()
+    await rig.setpoints.hover()
     assert rig.setpoints.current is None
     assert rig.frames[-1][1] == STILL
 
@@ -633,7 +633,7 @@ async def renewed_each(rig: Rig, period: float, seconds: float) -> None:
         await stand_still(rig, begin + turn * period + 1e-4, begin + (turn + 1) * period)
 
 
-async def test_a_rate_that_is_not_kept_is_told_once_and_counted(
+async def test_a_rate_that_is_not_kept_is_reported_once_and_counted(
     rig: Rig, caplog: pytest.LogCaptureFixture
 ) -> None:
     """At 2 % of a core it flew at half rate, and nothing said so."""
@@ -667,7 +667,7 @@ async def test_a_rate_that_is_kept_is_no_news(
             for _ in range(30):
                 rig.setpoints.set(chance.choice((NORTH, EAST)), lifetime=2.0, period=period)
                 await asyncio.sleep(chance.uniform(0.0, 0.15))
-            await rig.setpoints.halt()
+            await rig.setpoints.hover()
             await asyncio.sleep(chance.uniform(0.0, 3.0))
     pace = rig.setpoints.pace
     assert [record.message for record in caplog.records] == []

@@ -33,7 +33,7 @@ from m100link.apps.cli.fleet import borrowed
 from m100link.apps.cli.telemetry import _plot_file
 from m100link.apps.doctor.line import hear
 from m100link.apps.doctor.machine import Machine
-from m100link.apps.fleet.asking import believed, clocks_told
+from m100link.apps.fleet.asking import believed, clocks_of
 from m100link.apps.fleet.identity import Revoked, sign_revoked
 from m100link.apps.fleet.keys import Keys, name_in, session_in
 from m100link.apps.fleet.logs.words import (
@@ -359,7 +359,7 @@ def ledger(data: bytes) -> None:
         for _ in range(2):
             opened = FileOrderLog(path, lambda: _UTC, lambda: ("boot", 10.0))
             opened.close()
-            found = opened.begun, opened.aloft
+            found = opened.begun, opened.last_flight
             assert known is None or found == known, "another start knows something else"
             known = found
             assert all(type(at) is float for at in opened.begun.values())
@@ -495,7 +495,7 @@ def answers(data: bytes) -> None:
         QueryAnswer(_KEYS.command, first, "1"),
         QueryAnswer(_KEYS.command, second or first, "2"),
     ]
-    clocks_told(given, "a1")
+    clocks_of(given, "a1")
     for sessions in (["1"], ["1", "2"]):
         with suppress(M100Error):
             believed(given, _KEYS, "0" * 32, sessions)

@@ -20,7 +20,7 @@ from m100link import Position, connect
 from m100link.errors import PortNotFound, UsageError
 from m100link.link import Direction
 from m100link.log import Recorder, read, recorder
-from m100link.log.channels import COMMAND, EVENT, FIX, LINK, RX, TELEMETRY, TX, Told
+from m100link.log.channels import COMMAND, EVENT, FIX, LINK, RX, TELEMETRY, TX, Entry
 from m100link.wire import encode_frame
 from tests.disk import Disk
 from tests.log.flight import APP_ID, KEY, URL, fly
@@ -57,7 +57,7 @@ async def test_every_byte_of_the_flight_is_in_its_log(tmp_path: Path) -> None:
     assert max(log.table(Position).column("position.height_m")) > 1.5
 
 
-async def test_what_was_commanded_is_told_with_its_answer(tmp_path: Path) -> None:
+async def test_what_was_commanded_is_reported_with_its_answer(tmp_path: Path) -> None:
     path = tmp_path / "flight.mcap"
     await fly(path)
     told = [message.content() for message in read(path).messages(COMMAND)]
@@ -275,7 +275,7 @@ async def test_what_cannot_be_asked_costs_its_records_and_not_the_bytes(
     record = Recorder(tmp_path / "flight.mcap")
     asked = 0
 
-    def look() -> list[Told]:
+    def look() -> list[Entry]:
         nonlocal asked
         asked += 1
         raise RuntimeError("not today")
@@ -298,7 +298,7 @@ async def test_an_interrupt_while_it_is_noted_does_not_end_the_log(
 ) -> None:
     record = Recorder(tmp_path / "flight.mcap")
 
-    def look() -> list[Told]:
+    def look() -> list[Entry]:
         raise error
 
     loop = asyncio.get_running_loop()
@@ -373,7 +373,7 @@ asyncio.run(main())
 def test_a_log_is_ours_also_when_somebody_looks_at_it_as_it_begins(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever lists logs has the lock of each for a moment; without ours it counts as written."""
+    """A program that lists logs locks each for a moment; without it, it counts as written."""
     lock, looks = recorder._lock, iter([False, False])
     monkeypatch.setattr(recorder, "_lock", lambda stream: next(looks, True) and lock(stream))
     one = Recorder(tmp_path)
@@ -385,7 +385,7 @@ def test_a_log_is_ours_also_when_somebody_looks_at_it_as_it_begins(
 async def test_a_log_is_on_the_disk_as_it_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Not only with the kernel: whoever cuts the power after a flight has all of it."""
+    """Not only with the kernel: after a flight a cut of the power leaves all of it."""
     disk = Disk(monkeypatch, tmp_path)
     await fly(tmp_path / "flight.mcap")
     assert disk.content(tmp_path / "flight.mcap") == (tmp_path / "flight.mcap").read_bytes()

@@ -145,13 +145,13 @@ class TaskSet:
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
 
-def call_each(callbacks: Iterable[Callable[..., object]], *told: object) -> None:
+def call_each(callbacks: Iterable[Callable[..., object]], *arguments: object) -> None:
     """Call each of them, and raise the first error afterwards."""
     # Whatever one of them raises: the next one may hold control, or end it.
     failed: Exception | None = None
     for callback in tuple(callbacks):
         try:
-            callback(*told)
+            callback(*arguments)
         except Exception as error:  # noqa: BLE001 (raised below)
             failed = failed or error
     if failed is not None:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import partial
 from typing import Any, Self, TypeVar
+from warnings import warn
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.background import TaskSet, call_each
@@ -263,7 +264,7 @@ class AgentClient:
         self.on_authority_taken: list[Callable[[AuthorityLost], None]] = []
         #: Called with the fence and the reason when a setpoint was not flown.
         self.on_steer_refused: list[Callable[[int, M100Error], None]] = []
-        self.on_mission_told: list[Callable[[MissionReport], None]] = []
+        self.on_mission_report: list[Callable[[MissionReport], None]] = []
         #: Called when the lease changed hands.
         self.on_lease: list[Callable[[LeaseChanged], None]] = []
         self._samples: Hub[Sample] = Hub()
@@ -283,8 +284,8 @@ class AgentClient:
             Activating: self._on_activating,
             AuthorityTaken: self._on_authority_taken,
             SteerRefused: self._on_steer_refused,
-            MissionReport: partial(call_each, self.on_mission_told),
-            PlanChanged: self._on_plan_told,
+            MissionReport: partial(call_each, self.on_mission_report),
+            PlanChanged: self._on_plan_changed,
         }
 
     @property
@@ -432,7 +433,7 @@ class AgentClient:
     def _on_steer_refused(self, message: SteerRefused) -> None:
         call_each(self.on_steer_refused, message.fence, message.fault.error())
 
-    def _on_plan_told(self, message: PlanChanged) -> None:
+    def _on_plan_changed(self, message: PlanChanged) -> None:
         self.plan, self.plan_by = None, message.name
         if message.plan is not None:
             try:
@@ -517,10 +518,15 @@ class AgentClient:
         """Fly this for its lifetime; renews the lease. A refusal comes to ``on_steer_refused``."""
         self._channel.send(Steer(lease.number, self._clock(), lifetime, setpoint))
 
-    def halt(self, why: str = "", lease: Lease | None = None) -> None:
-        """Stop moving; anybody may. With the lease: it was let go, which begins anew after STOP."""
+    def hover(self, why: str = "", lease: Lease | None = None) -> None:
+        """Hover; anybody may. With the lease: it was let go, which begins anew after STOP."""
         fence = lease.number if lease else 0
         self._channel.send(Ask(0, orders.Halt(why), fence, self._clock()))
+
+    def halt(self, why: str = "", lease: Lease | None = None) -> None:
+        """Old name of :meth:`hover`."""
+        warn("AgentClient.halt is hover now", DeprecationWarning, stacklevel=2)
+        self.hover(why, lease)
 
     async def stop(self) -> None:
         """Stop whatever happens: motion, program, and the task that the aircraft flies."""

@@ -1,9 +1,9 @@
 """Control of one aircraft in the hands of one client of its agent: a table of states and inputs.
 
-Every front that steers has a :class:`ControlSession` for each of its pilots. It takes the lease,
-activates the aircraft, obtains control authority, renews the lease while its pilot is heard, and
-ends when the pilot lets go, falls silent, is taken over, or loses the agent. How fronts differ are
-:class:`Terms`. The agent decides each time again; what stands here is what it told last.
+Every front that steers has a :class:`ControlSession` for each of its operators. It takes the lease,
+activates the aircraft, obtains control authority, renews the lease while its operator is heard, and
+ends when the operator lets go, falls silent, is taken over, or loses the agent. Fronts differ in
+:class:`Terms`. The agent decides each time again; what stands here is what it reported last.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Terms:
 
 
 class ControlState(Enum):
-    """Where control stands for one pilot."""
+    """Where control stands for one operator."""
 
     ABSENT = "absent"  # nothing is held
     ASKING = "asking"  # for the lease
@@ -68,7 +68,7 @@ class ControlState(Enum):
     ACTIVATING = "activating"
     OBTAINING = "obtaining"  # authority
     HOLDING = "holding"  # setpoints and tasks are obeyed, as far as is known
-    STOPPED = "stopped"  # somebody pressed STOP: setpoints fly once the pilot begins anew
+    STOPPED = "stopped"  # somebody pressed STOP: setpoints fly once the operator begins anew
     SUSPENDED = "suspended"  # somebody else took authority; the lease is kept
     LETTING_GO = "letting go"
     LOST = "lost"  # the lease expired, or the agent has gone
@@ -78,14 +78,14 @@ class ControlState(Enum):
 class ControlInput(Enum):
     """The inputs of the table."""
 
-    ASKED = "asked"  # the pilot wants the lease
+    ASKED = "asked"  # the operator wants the lease
     GRANTED = "granted"  # the agent gave it, or another session handed it on
     ACTIVATE = "activate"
     OBTAIN = "obtain"
     OBEYED = "obeyed"  # authority is held
-    REFUSED = "refused"  # the lease, to this pilot
+    REFUSED = "refused"  # the lease, to this operator
     STOP = "stop"  # by anybody
-    BEGUN_ANEW = "begun anew"  # the pilot let go of everything after a STOP
+    BEGUN_ANEW = "begun anew"  # the operator let go of everything after a STOP
     LET_GO = "let go"
     GIVEN_BACK = "given back"
     AUTHORITY_TAKEN = "authority taken"  # by the switch, the app, or unknown
@@ -126,17 +126,17 @@ TRANSITIONS: dict[ControlState, dict[ControlInput, ControlState]] = {
 
 
 class ControlSession:
-    """Control of one aircraft, for one pilot.
+    """Control of one aircraft, for one operator.
 
-    A front calls :meth:`heard` twice a second while its pilot is there: three seconds after the
+    A front calls :meth:`heard` twice a second while its operator is there: three seconds after the
     last call, or the last setpoint, the lease ends. It sets ``on_refused``, the only sign of a
-    setpoint that the agent did not fly, and calls :meth:`close` when its pilot has gone.
+    setpoint that the agent did not fly, and calls :meth:`close` when its operator has gone.
     """
 
     def __init__(
         self,
         agent: AgentClient,
-        name: str,  # of the pilot, for people
+        name: str,  # of the operator, for people
         terms: Terms = Terms(),
     ) -> None:
         self._agent = agent
@@ -150,11 +150,11 @@ class ControlSession:
         self.lease_end: LeaseChanged | None = None
         #: Why authority was lost; None while it is held, and without a lease.
         self.loss: LossReason | None = None
-        #: Digest of the plan that this pilot uploaded last, and starts; empty for none.
+        #: Digest of the plan that this operator uploaded last, and starts; empty for none.
         self.uploaded = ""
         #: Called with each new state.
         self.on_change: Callable[[ControlState], None] = ignore
-        #: Called with why a setpoint of this pilot was not flown.
+        #: Called with why a setpoint of this operator was not flown.
         self.on_refused: Callable[[M100Error], None] = ignore
         # One request for control, or its end, at a time: they would cross.
         self._changing = asyncio.Lock()
@@ -200,17 +200,17 @@ class ControlSession:
 
     @property
     def has_lease(self) -> bool:
-        """Whether this pilot may steer."""
+        """Whether this operator may steer."""
         return self._lease is not None and self._lease.number == self._agent.holder.number
 
     @property
     def has_control(self) -> bool:
-        """Whether the aircraft obeys this pilot."""
+        """Whether the aircraft obeys this operator."""
         return self.has_lease and self._agent.has_authority
 
     @property
     def is_obeyed(self) -> bool:
-        """The same, and its pilot was told so, and was heard again since the last loss.
+        """The same, and its operator heard so, and was heard again since the last loss.
 
         True after a STOP, too: tasks are obeyed then, and setpoints after :meth:`begin_anew`.
         """
@@ -221,7 +221,7 @@ class ControlSession:
 
     @property
     def is_others(self) -> bool:
-        """Whether somebody else has the lease, which may be a later one than any of this pilot."""
+        """Whether another client has the lease, perhaps a later one than any of this operator."""
         return self._agent.holder.number not in (0, self._number)
 
     @property
@@ -230,7 +230,7 @@ class ControlSession:
         return self._changing.locked()
 
     def held(self) -> Lease:
-        """The lease, where the aircraft obeys this pilot.
+        """The lease, where the aircraft obeys this operator.
 
         Raises:
             NoAuthority: Control is not held, or the agent is not heard.
@@ -404,7 +404,7 @@ class ControlSession:
             await self._obtain(lease, *made_at)
 
     def adopt(self, lease: Lease) -> None:
-        """Hold a lease that was granted to this pilot."""
+        """Hold a lease that was granted to this operator."""
         if not self._heard:
             self._agent.let_go(lease)
         elif self._lease != lease:
@@ -461,9 +461,9 @@ class ControlSession:
     # -- while it is held ------------------------------------------------------------------------
 
     def heard(self, *, is_idle: bool = False) -> None:
-        """The pilot is there: the lease lasts three more seconds.
+        """The operator is there: the lease lasts three more seconds.
 
-        A front that calls this for a pilot who is silent keeps the aircraft from all others.
+        A front that calls this for an operator who is silent keeps the aircraft from all others.
         ``is_idle``: nothing is wanted of the aircraft.
         """
         agent, lease, now = self._agent, self._lease, self._agent.now
@@ -483,14 +483,14 @@ class ControlSession:
             agent.keep(lease)
 
     async def keep(self) -> None:
-        """Call :meth:`heard` twice a second until this is cancelled; nobody looks at the pilot."""
+        """Call :meth:`heard` twice a second until it is cancelled; nobody looks at the operator."""
         while self._heard:  # until the session is closed, too
             self.heard()
             await asyncio.sleep(RENEWAL_S)
 
     @asynccontextmanager
     async def kept(self) -> AsyncIterator[None]:
-        """The same while the block runs: the pilot is the task in it."""
+        """The same while the block runs: the operator is the task in it."""
         keeping = self._agent.background.spawn(self.keep(), f"lease of {self.name}")
         try:
             yield
@@ -540,7 +540,7 @@ class ControlSession:
         await self._agent.stop()
 
     def begin_anew(self, why: str = "", at: float = math.inf) -> bool:
-        """The pilot let go of everything: motion stops, and a STOP is over. Needs the lease.
+        """The operator let go of everything: motion stops, and a STOP is over. Needs the lease.
 
         ``at``: when at the earliest, s of the client's clock. A STOP since then stands: returns
         whether none does.
@@ -549,7 +549,7 @@ class ControlSession:
         if (lease := self.lease) is not None:
             if is_anew:
                 self.feed(_I.BEGUN_ANEW)
-            self._agent.halt(why, lease if is_anew else None)
+            self._agent.hover(why, lease if is_anew else None)
         return is_anew
 
     # -- what others do --------------------------------------------------------------------------

@@ -80,7 +80,7 @@ class ClockEstimate:
         self._grain = grain
         self._here, self._there = _Way(), _Way()
         self._trips: deque[float] = deque(maxlen=_TRIPS)
-        self._answered_at = self._told = -math.inf
+        self._answered_at = self._heard_at = -math.inf
 
     # -- arrivals --------------------------------------------------------------------------------
 
@@ -123,7 +123,7 @@ class ClockEstimate:
             return fastest
         # Both ways together would take less than no time: a clock was set since.
         self.steps += 1
-        self._told = -math.inf
+        self._heard_at = -math.inf
         self._here, self._there = _Way(), _Way()
         if there is not None:
             self._there.take(there, now)
@@ -156,8 +156,8 @@ class ClockEstimate:
         """
         if self._there.fastest(now) == math.inf:
             return 0.0
-        self._told = max(self._told, now - self._here.fastest(now))
-        return self._told
+        self._heard_at = max(self._heard_at, now - self._here.fastest(now))
+        return self._heard_at
 
     @property
     def round_trip(self) -> float | None:

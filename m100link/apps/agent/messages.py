@@ -337,9 +337,7 @@ class Journal:
             self.untold += 1
             if self.untold == 1:
                 with suppress(Exception):
-                    self._add(
-                        f"an event was not told everywhere: {error!r}", "error", EventTopic.NONE
-                    )
+                    self._add(f"a listener failed at an event: {error!r}", "error", EventTopic.NONE)
 
     def _add(self, text: str, level: str, topic: EventTopic) -> Event:
         self._count += 1
@@ -370,7 +368,7 @@ _ERRORS: dict[str, type[M100Error]] = {
     if isinstance(found := getattr(errors, name), type) and issubclass(found, M100Error)
 } | {kind.__name__: kind for kind in (LeaseRefused, LeaseHeld, MessageError)}
 
-_TOLD = ("seen", "cause", "remedy")
+_FAULT_TEXTS = ("seen", "cause", "remedy")
 
 
 @dataclass(frozen=True, slots=True)
@@ -391,7 +389,7 @@ class RemoteError:
         details = {
             name: _plain(value)
             for name, value in vars(error).items()
-            if name not in _TOLD and isinstance(value, str | int | float | None)
+            if name not in _FAULT_TEXTS and isinstance(value, str | int | float | None)
         }
         return cls(known.__name__, error.seen, error.cause, error.remedy, details)
 

@@ -98,8 +98,8 @@ class Stop(EndingOrder, needs=Needs.NOTHING, age=Age.ANY):
     """No motion, no program, and no task."""
 
 
-class Halt(EndingOrder, needs=Needs.NOTHING, age=Age.ANY, is_at_once=True):
-    """No motion and no guided flight; a task goes on."""
+class Halt(EndingOrder, label="hover", needs=Needs.NOTHING, age=Age.ANY, is_at_once=True):
+    """Hover: no motion and no guided flight; a task goes on."""
 
     why: str = ""  #: for people
 

@@ -86,7 +86,7 @@ class _Outlet(_Declared, Outlet):
         super().__init__(declared)
         self._ended = zenoh.ZError
         self._first = is_kept  # by a late listener
-        self._told: bool | None = None
+        self._is_matching: bool | None = None
         self._listener: Any = None
         if not is_kept:
             # To ask costs 20 µs where a session has a thousand keys, and is asked a hundred times
@@ -95,7 +95,7 @@ class _Outlet(_Declared, Outlet):
             self._first = bool(declared.matching_status.matching)
 
     def _matching(self, status: Any) -> None:
-        self._told = bool(status.matching)  # no bool, whatever its stub says
+        self._is_matching = bool(status.matching)  # no bool, whatever its stub says
 
     def put(self, payload: bytes, attachment: bytes | None = None) -> None:
         if self._declared is None:
@@ -109,7 +109,7 @@ class _Outlet(_Declared, Outlet):
     def is_wanted(self) -> bool:
         if self._declared is None:
             return False
-        return self._first if self._told is None else self._told
+        return self._first if self._is_matching is None else self._is_matching
 
     def close(self) -> None:
         listener, self._listener = self._listener, None
@@ -356,7 +356,7 @@ async def open_session(opening: Opening) -> AsyncIterator[ZenohBus]:
         ) from None
     config = _config(opening)
     mode = str(read_json(config.get_json("mode") or "null") or "peer")
-    is_told = False
+    is_reported = False
     clock = asyncio.get_running_loop().time
     until = clock() + opening.patience_s
     while True:
@@ -366,10 +366,10 @@ async def open_session(opening: Opening) -> AsyncIterator[ZenohBus]:
         except zenoh.ZError as error:
             if not (mode == "client" and (opening.is_patient or clock() < until)):
                 raise _refused(error, mode, opening) from error
-            if not is_told and opening.is_patient:
+            if not is_reported and opening.is_patient:
                 places = config.get_json("connect/endpoints")
                 _logger.warning("no router answers yet at %s", places)
-                is_told = True
+                is_reported = True
         await asyncio.sleep(_AGAIN_S)
     try:
         yield ZenohBus(session, opening.largest)

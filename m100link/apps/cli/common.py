@@ -246,7 +246,7 @@ async def until(seconds: float | None, work: Any) -> None:
             raise
 
 
-class Told(asyncio.Event):
+class Ended(asyncio.Event):
     """Set by Ctrl-C and SIGTERM.
 
     A task that has not come to wait for it yet is cancelled instead: it may wait for a router that

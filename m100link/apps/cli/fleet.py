@@ -66,7 +66,7 @@ class Begun:
 
 
 @contextmanager
-def told_when_interrupted(name: str, left: Left) -> Iterator[None]:
+def reported_when_interrupted(name: str, left: Left) -> Iterator[None]:
     """Print what one order leaves behind, if Ctrl-C ends the block."""
     try:
         yield
@@ -257,10 +257,10 @@ def tell_results(results: dict[str, Result], options: FleetOptions) -> int:
         result = results[name]
         error = result.error
         if as_json:
-            told: dict[str, Any] = {"name": name, "outcome": result.outcome.value}
+            facts: dict[str, Any] = {"name": name, "outcome": result.outcome.value}
             if error is not None:
-                told |= {"code": error.error_code, "seen": error.seen, "remedy": error.remedy}
-            print_json(told)
+                facts |= {"code": error.error_code, "seen": error.seen, "remedy": error.remedy}
+            print_json(facts)
             continue
         why = "" if error is None else f"  {error.seen}"
         style = "green" if result.is_ok else "red"

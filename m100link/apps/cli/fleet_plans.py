@@ -19,10 +19,10 @@ from m100link.apps.cli.fleet import (
     FleetOptions,
     Left,
     borrowed,
+    reported_when_interrupted,
     say,
     shared,
     tell,
-    told_when_interrupted,
     write_out,
 )
 from m100link.apps.cli.mission import event_name, event_words
@@ -188,10 +188,10 @@ def _ordering(
             async def ask(order: Order) -> OrderReply:
                 return await asker.ask(order, fence=fence, token=token)
 
-            with told_when_interrupted(name, left):
-                told = await do(MissionOrders(ask), aircraft) or done
-        facts = {"name": name, "outcome": "ok", "told": told}
-        return tell(facts, f"{name}: {told}", as_json=options.json_output)
+            with reported_when_interrupted(name, left):
+                text = await do(MissionOrders(ask), aircraft) or done
+        facts = {"name": name, "outcome": "ok", "told": text}
+        return tell(facts, f"{name}: {text}", as_json=options.json_output)
 
     return run_async(run())
 
@@ -274,7 +274,7 @@ def stop(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
 
     async def run() -> int:
         async with options.open() as fleet:
-            with told_when_interrupted(name, _STOP):
+            with reported_when_interrupted(name, _STOP):
                 await fleet[name].stop()
         facts = {"name": name, "outcome": "ok"}
         return tell(facts, f"{name}: stopped", as_json=options.json_output)
@@ -369,7 +369,7 @@ def check(
     report = report_on(found, guards.envelope)
     status = ExitCode.OK if report.ok else ExitCode.USAGE
     if as_json:
-        print_json(_told(found, report))
+        print_json(_facts(found, report))
         return status
     lines = [f"✗ {one.seen}\n  {one.remedy}" for one in report.problems]
     lines += [f"! {remark}" for remark in report.remarks]
@@ -385,7 +385,7 @@ def check(
     return status
 
 
-def _told(show: Show, report: Report) -> dict[str, Any]:
+def _facts(show: Show, report: Report) -> dict[str, Any]:
     return {
         "ok": report.ok,
         "problems": [_problem(problem) for problem in report.problems],
@@ -397,8 +397,8 @@ def _told(show: Show, report: Report) -> dict[str, Any]:
 
 
 def _problem(error: BadShow) -> dict[str, Any]:
-    told = ("aircraft", "at", "measured", "limit", "seen", "remedy")
-    return {name: getattr(error, name) for name in told}
+    names = ("aircraft", "at", "measured", "limit", "seen", "remedy")
+    return {name: getattr(error, name) for name in names}
 
 
 @shows.command

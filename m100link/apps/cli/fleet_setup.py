@@ -18,7 +18,7 @@ from cyclopts import Parameter
 
 from m100link.apps.agent.messages import JOURNAL_LOG
 from m100link.apps.agent.orders import Right
-from m100link.apps.cli.common import Told, err, layer_of_settings, run_async
+from m100link.apps.cli.common import Ended, err, layer_of_settings, run_async
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
     ROUTER,
@@ -30,19 +30,12 @@ from m100link.apps.cli.fleet import (
     tell_results,
     write_out,
 )
-from m100link.apps.cli.options import (
-    Above0,
-    AsJson,
-    Counted,
-    Force,
-    Json,
-    group,
-)
+from m100link.apps.cli.options import Above0, AsJson, Counted, Force, Json, group
 from m100link.apps.cli.plan import File
 from m100link.apps.cli.serve import (
     AS_USUAL,
     IN_BROWSER,
-    MOST_UNTOLD,
+    MOST_UNWRITTEN,
     PageOptions,
     RunOptions,
     Urls,
@@ -67,7 +60,7 @@ from m100link.apps.fleet.signing import tls_options, verifying
 from m100link.apps.station.config import ONLY_NAME, Settings, resolve
 from m100link.apps.station.fleet import (
     FleetSettings,
-    default_ledgers,
+    default_order_logs,
     recorded_apart,
     serving_fleet,
     serving_fleet_console,
@@ -142,7 +135,7 @@ def router(
         )
 
     async def run() -> None:
-        ended = Told()
+        ended = Ended()
         async with open_fleet("router", listen=listen, connect=connect, options=options):
             tell({"listen": list(listen)}, f"router: {', '.join(listen)}", as_json=json_output)
             await ended.wait()
@@ -158,7 +151,7 @@ def agent(
     site: Annotated[str, Parameter(env_var="M100LINK_SITE")] = DEFAULT_SITE,
     lost: LostAction = "hover",
     lost_after: float = 10.0,
-    ledger: Path | None = None,
+    order_log: Path | None = None,
     pki: Annotated[Path | None, Parameter(env_var="M100LINK_PKI")] = None,
     rights: Path | None = None,
     log_rate: Annotated[float, Above0] = RATE / 1e6,
@@ -175,8 +168,8 @@ def agent(
         connect: Endpoint of a router (M100LINK_FLEET); may be repeated.
         site: Name of the site (M100LINK_SITE).
         lost: Action of the aircraft when its operator is lost: hover, land or home.
-        lost_after: Seconds that it hovers before that.
-        ledger: Folder in which the agent records orders that it begins, so that none runs twice
+        lost_after: Seconds of hovering before that.
+        order_log: Folder in which the agent records orders that it begins, so that none runs twice
             after a restart; by default in the user's state folder, for real aircraft only.
         pki: Folder with its certificate and key, for a router behind tls/ (M100LINK_PKI).
         rights: File of rights: the agent refuses orders that are not signed by an identity with the
@@ -198,7 +191,7 @@ def agent(
             show(settings)
         return ExitCode.OK
     is_virtual = all(settings.sim for settings in aircraft.values())
-    kept = ledger or (None if is_virtual else default_ledgers())
+    kept = order_log or (None if is_virtual else default_order_logs())
     fleet = FleetSettings(
         connect, site, LostLinkPlan(lost, lost_after), kept, log_rate=log_rate * 1e6
     )
@@ -217,9 +210,9 @@ def _checking(rights: Rights, names: Iterable[str], pki: Path | None) -> dict[st
 
 
 async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, run: RunOptions) -> int:
-    ended = Told()
+    ended = Ended()
     tell_elsewhere(JOURNAL_LOG)
-    with FlightProgress("talk", MOST_UNTOLD) as teller:
+    with FlightProgress("talk", MOST_UNWRITTEN) as teller:
         async with serving_fleet(aircraft, fleet, partial(tell_event, teller, run.log)) as agents:
             words = f"fleet:     {fleet.site}: {', '.join(agents)}"
             facts = {"fleet": fleet.site, "agents": list(agents)}
@@ -270,7 +263,7 @@ def console(
 async def _serve_console(
     names: tuple[str, ...], options: FleetOptions, settings: Settings, *, is_opened: bool
 ) -> int:
-    ended = Told()
+    ended = Ended()
     async with options.open() as fleet, serving_fleet_console(fleet, settings, names) as served:
         scheme = "http" if settings.tls_cert is None else "https"
         path, shown = served.console_path(), list(served.agents)

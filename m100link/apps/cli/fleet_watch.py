@@ -16,7 +16,7 @@ from rich.live import Live
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 from rich.table import Table
 
-from m100link.apps.cli.common import Told, err, out, run_async
+from m100link.apps.cli.common import Ended, err, out, run_async
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
     All,
@@ -67,7 +67,7 @@ def monitor(
     """
 
     async def run() -> None:
-        ended = Told()
+        ended = Ended()
         if duration is not None:
             asyncio.get_running_loop().call_later(duration, ended.set)
         async with options.open() as fleet:
@@ -75,7 +75,7 @@ def monitor(
             if options.json_output:
                 while await _until(ended, 1.0):
                     for name in in_order(fleet.present | set(heard.states)):
-                        print_json(_told(fleet, heard, name))
+                        print_json(_facts(fleet, heard, name))
                 return
             with Live(console=out, auto_refresh=False) as live:
                 while await _until(ended, 1 / rate):
@@ -84,17 +84,17 @@ def monitor(
     return run_async(run())
 
 
-def _told(fleet: Fleet, heard: FleetTelemetry, name: str) -> dict[str, Any]:
+def _facts(fleet: Fleet, heard: FleetTelemetry, name: str) -> dict[str, Any]:
     state = heard.states.get(name)
-    told: dict[str, Any] = {"name": name, "is_there": name in fleet.present}
-    told["received"] = heard.received[name]
+    facts: dict[str, Any] = {"name": name, "is_there": name in fleet.present}
+    facts["received"] = heard.received[name]
     if state is not None:
-        told["age"] = state.newest_age
+        facts["age"] = state.newest_age
         kinds: tuple[type[Any], ...] = (Position, Velocity, Battery, FlightStatus)
         for kind in kinds:
             value = state.fresh(kind, now=state.newest_at)
-            told[BY_RECORD[kind].name] = None if value is None else value._asdict()
-    return told
+            facts[BY_RECORD[kind].name] = None if value is None else value._asdict()
+    return facts
 
 
 def _table(fleet: Fleet, heard: FleetTelemetry) -> Table:
@@ -138,7 +138,7 @@ def watch(
     """
 
     async def run() -> None:
-        ended = Told()
+        ended = Ended()
         gone: ReaderGone | None = None
 
         def tell(_: str, sample: Sample) -> None:
@@ -167,12 +167,12 @@ def watch(
 
 
 def _package(sample: Sample) -> dict[str, Any]:
-    told: dict[str, Any] = {"received_at": sample.received_at}
+    values: dict[str, Any] = {"received_at": sample.received_at}
     for kind, item in BY_RECORD.items():
         value = sample.get(kind)
         if value is not None:
-            told[item.name] = value._asdict()
-    return told
+            values[item.name] = value._asdict()
+    return values
 
 
 def lease(name: str, /, *, take_over: bool = False, options: FleetOptions = NO_OPTIONS) -> int:
@@ -186,7 +186,7 @@ def lease(name: str, /, *, take_over: bool = False, options: FleetOptions = NO_O
     """
 
     async def run() -> None:
-        ended = Told()
+        ended = Ended()
         async with options.open() as fleet, fleet[name].control(take_over=take_over) as control:
             facts = {"name": name, "fence": control.fence}
             words = f"{name}: lease {control.fence}, until Ctrl-C"
@@ -311,13 +311,13 @@ class _Shown:
     def done(self, fetched: Fetched) -> None:
         """One is here."""
         self._at.pop(fetched.name, None)
-        told = f"{fetched.size:,} bytes"
+        text = f"{fetched.size:,} bytes"
         if fetched.came < fetched.size:
-            told += f", of which {fetched.size - fetched.came:,} were here already"
+            text += f", of which {fetched.size - fetched.came:,} were here already"
         if fetched.is_written:
-            told += "; the log is still being written, and this is its part so far"
+            text += "; the log is still being written, and this is its part so far"
         facts = asdict(fetched) | {"path": str(fetched.path), "outcome": "ok"}
-        tell(facts, f"{fetched.name}: {fetched.path}: {told}", as_json=self._is_json)
+        tell(facts, f"{fetched.name}: {fetched.path}: {text}", as_json=self._is_json)
 
     def interrupted(self) -> None:
         """Say how much is here of each log that was not finished."""

@@ -191,7 +191,7 @@ async def in_control(
     begins: str | None = None,  # refused while a mission flies, before control is obtained
     guards: Guards | None = None,
     credentials: Credentials | None = None,
-    is_told: bool = True,
+    is_reported: bool = True,
 ) -> AsyncIterator[tuple[Aircraft, Control]]:
     """Connect, ask, activate, obtain control."""
     ask = None if is_sure else what
@@ -202,7 +202,7 @@ async def in_control(
             await require_no_mission(aircraft, begins)
         async with aircraft.control(guards=guards) as control:
             yield aircraft, control
-        if what is not None and is_told:
+        if what is not None and is_reported:
             out.print(f"done: {what} ({describe_situation(aircraft.state.situation())})")
 
 

@@ -379,14 +379,14 @@ async def record(
 async def _lost_or(aircraft: Aircraft, ended: asyncio.Event) -> LinkError | None:
     """Wait until the line is lost, or it is ended: None."""
     lost = asyncio.ensure_future(aircraft.wait_closed())
-    told = asyncio.ensure_future(ended.wait())
+    waiting = asyncio.ensure_future(ended.wait())
     try:
-        await asyncio.wait((lost, told), return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait((lost, waiting), return_when=asyncio.FIRST_COMPLETED)
         return lost.result() if lost.done() else None
     finally:
-        for one in (lost, told):
+        for one in (lost, waiting):
             one.cancel()
-        await asyncio.gather(lost, told, return_exceptions=True)
+        await asyncio.gather(lost, waiting, return_exceptions=True)
 
 
 @app.command

@@ -50,10 +50,7 @@ from m100link.protocol.commands.missions import MissionStatus
 from m100link.protocol.records import FlightPhase, Position
 from m100link.telemetry.subscription import Latest
 
-app = group(
-    "mission",
-    "Let the aircraft fly a plan by itself (firmware 3.1).",
-)
+app = group("mission", "Let the aircraft fly a plan by itself (firmware 3.1).")
 
 
 _STATUS_S = 1.0  # in which an aircraft that tells of its flight status has done so
@@ -99,7 +96,7 @@ def fly(
         place,
         f"{'take off and ' if take_off else ''}fly this mission",
         is_sure=yes,
-        is_told=False,
+        is_reported=False,
         look=None if take_off else _require_airborne,
         begins="a waypoint mission",
         guards=Guards(envelope=limits.envelope),
@@ -125,7 +122,7 @@ async def _fly(flight: _InControl, plan: WaypointPlan, *, take_off: bool, allow_
                     show.tell(event, mission)
             show.end()
     except (asyncio.CancelledError, ReaderGone) as error:
-        # Told when the control block has ended: with Ctrl-C that is what stops the mission.
+        # Printed when the control block has ended: with Ctrl-C that is what stops the mission.
         gone = "output closed: " if isinstance(error, ReaderGone) else ""
         for words in left:
             err.print(gone + words(), markup=False, soft_wrap=True)
@@ -179,9 +176,9 @@ class _Show:
                 self._track.append(here)
             self._draw()
 
-    def uploading(self, told: Uploading) -> None:
+    def uploading(self, event: Uploading) -> None:
         """A waypoint was taken."""
-        self._line = f"uploading {self._bar(told.index + 1)} {told.index + 1} of {told.total}"
+        self._line = f"uploading {self._bar(event.index + 1)} {event.index + 1} of {event.total}"
         self._draw()
 
     def tell(self, event: MissionEvent, mission: WaypointFlight) -> None:
@@ -287,13 +284,13 @@ async def stop(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> None
 
 
 async def _going_on(
-    flight: _InControl, act: Callable[[Control], Awaitable[MissionKind]], told: str
+    flight: _InControl, act: Callable[[Control], Awaitable[MissionKind]], done: str
 ) -> None:
     """Act on a mission that goes on without this program."""
     async with flight as (_, control):
         kind = await act(control)
         control.detach_mission()  # giving authority back would break it off
-        out.print(told.format(kind.value))
+        out.print(done.format(kind.value))
 
 
 @app.command
@@ -308,7 +305,7 @@ async def resume(
 ) -> None:
     """Let a paused mission fly on by itself. Does not release authority."""
     ask = "let the mission go on"
-    flight = in_control(options.place(url), ask, is_sure=yes, is_told=False)
+    flight = in_control(options.place(url), ask, is_sure=yes, is_reported=False)
     await _going_on(flight, Control.resume_mission, "resumed: {}; it flies on by itself")
 
 

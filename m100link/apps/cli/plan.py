@@ -143,8 +143,8 @@ def check(
         "farthest_m": round(found.farthest_m(*near), 2),
     }
     if as_json:
-        told = {"ok": True, "problems": [], "remarks": found.remarks()}
-        print_json(told | facts | {"estimate": asdict(made)})
+        checked = {"ok": True, "problems": [], "remarks": found.remarks()}
+        print_json(checked | facts | {"estimate": asdict(made)})
         return ExitCode.OK
     _say(*(f"! {remark}" for remark in found.remarks()))
     low, high = found.heights

@@ -109,23 +109,23 @@ def _keys(station: Any, ended: asyncio.Event) -> Iterator[None]:
 
 
 async def _order(station: Any, text: str) -> None:
-    """The same for every recording that is shown."""
+    """The same for every recording."""
     agents = getattr(station, "agents", None)
     try:
         if agents is None:
             await station.agent.ask(orders.OrderReplay(text))
-            told = station.agent.replay.told()
+            now = station.agent.replay.progress()
         else:
             for agent in agents.values():
                 await agent.ask(orders.OrderReplay(text))
-            told = next(iter(agents.values())).state.replay
+            now = next(iter(agents.values())).state.replay
     except M100Error as error:
         err.print(error.seen, style="yellow", markup=False)
         return
-    if told is not None:
-        speed = "max" if not told.speed else f"{told.speed:g} ×"
-        state = "at its end" if told.is_at_end else "paused" if told.is_paused else speed
-        err.print(f"{_clock(told.position_s)} of {_clock(told.duration_s)}, {state}", markup=False)
+    if now is not None:
+        speed = "max" if not now.speed else f"{now.speed:g} ×"
+        state = "at its end" if now.is_at_end else "paused" if now.is_paused else speed
+        err.print(f"{_clock(now.position_s)} of {_clock(now.duration_s)}, {state}", markup=False)
 
 
 def _clock(seconds: float) -> str:

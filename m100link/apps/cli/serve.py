@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 from cyclopts import Parameter
 
-from m100link.apps.cli.common import Told, err, layer_of_settings, out, places
+from m100link.apps.cli.common import Ended, err, layer_of_settings, out, places
 from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.cli.options import Json, On, offered
 from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, panel, print_json
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
-MOST_UNTOLD = 200
+MOST_UNWRITTEN = 200
 
 
 _RARE = Parameter(group=panel("Rarely needed"))
@@ -82,10 +82,10 @@ async def run_station(
     from m100link.apps.agent.messages import JOURNAL_LOG
     from m100link.apps.station.supervisor import leave_what_stays
 
-    ended = Told()
+    ended = Ended()
     tell_elsewhere(JOURNAL_LOG)
     log_of(next(iter(aircraft)) if len(aircraft) == 1 else "")
-    with FlightProgress("talk", MOST_UNTOLD) as teller:
+    with FlightProgress("talk", MOST_UNWRITTEN) as teller:
         tell = partial(tell_event, teller, options.log, is_named=len(aircraft) > 1)
         async with _running(aircraft, options, served, tell) as (station, front):
             announce = partial(_announce, aircraft, station, as_json=options.json_output)
@@ -101,8 +101,8 @@ async def run_station(
             with contextlib.nullcontext() if keys is None else keys(station, ended):
                 await ended.wait()
             end = "ending: control authority goes back; a flying aircraft hovers"
-            told = end if station.has_authority else "ending"
-            teller.do(lambda: err.print(told))
+            text = end if station.has_authority else "ending"
+            teller.do(lambda: err.print(text))
     return ExitCode.OK
 
 
@@ -209,12 +209,12 @@ def _announce(aircraft: dict[str, Settings], running: _Station, *, as_json: bool
     served |= {"ros2": _nodes(aircraft)} if settings.ros2 else {}
     served |= {"console": [_console_url(settings, running)]} if "console" in served else {}
     if as_json:
-        told: dict[str, Any] = {"console": None} if "rosbridge" in served else {}
+        facts: dict[str, Any] = {"console": None} if "rosbridge" in served else {}
         for name, urls in served.items():
             if urls:
-                told[name] = urls[0] if name in _ALONE else urls
-        told["sim"] = settings.sim
-        print_json(told | ({"aircraft": list(aircraft)} if len(aircraft) > 1 else {}))
+                facts[name] = urls[0] if name in _ALONE else urls
+        facts["sim"] = settings.sim
+        print_json(facts | ({"aircraft": list(aircraft)} if len(aircraft) > 1 else {}))
         return
     for name, urls in served.items():
         if urls:
@@ -232,8 +232,8 @@ def _nodes(aircraft: dict[str, Settings]) -> list[str]:
 
 def _tell_unused(settings: Settings) -> None:
     if settings.unused:
-        told = "[yellow]warning:[/] m100link ignores these parameters of the launch file: "
-        err.print(told, end="")
+        text = "[yellow]warning:[/] m100link ignores these parameters of the launch file: "
+        err.print(text, end="")
         err.print(", ".join(settings.unused), markup=False)
 
 

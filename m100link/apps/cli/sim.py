@@ -436,7 +436,7 @@ class LiveView:
             control += f"  (API: {state['authority_obstacle']})"
         app = _app(state["app_connected"], state["app_has_internet"], state["activated_app"])
         sent, lost = state["frames_sent"], state["frames_lost"]
-        told = {
+        shown = {
             "flight": f"{state['flight_status']}, {state['maneuver']}",
             "height": f"{state['height']:.2f} m",
             "attitude": f"roll {_degrees(motion.roll)} pitch {_degrees(motion.pitch)} "
@@ -452,9 +452,9 @@ class LiveView:
         if state["mission"] is not None:
             ended = self._aircraft.vehicle.missions.running is None
             doing, what, how_far = _mission(state["mission"])
-            told |= {"last mission" if ended else "mission": doing, what: how_far}
+            shown |= {"last mission" if ended else "mission": doing, what: how_far}
         table = Table.grid(padding=(0, 2))
-        cells = [(Text(name, style="bold"), value) for name, value in told.items()]
+        cells = [(Text(name, style="bold"), value) for name, value in shown.items()]
         for left, right in zip(cells[::2], cells[1::2], strict=True):
             if out.width >= _WIDE:
                 table.add_row(*left, *right)
@@ -494,12 +494,12 @@ class LiveView:
         return text
 
 
-def _mission(told: dict[str, Any]) -> tuple[str, str, str]:
+def _mission(mission: dict[str, Any]) -> tuple[str, str, str]:
     """The state of the mission, and how far it is."""
-    doing = f"{told['kind']}: {'paused' if told['is_paused'] else told['doing']}"
-    if "waypoint" not in told:
+    doing = f"{mission['kind']}: {'paused' if mission['is_paused'] else mission['doing']}"
+    if "waypoint" not in mission:
         return doing, "", ""
-    return doing, "waypoint", f"{told['waypoint']} of 0 to {told['waypoints'] - 1}"
+    return doing, "waypoint", f"{mission['waypoint']} of 0 to {mission['waypoints'] - 1}"
 
 
 def _degrees(radians: float) -> str:

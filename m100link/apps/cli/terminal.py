@@ -62,7 +62,7 @@ def _replacement(character: str) -> str:
 codecs.register_error("m100link.ascii", _in_ascii)
 
 
-class _Told:
+class _Reported:
     """A stream that says that its reader is gone, or keeps it to itself."""
 
     def __init__(self, stream: TextIO, *, raises: bool) -> None:
@@ -108,8 +108,8 @@ def speak_to_anybody() -> Iterator[None]:
     for stream in before:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="m100link.ascii")
-    sys.stdout = cast(TextIO, _Told(before[0], raises=True))
-    sys.stderr = cast(TextIO, _Told(before[1], raises=False))
+    sys.stdout = cast(TextIO, _Reported(before[0], raises=True))
+    sys.stderr = cast(TextIO, _Reported(before[1], raises=False))
     try:
         yield
         sys.stdout.flush()

@@ -138,10 +138,10 @@ class Machine:
         try:
             state = Path(path).stat()
             numbers = f"c{os.major(state.st_rdev)}:{os.minor(state.st_rdev)}"
-            told = (self._root / "run/udev/data" / numbers).read_text("utf-8", "replace")
+            stored = (self._root / "run/udev/data" / numbers).read_text("utf-8", "replace")
         except OSError:
             return False
-        return "E:ID_MM_DEVICE_IGNORE=1" in told.splitlines()
+        return "E:ID_MM_DEVICE_IGNORE=1" in stored.splitlines()
 
     def _processes(self) -> Iterator[Path]:
         yield from sorted((self._root / "proc").glob("[0-9]*"))

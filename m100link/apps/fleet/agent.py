@@ -31,7 +31,7 @@ from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.lost_link import LastFlight, LostLinkAction, LostLinkPlan
 from m100link.apps.fleet.missions.manager import MissionManager
-from m100link.apps.fleet.order_log import Ledger, OrderCache
+from m100link.apps.fleet.order_log import OrderCache, OrderLog
 from m100link.apps.fleet.orders import Done, OrderService
 from m100link.apps.fleet.payloads import (
     Card,
@@ -52,7 +52,7 @@ HOLD_S = 0.5
 
 _ID = re.compile(r"[0-9a-f]{32}")
 _CARD_S = 1.0
-_NAMESAKE_S = 2.0
+_DUPLICATE_S = 2.0
 _READ_AT_ONCE_BYTES = 2048
 """Bytes of an order that is read at once: with its signature STOP has 300."""
 _MAX_LONG_ORDERS = 16
@@ -86,7 +86,7 @@ class FleetAgent:
         client: AgentClient,  # what knows its agent
         bus: Bus,
         keys: Keys,
-        ledger: Ledger,  # what outlives it
+        order_log: OrderLog,  # what outlives it
         *,
         lost: LostLinkPlan | None = None,  # what happens when the operator is lost
         # Looks at each order; without it the router alone decides who may ask.
@@ -97,28 +97,28 @@ class FleetAgent:
         self.client = client
         self._bus = bus
         self._keys = keys
-        self._ledger = ledger
+        self._order_log = order_log
         self._lost_plan = lost or LostLinkPlan()
         self._verify = verify
         self._utc = utc
         self.boot = uuid.uuid4().hex[:8]  # which run of this agent it is
-        self.namesakes = DuplicateNames(keys.name, self.boot)  # whether another agent has its name
-        self._has_namesake = False
+        self.duplicates = DuplicateNames(keys.name, self.boot)  # whether another agent has its name
+        self._is_duplicate = False
         self.dropped: Counter[Dropped] = Counter()  # setpoints that were not flown, by reason
-        unsure_before = client.now if ledger.damaged else -math.inf
-        self._book = OrderCache(ledger.begun, unsure_before=unsure_before)
+        unsure_before = client.now if order_log.damaged else -math.inf
+        self._order_cache = OrderCache(order_log.begun, unsure_before=unsure_before)
         self._ages = OrderExpiry()
-        self._orders = OrderService(client, ledger, revoked)
-        self._aloft = LastFlight(client, ledger)
+        self._orders = OrderService(client, order_log, revoked)
+        self._last_flight = LastFlight(client, order_log)
         descend = partial(self._orders.descend, take_over=False)
-        self._lost = LostLinkAction(client, self._lost_plan, descend, self._aloft)
+        self._lost = LostLinkAction(client, self._lost_plan, descend, self._last_flight)
         self._running: dict[str, asyncio.Task[None]] = {}  # orders under way, by id
         # Long orders, which wait until short ones have been read.
         self._long: deque[tuple[str, Question]] = deque()
         self._has_long = asyncio.Event()
         self._stream = SetpointStream()
         self._thinner = Thinner()
-        self._mission, self._mission_at = b"", -math.inf  # card as it was told last, and when
+        self._mission, self._mission_at = b"", -math.inf  # card as it was sent last, and when
         client.on_steer_refused.append(self._steer_refused)
 
     async def run(self) -> None:
@@ -147,11 +147,11 @@ class FleetAgent:
             for token in (keys.live_by(bus.session), keys.live_beside):
                 hold(bus.declare(token))
             self._tell_damage()
-            self._ledger.tell = partial(self.client.note, level="error")
-            self._lost.inherit(self._ledger.aloft)
+            self._order_log.tell = partial(self.client.note, level="error")
+            self._lost.inherit(self._order_log.last_flight)
             try:
                 async with asyncio.TaskGroup() as group:
-                    group.create_task(self._aloft.keep())
+                    group.create_task(self._last_flight.keep())
                     group.create_task(self._answer_long())
                     group.create_task(self._tell_state())
             finally:
@@ -171,10 +171,10 @@ class FleetAgent:
             self.client.background.spawn(self.client.stop(), "stop of who is revoked")
 
     def _tell_damage(self) -> None:
-        if self._ledger.damaged:
+        if self._order_log.damaged:
             self.client.note(
-                f"{self._ledger.damaged} records of the ledger are damaged or gone: earlier orders "
-                "are unknown and not carried out, and no aircraft is landed for an earlier run",
+                f"{self._order_log.damaged} records of the order log are damaged or gone: earlier "
+                "orders are unknown and not carried out; no aircraft is landed for an earlier run",
                 "error",
             )
 
@@ -183,7 +183,7 @@ class FleetAgent:
 
         The token of a killed agent can still be seen for a while.
         """
-        deadline = self.client.now + _NAMESAKE_S
+        deadline = self.client.now + _DUPLICATE_S
         while await self._bus.tokens(self._keys.live, timeout=1.0):
             if self.client.now >= deadline:
                 raise UsageError(
@@ -208,7 +208,7 @@ class FleetAgent:
             self._full.put(_package(sample))
 
     async def _tell_state(self) -> None:
-        # Of hundreds that were begun together and told of at one moment, some would be lost. So
+        # Of hundreds that were begun together and reported at one moment, some would be lost. So
         # each has one of twenty moments, and shares it: to wake for each would cost as much again.
         moments = round(_CARD_S / WALL_WITHIN_S)
         own = zlib.crc32(self._keys.name.encode()) % moments * WALL_WITHIN_S
@@ -216,7 +216,7 @@ class FleetAgent:
         due = clock() + (own - clock()) % _CARD_S
         while True:
             self._state.put_later(lambda: pack(self.card()))
-            self._look_for_namesakes()
+            self._look_for_duplicates()
             await asyncio.sleep(max(0.0, due - clock()))
             due += _CARD_S * (1 + max(0.0, clock() - due) // _CARD_S)
 
@@ -225,19 +225,19 @@ class FleetAgent:
             card: Card = unpack(Card, payload)
         except MessageError:
             return  # of another version, or nothing that an agent tells
-        self.namesakes.hear(card.boot, self.client.now)
-        self._look_for_namesakes()
+        self.duplicates.hear(card.boot, self.client.now)
+        self._look_for_duplicates()
 
-    def _look_for_namesakes(self) -> None:
+    def _look_for_duplicates(self) -> None:
         """An operator would see two aircraft as one: the aircraft hovers, and reports it."""
-        client, had = self.client, self._has_namesake
-        self._has_namesake = self.namesakes.is_there(client.now)
-        if self._has_namesake and not had:
-            told = f"another agent is named {self._keys.name}: this aircraft hovers until one ends"
-            client.note(told, "error")
+        client, had = self.client, self._is_duplicate
+        self._is_duplicate = self.duplicates.is_there(client.now)
+        if self._is_duplicate and not had:
+            text = f"another agent is named {self._keys.name}: this aircraft hovers until one ends"
+            client.note(text, "error")
             if client.holder.number in self._orders.leases:  # a show flies by what is on board
-                client.halt(told)
-        elif had and not self._has_namesake:
+                client.hover(text)
+        elif had and not self._is_duplicate:
             client.note(f"no other agent is named {self._keys.name} any more")
 
     def card(self) -> Card:
@@ -303,7 +303,7 @@ class FleetAgent:
         # the network hands over one, and hides the other's failure.
         try:
             order: OrderMessage = unpack(OrderMessage, question.payload)
-            is_repeated = self._book.heard(order.id, order.digest)
+            is_repeated = self._order_cache.heard(order.id, order.digest)
             if not is_repeated:
                 self._begin(order)
         except M100Error as error:
@@ -311,7 +311,7 @@ class FleetAgent:
             question.answer(key, pack(refused))
             return
         await self._wait(order.id)
-        question.answer(key, pack(self._told(order.id, is_repeated=is_repeated)))
+        question.answer(key, pack(self._reply_to(order.id, is_repeated=is_repeated)))
 
     def _begin(self, order: OrderMessage) -> None:
         """Hear an order for the first time."""
@@ -324,17 +324,17 @@ class FleetAgent:
             if self._verify is None:
                 raise
             # Signatures let an order through once: the same again hears the same.
-            self._book.begin(order.id, order.digest, now)
+            self._order_cache.begin(order.id, order.digest, now)
             self._end(order, error)
             return
-        self._book.begin(order.id, order.digest, now)
+        self._order_cache.begin(order.id, order.digest, now)
         work = self._carry_out(order, asked)
         self._running[order.id] = self.client.background.spawn(work, "order of the fleet")
 
     def _require_now(self, order: OrderMessage, asked: orders.Order, now: float) -> None:
         """Refuse an order that may not begin now."""
         if asked.moves:
-            self.namesakes.require_none(now)
+            self.duplicates.require_none(now)
         if self._may_have_begun(order, asked):  # whatever it comes under now
             raise _begun_before()
         if asked.is_kept:
@@ -347,14 +347,14 @@ class FleetAgent:
             self._ages.revoke(now)
 
     def _may_have_begun(self, order: OrderMessage, asked: orders.Order) -> bool:
-        """Whether an agent before began it, or may have where its ledger is damaged."""
-        is_of_before = order.fence and asked.is_kept and self._book.is_unsure(order.clock)
-        return bool(is_of_before) or self._book.was_begun_before(order.id)
+        """Whether an agent before began it, or may have where its order log is damaged."""
+        is_of_before = order.fence and asked.is_kept and self._order_cache.is_unsure(order.clock)
+        return bool(is_of_before) or self._order_cache.was_begun_before(order.id)
 
     async def _carry_out(self, order: OrderMessage, asked: orders.Order) -> None:
         try:
             if asked.is_kept:
-                await self._ledger.begin(order.id)
+                await self._order_log.begin(order.id)
                 self._ages.check(order.clock, self.client.now)
             self._end(order, None, await self._orders.carry_out(order, asked))
         except M100Error as error:
@@ -368,25 +368,25 @@ class FleetAgent:
 
     def _end(self, order: OrderMessage, error: M100Error | None, done: Done | None = None) -> None:
         reply = replace(self._reply(order.id, error, done), order=order.digest)
-        self._book.end(reply, self.client.now)
+        self._order_cache.end(reply, self.client.now)
 
     def _reply(
         self, identity: str, error: M100Error | None, done: Done | None = None
     ) -> OrderReply:
         done = done or Done()
-        told = {one.name: getattr(done, one.name) for one in fields(done)}
-        return OrderReply.done(identity, self._keys.name, self.boot, error, **told)
+        values = {one.name: getattr(done, one.name) for one in fields(done)}
+        return OrderReply.done(identity, self._keys.name, self.boot, error, **values)
 
     async def _wait(self, identity: str) -> None:
         if identity in self._running:  # where it runs on, the reply says so
             await asyncio.wait({self._running[identity]}, timeout=HOLD_S)
 
-    def _told(self, identity: str, *, is_repeated: bool) -> OrderReply:
-        reply = self._book.reply(identity)
+    def _reply_to(self, identity: str, *, is_repeated: bool) -> OrderReply:
+        reply = self._order_cache.reply(identity)
         if reply is None:
-            if self._book.is_known(identity):
+            if self._order_cache.is_known(identity):
                 progress = Progress.RUNNING
-            elif self._book.was_begun_before(identity):
+            elif self._order_cache.was_begun_before(identity):
                 return replace(self._reply(identity, _begun_before()), clock=self.client.now)
             else:
                 progress = Progress.NEVER
@@ -402,7 +402,8 @@ class FleetAgent:
             question.drop()
             return
         await self._wait(identity)
-        question.answer(self._keys.status(identity), pack(self._told(identity, is_repeated=True)))
+        reply = pack(self._reply_to(identity, is_repeated=True))
+        question.answer(self._keys.status(identity), reply)
 
     # -- setpoints -------------------------------------------------------------------------------
 
@@ -419,8 +420,8 @@ class FleetAgent:
             self.dropped[Dropped.STALE] += 1
             return
         steer, begins = found
-        if self._has_namesake:
-            self.dropped[Dropped.NAMESAKE] += 1
+        if self._is_duplicate:
+            self.dropped[Dropped.DUPLICATE] += 1
             return
         holder = self.client.holder
         why = self._stream.drop(steer, begins=begins, fence=holder.number, now=self.client.now)
@@ -471,7 +472,7 @@ class DuplicateNames:
         self._heard: dict[str, tuple[float, float]] = {}
 
     def hear(self, boot: str, now: float) -> None:
-        """Something was told under this name.
+        """A message came under this name.
 
         ``now``: s.
         """

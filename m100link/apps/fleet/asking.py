@@ -214,7 +214,7 @@ class Asker:
         payload, status = pack(order), self.keys.status(order.id)
         silent_since = began = self._clock()
         sent = 0  # the question that the order was; 0: it is to be sent
-        begun = 0  # the newest one to which it was told to have begun
+        begun = 0  # the newest one that the agent reported as begun
         async with Questions(self.bus) as questions:
             while (left := silent_since + patience - self._clock()) > 0:
                 if not sent:
@@ -254,7 +254,7 @@ class Asker:
         if has_begun:
             return OutcomeUnknown(
                 f"{self.keys.name} began the order, and does not know it any more",
-                cause="its agent restarted without its ledger",
+                cause="its agent restarted without its order log",
             )
         return OutcomeUnknown(
             f"{self.keys.name} answers, but has not heard of the order",
@@ -273,7 +273,7 @@ class Asker:
         try:
             found = believed(came, self.keys, order.id, self._sessions, order.digest)
         except OutcomeUnknown:
-            self.doubtful_clocks = clocks_told(came, self.keys.name)
+            self.doubtful_clocks = clocks_of(came, self.keys.name)
             raise
         if isinstance(found, OrderReply):
             self.its_clock.heard(asked_at, found.clock, self._clock())
@@ -395,7 +395,7 @@ class Questions:
 # it.
 
 
-def clocks_told(answers: Iterable[QueryAnswer], name: str) -> list[float]:
+def clocks_of(answers: Iterable[QueryAnswer], name: str) -> list[float]:
     """Return the clock, s, of each session that claims to be the aircraft of that name."""
     found = set()
     for one in answers:

@@ -113,15 +113,15 @@ class FleetChannel:
         self._boot = ""
         self._is_closed = False
         # By the agent's clock: how new the word on the lease is that comes next, and when a lease
-        # was granted to this front, whose answer overtakes what was told before.
-        self._told_at = self._granted_at = 0.0
+        # was granted to this front, whose answer overtakes earlier messages.
+        self._newest_at = self._granted_at = 0.0
         self._holder = LeaseChanged(0, "")
         self._leases: dict[int, Lease] = {}
         self._leasing: set[asyncio.Task[None]] = set()  # orders about the lease, under way
         self._renewed_at = -_RENEWAL_S
         self._shown_at = 0.0  # when the agent showed the last time that the lease is in force
         self.lost: M100Error | None = None  # what the agent refused to renew it with
-        # Why the newest setpoint that the agent told of was not flown. A page shows what is true of
+        # Why the newest setpoint with a report was not flown. A page shows what is true of
         # the newest beat: it is reported with each, until the agent says that they fly.
         self._unflown: RemoteError | None = None
         self._asks = 0
@@ -257,7 +257,7 @@ class FleetChannel:
         if message is None or self._is_closed:
             return
         if isinstance(message, Hello):
-            self._told_at = message.at if self._greeted(message) else self._told_at
+            self._newest_at = message.at if self._greeted(message) else self._newest_at
         elif isinstance(message, LeaseChanged):
             self._lease_changed(message)
         else:
@@ -285,7 +285,7 @@ class FleetChannel:
         return now if known is None else min(now, its - known.seconds)
 
     def _lease_changed(self, change: LeaseChanged) -> None:
-        if change.number >= self._holder.number or self._told_at >= self._granted_at:
+        if change.number >= self._holder.number or self._newest_at >= self._granted_at:
             self._shown_at = self._clock()
             self._hold(change)
 
@@ -452,7 +452,7 @@ class FleetChannel:
             # client that believes to have control has to be able to steer, and to give it back.
             kept = sorted({**self._leases, lease.number: lease}.items())
             self._leases = dict(kept[-_MOST_LEASES:])
-            self._granted_at = self._told_at = its
+            self._granted_at = self._newest_at = its
             self._lease_changed(LeaseChanged(lease.number, lease.name))
             self._deliver(OrderOutcome(identity, Stage.DONE, lease=lease))
             return

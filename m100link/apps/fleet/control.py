@@ -306,13 +306,13 @@ class FleetControl:
             keeping.cancel()
             await asyncio.gather(keeping, return_exceptions=True)
             if self._lost is None:
-                await self._halt()
+                await self._hover()
 
-    async def _halt(self) -> None:
+    async def _hover(self) -> None:
         """Ask for the hover that follows anyway when the setpoint expires, only later."""
-        halt = orders.Halt(f"{self._name} ended a hold")
+        hover = orders.Halt(f"{self._name} ended a hold")
         try:
-            await self._asker.ask(halt, patience=LEASE_LIFETIME)
+            await self._asker.ask(hover, patience=LEASE_LIFETIME)
         except FleetError as error:
             _logger.warning("%s: the setpoint expires: %s", self._keys.name, error.seen)
 

@@ -101,7 +101,7 @@ class Dropped(Enum):
     LATE = "late"  # too long on its way, or from the future
     REPEATED = "repeated"  # or overtaken by a newer one
     BROKEN = "broken"  # of a stream that had ended
-    NAMESAKE = "namesake"  # another agent has the same name: operators see two aircraft as one
+    DUPLICATE = "namesake"  # another agent has the same name: operators see two aircraft as one
 
 
 class SetpointStream:

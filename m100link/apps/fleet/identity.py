@@ -273,8 +273,8 @@ class Revoked:
 
 def sign_revoked(number: int, names: Mapping[str, str], key: ec.EllipticCurvePrivateKey) -> bytes:
     """The bytes of a list."""
-    told = {"m100link": _KIND, "number": number, "names": dict(names)}
-    line = json.dumps(told).encode() + b"\n"
+    content = {"m100link": _KIND, "number": number, "names": dict(names)}
+    line = json.dumps(content).encode() + b"\n"
     data = line + base64.b64encode(key.sign(line, ec.ECDSA(SHA256()))) + b"\n"
     if len(data) > LARGEST:
         raise BadRevoked(

@@ -74,7 +74,7 @@ class Keys:
 
     telemetry = _Key("tel")  # every package, as it came; sent while somebody listens
     thinned = _Key("tel/5hz")  # what suffices for each item five times a second
-    state = _Key("state")  # where the agent stands: told once a second, and answered
+    state = _Key("state")  # where the agent stands: sent once a second, and answered
     event = _Key("event")  # what happens
     told = _Key("told")  # what fronts of the agent hear; sent while somebody listens
     place = _Key("place")  # where it will be in its show, for the others that fly it

@@ -6,7 +6,7 @@ flight, and nobody else took it, the aircraft lands or goes home after a while. 
 when anybody is present: an operator takes the lease or presses STOP, or the pilot moves a stick of
 the remote control or its mode switch.
 
-A killed agent takes its operator's lease with it. For the next agent the ledger says under which
+A killed agent takes its operator's lease with it. For the next agent the order log says under which
 lease the aircraft is flown, from the moment at which it obeys until somebody lets go.
 """
 
@@ -21,7 +21,7 @@ from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import LeaseChange, LeaseHeld
 from m100link.apps.agent.messages import Event, EventTopic, LeaseChanged
 from m100link.apps.agent.orders import GoHome, Land, Order
-from m100link.apps.fleet.order_log import LastFlightRecord, Ledger
+from m100link.apps.fleet.order_log import LastFlightRecord, OrderLog
 from m100link.errors import AuthorityLost, LossReason, M100Error, UsageError
 from m100link.protocol.records import FlightPhase, RemoteControl
 
@@ -70,10 +70,10 @@ class LostLinkAction:
         plan: LostLinkPlan,  # what to do
         # Brings it down, for a reason, and takes the lease from nobody.
         descend: Callable[[Order, str], Awaitable[None]],
-        aloft: LastFlight,  # keeps who flies for the agent after this one
+        last_flight: LastFlight,  # keeps who flies for the agent after this one
     ) -> None:
         self._client = client
-        self._aloft = aloft
+        self._last_flight = last_flight
         self._plan = plan
         self._descend = descend
         self._waiting: asyncio.Task[None] | None = None
@@ -93,12 +93,12 @@ class LostLinkAction:
         if change.number:
             if not self._is_descending:
                 self._stand_down()
-                self._aloft.flown_under(change.number if was_flying else 0)
+                self._last_flight.flown_under(change.number if was_flying else 0)
             return
         if change.why in _LOST and was_flying:
             self._bereave()
         elif not self._is_waiting:
-            self._aloft.flown_under(0)
+            self._last_flight.flown_under(0)
 
     @property
     def _is_waiting(self) -> bool:
@@ -112,7 +112,7 @@ class LostLinkAction:
     def _bereave(self) -> None:
         task = _TASKS.get(self._plan.action)
         if task is None:
-            self._aloft.flown_under(0)
+            self._last_flight.flown_under(0)
         elif not self._is_waiting:
             self._somebody = ""
             self._waiting = self._client.background.spawn(self._bring_down(task), "operator lost")
@@ -122,7 +122,7 @@ class LostLinkAction:
         if not self._is_line_lost:
             self._somebody = "control authority was taken"
             if not self._is_waiting:
-                self._aloft.flown_under(0)  # the pilot flies; back in F it is obtained anew
+                self._last_flight.flown_under(0)  # the pilot flies; back in F it is obtained anew
 
     def _event(self, event: Event) -> None:
         if event.topic is EventTopic.STOPPED:
@@ -130,16 +130,16 @@ class LostLinkAction:
         # The agent reports its state before the events that follow from it.
         client = self._client
         if client.holder.number and client.state.has_authority:
-            self._aloft.flown_under(client.holder.number)
+            self._last_flight.flown_under(client.holder.number)
         elif client.holder.number and client.state.holding == "releasing" and not self._is_waiting:
-            self._aloft.flown_under(0)
+            self._last_flight.flown_under(0)
 
     # -- whom the agent before lost --------------------------------------------------------------
 
     def inherit(self, left: LastFlightRecord | None) -> None:
         """Take care of an aircraft that the previous agent left in the air.
 
-        ``left``: what its ledger says; None: no operator of the fleet flew.
+        ``left``: what its order log says; None: no operator of the fleet flew.
         """
         if left is not None:
             self._waiting = self._client.background.spawn(self._inherit(left), "operator lost")
@@ -164,7 +164,7 @@ class LostLinkAction:
             self._somebody = ""
             await self._bring_down(task)
             return
-        self._aloft.flown_under(0)
+        self._last_flight.flown_under(0)
 
     async def _phase_within(self, seconds: float) -> FlightPhase | None:
         """The flight phase as soon as the aircraft reports one; None: not in time."""
@@ -193,7 +193,7 @@ class LostLinkAction:
                     f"the operator is lost, and it did not land: {error.seen}", "error"
                 )
             else:
-                self._aloft.flown_under(0)
+                self._last_flight.flown_under(0)
                 return
             finally:
                 self._is_descending = False
@@ -202,7 +202,7 @@ class LostLinkAction:
             after = _AGAIN_S
         text = f"the operator is lost, but {self._somebody}: the aircraft is left alone"
         self._client.note(text, "warning")
-        self._aloft.flown_under(0)
+        self._last_flight.flown_under(0)
 
     async def _nobody_came(self, within: float) -> bool:
         """Wait; whether nobody showed meanwhile that he is there."""
@@ -226,7 +226,7 @@ class LostLinkAction:
         return "a stick was moved" if max(map(abs, sticks)) > _STICK else ""
 
 
-# -- under which lease an aircraft flies, kept in the ledger for the agent after this one ----------
+# -- under which lease an aircraft flies, kept in the order log for the agent after this one -------
 
 
 KEPT_AGAIN_S = 30.0
@@ -234,10 +234,10 @@ KEPT_AGAIN_S = 30.0
 
 
 class LastFlight:
-    def __init__(self, client: AgentClient, ledger: Ledger) -> None:
+    def __init__(self, client: AgentClient, order_log: OrderLog) -> None:
         self._client = client
-        self._ledger = ledger
-        self._number = 0 if ledger.aloft is None else ledger.aloft.fence
+        self._order_log = order_log
+        self._number = 0 if order_log.last_flight is None else order_log.last_flight.fence
         self._changed = asyncio.Event()
 
     def flown_under(self, number: int) -> None:
@@ -261,8 +261,8 @@ class LastFlight:
                 pass  # it still flies
             self._changed.clear()
             try:
-                await self._ledger.flies(self._number)
+                await self._order_log.flies(self._number)
                 is_kept = True
             except M100Error as error:
                 is_kept = False
-                self._client.note(f"the ledger does not keep who flies: {error.seen}", "error")
+                self._client.note(f"the order log does not keep who flies: {error.seen}", "error")

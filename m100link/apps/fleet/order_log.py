@@ -73,11 +73,11 @@ class MemoryOrderLog:
         # that was begun, the number of a lease, or who flew.
         self.damaged = 0
         self.flown_under: int = 0 if before is None else before.flown_under
-        self.aloft: LastFlightRecord | None = (
+        self.last_flight: LastFlightRecord | None = (
             None  # how the agent before ended, if somebody flew then
         )
         if self.flown_under:
-            self.aloft = LastFlightRecord(self.flown_under, 0.0)
+            self.last_flight = LastFlightRecord(self.flown_under, 0.0)
 
     async def begin(self, identity: str) -> None:
         """Keep that an order begins; done when it is kept."""
@@ -117,14 +117,14 @@ class FileOrderLog:
         self._is_sure_who_flew = True
         self.tell: Callable[[str], None] = _logger.warning
         self.damaged = 0
-        self.aloft: LastFlightRecord | None = None
+        self.last_flight: LastFlightRecord | None = None
         self._file = self._lock = -1
         self._lock_path = path.with_suffix(".lock")
         self._in_thread = threading.Lock()  # one that was cancelled goes on
         try:
             self._own()
             self.begun, self.leases_before = self._read()
-            self.aloft = self._left_aloft()
+            self.last_flight = self._read_last_flight()
             self._reserved = self.leases_before + FENCES_AT_ONCE
             self._renew()
         except OSError as error:
@@ -133,7 +133,7 @@ class FileOrderLog:
         self._writing = asyncio.Lock()
 
     def _own(self) -> None:
-        # By a file of its own: the ledger is replaced as it is read.
+        # By a file of its own: the log is replaced as it is read.
         self._path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         lock = os.open(self._lock_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
@@ -143,7 +143,7 @@ class FileOrderLog:
             raise UsageError(
                 f"{self._path}: another agent has it",
                 cause="two agents of one name run on this computer",
-                remedy="end the other one, or name another folder by --ledger",
+                remedy="end the other one, or name another folder by --order-log",
             ) from None
         self._lock, before = lock, self._lock
         if before >= 0:
@@ -174,7 +174,7 @@ class FileOrderLog:
         # It rises by a thousand with each start, and so stays behind the calendar.
         return begun, max(fence, int(self._utc())) if self.damaged else fence
 
-    def _left_aloft(self) -> LastFlightRecord | None:
+    def _read_last_flight(self) -> LastFlightRecord | None:
         kept = self._flown
         fence, at = kept.get("flies"), kept.get("at")
         if not isinstance(fence, int) or fence <= 0:
@@ -214,11 +214,11 @@ class FileOrderLog:
 
     async def _write(self, *contents: dict[str, Any]) -> None:
         try:
-            told = await asyncio.to_thread(self._keep, *contents)
+            problem = await asyncio.to_thread(self._keep, *contents)
         except (OSError, RuntimeError, MemoryError) as error:  # the second: no thread is left
             raise _failed(self._path, error) from error
-        if told:
-            self.tell(told)
+        if problem:
+            self.tell(problem)
 
     # -- in a thread -------------------------------------------------------------------------------
 
@@ -297,7 +297,7 @@ class FileOrderLog:
         self._in_thread.release()
 
 
-Ledger = FileOrderLog | MemoryOrderLog
+OrderLog = FileOrderLog | MemoryOrderLog
 """The order log; it is written first: no later agent carries out twice what this one began."""
 
 
@@ -329,7 +329,7 @@ def _failed(path: Path, error: Exception) -> UsageError:
     return UsageError(
         f"{path}: {getattr(error, 'strerror', None) or str(error) or type(error).__name__}",
         cause="without this file a restarted agent could carry out an order twice",
-        remedy="make it writable, or name another folder by --ledger",
+        remedy="make it writable, or name another folder by --order-log",
     )
 
 
@@ -366,7 +366,7 @@ class OrderCache:
 
         Raises:
             MessageError: It heard another one of that id. A listener who may order anything could
-                else have the answer to its own order told as that to somebody else's.
+                else get the answer to its own order as that to somebody else's.
         """
         if not self.is_known(identity):
             return False

@@ -17,7 +17,7 @@ from m100link.apps.agent.lease import Flown, Lease
 from m100link.apps.agent.messages import Event, EventTopic, MessageError, RemoteError, fault_of
 from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.missions.manager import MissionManager
-from m100link.apps.fleet.order_log import Ledger
+from m100link.apps.fleet.order_log import OrderLog
 from m100link.apps.fleet.payloads import OrderMessage, agree
 from m100link.errors import M100Error, MissionRunning, NotAllowed, StaleLease, TaskRefused
 
@@ -48,16 +48,16 @@ class Granted:
 
 
 class OrderService:
-    def __init__(self, client: AgentClient, ledger: Ledger, revoked: Since = nobody) -> None:
+    def __init__(self, client: AgentClient, order_log: OrderLog, revoked: Since = nobody) -> None:
         self._revoked = revoked
         # The signers of the landing under way: they may be revoked meanwhile.
         self._descent_signers: set[str] = set()
         self._client = client
-        self._ledger = ledger
+        self._order_log = order_log
         self.missions = MissionManager(client)  # what flies by plans
         # Those in force that were granted to the fleet, by number.
         self.leases: dict[int, Granted] = {}
-        # Why the last setpoint was not flown; told when the lease is renewed.
+        # Why the last setpoint was not flown; reported when the lease is renewed.
         self.refused: M100Error | None = None
         # A landing that nobody has to hold a lease for, and that all who ask for it wait for.
         self._descent: asyncio.Task[None] | None = None
@@ -125,7 +125,7 @@ class OrderService:
                 # Under its lease it begins anew after STOP, but not after one since it was made.
                 is_anew = order.clock >= self._stopped_at
                 why = asked.why or f"{order.by}: hover"
-                client.halt(why, self._lease_if_any(order) if is_anew else None)
+                client.hover(why, self._lease_if_any(order) if is_anew else None)
             case orders.Land() if not order.fence:
                 await self.descend(asked, f"landing for {order.by}", signer=order.signer)
             case orders.UploadPlan():
@@ -191,7 +191,7 @@ class OrderService:
             self._client.let_go(lease)
             raise NotAllowed(f"{order.signer} is revoked since {since}")
         self.leases[lease.number] = Granted(lease, secret, order.signer, asked_at)
-        await self._ledger.granted(lease.number)
+        await self._order_log.granted(lease.number)
         return Done(lease.name, lease.number, key=key)
 
     # -- down ------------------------------------------------------------------------------------

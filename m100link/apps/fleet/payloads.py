@@ -347,10 +347,10 @@ class OrderReply:
         cls, identity: str, name: str, boot: str, error: M100Error | None, **more: Any
     ) -> OrderReply:
         """The reply to an order that is over; ``more``: the other fields that say something."""
-        told: dict[str, Any] = more | {"outcome": outcome_of(error)}
+        values: dict[str, Any] = more | {"outcome": outcome_of(error)}
         if error is not None:
-            told["fault"] = fault_of(error)
-        return cls(identity, name, boot, Progress.DONE, **told)
+            values["fault"] = fault_of(error)
+        return cls(identity, name, boot, Progress.DONE, **values)
 
 
 @dataclass(frozen=True, slots=True)

@@ -324,13 +324,13 @@ def _write(files: dict[Path, bytes], *, force: bool) -> None:
 # keys and not what an order says: whether one may stop or fly is what the agent's own gate decides.
 
 
-_TOLD = ("tel", "tel/**", "state", "event", "told")
+_SENT = ("tel", "tel/**", "state", "event", "told")
 _WATCHED = ("state", "told", "log", "mission")  # asked by who watches
 _CARDS = ("state",)  # and of all at once
 _ORDERED = ("cmd", "status/**", "revoked")  # by who may stop; of who flies besides:
 _FLOWN = ("lease", "show")
 _PUT = ("setpoint",)
-_PLACES = ("place",)  # told by each aircraft of a show, to the others
+_PLACES = ("place",)  # sent by each aircraft of a show, to the others
 
 
 def router_config(rights: Rights) -> dict[str, Any]:
@@ -389,11 +389,11 @@ def _of_agent(rights: Rights, name: str) -> Iterator[dict[str, Any]]:
     """An agent tells of its own aircraft, and is asked for it."""
     served = _keys(rights, [name], (*_WATCHED, *_ORDERED, *_FLOWN))
     asked = [*served, *_keys(rights, ["*"], _CARDS)]
-    told, live = _keys(rights, [name], _TOLD), _tokens(rights, [name])
+    sent, live = _keys(rights, [name], _SENT), _tokens(rights, [name])
     # Setpoints, and what another one of its name tells.
     heard = _keys(rights, [name], (*_PUT, *_CARDS))
-    yield _rule("ingress", ["put"], told)
-    yield _rule("egress", ["declare_subscriber"], told)
+    yield _rule("ingress", ["put"], sent)
+    yield _rule("egress", ["declare_subscriber"], sent)
     yield _rule("ingress", ["declare_queryable", "reply"], served)
     yield _rule("egress", ["query"], asked)
     yield _rule("ingress", ["declare_subscriber"], heard)
@@ -412,7 +412,7 @@ def _of_agent(rights: Rights, name: str) -> Iterator[dict[str, Any]]:
 def _of_identity(rights: Rights, one: Identity) -> Iterator[dict[str, Any]]:
     """The right to watch hears; to stop asks, too; to fly takes the lease and sends setpoints."""
     watched, stopped, flown = (one.allowed(right) for right in Right)
-    told = _keys(rights, watched, _TOLD)
+    sent = _keys(rights, watched, _SENT)
     everybody = ["*"] if watched else []
     served = [
         *_keys(rights, watched, _WATCHED),
@@ -423,8 +423,8 @@ def _of_identity(rights: Rights, one: Identity) -> Iterator[dict[str, Any]]:
     # It may ask for all by one pattern, which has to be allowed as it stands: the router
     # decides for each key as it goes out.
     asked = [*served, *_keys(rights, everybody, _CARDS)]
-    yield _rule("ingress", ["declare_subscriber"], _keys(rights, everybody, _TOLD))
-    yield _rule("egress", ["put"], told)
+    yield _rule("ingress", ["declare_subscriber"], _keys(rights, everybody, _SENT))
+    yield _rule("egress", ["put"], sent)
     yield _rule("ingress", ["query"], asked)
     yield _rule("egress", ["declare_queryable", "reply"], served)
     yield _rule("ingress", ["put"], put)

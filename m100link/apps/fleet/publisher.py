@@ -70,7 +70,7 @@ class StatePublisher:
             _hold(stack, client.on_lease, self._lease_changed)
             _hold(stack, client.on_authority_taken, self._authority_taken)
             _hold(stack, client.on_activating, self._activating)
-            _hold(stack, client.on_mission_told, self._put)
+            _hold(stack, client.on_mission_report, self._put)
             turn = 0
             while True:
                 if self._outlet.is_wanted():
@@ -192,7 +192,7 @@ class Thinner:
 
     def __init__(self, rate_hz: float = WALL_HZ) -> None:
         self._interval = 1.0 / rate_hz
-        self._told_at = [-math.inf] * _BITS
+        self._sent_at = [-math.inf] * _BITS
         self._seen_at = [-math.inf] * _BITS
 
     def goes_on(self, flags: int, at: float) -> bool:
@@ -200,14 +200,14 @@ class Thinner:
 
         ``at``: when it came, s.
         """
-        told, seen, is_due = self._told_at, self._seen_at, False
+        sent, seen, is_due = self._sent_at, self._seen_at, False
         items = _items(flags)
         for bit in items:
             between = at - seen[bit]
             seen[bit] = at
-            if at + between / 2 >= told[bit] + self._interval:
+            if at + between / 2 >= sent[bit] + self._interval:
                 is_due = True
         if is_due:
             for bit in items:
-                told[bit] = at
+                sent[bit] = at
         return is_due

@@ -137,8 +137,8 @@ class Revocations:
             return None
         try:
             with self._path.open("rb") as file:
-                told = os.fstat(file.fileno())
-                seen = told.st_ino, told.st_mtime_ns, told.st_size
+                status = os.fstat(file.fileno())
+                seen = status.st_ino, status.st_mtime_ns, status.st_size
                 if seen == self._seen:
                     return None
                 self._seen = seen

@@ -128,7 +128,7 @@ class _Craft:
         self.sequences: dict[Address, int] = {}
         agent.on_event.append(self.vehicle.event)
         session.on_refused = self.vehicle.manager.steer_refused
-        agent.on_mission_told.append(flights.told)
+        agent.on_mission_report.append(flights.report)
 
 
 class Bridge:

@@ -64,7 +64,7 @@ class OrderExecutor:
         agent: AgentClient,
         world: VehicleState,  # what is known of the aircraft, with the control over it
         manager: FlightModeManager,
-        flights: MissionFlights,  # told how far a flight is
+        flights: MissionFlights,  # takes how far a flight is
     ) -> None:
         self._agent = agent
         self._world = world
@@ -84,7 +84,7 @@ class OrderExecutor:
             TakeOffAndClimb: self._take_off,
             LandInPlace: self._land,
             ReturnToLaunch: self._go_home,
-            HoldPosition: self._halt,
+            HoldPosition: self._hold,
             FlightSequence: self._fly,
         }
 
@@ -114,7 +114,7 @@ class OrderExecutor:
     def _drop(self) -> None:
         if self._owes_a_stop and self._session.has_lease:
             # Where the agent was only not heard for a while, it flies on what nobody wants now.
-            self._agent.halt("the bridge does not know whether it has control")
+            self._agent.hover("the bridge does not know whether it has control")
         if self._work is not None:
             self._work.cancel()
 
@@ -214,7 +214,7 @@ class OrderExecutor:
 
     async def _land(self, order: LandInPlace, lease: Lease | None) -> None:
         with suppress(AckTimeout, MissionRefused):
-            # Told by the agent; and a landing breaks off what a stop did not end.
+            # The agent reports it; and a landing breaks off what a stop did not end.
             await self._make_way(lease, order.is_interrupting)
         self._session.begin_anew("landing")
         await self._agent.ask(orders.Land(), lease)
@@ -224,7 +224,7 @@ class OrderExecutor:
         self._session.begin_anew("going home")
         await self._agent.ask(orders.GoHome(), lease)
 
-    async def _halt(self, order: HoldPosition, lease: Lease | None) -> None:
+    async def _hold(self, order: HoldPosition, lease: Lease | None) -> None:
         await self._make_way(lease, order.is_interrupting)
         self._session.begin_anew(order.why or "hold")
 
@@ -254,7 +254,7 @@ class OrderExecutor:
             start = orders.StartMission(upload.digest, until_over=True)
             await agent.ask(start, lease, lambda: self._flights.begun(order))
         except M100Error:
-            self._owes_a_stop = False  # the agent has stopped it, or told what came of that
+            self._owes_a_stop = False  # the agent has stopped it, or reported what came of that
             raise
         self._owes_a_stop = False
 
@@ -395,17 +395,17 @@ class MissionFlights:
             if command.flight is not None:
                 self._manager.interrupt("hold: the mission is stopped")
 
-    def told(self, told: MissionReport) -> None:
-        """The aircraft told of the mission that it flies for us."""
+    def report(self, reported: MissionReport) -> None:
+        """The aircraft reported the mission that it flies for us."""
         flight = self._manager.flight
         if flight is None or flight.plan is None or not self._manager.is_flown_by_aircraft:
             return
         last = len(flight.plan.waypoints)
-        if told.event == _FINISHED:
+        if reported.event == _FINISHED:
             self._pass(flight, last)
             self._manager.mission_flown(flight)
-        elif told.event == _REACHED and told.data[0] < last:
-            index, status = told.data[:2]
+        elif reported.event == _REACHED and reported.data[0] < last:
+            index, status = reported.data[:2]
             waits = flight.waits[flight.by_agent + index] > 0.0
             self._pass(flight, index if waits and status != _AFTER_ACTIONS else index + 1)
 

@@ -205,12 +205,12 @@ class Actions:
             self._tell_status(goal.action)
 
     def _tell_status(self, action: _Action) -> None:
-        told = [
+        statuses = [
             {"goal_info": one.info, "status": one.status}
             for one in self._goals.values()
             if one.action is action
         ]
-        action.status.say({"status_list": told})
+        action.status.say({"status_list": statuses})
 
     def _hear(self, event: Event) -> None:
         """Somebody, at whatever front, stopped what flies, or had it hover: more legs may come."""
@@ -235,8 +235,8 @@ class Actions:
             self._cancel(goal, "control was lost, or given back")
         if now - self._feedback_at >= FEEDBACK_S:
             self._feedback_at = now
-            told = {"goal_id": {"uuid": list(goal.id)}, "feedback": goal.flight.feedback()}
-            goal.action.feedback.say(told)
+            message = {"goal_id": {"uuid": list(goal.id)}, "feedback": goal.flight.feedback()}
+            goal.action.feedback.say(message)
 
 
 def _before(one: Mapping[str, int], other: Mapping[str, int]) -> bool:
@@ -275,7 +275,7 @@ class FlightGoal(ABC):
         """End it with a hover, after the autopilot's take-off; nothing more is ordered."""
         self._ended.set()
         if self.is_ours:  # what somebody else flies by now goes on
-            self._agent.halt(why)  # not under the lease, by which setpoints would fly after STOP
+            self._agent.hover(why)  # not under the lease, by which setpoints would fly after STOP
 
     @property
     def is_ours(self) -> bool:

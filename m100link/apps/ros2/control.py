@@ -241,7 +241,7 @@ class RosControl:
         if isinstance(task, orders.TakeOff):
             self.require_free("take-off")
         else:
-            self._agent.halt(f"{task.label} was requested")
+            self._agent.hover(f"{task.label} was requested")
         await self._agent.background.begin(partial(self._flown, lease, task), task.label)
 
     async def _begin(self, lease: Lease, task: orders.Order, begun: asyncio.Event) -> None:

@@ -237,7 +237,7 @@ class GraphDiscovery:
             if one.end is EntityKind.CLIENT and one.topic == service
         }
 
-    def has_namesake(self, name: str, session: str) -> bool:
+    def has_duplicate(self, name: str, session: str) -> bool:
         """Whether a node of another session is called so, too: calls reach both."""
         return any(
             one.end is EntityKind.NODE and one.node_name == name and one.node[0] != session

@@ -45,7 +45,7 @@ _STOOD_STILL_S = 1.0  # seconds without a step after which what waits is old
 _DEAF_S = 0.3  # seconds after such a standstill in which what comes was sent before
 _LOOK_S = 0.5
 _TELL_S = 2.0
-_MOST_TOLD = 16
+_MOST_REPORTED = 16
 
 _REFUSED = {
     "other": "another publisher is active, or this one was cut off while it published; "
@@ -75,7 +75,7 @@ class Node:
         self.control = RosControl(agent)  # what ROS programs want of the aircraft
         self._presence = GraphDiscovery(lambda: bus.changes(f"{ADMIN}/{domain}/**"))
         self._looked_at = self._ran_at = self._deaf_until = agent.now
-        self._told: dict[str, float] = {}
+        self._reported: dict[str, float] = {}
         self._waiting: asyncio.Future[None] | None = None
         # Services are many, and looked at in every second step.
         self._is_even = False
@@ -163,10 +163,10 @@ class Node:
     def _tell(self, text: str, level: str) -> None:
         """Say why something is not done, now and then."""
         now = self._agent.now
-        if now >= self._told.get(text, now):
-            if len(self._told) >= _MOST_TOLD:
-                self._told.clear()
-            self._told[text] = now + _TELL_S
+        if now >= self._reported.get(text, now):
+            if len(self._reported) >= _MOST_REPORTED:
+                self._reported.clear()
+            self._reported[text] = now + _TELL_S
             self._agent.note(text, level)
 
     # -- services --------------------------------------------------------------------------------
@@ -191,7 +191,7 @@ class Node:
         }
 
     async def _obtain(self) -> None:
-        if self._presence.has_namesake(self.name.full, self.name.session):
+        if self._presence.has_duplicate(self.name.full, self.name.session):
             raise UsageError(
                 f"two nodes are called {self.name.full}",
                 cause="another m100link runs in this domain: calls reach both",
@@ -284,9 +284,9 @@ _SESSION = {
 _CONFIG, _OVERRIDE = "ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE"
 
 
-def _overrides(told: str) -> dict[str, str]:
+def _overrides(text: str) -> dict[str, str]:
     found = {}
-    for rule in told.split(";"):
+    for rule in text.split(";"):
         name, sign, value = rule.partition("=")
         if rule.strip() and not sign:
             raise UsageError(f"{_OVERRIDE}: {rule!r} is not name=value")

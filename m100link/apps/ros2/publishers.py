@@ -81,7 +81,7 @@ class _Source:
         self.pause = 1.0 / hz  # seconds between two messages
         self.due_at = 0.0  # from when on the next one is sent, s
 
-    def told(self, now: float) -> None:
+    def report(self, now: float) -> None:
         """From when it was due, so that the rate holds; not from long ago, and a little early."""
         self.due_at = max(self.due_at + self.pause, now + (1.0 - _EARLY) * self.pause)
 
@@ -91,7 +91,7 @@ class MessageMaker:
         self,
         agent: AgentClient,
         names: Names,  # frames of the node, and its own name
-        # Where the topics of the table go; those that are missing are not told.
+        # Where the topics of the table go; those that are missing are not published.
         topics: Mapping[str, PublishedTopic],
         utc: Callable[[], float],  # POSIX time, s
         counted: Callable[[], Mapping[str, int]],  # what the node did not do, by the reason
@@ -132,7 +132,7 @@ class MessageMaker:
             if name in topics
         ]
         agent.on_event.append(self._event)
-        agent.on_mission_told.append(self._mission)
+        agent.on_mission_report.append(self._mission)
 
     # -- times -----------------------------------------------------------------------------------
 
@@ -153,7 +153,7 @@ class MessageMaker:
         # Each with its own work before it woke that thread anew, at five times the cost.
         for source, message in made:
             if message is not None:
-                source.told(now)
+                source.report(now)
                 source.topic.put(message)
 
     def set_hz(self, name: str, hz: float) -> None:
@@ -227,15 +227,15 @@ class MessageMaker:
         if status != self._status or now >= self._due.get("~/flight_status", now):
             self._status = status
             self._due["~/flight_status"] = now + _STATE_S
-            told = {"header": self._header(self._stamps.at(now)), **status}
-            self._topics["~/flight_status"].say(told)
+            message = {"header": self._header(self._stamps.at(now)), **status}
+            self._topics["~/flight_status"].say(message)
         is_wanted = self._topics["/diagnostics"].is_wanted
         if is_wanted and now >= self._due.get("/diagnostics", now):
             self._due["/diagnostics"] = now + _STATE_S
-            told = {"stamp": _time(self._stamps.at(now)), "frame_id": ""}
+            message = {"stamp": _time(self._stamps.at(now)), "frame_id": ""}
             found = diagnostics(self._agent.view, self._stamps.clock, self._counted())
-            status_of = [one.told(self._named) for one in found]
-            self._topics["/diagnostics"].say({"header": told, "status": status_of})
+            status_of = [one.status(self._named) for one in found]
+            self._topics["/diagnostics"].say({"header": message, "status": status_of})
 
     def _header(self, stamp: Stamp) -> dict[str, Any]:
         return {"stamp": _time(stamp), "frame_id": self._names.frame("base_link")}
@@ -269,10 +269,10 @@ class MessageMaker:
         }
         self._topics["/rosout"].say(said)
 
-    def _mission(self, told: MissionReport) -> None:
+    def _mission(self, report: MissionReport) -> None:
         header = self._header(self._stamps.at(self._agent.now))
-        data = list(told.data[:5].ljust(5, b"\0"))
-        self._topics["~/mission_event"].say({"header": header, "event": told.event, "data": data})
+        data = list(report.data[:5].ljust(5, b"\0"))
+        self._topics["~/mission_event"].say({"header": header, "event": report.event, "data": data})
 
 
 def _time(stamp: Stamp) -> dict[str, int]:
@@ -310,7 +310,7 @@ class Status:
     message: str  # in a few words
     values: Mapping[str, object] = field(default_factory=dict)  # numbers, by name
 
-    def told(self, node: str) -> dict[str, Any]:
+    def status(self, node: str) -> dict[str, Any]:
         return {
             "level": self.level,
             "name": f"{node}: {self.name}",

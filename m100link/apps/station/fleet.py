@@ -23,7 +23,7 @@ from m100link.apps.fleet.identity import nobody
 from m100link.apps.fleet.keys import DEFAULT_SITE, Keys, check_name, in_order
 from m100link.apps.fleet.logs.service import RATE, LogService
 from m100link.apps.fleet.lost_link import LostLinkPlan
-from m100link.apps.fleet.order_log import FileOrderLog, Ledger, MemoryOrderLog
+from m100link.apps.fleet.order_log import FileOrderLog, MemoryOrderLog, OrderLog
 from m100link.apps.fleet.publisher import StatePublisher
 from m100link.apps.fleet.revocations import Revocations, RevocationService
 from m100link.apps.fleet.show.service import Beside, ShowService
@@ -44,8 +44,8 @@ from m100link.log.folder import state_folder
 _logger = logging.getLogger(__name__)
 
 
-def default_ledgers() -> Path:
-    """Where ledgers are kept, in the user's folder for the state of programs."""
+def default_order_logs() -> Path:
+    """The folder of order logs, in the user's folder for the state of programs."""
     return state_folder() / "fleet"
 
 
@@ -69,7 +69,7 @@ class FleetSettings:
         default_factory=LostLinkPlan
     )  # what happens when the client that flies is lost
     # Folder of what outlives an agent; None: nothing does, as for virtual aircraft.
-    ledgers: Path | None = None
+    order_logs: Path | None = None
     options: dict[str, str] = field(default_factory=dict)  # more options of zenoh, by name, as JSON
     verify: Verify | None = None  # looks at each order; None: the router alone decides who may ask
     revocations: Revocations | None = None  # who is shut out, whatever the file of rights says
@@ -84,8 +84,7 @@ async def serving_fleet(
 ) -> AsyncIterator[dict[str, FleetAgent]]:
     """Own aircraft and be part of a fleet while the block runs.
 
-    Raises ``UsageError``: a name is taken or cannot be, a ledger cannot be written, no session can
-    be.
+    Raises ``UsageError``: a name is bad or taken, an order log not writable, no session can be.
     """
     keys = {name: Keys(fleet.site, name) for name in aircraft}  # before anything is opened
     async with AsyncExitStack() as stack:
@@ -121,7 +120,7 @@ def _services(
     """The services of an aircraft beside its agent, by what they are."""
     verify, revocations = fleet.verify, fleet.revocations
     folder = None if settings.no_record else settings.record
-    show = ShowService(one.client, bus, keys, verify=verify, namesakes=one.namesakes, beside=others)
+    show = ShowService(one.client, bus, keys, verify=verify, names=one.duplicates, beside=others)
     served: dict[str, Coroutine[Any, Any, None]] = {
         "fronts": StatePublisher(one.client, bus, keys, one.boot).run(),
         "show": show.run(),
@@ -135,12 +134,12 @@ def _services(
     return served
 
 
-def _ledger(stack: AsyncExitStack, fleet: FleetSettings, keys: Keys) -> Ledger:
-    if fleet.ledgers is None:
+def _order_log(stack: AsyncExitStack, fleet: FleetSettings, keys: Keys) -> OrderLog:
+    if fleet.order_logs is None:
         return MemoryOrderLog()
-    ledger = FileOrderLog(fleet.ledgers / keys.site / f"{keys.name}.jsonl", time.time)
-    stack.callback(ledger.close)
-    return ledger
+    order_log = FileOrderLog(fleet.order_logs / keys.site / f"{keys.name}.jsonl", time.time)
+    stack.callback(order_log.close)
+    return order_log
 
 
 async def _agent(
@@ -151,16 +150,16 @@ async def _agent(
     bus: Bus,
     fleet: FleetSettings,
 ) -> FleetAgent:
-    ledger = _ledger(stack, fleet, keys)
+    order_log = _order_log(stack, fleet, keys)
     owner = await stack.enter_async_context(
-        owning(settings, place=place, leases_before=ledger.leases_before)
+        owning(settings, place=place, leases_before=order_log.leases_before)
     )
     ours, its = memory_channels()
     owner.service.attach(its)
     client = await stack.enter_async_context(AgentClient(ours, "fleet"))
     revoked = nobody if fleet.revocations is None else fleet.revocations.since
     return FleetAgent(
-        client, bus, keys, ledger, lost=fleet.lost, verify=fleet.verify, revoked=revoked
+        client, bus, keys, order_log, lost=fleet.lost, verify=fleet.verify, revoked=revoked
     )
 
 

@@ -103,8 +103,8 @@ class Viewer:
             "metadata": {},
             "sessionId": session_id,
         }
-        told = [one.advertised() for one in self._channels.values()]
-        self._texts = deque((json.dumps(info), json.dumps({"op": "advertise", "channels": told})))
+        topics = [one.advertised() for one in self._channels.values()]
+        self._texts = deque((json.dumps(info), json.dumps({"op": "advertise", "channels": topics})))
 
     def wants(self, channel: int) -> bool:
         return channel in self._by_subscription.values()
@@ -225,17 +225,17 @@ class Feed:
     def hear(self, name: str, sample: Sample) -> None:
         """Send a telemetry package to the viewers; at most twenty a second."""
         at = sample.received_at
-        told = self._thinning[name].hear(sample.value, sample.profile, at)
-        if told is None:
+        thinned = self._thinning[name].hear(sample.value, sample.profile, at)
+        if thinned is None:
             return
         if self._wants(name, TELEMETRY):
-            self._tell(name, TELEMETRY, at, told.row)
-        position = told.get(Position)
+            self._tell(name, TELEMETRY, at, thinned.row)
+        position = thinned.get(Position)
         if position is None or not position.is_possible:
             return
         if self._wants(name, FIX):
             self._tell(name, FIX, at, {"timestamp": self._stamp(at), **fix_of(position)})
-        attitude = told.get(Attitude)
+        attitude = thinned.get(Attitude)
         if attitude is not None and self._wants(name, TRANSFORM):
             x, y, z, w = attitude.enu_flu_xyzw
             transform = {

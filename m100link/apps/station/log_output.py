@@ -68,7 +68,7 @@ class JsonLines(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         time = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds")
-        told = {
+        fields = {
             "time": time.replace("+00:00", "Z"),
             "level": record.levelname,
             "logger": record.name,
@@ -76,10 +76,10 @@ class JsonLines(logging.Formatter):
             "aircraft": getattr(record, "aircraft", _aircraft),
         }
         if record.exc_info:
-            told["exception"] = self.formatException(record.exc_info)
+            fields["exception"] = self.formatException(record.exc_info)
             if isinstance(record.exc_info[1], M100Error):
-                told["code"] = record.exc_info[1].error_code
-        return json.dumps(told)
+                fields["code"] = record.exc_info[1].error_code
+        return json.dumps(fields)
 
 
 class FlightProgress:
@@ -130,8 +130,8 @@ class LinesInThread(logging.Handler):
             line = self.format(record)
             if self._unread:
                 text = f"{self._unread} lines of the log were not read in time, and left out"
-                told = logging.LogRecord(__name__, logging.WARNING, __file__, 0, text, None, None)
-                line = f"{self.format(told)}\n{line}"
+                note = logging.LogRecord(__name__, logging.WARNING, __file__, 0, text, None, None)
+                line = f"{self.format(note)}\n{line}"
             self._unread = 0 if self._teller.do(partial(_write, line)) else self._unread + 1
         except Exception:  # noqa: BLE001 - a line that cannot be made raises nowhere, as in logging
             self.handleError(record)

@@ -131,17 +131,17 @@ async def serving_mavlink(
 async def _remembering(signer: PacketSigner, bridge: Bridge) -> AsyncIterator[None]:
     """Keep on disk what was signed; warn once where that cannot be, and go on flying."""
     memory = SignatureMemory(state_folder() / "mavlink", signer)
-    told = await asyncio.to_thread(memory.recall, signature_time())
+    reported = await asyncio.to_thread(memory.recall, signature_time())
 
     def tell(why: str) -> None:
-        nonlocal told
-        if why and why != told:
+        nonlocal reported
+        if why and why != reported:
             _logger.warning("signatures are not remembered: %s", why)
             for vehicle in bridge.vehicles:
                 vehicle.tell(f"signatures are not remembered: {why}")
-        told = why
+        reported = why
 
-    told, why = "", told
+    reported, why = "", reported
     tell(why)
 
     async def write(snapshot: Snapshot | None) -> None:

@@ -210,11 +210,11 @@ def check_way(
 _BEFORE_ACTIONS, _AFTER_ACTIONS = 4, 6  # status of the event "reached"; DJI's comment
 
 
-def ended_by(told: object) -> News:
+def ended_by(report: object) -> News:
     """The end of a mission without an end of its own: a push that shows that it was broken off."""
-    match told:
+    match report:
         case wire.IdleStatus() | wire.IocStatus():
-            return [broken_off(told)]
+            return [broken_off(report)]
         case wire.WaypointStatus() | wire.HotpointStatus() | wire.FollowStatus():
             return [Aborted(None, "another mission flies the aircraft")]
     return []
@@ -248,23 +248,23 @@ class WaypointTracker(MissionTracker):
 
     def take(self, push: MissionStatus | WaypointEvent) -> News:
         """A push came."""
-        told = push.status if isinstance(push, MissionStatus) else push.event
-        return list(self._read(told))
+        news = push.status if isinstance(push, MissionStatus) else push.event
+        return list(self._read(news))
 
-    def _read(self, told: object) -> Iterator[MissionEvent | Over]:
-        match told:
+    def _read(self, news: object) -> Iterator[MissionEvent | Over]:
+        match news:
             case wire.WaypointStatus():
                 self._is_seen = True
-                yield from self._fly_to(told.index)
-                self._status = told.status
+                yield from self._fly_to(news.index)
+                self._status = news.status
             case wire.IdleStatus() | wire.IocStatus() if self._is_seen:
-                yield from self._idle(told)
+                yield from self._idle(news)
             case wire.HotpointStatus() | wire.FollowStatus() if self._is_seen:
                 yield Aborted(None, "another mission flies the aircraft", self.index)
-            case wire.Uploaded() if told.valid:
-                self.estimated_time = float(told.estimated_time)
+            case wire.Uploaded() if news.valid:
+                self.estimated_time = float(news.estimated_time)
             case wire.Reached():
-                yield from self._reach(told.index, told.status)
+                yield from self._reach(news.index, news.status)
             case wire.Finished():
                 yield from self._finish()
 
@@ -322,10 +322,10 @@ class WaypointTracker(MissionTracker):
             yield from self._pass(self._last)
             yield Finished()
 
-    def _idle(self, told: wire.IdleStatus | wire.IocStatus) -> Iterator[MissionEvent | Over]:
+    def _idle(self, status: wire.IdleStatus | wire.IocStatus) -> Iterator[MissionEvent | Over]:
         """No mission flies any more."""
-        if not self._is_finished and (told.is_broken_off or told.reason):
-            yield broken_off(told, self.index)
+        if not self._is_finished and (status.is_broken_off or status.reason):
+            yield broken_off(status, self.index)
             return
         yield from self._finished()
         yield Over()

@@ -112,12 +112,12 @@ class HotpointTracker(MissionTracker):
 
     def take(self, push: wire.MissionStatus | wire.WaypointEvent) -> News:
         """A push came."""
-        told = push.status if isinstance(push, wire.MissionStatus) else None
-        if isinstance(told, wire.HotpointStatus):
-            self.distance_m, self.rate_deg_s = told.radius_cm / 100, told.rate / 10
-            self.status = told.status
+        newest = push.status if isinstance(push, wire.MissionStatus) else None
+        if isinstance(newest, wire.HotpointStatus):
+            self.distance_m, self.rate_deg_s = newest.radius_cm / 100, newest.rate / 10
+            self.status = newest.status
             return []
-        return [] if self.status is None else ended_by(told)  # before that: older than ours
+        return [] if self.status is None else ended_by(newest)  # before that: older than ours
 
     def polled(self, answer: HotpointDownloadAnswer) -> News:
         """The stored circle was read."""
@@ -148,16 +148,14 @@ class HotpointFlight(MissionFlight):
     def __init__(
         self,
         context: MissionContext,
-        keeper: MissionGuard,
+        guard: MissionGuard,
         request: HotpointStart,
         *,
         allow_far: bool,
     ) -> None:
         self._centre = math.degrees(request.latitude), math.degrees(request.longitude)
         self._track = HotpointTracker(self._centre)
-        super().__init__(
-            context, keeper, MissionSession(context, MissionKind.HOTPOINT, self._track)
-        )
+        super().__init__(context, guard, MissionSession(context, MissionKind.HOTPOINT, self._track))
         self._request = request
         self._allow_far = allow_far
         self._radius, self._rate = request.radius, request.angular_rate
@@ -400,11 +398,11 @@ class FollowTracker(MissionTracker):
 
     def take(self, push: wire.MissionStatus | wire.WaypointEvent) -> News:
         """A push came."""
-        told = push.status if isinstance(push, wire.MissionStatus) else None
-        if isinstance(told, wire.FollowStatus):
+        status = push.status if isinstance(push, wire.MissionStatus) else None
+        if isinstance(status, wire.FollowStatus):
             self._is_seen = True
             return []
-        return ended_by(told) if self._is_seen else []  # before that: older than ours
+        return ended_by(status) if self._is_seen else []  # before that: older than ours
 
     def progress(self, elapsed: float, state: AircraftState) -> MissionProgress:
         """How far the target is."""
@@ -424,14 +422,14 @@ class FollowFlight(MissionFlight):
     def __init__(
         self,
         context: MissionContext,
-        keeper: MissionGuard,
+        guard: MissionGuard,
         source: TargetSource,
         *,
         face_target: bool,
         allow_far: bool,
     ) -> None:
         self._track = FollowTracker()
-        super().__init__(context, keeper, MissionSession(context, MissionKind.FOLLOW, self._track))
+        super().__init__(context, guard, MissionSession(context, MissionKind.FOLLOW, self._track))
         self._source = source
         self._face_target = face_target
         self._allow_far = allow_far

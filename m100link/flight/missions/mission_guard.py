@@ -40,9 +40,9 @@ __all__ = ["MissionFlight"]
 _logger = logging.getLogger(__name__)
 
 _LANDING = (FlightPhase.LANDING, FlightPhase.FINISHING_LANDING)
-_TOLD_WITHIN_S = 0.5  # two or three pushes are lost, hardly five
+_REPORT_WITHIN_S = 0.5  # two or three pushes are lost, hardly five
 _GOES_ON_S = 3.0  # after an order to stop, pushes count as about the mission that it ended
-_TOLD_BY_S = 1.0  # after its start, by when the pushes tell of a mission
+_REPORT_BY_S = 1.0  # after its start, by when the pushes tell of a mission
 _SETTLED_BY_S = 0.6  # until when pushes that contradict each other are waited for at most
 
 
@@ -98,7 +98,7 @@ class MissionGuard:
     def _flying_since(self) -> float | None:
         """Since when the pushes report it."""
         kind = self._flying_kind
-        return None if kind is None else self._watch.told_since(kind)
+        return None if kind is None else self._watch.reported_since(kind)
 
     def require_none(self, what: str, *, is_landing: bool = False) -> None:
         """Raise while a mission flies: the aircraft would ignore the order.
@@ -107,7 +107,7 @@ class MissionGuard:
         end (inferred). Raises ``MissionRunning``: with the remedy.
         """
         name = self.flying
-        if not name or (is_landing and self._is_told_to_stop):
+        if not name or (is_landing and self._was_stopped_in_vain):
             return  # a landing is the last means against a mission that a stop did not end
         if self._ours is not None:
             raise MissionRunning(
@@ -134,7 +134,7 @@ class MissionGuard:
         )
 
     @property
-    def _is_told_to_stop(self) -> bool:
+    def _was_stopped_in_vain(self) -> bool:
         """Whether the mission that flies is one that this block told to stop, in vain."""
         if (ours := self._ours) is not None:
             return ours.state is RunState.UNSTOPPED
@@ -214,7 +214,7 @@ class MissionGuard:
             return True
         # A push from before the start does not show which mission flies since.
         began_at = run.started_at if run is not None and was_ours else -math.inf
-        return self._watch.received_at < began_at + _TOLD_BY_S
+        return self._watch.received_at < began_at + _REPORT_BY_S
 
     @property
     def is_of_another(self) -> bool:
@@ -261,7 +261,7 @@ class MissionGuard:
         """Whether our mission flies on although somebody else has the aircraft now."""
         # The pushes show it within half a second; without pushes the aircraft is asked.
         run, clock = self._run, self._commander.link.loop.time
-        since, give_up_at = clock(), clock() + _TOLD_WITHIN_S
+        since, give_up_at = clock(), clock() + _REPORT_WITHIN_S
         while run is not None and run.owes_a_stop and clock() < give_up_at:
             if self._watch.received_at > since:
                 break
@@ -274,17 +274,17 @@ class MissionGuard:
         if not run.owes_a_stop:
             await run.ending.heard_out()
             return run.flies_all_the_same
-        is_told = self._watch.received_at > since
-        if is_told and self._watch.state.kind is not run.kind:
+        is_reported = self._watch.received_at > since
+        if is_reported and self._watch.state.kind is not run.kind:
             return False
         # Told to fly on without an RC, and nobody is seen to have taken the aircraft: the RC is
         # lost, and a stop would leave it to hover without a pilot.
         if run.flies_without_rc and getattr(failure, "reason", None) is LossReason.UNKNOWN:
-            self.give_up(failure, "it was told to do so when the RC is lost")
+            self.give_up(failure, "its plan orders that for a lost RC")
             return False
         # Without an answer it counts as flying on, unless it is seen to land.
         status = known(self._commander.state, FlightStatus)
-        return is_told or status is None or status.status not in _LANDING
+        return is_reported or status is None or status.status not in _LANDING
 
     async def stop(self) -> M100Error | None:
         """Stop the mission, if one is owed a stop; returns why it may fly on, None: it does not."""
@@ -325,9 +325,9 @@ class MissionFlight(ABC):
 
     _FIRST: ClassVar[type[Command]]  # sent to begin it: firmware without it knows no such mission
 
-    def __init__(self, context: MissionContext, keeper: MissionGuard, run: MissionSession) -> None:
+    def __init__(self, context: MissionContext, guard: MissionGuard, run: MissionSession) -> None:
         self._context = context
-        self._keeper = keeper
+        self._guard = guard
         self._run = run
 
     @abstractmethod
@@ -342,11 +342,11 @@ class MissionFlight(ABC):
                 self._context.block.require_flying(f"a {run.name}")
                 if run.state is not RunState.READY:
                     raise UsageError("this mission was entered before; ask for a new one")
-                self._keeper.claim(run)
+                self._guard.claim(run)
                 await self._begin()
             except BaseException as error:
                 await run.leave(error)
-                self._keeper.give_back(run)
+                self._guard.give_back(run)
                 raise
         return self
 

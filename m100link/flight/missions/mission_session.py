@@ -18,7 +18,7 @@ from m100link.errors import (
     MissionRefused,
     UsageError,
 )
-from m100link.flight.cancellation import Errand
+from m100link.flight.cancellation import ShieldedTask
 from m100link.flight.guards import known
 from m100link.flight.lifecycle import StopCause
 from m100link.flight.mission_state import DENIED_S, MissionKind
@@ -71,12 +71,12 @@ class MissionEnding:
         self._watch = commander.missions
         self._kind = kind  # which kind of mission
         # When it was taken for over, or for on its way home; minus infinity before.
-        self.told_at = -math.inf
+        self.over_at = -math.inf
         self.is_answered = False  # whether the answer to a stop reported it, which is certain
 
     def tell(self, *, is_answered: bool = False) -> None:
         """Something tells that it is over."""
-        self.told_at, self.is_answered = self._clock(), is_answered
+        self.over_at, self.is_answered = self._clock(), is_answered
 
     def over(self, *, is_answered: bool) -> None:
         """The same, and that the aircraft flies nothing behind it."""
@@ -86,28 +86,28 @@ class MissionEnding:
     @property
     def is_contradicted(self) -> bool:
         """Whether pushes went on to tell of the mission, whatever others say between them."""
-        since = self._watch.told_since(self._kind)
+        since = self._watch.reported_since(self._kind)
         # One that began later is somebody else's.
-        return since is not None and since < self.told_at + _GOES_ON_S
+        return since is not None and since < self.over_at + _GOES_ON_S
 
     @property
     def is_way_home_contradicted(self) -> bool:
         """Whether pushes tell of the mission behind its end, and it is not seen to land."""
         watch = self._watch
-        if watch.state.kind is not self._kind or not self.told_at < watch.received_at:
+        if watch.state.kind is not self._kind or not self.over_at < watch.received_at:
             return False
         status = known(self._commander.state, FlightStatus)
         return status is None or status.status in _MAY_FLY_A_MISSION
 
     async def heard_out(self) -> None:
         """Wait until two pushes more have come, and agree on whether it is flown on."""
-        until, watch = self.told_at + _HEARD_OUT_S, self._watch
+        until, watch = self.over_at + _HEARD_OUT_S, self._watch
         # An answer to a stop is certain; and where nothing is pushed, nothing will contradict.
         while not self.is_answered and self._clock() < until:
-            if watch.received_at < self.told_at - DENIED_S:
+            if watch.received_at < self.over_at - DENIED_S:
                 return
-            is_told = watch.state.kind is self._kind
-            if self._clock() >= self.told_at + DENIED_S and is_told is (self._kind in watch.flying):
+            is_seen = watch.state.kind is self._kind
+            if self._clock() >= self.over_at + DENIED_S and is_seen is (self._kind in watch.flying):
                 return
             await asyncio.sleep(0.02)
 
@@ -119,7 +119,7 @@ class Ground:
         self._commander = commander
         self._first_at: float | None = None  # when the first of the words came that agree
 
-    def is_told(self) -> bool:
+    def is_reported(self) -> bool:
         """Whether the newest flight status says so, and one before it that was looked at."""
         state = self._commander.state
         status, at = known(state, FlightStatus), state.received_at(FlightStatus)
@@ -173,7 +173,7 @@ class MissionSession:
         self._clock = context.commander.link.loop.time
         self.state = RunState.READY  # where it is in its life
         self.events = Events()
-        self._is_told = False  # the program knows why it was broken off
+        self._is_failure_known = False  # the program knows why it was broken off
         # When the start was sent, on the event loop's clock; minus infinity before.
         self.started_at = -math.inf
         # When its end was reported, and whether pushes contradict.
@@ -183,7 +183,7 @@ class MissionSession:
         self._is_pushed = False  # whether one ever did
         # Whether pushes showed its end during a stop, for the case that nobody answers the stop.
         self._is_seen_over = False
-        self._stopping: Errand | None = None  # the newest attempt
+        self._stopping: ShieldedTask | None = None  # the newest attempt
         self._early: list[MissionEvent | Over] = []  # what was pushed while the start was under way
         self._watching: asyncio.Task[None] | None = None
 
@@ -280,7 +280,7 @@ class MissionSession:
         if self.is_in_the_air:
             return
         if self.events.failure is not None:
-            self._is_told = True
+            self._is_failure_known = True
             raise self.events.failure.again()
         raise UsageError(
             f"{what} was asked for, but the {self.name} is {self.state.name.lower()}",
@@ -313,7 +313,7 @@ class MissionSession:
         if self.feed(RunInput.STOP):
             self._is_seen_over = False
             # When it has ended otherwise than by an answer, it was not heard.
-            self._stopping = Errand(self._send_stop, lambda: self.feed(RunInput.NOT_STOPPED))
+            self._stopping = ShieldedTask(self._send_stop, lambda: self.feed(RunInput.NOT_STOPPED))
             self._stopping.begin()
         if self.state is RunState.STOPPING and self._stopping is not None:
             await self._stopping.ended()
@@ -390,8 +390,8 @@ class MissionSession:
             _logger.info("the %s was left: the aircraft lands, as planned", self.name)
         if not self.is_in_the_air:
             self._let_go()
-        if error is None and self.events.failure is not None and not self._is_told:
-            self._is_told = True
+        if error is None and self.events.failure is not None and not self._is_failure_known:
+            self._is_failure_known = True
             raise self.events.failure.again()
 
     # -- pushes of the aircraft ------------------------------------------------------------------
@@ -411,10 +411,10 @@ class MissionSession:
                 # The push overtakes the notification of what matters more: a lost authority.
                 await asyncio.sleep(_HANDOVER_S)
         if event is not None:
-            self._is_told = self._is_told or isinstance(event, Aborted)
+            self._is_failure_known = self._is_failure_known or isinstance(event, Aborted)
             return event
         if failure is not None:
-            self._is_told = True
+            self._is_failure_known = True
             raise failure.again()
         raise StopAsyncIteration
 
@@ -530,7 +530,7 @@ class MissionSession:
     def _look(self) -> None:
         """See the ground at the end; ``GuardRefused`` where a guard has something against it."""
         if self.state is RunState.RETURNING and not self.owes_a_stop:
-            if self._ground.is_told():
+            if self._ground.is_reported():
                 self._end(RunInput.FINISHED)
         elif self.is_in_the_air and self.state not in (RunState.STOPPING, RunState.UNSTOPPED):
             self._context.guards.check_mission(self.name)

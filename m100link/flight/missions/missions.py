@@ -27,11 +27,11 @@ class Missions:
     def __init__(
         self,
         context: MissionContext,  # what they stand on
-        keeper: MissionGuard,  # one at a time
+        guard: MissionGuard,  # one at a time
         take_off: Callable[[], Awaitable[None]],  # the task of the control block
     ) -> None:
         self._context = context
-        self._keeper = keeper
+        self._guard = guard
         self._take_off = take_off
 
     def waypoint_mission(
@@ -80,7 +80,7 @@ class Missions:
             )
         return WaypointFlight(
             self._context,
-            self._keeper,
+            self._guard,
             plan,
             take_off=self._take_off if take_off else None,
             allow_far=allow_far,
@@ -142,7 +142,7 @@ class Missions:
             start_point=int(start),
             yaw_mode=int(heading),
         )
-        return HotpointFlight(self._context, self._keeper, request, allow_far=allow_far)
+        return HotpointFlight(self._context, self._guard, request, allow_far=allow_far)
 
     def follow_target(
         self, source: TargetSource, *, face_target: bool = True, allow_far: bool = False
@@ -172,7 +172,7 @@ class Missions:
             TelemetryStalled, AckTimeout, MissionAborted: See :meth:`waypoint_mission`.
         """
         return FollowFlight(
-            self._context, self._keeper, source, face_target=face_target, allow_far=allow_far
+            self._context, self._guard, source, face_target=face_target, allow_far=allow_far
         )
 
     async def stop_mission(self) -> MissionKind:
@@ -190,19 +190,19 @@ class Missions:
         """
         self._context.block.require_flying("the stop of a mission")
         with self._context.block.waiting("stop_mission"):
-            return await self._keeper.stop_any()
+            return await self._guard.stop_any()
 
     async def pause_mission(self) -> MissionKind:
         """Pause any mission that flies, also somebody else's. Raises as :meth:`stop_mission`."""
         self._context.block.require_flying("the pause of a mission")
         with self._context.block.waiting("pause_mission"):
-            return await self._keeper.order_any("pause")
+            return await self._guard.order_any("pause")
 
     async def resume_mission(self) -> MissionKind:
         """Let it go on. Raises as :meth:`stop_mission`."""
         self._context.block.require_flying("the resumption of a mission")
         with self._context.block.waiting("resume_mission"):
-            return await self._keeper.order_any("resumption")
+            return await self._guard.order_any("resumption")
 
     def detach_mission(self) -> MissionKind:
         """Leave whatever mission flies in flight when this control block ends.
@@ -214,4 +214,4 @@ class Missions:
             UsageError: No mission flies, as far as the aircraft tells.
         """
         self._context.block.require_flying("detaching a mission")
-        return self._keeper.detach_any()
+        return self._guard.detach_any()

@@ -66,7 +66,7 @@ class WaypointFlight(MissionFlight):
     def __init__(
         self,
         context: MissionContext,
-        keeper: MissionGuard,
+        guard: MissionGuard,
         plan: WaypointPlan,
         *,
         take_off: Callable[[], Awaitable[None]] | None,
@@ -80,7 +80,7 @@ class WaypointFlight(MissionFlight):
             self._track,
             flies_without_rc=plan.on_rc_loss is OnRCLoss.CONTINUE,
         )
-        super().__init__(context, keeper, run)
+        super().__init__(context, guard, run)
         self._take_off = take_off
         self._allow_far = allow_far
         self._progress = progress

@@ -34,7 +34,7 @@ COMMAND_SET = 0x03
 _MISSIONS = ("none", "waypoint", "hotpoint", "follow", "ioc")
 
 
-class _Told(Record):
+class _Reported(Record):
     """One kind of a push: its first byte and what it says."""
 
     __slots__ = ()
@@ -49,7 +49,7 @@ class _Told(Record):
 
 
 @dataclass(frozen=True, slots=True)
-class OtherKind(_Told):
+class OtherKind(_Reported):
     """A kind that no source lists.
 
     Attributes:
@@ -85,7 +85,7 @@ class OtherKind(_Told):
 
 
 @dataclass(frozen=True, slots=True)
-class _LastMission(_Told):
+class _LastMission(_Reported):
     """The status while no mission runs."""
 
     LAYOUT: ClassVar[Layout] = Layout(
@@ -134,7 +134,7 @@ class IocStatus(_LastMission):
 
 
 @dataclass(frozen=True, slots=True)
-class WaypointStatus(_Told):
+class WaypointStatus(_Reported):
     """Kind 1: a waypoint mission.
 
     Attributes:
@@ -164,7 +164,7 @@ class WaypointStatus(_Told):
 
 
 @dataclass(frozen=True, slots=True)
-class HotpointStatus(_Told):
+class HotpointStatus(_Reported):
     """Kind 2: a hotpoint.
 
     Attributes:
@@ -197,7 +197,7 @@ class HotpointStatus(_Told):
 
 
 @dataclass(frozen=True, slots=True)
-class FollowStatus(_Told):
+class FollowStatus(_Reported):
     """Kind 3: following a target; the push has no further fields."""
 
     KIND: ClassVar[int] = 3
@@ -222,7 +222,7 @@ def _word(words: tuple[str, ...], number: int) -> str | int:
 
 
 @dataclass(frozen=True, slots=True)
-class Uploaded(_Told):
+class Uploaded(_Reported):
     """Kind 0: all waypoints have come and were checked together.
 
     Attributes:
@@ -241,7 +241,7 @@ class Uploaded(_Told):
 
 
 @dataclass(frozen=True, slots=True)
-class Finished(_Told):
+class Finished(_Reported):
     """Kind 1: the last waypoint was reached and its actions are done.
 
     Attributes:
@@ -256,7 +256,7 @@ class Finished(_Told):
 
 
 @dataclass(frozen=True, slots=True)
-class Reached(_Told):
+class Reached(_Reported):
     """Kind 2: a waypoint was reached.
 
     Attributes:
@@ -291,47 +291,47 @@ class _KindPush(Notification):
     __slots__ = ()
 
     SINCE: ClassVar[Generation] = Generation.V3_1
-    KINDS: ClassVar[tuple[type[_Told], ...]]
+    KINDS: ClassVar[tuple[type[_Reported], ...]]
 
     @property
-    def told(self) -> _Told:
+    def content(self) -> _Reported:
         """Its only field."""
-        told: _Told = getattr(self, field_names(self)[0])
-        return told
+        content: _Reported = getattr(self, field_names(self)[0])
+        return content
 
     @property
     def kind(self) -> int:
         """Its number; the words are those of :attr:`KINDS`."""
-        return self.told.kind
+        return self.content.kind
 
     @property
     def name(self) -> str:
         """With the kind in a word."""
-        return f"{self.NAME}_{self.told.WORD}"
+        return f"{self.NAME}_{self.content.WORD}"
 
     def value(self, profile: FirmwareProfile) -> bytes:
         """6 bytes."""
-        return bytes((self.kind,)) + self.told.to_wire(self.name)
+        return bytes((self.kind,)) + self.content.to_wire(self.name)
 
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
         """6 bytes."""
         tail = exactly(value, _PUSH_SIZE, cls.NAME)[1:]
         known = value[0] < len(cls.KINDS)
-        told = cls.KINDS[value[0]].from_wire(tail) if known else OtherKind(value[0], tail)
-        return cls(told)  # type: ignore[call-arg]  # the two are dataclasses of what they tell
+        content = cls.KINDS[value[0]].from_wire(tail) if known else OtherKind(value[0], tail)
+        return cls(content)  # type: ignore[call-arg]  # the two are dataclasses of what they tell
 
     def fields(self) -> dict[str, Any]:
         """The kind in a word, and the fields in metres, degrees, seconds and words."""
-        return {"kind": self.told.WORD} | self.told.shown()
+        return {"kind": self.content.WORD} | self.content.shown()
 
     def raw(self) -> dict[str, Any]:
         """The kind and its fields."""
-        return {"kind": self.kind} | self.told.raw()
+        return {"kind": self.kind} | self.content.raw()
 
     def problems(self) -> list[Problem]:
         """A kind that does not exist."""
-        return self.told.problems()
+        return self.content.problems()
 
 
 @dataclass(frozen=True, slots=True)
@@ -346,7 +346,7 @@ class MissionStatus(_KindPush):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x02, 0x03)
-    KINDS: ClassVar[tuple[type[_Told], ...]] = STATUSES
+    KINDS: ClassVar[tuple[type[_Reported], ...]] = STATUSES
 
     status: Status
 
@@ -360,7 +360,7 @@ class WaypointEvent(_KindPush):
     """
 
     ADDRESS: ClassVar[Address] = Address(0x02, 0x04)
-    KINDS: ClassVar[tuple[type[_Told], ...]] = EVENTS
+    KINDS: ClassVar[tuple[type[_Reported], ...]] = EVENTS
 
     event: Event
 

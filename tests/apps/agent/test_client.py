@@ -1,4 +1,4 @@
-"""A front's end of the way: what it knows, and what it is told when it asks."""
+"""A front's end of the channel: what it knows, and the answers that it gets."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ async def test_errors_are_those_of_the_agent(rig: Rig, clients: list[AgentClient
         await first.ask(orders.FlyPattern(77), lease)
 
 
-async def test_a_refused_setpoint_is_told(rig: Rig, clients: list[AgentClient]) -> None:
+async def test_a_refused_setpoint_is_reported(rig: Rig, clients: list[AgentClient]) -> None:
     client = clients[0]
     told: list[tuple[int, M100Error]] = []
     client.on_steer_refused.append(lambda fence, error: told.append((fence, error)))
@@ -150,7 +150,7 @@ async def test_letting_go_stops_at_once(rig: Rig, clients: list[AgentClient]) ->
     await rig.until(lambda: client.state.holding == "none", within=1.0)
 
 
-async def test_a_pilot_who_takes_over_is_told(rig: Rig, clients: list[AgentClient]) -> None:
+async def test_a_pilot_who_takes_over_is_reported(rig: Rig, clients: list[AgentClient]) -> None:
     client = clients[0]
     lost: list[str] = []
     client.on_authority_taken.append(lambda error: lost.append(error.reason))
@@ -176,7 +176,7 @@ async def test_a_lost_line_takes_the_values_with_it(rig: Rig, clients: list[Agen
     assert client.telemetry is not None
 
 
-async def test_an_agent_that_has_gone_is_told_and_everything_grows_old(
+async def test_an_agent_that_has_gone_is_reported_and_everything_grows_old(
     rig: Rig, clients: list[AgentClient]
 ) -> None:
     ours, its = memory_channels()
@@ -315,7 +315,7 @@ CALLS: dict[str, Callable[[AgentClient, Lease], Awaitable[object]]] = {
     "confirm": lambda c, lease: c.confirm("code"),
     "enter": lambda c, lease: entered(c),
     "from_mobile": lambda c, lease: first_of(c.from_mobile(Newest(1))),
-    "halt": lambda c, lease: plainly(lambda: c.halt("other", lease)),
+    "halt": lambda c, lease: plainly(lambda: c.hover("other", lease)),
     "keep": lambda c, lease: plainly(lambda: c.keep(lease)),
     "leave": lambda c, lease: c.__aexit__(None, None, None),
     "let_go": lambda c, lease: plainly(lambda: c.let_go(lease)),
@@ -416,7 +416,7 @@ ENDS: dict[str, object] = {"done": "it", "refused": TaskRefused, "gone": LinkLos
 
 
 async def became(asked: asyncio.Task[OrderOutcome]) -> object:
-    """What whoever asked was told: a text, the kind of an error, or None for nothing."""
+    """The answer that the asker got: a text, the kind of an error, or None for nothing."""
     for _ in range(3):
         await asyncio.sleep(0)
     if not asked.done():
@@ -425,7 +425,7 @@ async def became(asked: asyncio.Task[OrderOutcome]) -> object:
     return asked.result().text if error is None else type(error)
 
 
-# A state and what is told in it: how often it has begun then, and what whoever asked was told.
+# A state and the answer in it: how often it has begun then, and what the asker got.
 # What is over stays as it is, whatever comes in the same turn of the loop.
 AFTER: dict[tuple[str, str], tuple[int, object]] = {
     ("asked", "begun"): (1, None),
@@ -465,7 +465,7 @@ def test_every_state_and_input_of_a_question_has_its_row() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-async def test_many_answers_in_any_order_reach_whoever_asked(seed: int) -> None:
+async def test_many_answers_in_any_order_reach_their_askers(seed: int) -> None:
     """Twice, after the end, of numbers that nobody asked; some wait no more, and the agent dies."""
     chance, sent = random.Random(seed), list[Message]()
     answers = PendingRequests(sent.append)

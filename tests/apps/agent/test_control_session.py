@@ -182,7 +182,7 @@ async def test_another_pilot_takes_over(pilots: Pilots) -> None:
 
 
 @pytest.mark.parametrize("told", [LeaseChanged(0, ""), LeaseChanged(1000, "nobody")])
-async def test_a_lease_that_was_told_to_have_ended_and_is_in_force(
+async def test_a_lease_that_was_reported_as_ended_and_is_in_force(
     pilots: Pilots, told: LeaseChanged
 ) -> None:
     """As by a stranger on a network, or after a silence there: control is asked for anew."""
@@ -490,7 +490,9 @@ async def test_who_sends_while_the_pilot_flies_keeps_the_lease(pilots: Pilots) -
     assert one.has_lease
 
 
-async def test_obeyed_is_who_was_told_so_and_was_heard_since_the_last_loss(pilots: Pilots) -> None:
+async def test_an_operator_is_obeyed_that_knows_it_and_was_heard_since_the_last_loss(
+    pilots: Pilots,
+) -> None:
     one, rig = session(pilots), pilots.rig
     asking = asyncio.create_task(one.obtain())
     while not one.has_control:
@@ -618,7 +620,7 @@ async def test_a_closed_session_holds_nothing_that_comes_later(pilots: Pilots) -
 
 
 @pytest.mark.parametrize("how", ["let_go", "give_back", "close", "obtain", "idle", "switch"])
-async def test_control_ends_whatever_those_raise_who_are_told_of_it(
+async def test_control_ends_whatever_its_listeners_raise(
     pilots: Pilots, how: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one, agent = session(pilots, gives_way=True, idle_s=1.0), pilots.rig.agent
@@ -658,8 +660,8 @@ async def test_control_ends_whatever_those_raise_who_are_told_of_it(
         assert at(one) is S.HOLDING
 
 
-async def test_whatever_one_raises_the_next_one_is_told(pilots: Pilots) -> None:
-    """Many tabs share a client: the one that has control is told, whichever came before it."""
+async def test_whatever_one_raises_the_next_one_is_called(pilots: Pilots) -> None:
+    """Many tabs share a client: the one that has control hears, whichever came before it."""
     first, one = session(pilots), session(pilots, gives_way=True)
 
     def raising(*_: object) -> None:
@@ -676,7 +678,7 @@ async def test_whatever_one_raises_the_next_one_is_told(pilots: Pilots) -> None:
     assert pilots.clients[0].holder.number == 0
 
 
-async def test_a_log_that_raises_keeps_no_loss_from_being_told(pilots: Pilots) -> None:
+async def test_a_log_that_raises_keeps_no_loss_from_being_reported(pilots: Pilots) -> None:
     one, journal = session(pilots), pilots.rig.agent.journal
     await one.obtain()
 
@@ -688,8 +690,8 @@ async def test_a_log_that_raises_keeps_no_loss_from_being_told(pilots: Pilots) -
     await anyio.sleep(1.0)
     assert at(one) is S.SUSPENDED
     assert one.loss is not None
-    told = [event.text for event in journal.events if "not told" in event.text]
-    assert told == ["an event was not told everywhere: ZeroDivisionError('a handler of the log')"]
+    told = [event.text for event in journal.events if "listener" in event.text]
+    assert told == ["a listener failed at an event: ZeroDivisionError('a handler of the log')"]
 
 
 @pytest.mark.parametrize("how", ["a pause", "a new beginning", "control once more"])
@@ -905,7 +907,7 @@ async def test_a_lease_that_is_held_is_asked_for_again_by_a_question_of_the_call
 
 
 @pytest.mark.parametrize("number", [0, 1])
-async def test_a_loss_that_nobody_told_is_seen_by_the_next_word_and_the_next_question(
+async def test_a_loss_without_a_report_is_seen_by_the_next_message_and_the_next_question(
     number: int,
 ) -> None:
     """As when the client found another agent."""
@@ -932,7 +934,7 @@ async def test_a_loss_that_nobody_told_is_seen_by_the_next_word_and_the_next_que
             await pilot.one.take(refuse)
         assert pilot.states == [lost, S.ASKING, S.ABSENT]
         pilot.agent.tell(LeaseChanged(7, "front"))
-        assert pilot.one.lease is None, "what was lost is not held again by what is told"
+        assert pilot.one.lease is None, "a message does not bring back what was lost"
         with pytest.raises(NoAuthority):
             pilot.one.steer(NORTH)
 
@@ -1206,7 +1208,7 @@ def guarded(guard: str) -> GuardRefused:
         (8, guarded("stopped"), S.HOLDING, False),
     ],
 )
-async def test_a_refused_setpoint_is_told_to_its_pilot(
+async def test_a_refused_setpoint_is_reported_to_its_operator(
     fence: int, error: M100Error, state: ControlState, is_told: bool
 ) -> None:
     async with front() as pilot:

@@ -25,8 +25,8 @@ from m100link.apps.cli.fleet import (
     NO_OPTIONS,
     FleetOptions,
     Left,
+    reported_when_interrupted,
     tell_results,
-    told_when_interrupted,
 )
 from m100link.apps.cli.terminal import ExitCode
 from m100link.apps.fleet.client import Fleet, connect
@@ -81,7 +81,7 @@ class Site:
     ) -> list[dict[str, Any]]:
         """The cards, when so many are connected and are so.
 
-        A card is told by the second, and at first without what its aircraft has not said yet.
+        A card comes each second, and at first without what its aircraft has not said yet.
         """
         ends = time.monotonic() + 2 * PATIENCE
         found: list[dict[str, Any]] = []
@@ -188,12 +188,12 @@ def test_rules_and_a_way_to_another_router_exclude_each_other(tmp_path: Path) ->
     assert "cannot be combined" in " ".join(done.stderr.split())
 
 
-def test_whoever_names_nobody_is_asked_whom(site: Site) -> None:
+def test_a_command_without_names_asks_for_them(site: Site) -> None:
     assert site.ask("takeoff")[0] == 2
     assert site.ask("land", "a1", "--all")[0] == 2
 
 
-def test_results_are_told_with_reason_and_remedy(capsys: pytest.CaptureFixture[str]) -> None:
+def test_results_are_reported_with_reason_and_remedy(capsys: pytest.CaptureFixture[str]) -> None:
     results = {
         "a1": Result.of("a1", None),
         "a2": Result.of("a2", StaleLease("lease 3 is not in force", remedy="take it")),
@@ -226,10 +226,10 @@ def test_the_console_of_a_fleet_shows_who_is_there(site: Site) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("is_mute", [False, True], ids=["no router", "a router that says nothing"])
-def test_whoever_waits_for_a_router_ends_when_told_to(
+def test_a_command_that_waits_for_a_router_ends_by_its_signal(
     tmp_path: Path, number: int, is_mute: bool
 ) -> None:
-    """Only the one that had come to the router looked whether it was told to."""
+    """Only the one that had come to the router looked whether it has to end."""
     with ExitStack() as stack, socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         if is_mute:
@@ -339,14 +339,14 @@ CTRL_C = "\x03"
 
 
 def ended(screen: Terminal) -> str:
-    """What a person is told who presses Ctrl-C."""
+    """What Ctrl-C prints."""
     screen.type(CTRL_C)
     assert screen.end() == _INTERRUPTED, screen.shown
     return " ".join(screen.shown.split())
 
 
 @pytest.mark.anyio
-async def test_what_goes_on_on_board_is_told_and_ends_as_it_is_told(site: Site) -> None:
+async def test_what_goes_on_on_board_is_reported_and_ends_as_ordered(site: Site) -> None:
     site.start("agent", "sim://", "--name", "a1")
     async with connect(site.place, name="watcher") as watcher:
         await until(watcher, lambda card: card.connection == "connected")
@@ -386,7 +386,7 @@ async def test_what_goes_on_on_board_is_told_and_ends_as_it_is_told(site: Site) 
 
 
 @pytest.mark.anyio
-async def test_a_stop_that_nobody_answers_is_unknown_and_told_as_that(site: Site) -> None:
+async def test_a_stop_that_nobody_answers_is_reported_as_unknown(site: Site) -> None:
     keys = Keys(DEFAULT_SITE, "a1")
     asked: list[Question] = []  # kept: one that is thrown away is answered by nobody, at once
     async with connect(site.place, name="one that hangs") as there:
@@ -406,14 +406,14 @@ async def test_a_stop_that_nobody_answers_is_unknown_and_told_as_that(site: Site
 
 
 @pytest.mark.anyio
-async def test_what_is_told_of_one_order_is_told_only_when_it_is_interrupted(
+async def test_what_is_known_of_one_order_is_reported_only_when_it_is_interrupted(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     left = Left("it may fly", "m100link fleet stop {name} ends it")
-    with told_when_interrupted("a1", left):
+    with reported_when_interrupted("a1", left):
         pass
     assert capfd.readouterr().err == ""
-    with pytest.raises(asyncio.CancelledError), told_when_interrupted("a1", left):
+    with pytest.raises(asyncio.CancelledError), reported_when_interrupted("a1", left):
         raise asyncio.CancelledError
     told = capfd.readouterr().err
     assert told == "a1: interrupted: it may fly\nm100link fleet stop a1 ends it\n"

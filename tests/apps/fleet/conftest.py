@@ -18,7 +18,7 @@ from m100link.apps.agent.transports import memory_channels
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.order_log import Ledger, MemoryOrderLog
+from m100link.apps.fleet.order_log import MemoryOrderLog, OrderLog
 from m100link.apps.fleet.publisher import StatePublisher
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
@@ -39,7 +39,7 @@ def anyio_backend() -> tuple[str, dict[str, Any]]:
 class OnBoard:
     """One aircraft with its agent."""
 
-    def __init__(self, rig: Rig, name: str, aircraft: VirtualAircraft, ledger: Ledger) -> None:
+    def __init__(self, rig: Rig, name: str, aircraft: VirtualAircraft, ledger: OrderLog) -> None:
         self.rig, self.name, self.aircraft, self.ledger = rig, name, aircraft, ledger
         self._is_killed = False
 
@@ -117,7 +117,9 @@ class Rig:
             while not predicate():  # noqa: ASYNC110 - virtual time: it costs nothing
                 await anyio.sleep(0.01)
 
-    async def aircraft(self, name: str, *, ledger: Ledger | None = None, **options: Any) -> OnBoard:
+    async def aircraft(
+        self, name: str, *, ledger: OrderLog | None = None, **options: Any
+    ) -> OnBoard:
         virtual = options.pop("virtual", None) or VirtualAircraft(seed=5)
         one = OnBoard(self, name, virtual, ledger or MemoryOrderLog())
         return await self.stack.enter_async_context(one.running(**options))

@@ -126,7 +126,7 @@ async def test_telemetry_is_the_wire_value_thinned_and_whole_for_who_listens(rig
     assert len(sent) > 90
 
 
-async def test_state_is_told_and_answered_and_events_are_told(rig: Rig) -> None:
+async def test_state_is_reported_and_answered_and_events_are_reported(rig: Rig) -> None:
     one = await rig.aircraft("a1")
     bus, cards, events = rig.network.session(), [], []
     bus.subscribe(KEYS.state, lambda _, payload: cards.append(unpack(Card, payload)))
@@ -200,8 +200,8 @@ async def test_where_words_of_the_ledger_are_lost_orders_of_before_are_unknown_a
     damaged = MemoryOrderLog()
     damaged.damaged = 2
     one = await rig.aircraft("a1", virtual=with_camera(), ledger=damaged)
-    assert [e.text[:35] for e in one.client.events if "ledger" in e.text] == [
-        "2 records of the ledger are damaged"
+    assert [e.text[:38] for e in one.client.events if "order log" in e.text] == [
+        "2 records of the order log are damaged"
     ]
     [answer] = await rig.network.session().ask(KEYS.status(before.id), timeout=1.0)
     assert unpack(OrderReply, answer.payload).progress is Progress.NEVER, "it may be sent again"
@@ -233,7 +233,7 @@ async def test_what_the_owner_of_the_aircraft_takes_with_it_is_unknown(rig: Rig)
     assert after.outcome is Outcome.REFUSED, "nothing was asked any more"
 
 
-async def test_what_was_never_heard_is_told_as_that(rig: Rig) -> None:
+async def test_what_was_never_heard_is_reported_as_that(rig: Rig) -> None:
     await rig.aircraft("a1")
     [answer] = await rig.network.session().ask(KEYS.status("ab" * 16), timeout=1.0)
     assert unpack(OrderReply, answer.payload).progress is Progress.NEVER
@@ -300,7 +300,7 @@ async def test_an_order_that_was_overtaken_is_not_carried_out(
         ours, its = memory_channels(as_bytes=True)
         one.service.attach(its)
         async with AgentClient(ours, "a page of the station") as page:
-            page.halt("hover") if revoked_by == "hover there" else await page.stop()
+            page.hover("hover") if revoked_by == "hover there" else await page.stop()
     reply = await send(rig, late)
     assert reply.outcome is Outcome.REFUSED
     assert reply.fault is not None
@@ -518,7 +518,7 @@ async def test_a_take_over_that_nobody_waits_for_takes_the_lease_from_nobody(rig
     assert (await lease(rig, request(offer.offer))).number > got.number
 
 
-async def test_why_a_setpoint_was_not_flown_is_told_to_no_later_pilot(rig: Rig) -> None:
+async def test_why_a_setpoint_was_not_flown_reaches_no_later_operator(rig: Rig) -> None:
     one = await rig.aircraft("a1")
     got = await in_the_air(rig, one)
     on = Steer(got.number, anyio.current_time(), 0.2, NORTH)
@@ -529,7 +529,7 @@ async def test_why_a_setpoint_was_not_flown_is_told_to_no_later_pilot(rig: Rig) 
     assert (await keep(rig, other)).fault is None
 
 
-async def test_an_old_pilot_is_told_both_versions_and_nothing_is_done(rig: Rig) -> None:
+async def test_an_old_client_hears_both_versions_and_nothing_is_done(rig: Rig) -> None:
     one = await rig.aircraft("a1")
     spawn, bus = one.agent.background.spawn, rig.network.session()
     spawn(ShowService(one.client, one.bus, KEYS).run(), "shows")

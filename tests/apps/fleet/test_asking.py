@@ -17,7 +17,7 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import MessageError
 from m100link.apps.bus.network import Bus, QueryAnswer, Question
-from m100link.apps.fleet.asking import PATIENCE_S, STEP_S, Asker, Questions, believed, clocks_told
+from m100link.apps.fleet.asking import PATIENCE_S, STEP_S, Asker, Questions, believed, clocks_of
 from m100link.apps.fleet.client import Fleet, open_fleet
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.payloads import (
@@ -184,7 +184,7 @@ class Forgetful:
         return [Keys(SITE, "a1").live_by("a")]
 
     async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[QueryAnswer]:
-        # What was sent when nothing was told yet may arrive whenever it likes.
+        # A message sent when nothing was heard yet may arrive whenever it likes.
         self.sent_after_told += bool(payload) and self.has_told
         try:
             async with asyncio.timeout(timeout):
@@ -291,7 +291,7 @@ def test_believed_is_one_word_of_the_session_that_shows_the_token(
 def test_the_times_of_all_that_answer_are_known_for_a_landing() -> None:
     others = replace(OK, clock=9.0), replace(OK, name="a2", clock=1.0)
     came = [answer(OK), answer(others[0], "b"), answer(others[1]), answer(b"junk")]
-    assert clocks_told(came, "a1") == [5.0, 9.0]
+    assert clocks_of(came, "a1") == [5.0, 9.0]
 
 
 class Voice:

@@ -222,16 +222,16 @@ async def test_the_next_agent_does_what_was_configured(rig: Rig, action: LostAct
     one = await (await killed_in_flight(rig, plan)).next(lost=plan)
     began = anyio.current_time()
     await anyio.sleep(2.5)
-    assert one.height > 1.0, "whoever flew may come back until then"
+    assert one.height > 1.0, "its operator may come back until then"
     assert one.speed < 0.3
     await rig.until(lambda: one.height < 0.1, within=120.0)
     assert anyio.current_time() - began > 3.0
     assert "the previous agent ended while the aircraft flew under lease 1" in said(one)
     await rig.until(lambda: one.client.holder.number == 0)
     await anyio.sleep(0.1)
-    assert one.ledger.aloft is not None
+    assert one.ledger.last_flight is not None
     assert isinstance(one.ledger, MemoryOrderLog)
-    assert MemoryOrderLog(one.ledger).aloft is None
+    assert MemoryOrderLog(one.ledger).last_flight is None
 
 
 async def test_one_that_hovers_by_its_plan_is_left_to_the_pilot_and_that_is_said(rig: Rig) -> None:
@@ -337,8 +337,8 @@ async def test_one_of_which_nobody_knows_who_flew_it_since_is_left_alone(
     before = await killed_in_flight(rig)
     assert isinstance(before.ledger, MemoryOrderLog)
     ledger = MemoryOrderLog(before.ledger)
-    assert ledger.aloft is not None
-    ledger.aloft = replace(ledger.aloft, ago_s=ago)
+    assert ledger.last_flight is not None
+    ledger.last_flight = replace(ledger.last_flight, ago_s=ago)
     one = await rig.aircraft("a1", virtual=before.aircraft, ledger=ledger, lost=LAND)
     await anyio.sleep(60.0)
     assert one.height > 1.0
@@ -349,7 +349,7 @@ async def test_a_line_that_comes_too_late_is_one_of_which_nobody_knows(rig: Rig)
     before = await killed_in_flight(rig)
     assert isinstance(before.ledger, MemoryOrderLog)
     ledger = MemoryOrderLog(before.ledger)
-    ledger.aloft = LastFlightRecord(1, INHERITED_S - 10.0)
+    ledger.last_flight = LastFlightRecord(1, INHERITED_S - 10.0)
     before.aircraft.unplug()
     one = OnBoard(rig, "a1", before.aircraft, ledger)
 
@@ -365,7 +365,9 @@ async def test_a_line_that_comes_too_late_is_one_of_which_nobody_knows(rig: Rig)
     assert "left to the pilot" in said(one)
 
 
-async def test_it_is_written_again_while_it_flies_and_a_disk_that_fails_is_told(rig: Rig) -> None:
+async def test_it_is_written_again_while_it_flies_and_a_disk_that_fails_is_reported(
+    rig: Rig,
+) -> None:
     class Disk(MemoryOrderLog):
         is_full = False
         kept: list[int]
@@ -385,7 +387,7 @@ async def test_it_is_written_again_while_it_flies_and_a_disk_that_fails_is_told(
         assert disk.kept == [1, 1, 1]
         disk.is_full = True
         await anyio.sleep(KEPT_AGAIN_S)
-        assert "the ledger does not keep who flies: the disk is full" in said(one)
+        assert "the order log does not keep who flies: the disk is full" in said(one)
         disk.is_full = False
     await anyio.sleep(2 * KEPT_AGAIN_S)
     assert disk.kept == [1, 1, 1, 0]

@@ -47,7 +47,7 @@ def test_one_is_there_while_it_is_heard_again() -> None:
     assert not ones.is_there(30.0), "it begins anew"
 
 
-def test_several_are_told_apart_and_do_not_fill_the_memory() -> None:
+def test_several_are_distinguished_and_do_not_fill_the_memory() -> None:
     ones = DuplicateNames("a1", "mine")
     for at in range(3):
         for boot in range(1000):
@@ -126,7 +126,7 @@ async def test_setpoints_of_a_pilot_who_does_not_see_that_there_are_two_do_not_f
         rig.network.join(twin.bus)
         await anyio.sleep(5.0)
         assert one.speed < 0.3
-        assert one.fleet_agent.dropped[Dropped.NAMESAKE] > 0
+        assert one.fleet_agent.dropped[Dropped.DUPLICATE] > 0
         rig.network.cut(twin.bus)
         await anyio.sleep(GONE_S + 3.0)
         assert one.speed < 0.3, "nothing resumes by itself"
@@ -139,13 +139,13 @@ async def test_the_agent_before_that_was_killed_is_no_namesake(rig: Rig) -> None
     one.kill()
     after = await one.next()
     await anyio.sleep(5.0)
-    assert not after.fleet_agent.namesakes.is_there(after.client.now)
+    assert not after.fleet_agent.duplicates.is_there(after.client.now)
 
 
 async def test_a_show_begins_with_neither(rig: Rig) -> None:
     one = await rig.aircraft("a1")
-    namesakes = one.fleet_agent.namesakes
-    service = ShowService(one.client, one.bus, Keys(SITE, "a1"), namesakes=namesakes)
+    namesakes = one.fleet_agent.duplicates
+    service = ShowService(one.client, one.bus, Keys(SITE, "a1"), names=namesakes)
     running = asyncio.ensure_future(service.run())
     await anyio.sleep(0.1)
     for at in (0.0, 1.0):
@@ -168,5 +168,5 @@ async def test_nonsense_under_its_key_is_no_namesake(rig: Rig) -> None:
         for payload in (b"", b"\x01{}", b"\x07junk", b"\x01" + b"[" * 60_000):
             outlet.put(payload)
         await anyio.sleep(1.0)
-    one.fleet_agent.namesakes.require_none(one.client.now)
+    one.fleet_agent.duplicates.require_none(one.client.now)
     assert not one.work.done()

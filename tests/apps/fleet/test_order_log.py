@@ -90,7 +90,7 @@ async def test_the_file_does_not_grow_without_end(tmp_path: Path, monkeypatch: A
     after = opened(path, 0.0, "boot", up[0])
     assert list(after.begun)[-1] == f"{999:032x}"
     assert len(after.begun) == 100
-    assert after.aloft == LastFlightRecord(17, up[0])
+    assert after.last_flight == LastFlightRecord(17, up[0])
     assert after.leases_before >= 2 * FENCES_AT_ONCE
     after.close()
 
@@ -117,7 +117,7 @@ async def test_a_line_that_was_cut_off_is_no_order_and_harms_none(tmp_path: Path
         assert again.damaged == damage.endswith(b"\n"), "what has no end was never kept"
         again.close()
     again = FileOrderLog(path, lambda: 1.0)
-    assert again.damaged == 0, "it was told once"
+    assert again.damaged == 0, "it was reported once"
     again.close()
 
 
@@ -133,11 +133,11 @@ async def test_a_fence_is_never_granted_again(tmp_path: Path) -> None:
         ledger.close()
 
 
-async def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+async def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(UsageError, match="file") as caught:
         FileOrderLog(tmp_path / "file" / "a1.jsonl", lambda: 0.0)
-    assert "--ledger" in caught.value.remedy
+    assert "--order-log" in caught.value.remedy
 
 
 async def test_one_in_memory_does_the_same_for_a_virtual_aircraft() -> None:
@@ -153,7 +153,7 @@ async def test_who_flew_is_known_and_since_when_whatever_the_calendar_does(tmp_p
     path = tmp_path / "a1.jsonl"
 
     first = opened(path, 1000.0, "one", 50.0)
-    assert first.aloft is None
+    assert first.last_flight is None
     await first.flies(17)
     first.close()
     for utc, boot, up, ago in (
@@ -165,13 +165,13 @@ async def test_who_flew_is_known_and_since_when_whatever_the_calendar_does(tmp_p
         (1030.0, "", 60.0, 30.0),  # it does not say which run this is
     ):
         again = opened(path, utc, boot, up)
-        assert again.aloft == LastFlightRecord(17, ago), (utc, boot, up)
+        assert again.last_flight == LastFlightRecord(17, ago), (utc, boot, up)
         again.close()
     last = opened(path, 1000.0, "one", 70.0)
     await last.flies(0)
     last.close()
     again = opened(path, 1000.0, "one", 70.0)
-    assert again.aloft is None
+    assert again.last_flight is None
     again.close()
 
 
@@ -187,12 +187,12 @@ def test_a_line_of_nonsense_lands_nobody(tmp_path: Path, line: str) -> None:
     path = tmp_path / "a1.jsonl"
     path.write_text(sealed(line))
     ledger = FileOrderLog(path, lambda: 0.0)
-    assert ledger.aloft is None
+    assert ledger.last_flight is None
     ledger.close()
     path.with_suffix(".lock").unlink()
     path.write_text(sealed('{"flies": 17, "at": "x", "up": "y", "boot": 3}'))
     ledger = FileOrderLog(path, lambda: 0.0)
-    assert ledger.aloft == LastFlightRecord(17, None)
+    assert ledger.last_flight == LastFlightRecord(17, None)
     ledger.close()
 
 
@@ -243,7 +243,7 @@ async def test_who_flew_is_not_believed_where_a_later_word_is_lost(
     path.write_text(sealed(*(flies if word == "flies" else word for word in words)))
     path.with_suffix(".lock").write_bytes(bytes(Mark(len(words), 1)))
     ledger = opened(path, 1001.0, "boot", 51.0)
-    assert ledger.aloft == LastFlightRecord(17, ago_s)
+    assert ledger.last_flight == LastFlightRecord(17, ago_s)
     ledger.close()
 
 
@@ -256,7 +256,7 @@ async def full(path: Path) -> FileOrderLog:
 
 
 @pytest.mark.parametrize("how", ["removed", "replaced", "emptied", "folder"])
-async def test_a_ledger_that_goes_while_the_agent_runs_is_made_again_and_told(
+async def test_an_order_log_that_vanishes_while_the_agent_runs_is_made_again_and_reported(
     tmp_path: Path, how: str
 ) -> None:
     path = tmp_path / "site" / "a1.jsonl"
@@ -281,7 +281,7 @@ async def test_a_ledger_that_goes_while_the_agent_runs_is_made_again_and_told(
     ledger.close()
     again = opened(path, 1000.0, "boot", 51.0)
     assert list(again.begun) == ["one", "two", "three"]
-    assert again.aloft == LastFlightRecord(17, 1.0)
+    assert again.last_flight == LastFlightRecord(17, 1.0)
     assert again.damaged == 0
     again.close()
 
@@ -301,14 +301,14 @@ async def test_a_ledger_that_went_while_no_agent_ran_is_noticed(tmp_path: Path, 
     again = opened(path, utc, "boot", 51.0)
     assert again.damaged >= 1
     assert again.leases_before == utc, "above all that may have been granted"
-    assert again.aloft in (None, LastFlightRecord(17, None)), "the aircraft is not landed"
+    assert again.last_flight in (None, LastFlightRecord(17, None)), "the aircraft is not landed"
     again.close()
     after = opened(path, utc, "boot", 52.0)
-    assert after.damaged == 0, "it was told once"
+    assert after.damaged == 0, "it was reported once"
     after.close()
 
 
-async def test_what_a_full_disk_refused_is_never_told_as_begun(
+async def test_what_a_full_disk_refused_is_never_reported_as_begun(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It stood in a buffer, and was written with the next word when there was room again."""
@@ -337,7 +337,7 @@ async def test_what_a_full_disk_refused_is_never_told_as_begun(
     again = opened(path, 1000.0, "boot", 51.0)
     assert list(again.begun) == ["one", "two"]
     assert again.leases_before >= 5000
-    assert again.aloft is None, "that nobody flies was written as soon as there was room"
+    assert again.last_flight is None, "that nobody flies was written as soon as there was room"
     assert again.damaged == 0
     again.close()
 
@@ -362,7 +362,7 @@ async def test_no_file_is_left_behind_by_a_disk_without_room(
 
 
 @pytest.mark.parametrize("error", [RuntimeError("can't start new thread"), MemoryError()])
-async def test_a_computer_without_threads_or_memory_is_told_as_a_disk_without_room(
+async def test_a_computer_without_threads_or_memory_is_reported_as_a_disk_without_room(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
     """The agent on board would end by it, in the air: it keeps who flies in a loop."""
@@ -440,7 +440,7 @@ def test_a_start_after_damage_is_no_surer_who_flew_than_the_start_before(tmp_pat
     path.with_suffix(".lock").write_text(f"{crc32(mark.encode()):08x} {mark}\n")
     for _ in range(3):
         ledger = opened(path, 1004.0, "boot", 10.0)
-        assert ledger.aloft == LastFlightRecord(7, None)
+        assert ledger.last_flight == LastFlightRecord(7, None)
         ledger.close()
 
 
@@ -537,7 +537,7 @@ def test_one_that_runs_for_long_keeps_no_other_one() -> None:
     assert book.reply("mission") is None
     book.end(reply("mission"), 2000.0)
     book.begin("another", b"", 2000.0 + KEPT_S - 1)
-    assert book.reply("mission") == reply("mission"), "whoever asked for it may still ask"
+    assert book.reply("mission") == reply("mission"), "its client may still ask"
 
 
 # -- A word that was changed or is gone is noticed, whatever became of it --------------------------

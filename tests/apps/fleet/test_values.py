@@ -313,7 +313,7 @@ def test_the_list_of_the_fleet() -> None:
     ]
 
 
-async def test_a_pilot_hears_the_values_that_were_told() -> None:
+async def test_an_operator_hears_the_values_that_were_sent() -> None:
     network = MemoryNetwork(seed=5)
     ground, board = network.session(), network.session()
     keys = Keys("field", "kite")
@@ -323,7 +323,7 @@ async def test_a_pilot_hears_the_values_that_were_told() -> None:
     await anyio.sleep(0.1)
     outlet.put(pack(Telemetry(known.package("2.3"), "2.3", 7.0)))
     await anyio.sleep(1.5)
-    told = fleet_watch._told(fleet, hears, "kite")
+    told = fleet_watch._facts(fleet, hears, "kite")
     assert (told["name"], told["is_there"], told["received"]) == ("kite", True, 1)
     assert told["age"] == pytest.approx(1.5, abs=0.1)
     assert told["velocity"] == {
@@ -347,7 +347,7 @@ async def test_a_pilot_hears_the_values_that_were_told() -> None:
     ]
     outlet.put(pack(Telemetry(known.package("2.3", without=[Position]), "2.3", 8.5)))
     await anyio.sleep(0.1)
-    assert fleet_watch._told(fleet, hears, "kite")["position"] is None, "it was not told again"
+    assert fleet_watch._facts(fleet, hears, "kite")["position"] is None, "it was not sent again"
     assert printed(fleet_watch._table(fleet, hears))[1][2:] == ["in air", "3.6 m/s", "63 %"]
     outlet.put(b"\x01nonsense")
     await anyio.sleep(0.1)

@@ -40,7 +40,7 @@ async def take_over(page: AgentClient) -> Lease:
 
 
 async def stands(rig: Rig, within: float = 4.0, for_s: float = 20.0) -> None:
-    """It comes to rest, and stays where it is whoever goes on talking."""
+    """It comes to rest, and stays there, whatever the others send."""
     await anyio.sleep(within)
     north, east = rig.aircraft.position
     height = rig.height
@@ -61,7 +61,7 @@ async def streams(ground: Ground, seconds: float, **velocity: float) -> None:
 async def test_a_wait_of_a_mission_ends_with_control(
     rig: Rig, ground: Ground, page: AgentClient
 ) -> None:
-    """What was to come after it is not flown for whoever has control later."""
+    """The rest of it is not flown for a later holder of control."""
     items = [waypoint(10.0, 0.1, param1=20.0), waypoint(60.0, 0.1)]
     assert await Exchange(ground).upload(items) is MissionResult.ACCEPTED
     await ground.fly(5.0)
@@ -100,21 +100,21 @@ async def waiting_in_a_mission(rig: Rig, ground: Ground) -> None:
 
 
 @pytest.mark.parametrize("is_stop", [True, False])
-async def test_whoever_has_it_hover_in_the_wait_of_a_mission_ends_the_mission(
+async def test_a_hover_by_anybody_in_the_wait_of_a_mission_ends_the_mission(
     rig: Rig, ground: Ground, page: AgentClient, is_stop: bool
 ) -> None:
     await waiting_in_a_mission(rig, ground)
     if is_stop:
         await page.stop()
     else:
-        page.halt("console: hover")
+        page.hover("console: hover")
     await stands(rig, for_s=40.0)
     assert ground.mode is Mode.HOLD
     assert ("stop" if is_stop else "console: hover") in ground.texts
 
 
 @pytest.mark.parametrize("is_stop", [True, False])
-async def test_whoever_has_it_hover_during_the_take_off_is_not_climbed_past(
+async def test_a_hover_by_anybody_during_the_take_off_is_not_climbed_past(
     rig: Rig, ground: Ground, page: AgentClient, is_stop: bool
 ) -> None:
     await ground.arm()
@@ -125,7 +125,7 @@ async def test_whoever_has_it_hover_during_the_take_off_is_not_climbed_past(
     if is_stop:
         await page.stop()
     else:
-        page.halt("console: hover")
+        page.hover("console: hover")
     await stands(rig, within=6.0)
     assert rig.height < 2.0
 
@@ -142,12 +142,12 @@ async def test_setpoints_that_go_on_are_not_flown_over_the_page(
     if is_stop:
         await page.stop()
     else:
-        page.halt("console: hover")
+        page.hover("console: hover")
     async with anyio.create_task_group() as group:
         group.start_soon(lambda: streams(ground, 30.0, vx=3.0))
         await stands(rig)
         assert ground.mode is Mode.HOLD
-        # Whoever wants to fly on says so.
+        # A station that wants to fly on says so.
         assert await ground.set_mode(Mode.OFFBOARD) is MavResult.ACCEPTED
         await rig.until(lambda: rig.speed > 2.0, within=4.0)
 

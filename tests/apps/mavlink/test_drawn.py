@@ -72,7 +72,7 @@ class Drawn:
         if what == "stop":
             await self.page.stop()
         elif what == "halt":
-            self.page.halt("the page")
+            self.page.hover("the page")
         elif what == "pilot":
             remote.set_mode("P")
             await anyio.sleep(gap)

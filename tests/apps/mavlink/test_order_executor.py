@@ -1,4 +1,4 @@
-"""Missions that the aircraft flies by itself, and whoever wants another thing meanwhile."""
+"""Missions that the aircraft flies by itself, and stations that want another thing meanwhile."""
 
 from __future__ import annotations
 
@@ -267,7 +267,7 @@ async def test_hold_ends_the_way_down_behind_it(rig: Rig, ground: Ground, then: 
 async def test_what_is_wanted_at_the_end_of_it_is_flown(
     rig: Rig, ground: Ground, wanted: Mode, wait: float
 ) -> None:
-    """The aircraft turns home while nobody was told of that yet."""
+    """The aircraft turns home while nobody has heard of that yet."""
     await begin(rig, ground, [*FAR, item(MavCommand.NAV_RETURN_TO_LAUNCH)])
     await rig.until(lambda: rig.aircraft.vehicle.missions.arrivals[-1:] == [2], within=120.0)
     await anyio.sleep(0.3 + wait)
@@ -389,7 +389,7 @@ async def test_another_client_of_the_station_ends_it(rig: Rig, ground: Ground, h
     elif how == "stop":
         await rig.agent.stop()
     else:
-        rig.agent.halt("the console")
+        rig.agent.hover("the console")
     await assert_hovers(rig)
     assert not flies_itself(rig)
     assert ground.mode is (Mode.POSCTL if how == "takes over" else Mode.HOLD)
@@ -455,7 +455,7 @@ async def test_a_mission_of_somebody_who_is_gone_is_stopped_first(
         ([waypoint(20.0, 0.1, param1=500.0), FAR[0]], "item 0: it hovers for 500 s"),
     ],
 )
-async def test_what_a_plan_cannot_say_is_flown_from_here_and_told(
+async def test_what_a_plan_cannot_say_is_flown_from_here_and_reported(
     rig: Rig, ground: Ground, items: list[Item], why: str
 ) -> None:
     assert await Exchange(ground).upload(items) == 0

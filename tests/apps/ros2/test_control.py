@@ -109,7 +109,7 @@ def test_before_control_nobody_has_it() -> None:
     stick = SetpointMux()
     assert stick.hear(ONE, 0.0, 0.0) == "closed"
     stick.begin(0.1)
-    assert stick.holder == ONE  # whoever sends alone while control is obtained
+    assert stick.holder == ONE  # the only sender while control is obtained
 
 
 def test_of_two_that_send_nobody_gets_it() -> None:
@@ -172,7 +172,7 @@ def test_of_very_many_who_send_when_control_is_obtained_nobody_has_the_stick() -
 
 @pytest.mark.parametrize("state", ControlState)
 def test_a_stop_ends_the_stick_with_the_control(state: ControlState) -> None:
-    """Whoever pressed it: who sends setpoints does not fly on by them."""
+    """By any client: a program that goes on sending setpoints does not fly on by them."""
     control = object.__new__(RosControl)
     view = SimpleNamespace(is_on_ground=False)
     agent = SimpleNamespace(now=0.1, view=view, state=SimpleNamespace(task=""))
@@ -314,7 +314,7 @@ async def _hover_at_the_console(rig: Rig) -> None:
     ours, its = memory_channels()
     rig.service.attach(its)
     async with AgentClient(ours, "the console") as console:
-        console.halt("hover, said somebody")
+        console.hover("hover, said somebody")
         await anyio.sleep(0.1)
 
 

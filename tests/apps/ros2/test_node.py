@@ -284,7 +284,7 @@ async def test_who_asks_all_services_at_once_asks_none(rig: Rig, program: Progra
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 1e9])
-async def test_numbers_that_are_none_are_told(rig: Rig, program: Program, value: float) -> None:
+async def test_numbers_that_are_none_are_reported(rig: Rig, program: Program, value: float) -> None:
     await program.up()
     await program.fly(1.0, value)
     assert rig.speed < 0.3
@@ -458,7 +458,7 @@ class World:
 
     def halt(self) -> None:
         self.told("console halts")
-        self.console.halt("hover")
+        self.console.hover("hover")
         self.ended(True)
 
     def stop(self) -> None:

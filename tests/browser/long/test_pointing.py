@@ -154,19 +154,19 @@ async def drag(page: Any, selector: str, across: float, down: float) -> None:
     await page.mouse.up()
 
 
-async def test_handles_on_the_map_set_radius_and_heading_for_whoever_has_control(
+async def test_handles_on_the_map_set_radius_and_heading_with_control(
     browser: Any,
 ) -> None:
     async with console_in_browser(browser, "--firmware", "3.1") as console:
         page = await airborne(console)
         await page.mouse.click(*await on_map(page, 80, -60))
-        await page.click("[data-wish=circle]")
+        await page.click("[data-kind=circle]")
         await page.wait_for_selector(".point.handle.radius")
         await drag(page, ".point.handle.radius", 40, 0)
         await page.wait_for_function("Number(document.querySelector('#click-radius').value) > 25")
         radius = float(await page.input_value("#click-radius"))
         assert radius == pytest.approx(15 + 40 * await page.evaluate(METRES_PER_PIXEL), abs=2.0)
-        await page.click("[data-wish=heading]")
+        await page.click("[data-kind=heading]")
         await page.wait_for_selector(".point.handle.radius", state="detached")
         await page.wait_for_selector(".point.handle.yaw")  # at 0°, ahead of the aircraft
         ahead = 30.0 / await page.evaluate(METRES_PER_PIXEL)

@@ -118,10 +118,10 @@ async def _stops_each(two: Two, page: Any) -> None:
     """By somebody else, in the row above everything, without turning to either."""
     other = await two.kite.open()
     await other.wait_for_function("document.querySelectorAll('.ship.theirs').length === 2")
-    await other.click("[data-halt=kite]")
+    await other.click("[data-stop=kite]")
     await asyncio.sleep(1.0)
     assert two.crow.watch.speed[1] > 0.5, "STOP of one stopped the other"
-    await other.click("[data-halt=crow]")
+    await other.click("[data-stop=crow]")
     await until(lambda: is_still(two.crow))
     assert two.kite.watch.height > 0.8
     assert two.crow.watch.height > 0.8

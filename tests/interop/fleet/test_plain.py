@@ -84,7 +84,9 @@ def test_keys_tokens_and_bytes(site: tuple[Site, ExitStack], tmp_path: Path) -> 
     told = json.loads(aircraft.stdout.readline())
     witness = Witness(stack, int(str(told["port"]).rpartition(":")[2]))
     stack.callback(witness.end)
-    one.start("agent", f"tcp://127.0.0.1:{witness.port}", "--name", "a1", "--ledger", str(tmp_path))
+    one.start(
+        "agent", f"tcp://127.0.0.1:{witness.port}", "--name", "a1", "--order-log", str(tmp_path)
+    )
     assert [card["connection"] for card in one.listed(1)] == ["connected"]
     done = subprocess.run(
         (sys.executable, str(PLAIN), one.place, "5"),

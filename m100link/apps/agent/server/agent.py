@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple, Self
+from warnings import warn
 
 from m100link.aircraft import Aircraft
 from m100link.apps.agent import orders
@@ -47,7 +48,7 @@ _LEASE_CHECK = 0.1
 _LONGEST_STEP = 0.3
 
 _LOST_MEANWHILE = "control was lost meanwhile"
-_PAUSE_S = 1.0  # without a setpoint; the next one is a new wish, though not after STOP
+_PAUSE_S = 1.0  # without a setpoint; the next one is meant anew, though not after STOP
 
 _ENDS = (orders.Release, orders.StopMission)  # under a lease, and move nothing
 
@@ -161,7 +162,7 @@ class Agent:
         flown = self.holding.flown
         call_each(
             (
-                lambda: self.halt("control changed hands"),  # before anybody hears of it
+                lambda: self.hover("control changed hands"),  # before anybody hears of it
                 lambda: self._hand_on(why, new),
                 *(partial(callback, why, new, flown) for callback in self.on_lease),
                 lambda: self.upload(PlanChanged()),  # nobody flies what somebody else left
@@ -280,7 +281,7 @@ class Agent:
     async def give_back(self) -> None:
         """Give control authority back; the lease stays."""
         self._claim()
-        self.halt()
+        self.hover()
         self.holding.let_go()
         await self.holding.settle()
 
@@ -315,20 +316,25 @@ class Agent:
             flying = self.holding.require()
         flying.steer(setpoint, lifetime)
 
-    def halt(self, why: str = "", token: str = "") -> None:
-        """Stop moving; anybody may call this at any time. A task goes on in the autopilot.
+    def hover(self, why: str = "", token: str = "") -> None:
+        """Have it hover; anybody may call this at any time. A task goes on in the autopilot.
 
         With the token of the lease it says that the holder let go: setpoints fly again after STOP.
         """
         if self.holding.flying is not None:
             try:
-                self.holding.flying.halt(why)
+                self.holding.flying.hover(why)
             except BaseException:
-                self.holding.let_go()  # what could not be halted ends with the control block
+                self.holding.let_go()  # what could not be ended so ends with the control block
                 raise
         holder = self.leases.holder(self.now)
         if token and holder is not None and token == holder.token:
             self._begin_anew = ""
+
+    def halt(self, why: str = "", token: str = "") -> None:
+        """Old name of :meth:`hover`."""
+        warn("Agent.halt is hover now", DeprecationWarning, stacklevel=2)
+        self.hover(why, token)
 
     def _authority_lost(self, _: AuthorityLost) -> None:
         """The pilot or the app has the aircraft: the present stream does not go on afterwards."""
@@ -338,7 +344,7 @@ class Agent:
         """Stop whatever happens: motion, program, and the task that the aircraft flies.
 
         Setpoints that somebody goes on sending are refused until the holder of the lease lets go
-        (:meth:`halt` under it) or asks for control once more (:meth:`obtain`), or somebody else
+        (:meth:`hover` under it) or asks for control once more (:meth:`obtain`), or somebody else
         gets the lease.
 
         No command ends a task: giving control authority back is all that this side can do.
@@ -352,13 +358,13 @@ class Agent:
             is_in_task = landing is not None or (flying is not None and flying.is_in_task)
             try:
                 if landing is None:
-                    self.halt("stop")
+                    self.hover("stop")
             finally:
                 self.journal.note("stop", topic=EventTopic.STOPPED)
             if landing is not None:
                 # As long as it counts as flown by plan, authority would not be given back.
                 await landing.let_go()
-                self.halt("stop")
+                self.hover("stop")
         except BaseException:
             self.holding.let_go()  # nobody knows what flies: the end of the control block ends it
             raise
@@ -485,7 +491,7 @@ HANDLERS: dict[type[Order], Callable[[OrderContext, Any], Any]] = {
     orders.RenewLease: lambda call, one: call.leases.renew(one.token, call.agent.now),
     orders.AskTakeOver: lambda call, one: call.leases.ask_take_over(one.name, call.agent.now),
     orders.ConfirmTakeOver: lambda call, one: call.leases.confirm(one.token, call.agent.now),
-    orders.Halt: lambda call, one: call.agent.halt(one.why, call.token),
+    orders.Halt: lambda call, one: call.agent.hover(one.why, call.token),
     orders.Stop: lambda call, _: call.agent.stop(),
     orders.Activate: _activate,
     orders.AskVersion: _version,

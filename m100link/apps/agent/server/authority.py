@@ -294,10 +294,10 @@ class AuthorityManager:
         what, self._broken_off = self._broken_off, ""
         if not what:
             return
-        told = f"the {what} ended: {why}"
+        text = f"the {what} ended: {why}"
         if not is_seen:
-            told = f"nobody here flies the {what} now: {why}; the aircraft may fly on"
-        self._journal.note(told, "error", EventTopic.MISSION_ABORTED)
+            text = f"nobody here flies the {what} now: {why}; the aircraft may fly on"
+        self._journal.note(text, "error", EventTopic.MISSION_ABORTED)
 
     # -- the pilot comes back --------------------------------------------------------------------
 

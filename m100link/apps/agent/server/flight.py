@@ -116,12 +116,12 @@ class ActiveFlight:
         try:
             self._control.send(setpoint, lifetime=lifetime)
         except M100Error as error:
-            self.halt(error.seen)  # the flight until now is not wanted any more
+            self.hover(error.seen)  # the flight until now is not wanted any more
             raise
         self._last = setpoint
 
-    def halt(self, why: str = "") -> None:
-        """Stop moving: end a program or mission, replace the setpoint in force by its neutral.
+    def hover(self, why: str = "") -> None:
+        """Hover: end a program or mission, replace the setpoint in force by its neutral.
 
         A take-off, landing or go-home goes on in the autopilot.
         """
@@ -135,8 +135,8 @@ class ActiveFlight:
         except M100Error:
             pass  # without authority nothing moves
         finally:  # behind it, in the same turn: both report
-            self.mission.end(why or "halted")
-            self._end_program(why or "halted")
+            self.mission.end(why or "hover was ordered")
+            self._end_program(why or "hover was ordered")
 
     # -- tasks -----------------------------------------------------------------------------------
 
@@ -425,7 +425,7 @@ class GuidedFlightManager:
             turn = math.remainder(order.yaw_deg, 360.0)
             await control.turn_to(turn, timeout=timeout, progress=progress)
 
-    def told(self) -> orders.GuidedFlight | None:
+    def current(self) -> orders.GuidedFlight | None:
         """The order that flies, with the rest of it; None for nothing."""
         if self._flight is None:
             return None

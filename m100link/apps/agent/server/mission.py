@@ -37,7 +37,7 @@ _NAMES: dict[object, str] = {
 }
 
 MissionListener = Callable[[MissionEvent], None]
-"""Told of each event, progress excepted."""
+"""Called with each event, progress excepted."""
 
 
 class ActiveMission:
@@ -177,7 +177,7 @@ class ActiveMission:
         elif isinstance(event, Finished):
             self._is_landing = self._ends_by_landing
         elif isinstance(event, Stopped):
-            self._ended_because = self._ended_because or "it was told to stop"
+            self._ended_because = self._ended_because or "its client stopped it"
         if self.on_event is not None and not isinstance(event, MissionProgress):
             self.on_event(event)
 
@@ -202,12 +202,12 @@ class ActiveMission:
         """
         flight = self._flight
         if flight is None:
-            self.end("it was told to stop")
+            self.end("its client stopped it")
         else:
             try:
                 await flight.stop()
             except M100Error:
-                self.end("it was told to stop")  # leaving its block tries again
+                self.end("its client stopped it")  # leaving its block tries again
                 await self.ended()
                 raise
         await self.ended()

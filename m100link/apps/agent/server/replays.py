@@ -62,7 +62,7 @@ class Replays:
         except M100Error:
             return  # it is over
 
-    def told(self) -> Replay | None:
+    def progress(self) -> Replay | None:
         """Where it is; None before it plays."""
         player = self._player
         if player is None:

@@ -64,7 +64,7 @@ class AgentServer:
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
         self._fronts: set[ClientSession] = set()
-        self._told: tuple[Any, ...] = ()  # of the state, when it was sent last
+        self._sent: tuple[Any, ...] = ()  # of the state, when it was sent last
         agent.connection.on_sample.append(self._sample)
         agent.connection.on_aircraft.append(self._aircraft_changed)
         agent.journal.on_event.append(self._event)
@@ -140,7 +140,7 @@ class AgentServer:
             with goes_on("the telling of the state"):
                 lags.append(max(0.0, self._agent.now - due))
                 # Sent although nothing changed: fronts take silence of 2 s for an agent that hangs.
-                self._told = ()
+                self._sent = ()
                 self._tell_state()
                 if len(lags) * STATE_INTERVAL >= 1.0:
                     self._tell_counters(max(lags))
@@ -164,7 +164,7 @@ class AgentServer:
         agent = self._agent
         holding, connection = agent.holding, agent.connection
         aircraft, flying = connection.aircraft, holding.flying
-        told = (
+        now = (
             connection.state,
             connection.error,
             aircraft and aircraft.is_activated,
@@ -174,21 +174,21 @@ class AgentServer:
             holding.has_authority,
             flying and (flying.task, flying.pattern, flying.guiding.order),
             aircraft and aircraft.mission,
-            agent.replay and self._replay_told(agent.replay.told()),
+            agent.replay and self._replay_changed(agent.replay.progress()),
         )
-        if told != self._told:
-            self._told = told
+        if now != self._sent:
+            self._sent = now
             if self._fronts:
                 self._tell(self._state())
 
-    def _replay_told(self, told: Replay | None) -> object:
+    def _replay_changed(self, its: Replay | None) -> object:
         """The settings of a replay that people change; its place changes by itself."""
-        return told and (told.rate, told.is_paused, told.clock - told.position_s)
+        return its and (its.rate, its.is_paused, its.clock - its.position_s)
 
     def _state(self) -> State:
         """The state as :meth:`_tell_state` saw it last, with what changes all the time."""
         agent, now = self._agent, self._agent.now
-        connection, error, is_activated, code, fault, holding, has_authority, *rest = self._told
+        connection, error, is_activated, code, fault, holding, has_authority, *rest = self._sent
         flown, mission, _ = rest
         task, pattern, _ = flown or (None, None, None)
         mission = mission or MissionState()
@@ -206,7 +206,7 @@ class AgentServer:
             has_authority=has_authority,
             task=task or "",
             pattern=pattern or "",
-            guided=flying.guiding.told() if flying is not None else None,
+            guided=flying.guiding.current() if flying is not None else None,
             mission=mission.kind.value if mission.is_running or mission.kind is _NONE else "",
             mission_index=-1 if mission.index is None else mission.index,
             mission_status=-1 if mission.status is None else mission.status,
@@ -217,7 +217,7 @@ class AgentServer:
             dropped_writes=link.dropped_writes if link else 0,
             mismatches=aircraft.telemetry_mismatches if aircraft is not None else 0,
             limits=agent.holding.limits,
-            replay=None if agent.replay is None else agent.replay.told(),
+            replay=None if agent.replay is None else agent.replay.progress(),
         )
 
 
@@ -351,9 +351,9 @@ class ClientSession:
                 answer = self._begin(ask)
                 if isinstance(order, Halt):
                     if self._unbegun:
-                        # Orders heard earlier begin first, and are halted then.
-                        self._agent.background.spawn(self._halt(ask), f"halt for {self._name}")
-                    self._tell_halt(order.why)
+                        # Orders heard earlier begin first, and end then.
+                        self._agent.background.spawn(self._hover(ask), f"hover for {self._name}")
+                    self._report_hover(order.why)
                 self._answer(ask, Stage.DONE, answer=answer)
         elif self._asks >= _MAX_ASKS and order.right is not Right.STOP:  # that waits for nobody
             too_many = UsageError(f"{self._asks} questions of this front wait already")
@@ -364,10 +364,10 @@ class ClientSession:
             name = f"{order.label} for {self._name}"
             self._agent.background.spawn(self._carry_out(ask), name)
 
-    async def _halt(self, ask: Ask) -> None:
+    async def _hover(self, ask: Ask) -> None:
         self._begin(ask)
 
-    def _tell_halt(self, why: str) -> None:
+    def _report_hover(self, why: str) -> None:
         """Tell the holder that another front had it hover: its flight may have more to come."""
         agent, now = self._agent, self._agent.now
         holder = agent.leases.holder(now)

@@ -197,9 +197,9 @@ class LogFetcher:
 
 def _with_rest(error: M100Error, part: LogPart, size: int) -> M100Error:
     """The error, with what is here already."""
-    told = error.again()
+    again = error.again()
     if part.at:
-        told.seen = f"{error.seen}; {part.at:,} of {size:,} bytes are in {part.path}"
-        told.remedy = error.remedy or "the same command continues"
-        told.args = (told.seen, told.cause, told.remedy)
-    return told
+        again.seen = f"{error.seen}; {part.at:,} of {size:,} bytes are in {part.path}"
+        again.remedy = error.remedy or "the same command continues"
+        again.args = (again.seen, again.cause, again.remedy)
+    return again

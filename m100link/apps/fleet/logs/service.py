@@ -90,7 +90,7 @@ class LogService:
         if not rate > 0.0:
             raise UsageError(f"logs cannot leave at {rate:g} bytes a second")
         self._bus, self._keys, self._verify = bus, keys, verify
-        self._shelf = LogDirectory(folder)
+        self._directory = LogDirectory(folder)
         self._rate = rate
         self._clock = asyncio.get_running_loop().time
         self._free_at = self._clock()
@@ -158,16 +158,16 @@ class LogService:
 
     async def _list(self, question: LogQuestion, order: OrderMessage) -> bytes:
         if again := await self._may_go(_LIST_COSTS):
-            return self._told(order, again_s=again)
-        return self._told(order, pack_entries(await self._apart.do(self._shelf.entries)))
+            return self._reply(order, again_s=again)
+        return self._reply(order, pack_entries(await self._apart.do(self._directory.entries)))
 
     async def _piece(self, question: LogQuestion, order: OrderMessage) -> bytes:
         if again := await self._may_go(question.length):
-            return self._told(order, again_s=again)
+            return self._reply(order, again_s=again)
         log, offset, length = question.log, question.offset, question.length
-        data, entry = await self._apart.do(lambda: self._shelf.piece(log, offset, length))
+        data, entry = await self._apart.do(lambda: self._directory.piece(log, offset, length))
         is_written = entry.is_written
-        return self._told(order, data, offset=offset, size=entry.size, is_written=is_written)
+        return self._reply(order, data, offset=offset, size=entry.size, is_written=is_written)
 
     async def _digest(self, question: LogQuestion, order: OrderMessage) -> bytes:
         """Of one log at a time: the client asks again until it is ready."""
@@ -175,24 +175,24 @@ class LogService:
         task = self._digests.get(wanted)
         if task is None:
             if any(not one.done() for one in self._digests.values()):
-                return self._told(order, again_s=_DIGEST_S)
+                return self._reply(order, again_s=_DIGEST_S)
             task = self._background.spawn(self._digested(*wanted), f"digest of {question.log}")
             self._digests[wanted] = task
             while len(self._digests) > _MOST_DIGESTS:
                 self._digests.popitem(last=False)
         await asyncio.wait([task], timeout=_DIGEST_S)
         if not task.done():
-            return self._told(order, again_s=_DIGEST_S)
+            return self._reply(order, again_s=_DIGEST_S)
         if task.cancelled() or task.exception() is not None:
             del self._digests[wanted]  # another time the disk may do it
-        return self._told(order, await task, size=question.length)
+        return self._reply(order, await task, size=question.length)
 
     async def _digested(self, log: str, length: int) -> bytes:
         return await self._apart.do(
-            lambda: self._shelf.digest(log, length, lambda: not self._is_ended)
+            lambda: self._directory.digest(log, length, lambda: not self._is_ended)
         )
 
-    def _told(self, order: OrderMessage, data: bytes = b"", **fields: Any) -> bytes:
+    def _reply(self, order: OrderMessage, data: bytes = b"", **fields: Any) -> bytes:
         return pack_reply(LogReply(order.id, self._keys.name, **fields), data)
 
 
@@ -226,10 +226,10 @@ class LogDirectory:
         for name in filter(is_log_name, names):
             try:
                 with self._opened(name) as stream:
-                    told = os.fstat(stream.fileno())
+                    status = os.fstat(stream.fileno())
             except UsageError:
                 continue  # gone meanwhile, or none
-            found.append(LogEntry(name, told.st_size, told.st_mtime, self._is_written(name)))
+            found.append(LogEntry(name, status.st_size, status.st_mtime, self._is_written(name)))
         return sorted(found, key=lambda one: (one.at, one.log), reverse=True)
 
     def piece(self, log: str, offset: int, length: int) -> tuple[bytes, LogEntry]:
@@ -237,12 +237,12 @@ class LogDirectory:
         with self._opened(log) as stream:
             # First: what is written after that may be in the bytes, and is only not promised.
             is_written = self._is_written(log)
-            told = os.fstat(stream.fileno())
+            status = os.fstat(stream.fileno())
             try:
                 data = os.pread(stream.fileno(), length, offset)
             except OSError as error:
                 raise _no_log(log, error.strerror or f"{error}") from error
-        return data, LogEntry(log, told.st_size, told.st_mtime, is_written)
+        return data, LogEntry(log, status.st_size, status.st_mtime, is_written)
 
     def digest(self, log: str, length: int, is_wanted: Callable[[], bool]) -> bytes:
         """SHA-256 of its first bytes."""

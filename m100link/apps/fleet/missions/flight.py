@@ -131,7 +131,7 @@ class FleetMission:
         self._digest = self._boot = ""
         self._events: deque[MissionEvent] = deque()
         self._seen = 0
-        self._was_paused = self._is_stopped = self._is_told_finished = False
+        self._was_paused = self._is_stopped = self._is_end_reported = False
         self._has_begun = False
         self._end: MissionCard | None = None
 
@@ -214,16 +214,16 @@ class FleetMission:
         if card.is_paused != self._was_paused:
             self._was_paused = card.is_paused
             self._events.append(Paused() if card.is_paused else Resumed())
-        if card.is_finished and not self._is_told_finished:
-            self._is_told_finished = True
+        if card.is_finished and not self._is_end_reported:
+            self._is_end_reported = True
             self._events.append(Finished())
         if card.stage in (MissionStage.OVER, MissionStage.NONE):
             if self._end is None and self._is_stopped:
                 self._events.append(Stopped())
             self._end = card
         elif not self._events:
-            told = (card.elapsed_s, card.index, card.status, card.distance_m, card.height_m)
-            self._events.append(MissionProgress(*told))
+            values = (card.elapsed_s, card.index, card.status, card.distance_m, card.height_m)
+            self._events.append(MissionProgress(*values))
 
     # -- orders ----------------------------------------------------------------------------------
 

@@ -41,7 +41,7 @@ class MissionManager:
         self._ended_at: float | None = None
         self._is_paused = self._is_finished = False
         self._fault: RemoteError | None = None
-        client.on_mission_told.append(self._told)
+        client.on_mission_report.append(self._on_report)
         client.on_lease.append(self._lease_changed)
 
     # -- orders ----------------------------------------------------------------------------------
@@ -129,11 +129,11 @@ class MissionManager:
 
     # -- what happens ----------------------------------------------------------------------------
 
-    def _told(self, told: MissionReport) -> None:
-        if told.event == _REACHED and told.data[1:2] == bytes([_ARRIVED]):
-            self._reached += told.data[:1]
+    def _on_report(self, report: MissionReport) -> None:
+        if report.event == _REACHED and report.data[1:2] == bytes([_ARRIVED]):
+            self._reached += report.data[:1]
             del self._reached[:-_MOST_REACHED]
-        elif told.event == _FINISHED:
+        elif report.event == _FINISHED:
             self._is_finished = True
 
     def _lease_changed(self, change: LeaseChanged) -> None:

@@ -249,14 +249,14 @@ class Conductor:
                 self._tell(f"{track.name} has flown its track")
                 return part
             if part.stage is not ShowStage.FLYING:
-                why = part.why and f": {part.why}"  # none where it was told to leave
+                why = part.why and f": {part.why}"  # none where it was ordered to leave
                 self._tell(f"{track.name} left{why}; the others fly on")
                 return part
             await asyncio.sleep(_LOOK_S)
 
 
 def _part(reply: OrderReply) -> Part:
-    told = reply.show
-    if told is None:
+    show = reply.show
+    if show is None:
         raise MessageError(f"{reply.name} does not report its stage in the show")
-    return Part(reply.name, told.stage, told.digest, told.farthest_m, told.why, reply.clock)
+    return Part(reply.name, show.stage, show.digest, show.farthest_m, show.why, reply.clock)

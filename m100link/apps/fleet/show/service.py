@@ -72,7 +72,7 @@ class ShowService:
         # Looks at each order; without it the router alone decides who may ask.
         verify: Verify | None = None,
         # Whether another agent has its name: then it does not begin.
-        namesakes: DuplicateNames | None = None,
+        names: DuplicateNames | None = None,
         # Other aircraft of the same session; None where it has one of its own.
         beside: Beside | None = None,
     ) -> None:
@@ -80,7 +80,7 @@ class ShowService:
         self._bus = bus
         self._keys = keys
         self._verify = verify
-        self._namesakes = namesakes
+        self._duplicates = names
         self._beside = beside or Beside()
         self.performer = TrackExecutor(client, keys.name)
         # The outcome of orders that were let through: the network may bring one twice.
@@ -155,8 +155,8 @@ class ShowService:
         if isinstance(asked, LoadTrack | TakePlace | StartShow):
             # It takes off: not minutes later, when the conductor has given up.
             performer.ages.check(order.clock, self._client.now)
-        if isinstance(asked, TakePlace | StartShow) and self._namesakes is not None:
-            self._namesakes.require_none(self._client.now)
+        if isinstance(asked, TakePlace | StartShow) and self._duplicates is not None:
+            self._duplicates.require_none(self._client.now)
         match asked:
             case SendTrack():
                 self._take_piece(asked.at, asked.data)

@@ -54,7 +54,7 @@ leaves: nobody waits for it there any more."""
 _LOOK_S = 0.2
 _ASSURED_S = 1.0
 """Seconds before the beginning at which all have to be heard; soon after it they begin to move."""
-_TOLD_S = 600.0
+_REMEMBERED_S = 600.0
 """Seconds after its track in which one still tells the others where it is."""
 
 
@@ -123,7 +123,7 @@ class TrackExecutor:
             self.fault = error
             self.leave()
         elif self.stage is ShowStage.LEFT and isinstance(self.fault, NoAuthority):
-            # It was told that nothing is flown before it was told who took the aircraft.
+            # The report that nothing is flown comes before that of the taker.
             self.fault = error
 
     def heard(self, run: str = "") -> None:
@@ -228,7 +228,7 @@ class TrackExecutor:
         if track is None or show is None or start_at is None:
             return None
         at = self._client.now - start_at
-        if at > track.end + _TOLD_S:
+        if at > track.end + _REMEMBERED_S:
             return None
         try:
             here = self._here(track)
@@ -342,7 +342,7 @@ class TrackExecutor:
         await self._end()
 
     def _require_all(self) -> None:
-        """All of them begin, or none: one that was not told to would stand in the others' way."""
+        """All of them begin, or none: one that did not hear it would stand in the others' way."""
         others = self.neighbours
         missing = 0 if others is None else others.missing(self._client.now)
         if missing:
@@ -363,12 +363,12 @@ class TrackExecutor:
         near = others.near(own, self._client.now, self._rest)
         if near is None:
             return
-        told, cause = "", f"{near.name} or {self._name} is beside its track, or has left it"
+        reason, cause = "", f"{near.name} or {self._name} is beside its track, or has left it"
         if near.silent_s:
-            told = f"{near.name} has been silent for {near.silent_s:.1f} s and may stand there: "
+            reason = f"{near.name} has been silent for {near.silent_s:.1f} s and may stand there: "
             cause = f"{near.name} was killed, or one of the two is cut off"
         raise LeftShow(
-            f"{self._name} left the show at {own.at:.1f} s: {told}{near.name} would come as near "
+            f"{self._name} left the show at {own.at:.1f} s: {reason}{near.name} would come as near "
             f"as {near.distance_m:.1f} m in {near.at - own.at:.1f} s; "
             f"{others.least_m:g} m are allowed",
             why=Why.NEAR,

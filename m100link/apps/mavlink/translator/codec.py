@@ -251,8 +251,8 @@ class MessageLayout:
 
 
 def _layout(row: str) -> MessageLayout:
-    number, name, told = re.fullmatch(r"(\d+) (\w+): (.+)", row).groups()  # type: ignore[union-attr]  # a row of ours
-    basic, _, extensions = told.partition(" | ")
+    number, name, columns = re.fullmatch(r"(\d+) (\w+): (.+)", row).groups()  # type: ignore[union-attr]  # a row of ours
+    basic, _, extensions = columns.partition(" | ")
     extra, codes, fields = f"{name} ".encode(), "<", []
     for is_extension, part in ((False, basic), (True, extensions)):
         for one in filter(None, part.split(", ")):
@@ -296,14 +296,14 @@ class PacketSigner:
     def sign(self, frame: bytes, now: int) -> bytes:
         """The signature of a frame that ends with its checksum; ``now`` in 10 µs since 2015."""
         self.sent = max(self.sent + 1, now)
-        told = bytes([self.link]) + self.sent.to_bytes(6, "little")
-        return told + self._digest(frame + told)
+        stamp = bytes([self.link]) + self.sent.to_bytes(6, "little")
+        return stamp + self._digest(frame + stamp)
 
     def takes(self, frame: bytes, sender: tuple[int, int], now: int) -> bool:
         """Whether the signature at the end is right, and the frame not an old one."""
-        told = frame[-_SIGNATURE:-6]
-        when = int.from_bytes(told[1:], "little")
-        stream = (*sender, told[0])
+        stamp = frame[-_SIGNATURE:-6]
+        when = int.from_bytes(stamp[1:], "little")
+        stream = (*sender, stamp[0])
         # A sender that is heard first may not be more than a minute behind.
         since = max(now, self.sent) - NEW_WITHIN
         newest = self.newest.get(stream, max(since, self.oldest))
@@ -440,8 +440,8 @@ def _frame_v1(data: bytes, at: int, *, is_signed: bool) -> _Found:
 
 
 def _is_whole(data: bytes, at: int, end: int, layout: MessageLayout) -> bool:
-    (told,) = _CHECKSUM.unpack_from(data, end - 2)
-    return bool(told == _crc(data[at + 1 : end - 2] + bytes([layout.crc_extra])))
+    (checksum,) = _CHECKSUM.unpack_from(data, end - 2)
+    return bool(checksum == _crc(data[at + 1 : end - 2] + bytes([layout.crc_extra])))
 
 
 # -- what was signed and taken, kept on disk: what is recorded now is not obeyed after a restar ----
@@ -524,11 +524,11 @@ class SignatureMemory:
                 is_ours = sender in newest and when == self._written.get(sender)
                 if not is_ours and when > sent - NEW_WITHIN:
                     newest[sender] = max(when, newest.get(sender, 0))
-        told = {".".join(map(str, one)): when for one, when in newest.items()}
+        stamps = {".".join(map(str, one)): when for one, when in newest.items()}
         handle, name = tempfile.mkstemp(dir=self.path.parent, prefix=self.path.name)
         try:
             with os.fdopen(handle, "w", encoding="ascii") as file:
-                json.dump({"sent": sent, "newest": told, "crc32": _checksum(sent, told)}, file)
+                json.dump({"sent": sent, "newest": stamps, "crc32": _checksum(sent, stamps)}, file)
             Path(name).replace(self.path)
         except BaseException:
             Path(name).unlink(missing_ok=True)
@@ -550,22 +550,22 @@ def _read(path: Path) -> Snapshot:
         data = file.read(_LONGEST + 1)
     if len(data) > _LONGEST:
         raise ValueError("it is too long")
-    told: Any = read_json(data)
-    if not (isinstance(told, dict) and isinstance(told.get("newest"), dict)):
+    stored: Any = read_json(data)
+    if not (isinstance(stored, dict) and isinstance(stored.get("newest"), dict)):
         raise ValueError("it is not a memory of signatures")
     # A version before this one wrote no checksum; under any other name it is damaged.
-    checksum = _checksum(told.get("sent"), told["newest"])
-    if told.keys() - {"sent", "newest"} and told != told | {"crc32": checksum}:
+    checksum = _checksum(stored.get("sent"), stored["newest"])
+    if stored.keys() - {"sent", "newest"} and stored != stored | {"crc32": checksum}:
         raise ValueError("its checksum is wrong")
-    if told.keys() - {"sent", "newest", "crc32"}:
+    if stored.keys() - {"sent", "newest", "crc32"}:
         raise ValueError("it holds what is not known")
     newest: dict[Sender, int] = {}
-    for name, when in told["newest"].items():
+    for name, when in stored["newest"].items():
         parts = [int(part) for part in str(name).split(".")]
         if len(parts) != _PARTS:
             raise ValueError(f"{name!r} is not a sender")
         newest[parts[0], parts[1], parts[2]] = _time(when)
-    return Snapshot(_time(told.get("sent")), newest)
+    return Snapshot(_time(stored.get("sent")), newest)
 
 
 def _time(value: object) -> int:

@@ -133,7 +133,7 @@ class CommandProtocol:
         mode = mode_of_number(int(main), int(sub) if _is_byte(sub) else 0)
         if mode is None:
             return self._no_mode(f"mode {int(main)}.{int(sub) if _is_byte(sub) else 0}")
-        return self.wish_mode(mode, asked.peer, now)
+        return self.request_mode(mode, asked.peer, now)
 
     def set_standard_mode(self, asked: Asked, now: float) -> MavResult:
         """DO_SET_STANDARD_MODE."""
@@ -141,13 +141,13 @@ class CommandProtocol:
         mode = mode_of_standard(int(number)) if _is_byte(number) else None
         if mode is None:
             return self._no_mode(f"standard mode {number:g}")
-        return self.wish_mode(mode, asked.peer, now)
+        return self.request_mode(mode, asked.peer, now)
 
     def _no_mode(self, what: str) -> MavResult:
         self._tell(Severity.WARNING, f"{what} does not exist here, or only the RC sets it")
         return MavResult.DENIED
 
-    def wish_mode(self, mode: Mode, peer: Peer, now: float) -> MavResult:
+    def request_mode(self, mode: Mode, peer: Peer, now: float) -> MavResult:
         """A mode by its name alone."""
         if mode is Mode.TAKEOFF:
             order = TakeOffAndClimb(self._take_off_height(math.nan))
@@ -197,7 +197,7 @@ class CommandProtocol:
         if not self._is_place(asked) and math.isnan(asked.z):
             yaw = asked.parameters[3]
             if math.isnan(yaw):
-                return self.wish_mode(Mode.HOLD, asked.peer, now)
+                return self.request_mode(Mode.HOLD, asked.peer, now)
             return self._fly(orders.ChangeHeading(math.degrees(yaw)), Mode.GOTO, asked.peer, now)
         height = self._height_of(asked)
         if not self._is_place(asked):
@@ -241,7 +241,7 @@ class CommandProtocol:
     def pause(self, asked: Asked, now: float) -> MavResult:
         """DO_PAUSE_CONTINUE: hold, or fly the mission on."""
         is_on = asked.parameters[0] == 1.0
-        return self.wish_mode(Mode.MISSION if is_on else Mode.HOLD, asked.peer, now)
+        return self.request_mode(Mode.MISSION if is_on else Mode.HOLD, asked.peer, now)
 
     def start_mission(self, asked: Asked, now: float) -> MavResult:
         """MISSION_START, from an item."""
@@ -415,7 +415,7 @@ def _is_byte(value: float) -> bool:
 
 
 def _mode(mode: Mode) -> Callable[[CommandProtocol, Asked, float], MavResult]:
-    return lambda commands, asked, now: commands.wish_mode(mode, asked.peer, now)
+    return lambda commands, asked, now: commands.request_mode(mode, asked.peer, now)
 
 
 @dataclass(frozen=True, slots=True)

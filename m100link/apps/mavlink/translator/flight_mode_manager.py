@@ -359,7 +359,7 @@ class FlightModeManager:
             and isinstance(order, LandInPlace | ReturnToLaunch)
             and not order.is_interrupting
         ):
-            # Something flies that nobody here was told of: the end of a mission, say.
+            # Something flies that nobody here knows of: the end of a mission, say.
             self._begin(ModeRequest(self._mode, replace(order, is_interrupting=True)))
             return
         waiting, self._waiting = self._waiting, None
@@ -437,7 +437,7 @@ class FlightModeManager:
         elif phase is VehiclePhase.AIRBORNE:
             self.orders.append(setpoint)
         elif stream.wants_up(now):
-            # Motors stand still: the aircraft ignores movement until it was told to take off.
+            # Motors stand still: the aircraft ignores movement until an order to take off.
             request = ModeRequest(self._mode, None)
             self._begin(ModeRequest(self._mode, TakeOffAndClimb()))
             self._waiting = request

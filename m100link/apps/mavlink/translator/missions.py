@@ -64,9 +64,9 @@ class MissionProtocol:
         self._answered: tuple[Peer, int, MissionResult, float] | None = None
         self.fence = Fence()  # what was uploaded last
         self.current = 0  # number of the item that is flown to, or would be
-        self.edition = 0  # counts what was uploaded, cleared, or told to begin elsewhere
+        self.edition = 0  # counts what was uploaded, cleared, or set to begin elsewhere
         self._reached = -1
-        self._told_at = self.due_at = float("-inf")  # MISSION_CURRENT; the next of :meth:`due`
+        self._sent_at = self.due_at = float("-inf")  # MISSION_CURRENT; the next of :meth:`due`
 
     @property
     def items(self) -> tuple[MavlinkMessage, ...]:
@@ -136,9 +136,9 @@ class MissionProtocol:
     def _take(self, item: MavlinkMessage, kind: int, peer: Peer, now: float) -> None:
         upload = self._upload
         if upload is None or upload.peer != peer or upload.kind != kind:
-            told = self._answered
-            if told is not None and told[:2] == (peer, kind) and now - told[3] < _LATE_S:
-                self._acknowledge(told[2], kind, peer)
+            last = self._answered
+            if last is not None and last[:2] == (peer, kind) and now - last[3] < _LATE_S:
+                self._acknowledge(last[2], kind, peer)
             return
         if item["seq"] != len(upload.items):
             return  # one that came twice, or too early: the next one is asked for again
@@ -208,7 +208,7 @@ class MissionProtocol:
     def restart(self) -> None:
         """It begins at its first item."""
         self.current, self._reached = 0, -1
-        self._told_at = self.due_at = float("-inf")
+        self._sent_at = self.due_at = float("-inf")
 
     def begin_at(self, number: int) -> None:
         """Somebody wants it flown from that item on."""
@@ -219,7 +219,7 @@ class MissionProtocol:
     def flies_to(self, number: int) -> None:
         if number != self.current:
             self.current = number
-            self._told_at = self.due_at = float("-inf")
+            self._sent_at = self.due_at = float("-inf")
 
     def reached(self, number: int) -> None:
         self._reached = number
@@ -248,11 +248,11 @@ class MissionProtocol:
                 self._tell(Severity.WARNING, "mission: the upload broke off, nothing was changed")
             else:
                 self._ask(upload, now)
-        if now - self._told_at >= _CURRENT_S:
-            self._told_at = now
+        if now - self._sent_at >= _CURRENT_S:
+            self._sent_at = now
             yield self.current_message(is_flying=is_flying)
         again_at = math.inf if self._upload is None else self._upload.asked_at + _AGAIN_S
-        self.due_at = min(self._told_at + _CURRENT_S, again_at)
+        self.due_at = min(self._sent_at + _CURRENT_S, again_at)
 
     def current_message(self, *, is_flying: bool) -> MavlinkMessage:
         """MISSION_CURRENT."""

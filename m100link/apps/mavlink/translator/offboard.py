@@ -125,8 +125,8 @@ class Offboard:
     def _take(self, target: OffboardTarget) -> str:
         pairs = (*(target.place or ()), *(target.velocity or ()), *(target.tilt or ()))
         ones = (target.height, target.climb, target.yaw_deg, target.yaw_rate)
-        told = {*pairs, *ones} - {None}
-        if not told or not all(map(math.isfinite, told)):
+        kinds = {*pairs, *ones} - {None}
+        if not kinds or not all(map(math.isfinite, kinds)):
             return "a setpoint without values, or not a number"
         self.target = target
         return ""
@@ -197,7 +197,7 @@ class Offboard:
 # -- sticks of a ground station: MANUAL_CONTROL, as velocities (POSCTL) or as tilts (ALTCTL) -------
 
 
-STICKS_LIFETIME = 0.5  # seconds after which sticks that are not told any more are let go
+STICKS_LIFETIME = 0.5  # seconds after which sticks that are not sent any more are let go
 _FULL_STICK = 1000.0
 _DEAD = 0.03
 

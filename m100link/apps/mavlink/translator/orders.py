@@ -48,7 +48,7 @@ class CancelTakeOff(VehicleOrder):
 
     Giving back is all that can be done on the ground: a landing is refused there, and nothing stops
     the motors (document, 2.2.2). Whether it ends a take-off that the aircraft has accepted is not
-    told anywhere, so it is watched; an aircraft that takes off all the same is landed.
+    reported anywhere, so it is watched; an aircraft that takes off all the same is landed.
     """
 
 

@@ -23,7 +23,7 @@ class ParamRow:
     least: float = 0.0  # what it may be set to
     most: float = 0.0  # likewise; where both are the same it is read-only
     # The value as aircraft or agent report it, for the parameters that show it.
-    told: Callable[[VehicleState, int], float | None] | None = None
+    get: Callable[[VehicleState, int], float | None] | None = None
     is_whole: bool = False  # whether it is an integer
 
     @property
@@ -33,7 +33,7 @@ class ParamRow:
 
 PARAMETERS: Mapping[str, ParamRow] = {
     "MAV_SYS_ID": ParamRow(
-        None, "system id of this aircraft", told=lambda _, system: system, is_whole=True
+        None, "system id of this aircraft", get=lambda _, system: system, is_whole=True
     ),
     "MIS_TAKEOFF_ALT": ParamRow(2.5, "height of a take-off without one, m", 1.5, 100.0),
     "RTL_RETURN_ALT": ParamRow(-1.0, "DJI's own setting, unknown here: -1"),
@@ -47,17 +47,17 @@ PARAMETERS: Mapping[str, ParamRow] = {
     "GF_MAX_HOR_DIST": ParamRow(
         None,
         "the agent's envelope: m from where control was obtained; 0 without",
-        told=lambda world, _: world.known.view.state.limits.max_radius_m,
+        get=lambda world, _: world.known.view.state.limits.max_radius_m,
     ),
     "GF_MAX_VER_DIST": ParamRow(
         None,
         "the agent's envelope: m above the take-off point; 0 without",
-        told=lambda world, _: world.known.view.state.limits.max_height_m,
+        get=lambda world, _: world.known.view.state.limits.max_height_m,
     ),
     "COM_ARM_BAT_MIN": ParamRow(
         None,
         "the agent's floor of the battery, 0 to 1",
-        told=lambda world, _: (world.known.view.state.limits.battery_floor_percent or 0) / 100,
+        get=lambda world, _: (world.known.view.state.limits.battery_floor_percent or 0) / 100,
     ),
 }
 """By name."""
@@ -73,8 +73,8 @@ class ParameterProtocol:
         self.values = {name: one.value for name, one in PARAMETERS.items() if one.value is not None}
 
     def _value(self, name: str) -> float:
-        told = PARAMETERS[name].told
-        value = self.values[name] if told is None else told(self._world, self._system)
+        one = PARAMETERS[name]
+        value = self.values[name] if one.get is None else one.get(self._world, self._system)
         return 0.0 if value is None else value
 
     def message(self, name: str) -> MavlinkMessage:

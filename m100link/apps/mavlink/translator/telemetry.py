@@ -464,7 +464,7 @@ class Texts:
 
     def __init__(self) -> None:
         self.waiting: deque[tuple[Severity, str]] = deque(maxlen=int(_AT_ONCE))
-        self._told: dict[str, float] = {}
+        self._reported: dict[str, float] = {}
         self._count = 0
         self._allowed, self._at = _AT_ONCE, 0.0
 
@@ -475,12 +475,12 @@ class Texts:
         """The messages; a long text comes in parts of 50 characters, four at most."""
         self._allowed = min(_AT_ONCE, self._allowed + (now - self._at) * _PER_S)
         self._at = now
-        self._told = {text: at for text, at in self._told.items() if now - at < _AGAIN_S}
+        self._reported = {text: at for text, at in self._reported.items() if now - at < _AGAIN_S}
         while self.waiting and self._allowed >= 1.0:
             severity, text = self.waiting.popleft()
-            if text in self._told:
+            if text in self._reported:
                 continue
-            self._told[text] = now
+            self._reported[text] = now
             self._allowed -= 1.0
             yield from self._parts(severity, text)
 

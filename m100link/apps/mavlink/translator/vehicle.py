@@ -53,7 +53,7 @@ _UNKNOWN_PROGRESS = 255
 _VENDOR, _PRODUCT = 0x2CA3, 0x0100  # DJI's number at the USB forum; the product is ours
 _TO_ALL = (0, COMPONENT)
 _AHEAD_S = 1.8  # so far ahead the fence is looked at: at a tilt of 30 degrees it needs them to stop
-_AWAY_M = 0.3  # so far it may be told to move away from the fence while it stands
+_AWAY_M = 0.3  # so far it may be ordered to move away from the fence while it stands
 
 _FLIGHTS = (FlightSource.FLIGHT, FlightSource.MISSION, FlightSource.PAUSED)
 """Flights that lead back into the fence by themselves, if they lead there."""
@@ -289,7 +289,7 @@ class MavlinkVehicle:
 
         A flight that is begun again and again flies a little each time: from outside, none may lead
         farther away than it was at its least. A mission that is to pause may still fly. Where it is
-        now follows from what was told last, and nobody flies on who does not know that.
+        now follows from the newest report, and nobody flies on who does not know that.
         """
         fence = self._missions.fence
         if not fence.areas or self.manager.phase is not VehiclePhase.AIRBORNE:
@@ -431,11 +431,11 @@ class MavlinkVehicle:
 
     def _tell_state(self, now: float, audience: Audience) -> None:
         beat = self._heartbeat()
-        told = tuple(beat.fields.values())
-        if told != self._beaten or now - self._beaten_at >= _HEARTBEAT_S:
-            if told[:1] != self._beaten[:1]:
+        fields = tuple(beat.fields.values())
+        if fields != self._beaten or now - self._beaten_at >= _HEARTBEAT_S:
+            if fields[:1] != self._beaten[:1]:
                 self._send(current(self.manager.mode))
-            self._beaten, self._beaten_at = told, now
+            self._beaten, self._beaten_at = fields, now
             self._send(beat)
         if now >= self._rates.due_at or audience != self._rates.audience:
             self.outbox += self._rates.due(now, audience)

@@ -106,10 +106,10 @@ class Page:
 
     def _build(self, key: str) -> None:
         ui.add_head_html(f'<link rel="stylesheet" href="/console/console.css">{_HEAD}')
-        told = json.dumps(for_browser(self._context.wording.settings.speaker))
+        speaker = json.dumps(for_browser(self._context.wording.settings.speaker))
         ui.add_body_html(
             '<script type="module">'
-            f'import {{choose}} from "/console/said.js"; choose({told});'
+            f'import {{choose}} from "/console/said.js"; choose({speaker});'
             f'import {{start}} from "/console/shell.js"; start({json.dumps(key)});</script>'
         )
         with ui.element("header").props("id=header"):
@@ -128,17 +128,17 @@ class Page:
     async def _go_on(self) -> None:
         """Look and speak as it was chosen, and go on where the page was before a reload."""
         await load_settings(self._context)
-        deck, tab = self._context, self._tab
+        context, tab = self._context, self._tab
         try:
             name, secret = await ui.run_javascript(_SHELL + "m100.kept())", timeout=_PATIENCE)
         except TimeoutError:
             return  # the page has gone, or hangs: it stays as it is
-        looks = deck.tabs.looks
+        looks = context.tabs.looks
         tab.person = looks.person(secret)
         ui.run_javascript(f"{_SHELL}m100.keep({json.dumps(tab.person)}))")
-        said_at = looks.said_at(tab.person, tab.aircraft, self._agent, deck.history)
+        said_at = looks.said_at(tab.person, tab.aircraft, self._agent, context.history)
         if said_at is not None:
-            deck.memory.checklist.say_free(said_at, is_free=True)
+            context.memory.checklist.say_free(said_at, is_free=True)
         if name in VIEWS:
             self._show(name)
 

@@ -232,7 +232,7 @@ class Tab:
     def _check(self, at: float, late: float, held: float) -> None:
         """Refuse an order decided too long ago, by an old picture, or by a hand that has to let go.
 
-        A pilot whose beats were late for a second has to let go first: the aircraft stood
+        An operator whose beats were late for a second has to let go first: the aircraft stood
         meanwhile, and perhaps nobody looks when the way is fast again.
 
         Raises ``GuardRefused``: it was.
@@ -356,7 +356,7 @@ def _is_number(value: Any) -> TypeGuard[float]:
 
 CERTAIN_AFTER = 0.1  # seconds in which the agent would have refused
 
-_TOLD_FOR = 0.3  # as long as a beat lasts: it was refused just now
+_REPORTED_FOR = 0.3  # as long as a beat lasts: it was refused just now
 
 
 class Fate(StrEnum):
@@ -391,7 +391,7 @@ class Press:
 
     def passed(self, now: float) -> None:
         """Note that a beat went on to the agent."""
-        if now - self._passed_at > _TOLD_FOR:
+        if now - self._passed_at > _REPORTED_FOR:
             self._since = now
         self._passed_at = now
 
@@ -405,7 +405,7 @@ class Press:
         view = agent.view
         if not has_lease or not view.has_authority:
             return Fate.NO_CONTROL
-        if now - self._refused_at <= _TOLD_FOR:
+        if now - self._refused_at <= _REPORTED_FOR:
             return self._why
         if view.is_on_ground:
             return Fate.ON_GROUND

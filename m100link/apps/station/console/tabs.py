@@ -96,7 +96,7 @@ class Tabs:
         if tab.session.has_lease:
             flies = agent.state.task or agent.state.mission not in ("", "no mission")
             if not flies:
-                agent.halt(f"{name} turned to {to}")
+                agent.hover(f"{name} turned to {to}")
             agent.note(
                 f"{name} turned to {to} and keeps control: "
                 + ("the mission or task that it flies goes on" if flies else "it hovers")

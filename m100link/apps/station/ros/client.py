@@ -105,7 +105,7 @@ class Client:
         self._bytes = TokenBucket(self.limits.bytes_rate, 4 * self.limits.message_size)
         self._work = TokenBucket(self.limits.work_rate, self.limits.work_burst)
         self._faults = TokenBucket(self.limits.faults / 1000.0, self.limits.faults)
-        # When it was last told that it does too much.
+        # When it last heard that it does too much.
         self._complained_at = float("-inf")
         self._operations: dict[str, Callable[[dict[str, Any], float], None]] = {
             "advertise": self._advertise,
@@ -239,16 +239,16 @@ class Client:
     def _subscribe(self, message: dict[str, Any], now: float) -> None:
         topic = self._topic(message)
         name = message["topic"]
-        options = self._wish(message)
-        count = sum(len(one.wishes) for one in self.outbox.subscriptions.values())
+        options = self._options_of(message)
+        count = sum(len(one.requested) for one in self.outbox.subscriptions.values())
         if count >= self.limits.subscriptions:
             raise _Fault(f"at most {self.limits.subscriptions} subscriptions are possible")
         subscription = self.outbox.subscription(topic, name)
         topic.subscribers.add(self)
-        subscription.wishes[str(message.get("id"))] = options
+        subscription.requested[str(message.get("id"))] = options
         subscription.merge()
 
-    def _wish(self, message: dict[str, Any]) -> SubscribeOptions:
+    def _options_of(self, message: dict[str, Any]) -> SubscribeOptions:
         size, compression = self._packing(message)
         return SubscribeOptions(
             max(0, _number(message, "throttle_rate", -86_400_000, 86_400_000)) / 1000.0,
@@ -263,10 +263,10 @@ class Client:
         if subscription is None:
             raise _Remark(f"{name[:128]!r} was not subscribed")
         if "id" in message:
-            subscription.wishes.pop(str(message["id"]), None)
+            subscription.requested.pop(str(message["id"]), None)
         else:
-            subscription.wishes.clear()
-        if subscription.wishes:
+            subscription.requested.clear()
+        if subscription.requested:
             subscription.merge()
         elif self.outbox.unsubscribe(name):
             subscription.topic.subscribers.discard(self)
@@ -422,15 +422,15 @@ class SubscribeOptions:
 class TopicSubscription:
     """All subscriptions of one client to one topic under one spelling, merged."""
 
-    __slots__ = ("dropped", "held", "name", "next_at", "options", "pending", "topic", "wishes")
+    __slots__ = ("dropped", "held", "name", "next_at", "options", "pending", "requested", "topic")
 
     def __init__(self, topic: RosTopic, name: str) -> None:
         self.topic = topic
         self.name = name  # its name as the client spelled it
-        self.wishes: dict[
+        self.requested: dict[
             str, SubscribeOptions
         ] = {}  # what was asked for, by the client's id for it
-        # The most generous of the wishes: every message that any of them asked for.
+        # The most generous of them: every message that any of them asked for.
         self.options = SubscribeOptions()
         self.pending = 0  # messages in the outbox that were not dropped
         # Messages that stand in the outbox and have to be passed over, the oldest first.
@@ -439,13 +439,13 @@ class TopicSubscription:
         self.next_at = float("-inf")  # when the throttle lets the next one through
 
     def merge(self) -> None:
-        wishes = self.wishes.values()
-        sizes = [one.fragment_size for one in wishes if one.fragment_size is not None]
+        requested = self.requested.values()
+        sizes = [one.fragment_size for one in requested if one.fragment_size is not None]
         self.options = SubscribeOptions(
-            min(one.throttle for one in wishes),
-            max(one.queue_length for one in wishes),
+            min(one.throttle for one in requested),
+            max(one.queue_length for one in requested),
             min(sizes, default=None),
-            max((one.compression for one in wishes), key=COMPRESSIONS.index),
+            max((one.compression for one in requested), key=COMPRESSIONS.index),
         )
 
     def advance(self, now: float) -> None:

@@ -92,21 +92,21 @@ class DjiSdk:
 
     def _add_telemetry(self) -> None:
         local = DjiTopic("geometry_msgs/PointStamped", "/local", self._local_position)
-        for name, told in {**DJI_TOPICS, "local_position": local}.items():
-            self._topics.append((self._graph.add_topic(f"/dji_sdk/{name}", told.kind), told))
+        for name, convert in {**DJI_TOPICS, "local_position": local}.items():
+            self._topics.append((self._graph.add_topic(f"/dji_sdk/{name}", convert.kind), convert))
 
     async def _watch(self) -> None:
         async with self._agent.samples(Newest(20)) as samples:
             async for sample in samples:
-                for topic, told in self._topics:
+                for topic, convert in self._topics:
                     # Nobody pays for a topic that nobody reads.
-                    made = told.make(sample) if topic.subscribers else None
+                    made = convert.make(sample) if topic.subscribers else None
                     if made is not None:
                         # ROS 1 has fewer fields than ROS 2, and a number in each header.
                         message = topic.type.default()
                         message |= {name: made[name] for name in made if name in message}
-                        if told.frame is not None:
-                            message["header"] = self._header(told.frame)
+                        if convert.frame is not None:
+                            message["header"] = self._header(convert.frame)
                         self._graph.publish(topic, message, sample.received_at)
 
     async def _watch_mobile(self) -> None:
@@ -332,8 +332,8 @@ class PayloadTopics:
         wanted = call.request["arm"]
         if wanted > 1:
             raise UsageError("arm is 1 (start the motors) or 0 (stop them)")
-        told = await self._clients.order(call, orders.SwitchMotors(on=bool(wanted)))
-        return told | {"cmd_set": Arm.ADDRESS[0], "cmd_id": Arm.ADDRESS[1]}
+        answer = await self._clients.order(call, orders.SwitchMotors(on=bool(wanted)))
+        return answer | {"cmd_set": Arm.ADDRESS[0], "cmd_id": Arm.ADDRESS[1]}
 
 
 def _gimbal(command: GimbalAngle | GimbalSpeed) -> orders.Order:

@@ -84,7 +84,7 @@ class GraphListener(Protocol):
         """The answer to its call; ``values`` is JSON."""
 
     def status(self, level: str, text: str) -> None:
-        """Something to be told, with the level ``error``, ``warning`` or ``info``."""
+        """Report something, with the level ``error``, ``warning`` or ``info``."""
 
 
 @dataclass(slots=True, eq=False)

@@ -108,15 +108,15 @@ class Clients:
         return False
 
     def run(
-        self, client: GraphListener, wish: Callable[[], Coroutine[Any, Any, object]], name: str
+        self, client: GraphListener, order: Callable[[], Coroutine[Any, Any, object]], name: str
     ) -> None:
-        """Run a client's wish, unless it wishes too much; it hears when it fails."""
+        """Carry out a client's order, unless it orders too much; it hears when that fails."""
         if not self.admits(client):
             return
 
         async def guarded() -> None:
             try:
-                await wish()
+                await order()
             except M100Error as error:
                 client.status("error", str(error))
 
@@ -132,15 +132,15 @@ class Clients:
 
         async def answer(call: ServiceCall) -> None:
             try:
-                told = await handler(call)
+                response = await handler(call)
             except CommandRefused as error:
                 call.session.status("error", str(error))
-                told = {"result": False, "ack_data": max(0, error.code)}
+                response = {"result": False, "ack_data": max(0, error.code)}
             except M100Error as error:
                 call.fail(str(error))
                 return
             known = call.service.type.response.default()
-            call.respond({name: value for name, value in told.items() if name in known})
+            call.respond({name: value for name, value in response.items() if name in known})
 
         def on_call(call: ServiceCall) -> None:
             if self.admits(call.session):
@@ -174,14 +174,14 @@ class Clients:
         self, call: ServiceCall, handler: Callable[[ServiceCall], Coroutine[Any, Any, Message]]
     ) -> None:
         try:
-            told = {"success": True, **await handler(call)}
-            told["remaining"] = self._agent.state.lease_remaining
+            response = {"success": True, **await handler(call)}
+            response["remaining"] = self._agent.state.lease_remaining
         except LeaseRefused as error:
-            told = {"success": False, "message": str(error)}
+            response = {"success": False, "message": str(error)}
         except M100Error as error:
             call.fail(str(error))
             return
-        call.respond(told | {"holder": self._agent.holder.name})
+        call.respond(response | {"holder": self._agent.holder.name})
 
     async def _status(self, call: ServiceCall) -> Message:
         return {}

@@ -2,9 +2,9 @@
 
 Types are written as ROS writes them, one field after the other; ``[<=16]`` bounds what clients may
 send in an array. Where generations of DJI's node differ, ``[15..16]`` takes the shorter array, too,
-and ``uint16|int16`` negative values; told is the longer array of the first type. A value is checked
-field by field: what is missing gets its default, what is unknown or of the wrong type or size is an
-error that names the field. Values live in Python form: a dict per message, ``bytes`` for
+and ``uint16|int16`` negative values; published is the longer array of the first type. A value is
+checked field by field: what is missing gets its default, what is unknown or of the wrong type or
+size is an error that names the field. Values live in Python form: a dict per message, ``bytes`` for
 ``uint8[]``, NaN for the JSON ``null`` of a float.
 """
 

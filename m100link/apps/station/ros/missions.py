@@ -67,7 +67,7 @@ class MissionTopics:
             ("mission_hotpoint_reset_yaw", "MissionHpResetYaw", self._reset_heading),
         ):
             clients.offer(name, kind, handler)
-        agent.on_mission_told.append(self._told)
+        agent.on_mission_report.append(self._on_report)
         agent.background.spawn(self._keep_telling(), "mission status")
 
     # -- what clients hear -----------------------------------------------------------------------
@@ -83,8 +83,8 @@ class MissionTopics:
             values = (index, status) if kind == 1 else (status, 0)
             self._graph.publish(self._status, _push(kind, bytes((*values, 0, 0, 0))), self._now)
 
-    def _told(self, told: MissionReport) -> None:
-        self._graph.publish(self._event, _push(told.event, told.data), self._now)
+    def _on_report(self, report: MissionReport) -> None:
+        self._graph.publish(self._event, _push(report.event, report.data), self._now)
 
     @property
     def _now(self) -> float:

@@ -89,7 +89,7 @@ class Node2015:
         self._test_fre = graph.add_topic("/test_fre", number)
         agent.on_activating.append(lambda code: self._tell(self._activation, float(code)))
         agent.on_authority_taken.append(lambda _: self._tell(self._open_close, _CLOSED_BY_APP))
-        self._version_told_at = float("-inf")
+        self._version_sent_at = float("-inf")
         agent.background.spawn(self._watch(), "/test_fre")
         agent.background.spawn(self._publish_each_second(), "1 Hz topics")
 
@@ -190,7 +190,7 @@ class Node2015:
         number = int(data)
         if number < 0:
             if self._clients.session(session).has_lease:
-                self._agent.halt("its client stopped it")
+                self._agent.hover("its client stopped it")
         elif number == 5:
             await self._activate(session)
         elif number == 6:
@@ -204,8 +204,8 @@ class Node2015:
         session.status("info", text)
         # People hear it at most once in a while: it must not push out the events of others.
         now = self._agent.now
-        if now - self._version_told_at >= _VERSION_PAUSE:
-            self._version_told_at = now
+        if now - self._version_sent_at >= _VERSION_PAUSE:
+            self._version_sent_at = now
             self._agent.note(text)
 
 

@@ -205,28 +205,28 @@ def _headers(scope: Scope) -> dict[str, list[str]]:
     return headers
 
 
-def _told(headers: dict[str, list[str]], name: str) -> str:
+def _header(headers: dict[str, list[str]], name: str) -> str:
     return ",".join(headers.get(name, []))
 
 
 def _comes_from_elsewhere(headers: dict[str, list[str]]) -> bool:
     """Whether a page of another origin asks, and not for itself; programs do not say it."""
-    site = _told(headers, "sec-fetch-site")
-    is_told = "sec-fetch-site" in headers and "origin" not in headers
-    return is_told and site not in ("same-origin", "none")
+    site = _header(headers, "sec-fetch-site")
+    is_complete = "sec-fetch-site" in headers and "origin" not in headers
+    return is_complete and site not in ("same-origin", "none")
 
 
 def _is_fetched_elsewhere(scope: Scope, headers: dict[str, list[str]]) -> bool:
     """Whether a page of another origin asks for more than to be opened, or any for a frame."""
-    dest = _told(headers, "sec-fetch-dest")
+    dest = _header(headers, "sec-fetch-dest")
     if dest in _FRAMES:
         return True
     # Of a page that is opened through the console's own worker a browser says "empty"; "navigate"
     # is what no script can ask for.
-    mode = _told(headers, "sec-fetch-mode")
+    mode = _header(headers, "sec-fetch-mode")
     is_opened = mode == "navigate" and dest in ("document", "empty")
     is_opened = is_opened and scope.get("method") == "GET"
-    is_ahead = "prefetch" in _told(headers, "sec-purpose")
+    is_ahead = "prefetch" in _header(headers, "sec-purpose")
     return _comes_from_elsewhere(headers) and (not is_opened or is_ahead)
 
 

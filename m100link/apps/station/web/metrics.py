@@ -99,8 +99,8 @@ class StationMetrics(Collector):
     def collect(self) -> Iterator[Metric]:
         for kind, name, text, labels, samples in self._families():
             family = kind(name, text, labels=labels)
-            for values, *told in samples:
-                family.add_metric(values, *told)
+            for values, *rest in samples:
+                family.add_metric(values, *rest)
             yield family
 
     def _families(self) -> Iterator[_Family]:

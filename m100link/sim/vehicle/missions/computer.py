@@ -125,9 +125,9 @@ class MissionComputer:
         code = self.refusal(WaypointExecution, MissionOrder.ADD)
         if code:
             return code
-        code, told = self.upload.add(point, self._home)
-        if told is not None:
-            self._events.append(WaypointEvent(told))
+        code, notification = self.upload.add(point, self._home)
+        if notification is not None:
+            self._events.append(WaypointEvent(notification))
         return code
 
     def start(self) -> MissionCode:
@@ -252,14 +252,14 @@ class MissionComputer:
         """The mission under way as JSON can carry it; else how the last one ended, if one did."""
         running, last = self.running, self.last
         if running is not None:
-            told: dict[str, Any] = {
+            values: dict[str, Any] = {
                 "kind": self.name,
                 "doing": running.doing,
                 "is_paused": self.is_paused,
             }
             if isinstance(running, WaypointExecution):
-                told |= {"waypoint": running.index, "waypoints": len(running.plan.points)}
-            return told
+                values |= {"waypoint": running.index, "waypoints": len(running.plan.points)}
+            return values
         if not last.last_mission:
             return None
         kind, ended = _NAMES[last.last_mission], "ended"
@@ -358,11 +358,11 @@ class MissionComputer:
                 self.pause(WaypointExecution)
 
     def _take_events(self, running: Flown) -> None:
-        for told in running.events:
-            self._events.append(told)
-            if isinstance(told.event, Reached) and told.event.status == BEFORE_ACTIONS:
-                self.arrivals.append(told.event.index)
-                self._log(f"waypoint {told.event.index} reached")
+        for event in running.events:
+            self._events.append(event)
+            if isinstance(event.event, Reached) and event.event.status == BEFORE_ACTIONS:
+                self.arrivals.append(event.event.index)
+                self._log(f"waypoint {event.event.index} reached")
         running.events.clear()
 
     def _finish(self, running: Flown) -> None:
@@ -409,14 +409,14 @@ class MissionComputer:
         if rate <= 0.0:
             self._events.clear()
             return []
-        told: list[Notification] = []
+        pending: list[Notification] = []
         if self._events:
-            told += self._events
+            pending += self._events
             self._events.clear()
         if now >= self._next_status - 1e-9:
             self._next_status = max(self._next_status, now - 1.0 / rate) + 1.0 / rate
-            told.append(self.status())
-        return told
+            pending.append(self.status())
+        return pending
 
     def status(self) -> MissionStatus:
         """The present content of the status push."""

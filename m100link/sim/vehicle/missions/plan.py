@@ -203,7 +203,7 @@ class WaypointUpload:
     def add(
         self, point: WaypointPoint, home: LocalPlace | None
     ) -> tuple[MissionCode, Uploaded | None]:
-        """Take a point; with the last one that was missing, the whole is judged and told."""
+        """Take a point; with the last one that was missing, the whole is judged and reported."""
         if self.mission is None:
             return MissionCode.NO_MISSION, None
         if point.index >= self.mission.count:

@@ -63,7 +63,7 @@ async def test_a_setpoint_expires_and_a_halt_stops_at_once(rig: Rig) -> None:
     rig.agent.steer(rig.token, NORTH)
     await anyio.sleep(0.1)
     assert list(moves)[-1].roll_or_x == 1.0
-    rig.agent.halt()
+    rig.agent.hover()
     await anyio.sleep(0.03)
     assert list(moves)[-1].roll_or_x == 0.0
     rig.agent.steer(rig.token, NORTH)
@@ -131,15 +131,15 @@ async def test_after_stop_a_stream_of_setpoints_is_refused_until_it_begins_anew(
             with pytest.raises(GuardRefused, match="STOP was pressed"):
                 rig.agent.steer(rig.token, NORTH)
             await anyio.sleep(0.05)
-        rig.agent.halt("somebody presses hover")
-        rig.agent.halt("", "of a lease that is not this one")
+        rig.agent.hover("somebody presses hover")
+        rig.agent.hover("", "of a lease that is not this one")
         with pytest.raises(GuardRefused, match="STOP was pressed"):
             rig.agent.steer(rig.token, NORTH)
         assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x == 0.0
         if asks_anew:
             await rig.agent.ask(orders.Obtain(), rig.token)
         else:
-            rig.agent.halt("let go", rig.token)
+            rig.agent.hover("let go", rig.token)
         rig.agent.steer(rig.token, NORTH)
         await anyio.sleep(0.1)
         assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x > 0.0
@@ -185,7 +185,7 @@ async def test_a_stream_does_not_go_on_after_the_pilot_gave_the_aircraft_back(
     if pauses:
         await anyio.sleep(1.1)
     else:
-        rig.agent.halt("let go", rig.token)
+        rig.agent.hover("let go", rig.token)
     rig.agent.steer(rig.token, NORTH)
 
 
@@ -205,7 +205,7 @@ async def test_a_stop_is_not_undone_by_control_that_was_asked_for_before_it(rig:
     rig.agent.steer(rig.token, NORTH)
 
 
-async def test_whoever_takes_over_after_a_stop_begins_anew(rig: Rig) -> None:
+async def test_a_client_that_takes_over_after_a_stop_begins_anew(rig: Rig) -> None:
     await airborne(rig)
     await rig.agent.stop()
     leases, now = rig.agent.leases, rig.agent.now
@@ -236,7 +236,7 @@ async def test_a_lost_line_is_opened_again_and_the_key_stays_in_use(rig: Rig) ->
     assert rig.holding.has_authority
 
 
-async def test_an_aircraft_that_is_not_there_is_told_once(rig: Rig) -> None:
+async def test_an_aircraft_that_is_not_there_is_reported_once(rig: Rig) -> None:
     rig.aircraft.unplug()
     await anyio.sleep(10.0)
     told = [event.text for event in rig.agent.journal.events if "not connected" in event.text]
@@ -245,7 +245,7 @@ async def test_an_aircraft_that_is_not_there_is_told_once(rig: Rig) -> None:
         await rig.agent.ask(orders.AskVersion())
 
 
-# -- authority that is kept when whoever flew is lost ----------------------------------------------
+# -- authority that is kept when the client that flew is lost --------------------------------------
 
 LOST = pytest.mark.parametrize("why", [LeaseChange.FRONT_LOST, LeaseChange.EXPIRED])
 
@@ -263,7 +263,7 @@ async def lose(rig: Rig, why: LeaseChange) -> None:
 
 
 @LOST
-async def test_by_default_authority_goes_back_with_whoever_is_lost(why: LeaseChange) -> None:
+async def test_by_default_authority_goes_back_with_a_lost_client(why: LeaseChange) -> None:
     async with Rig().running() as rig:
         await airborne(rig)
         await lose(rig, why)
@@ -271,7 +271,7 @@ async def test_by_default_authority_goes_back_with_whoever_is_lost(why: LeaseCha
 
 
 @LOST
-async def test_kept_authority_is_there_for_whoever_comes_back(why: LeaseChange) -> None:
+async def test_kept_authority_is_there_for_the_next_client(why: LeaseChange) -> None:
     async with Rig(keep_authority=10.0).running() as rig:
         await airborne(rig)
         await lose(rig, why)

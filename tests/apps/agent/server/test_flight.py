@@ -122,7 +122,7 @@ async def test_what_halts_is_a_neutral_from_its_first_frame_on(
     rig.agent.steer(rig.token, EAST, 1.0)
     sent: list[Setpoint] = []
     monkeypatch.setattr(flying._control, "send", lambda setpoint, **_: sent.append(setpoint))
-    flying.halt("enough")
+    flying.hover("enough")
     assert sent == [Setpoint.velocity(north=0.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)]
 
 
@@ -172,7 +172,9 @@ async def waypoints() -> AsyncIterator[Rig]:
         yield one
 
 
-async def test_who_waits_for_the_end_of_a_mission_is_told_that_it_was_flown(waypoints: Rig) -> None:
+async def test_a_client_that_waits_for_the_end_of_a_mission_hears_that_it_was_flown(
+    waypoints: Rig,
+) -> None:
     rig, begun = waypoints, []
     await mission(rig, away(rig, 10, 20), begun=lambda: begun.append(speed(rig)))
     assert begun
@@ -181,7 +183,7 @@ async def test_who_waits_for_the_end_of_a_mission_is_told_that_it_was_flown(wayp
 
 
 @pytest.mark.parametrize("how", ["halt", "stop", "mission stop", "pilot", "lease"])
-async def test_who_waits_for_the_end_of_a_mission_is_told_what_ended_it(
+async def test_a_client_that_waits_for_the_end_of_a_mission_hears_what_ended_it(
     waypoints: Rig, how: str
 ) -> None:
     rig = waypoints
@@ -195,7 +197,7 @@ async def test_who_waits_for_the_end_of_a_mission_is_told_what_ended_it(
         group.start_soon(wait)
         await rig.until(lambda: speed(rig) > 3.0)
         if how == "halt":
-            rig.agent.halt("somebody")
+            rig.agent.hover("somebody")
         elif how == "stop":
             await rig.agent.stop()
         elif how == "mission stop":
@@ -280,7 +282,7 @@ async def test_stop_ends_the_way_to_the_ground_behind_a_mission(
     assert speed(rig) < 0.1
 
 
-async def test_a_guided_flight_begins_is_told_and_ends_for_a_program(rig: Rig) -> None:
+async def test_a_guided_flight_begins_is_reported_and_ends_for_a_program(rig: Rig) -> None:
     await airborne(rig)
     flying, began = rig.holding.require(), list[str]()
     order = orders.ChangeHeight(20.0)
@@ -400,11 +402,11 @@ async def test_height_heading_and_orbit(pointing: Pointing) -> None:
     assert await flight is None
 
 
-async def test_what_remains_is_told(pointing: Pointing) -> None:
+async def test_the_rest_is_reported(pointing: Pointing) -> None:
     order = pointing.place(60, 0, speed=5.0, yaw_deg=90.0)
     await pointing.under_way(order, 4.0)
     flying = pointing.rig.holding.require()
-    found = flying.guiding.told()
+    found = flying.guiding.current()
     assert isinstance(found, orders.GuidedFlight)
     assert (found.what, found.height, found.yaw_deg) == ("flight to a place", 10.0, 90.0)
     assert (found.latitude_deg, found.longitude_deg) == (order.latitude_deg, order.longitude_deg)
@@ -414,7 +416,7 @@ async def test_what_remains_is_told(pointing: Pointing) -> None:
     began = pointing.rig.agent.now
     await pointing.rig.until(lambda: guided(pointing.rig) is None)
     assert pointing.rig.agent.now - began == pytest.approx(found.seconds, rel=0.25)
-    assert flying.guiding.told() is None
+    assert flying.guiding.current() is None
 
 
 @pytest.mark.parametrize(
@@ -428,7 +430,7 @@ async def test_what_remains_is_told(pointing: Pointing) -> None:
         (("heading", 120.0), None, None),
     ],
 )
-async def test_what_remains_is_told_at_the_beginning(
+async def test_the_rest_is_reported_at_the_beginning(
     pointing: Pointing, order: tuple[Any, ...], metres: float | None, seconds: float | None
 ) -> None:
     wanted: GuidedOrder
@@ -441,9 +443,9 @@ async def test_what_remains_is_told_at_the_beginning(
             wanted = orders.ChangeHeading(heading)
     flight, guiding = pointing.begin(wanted), pointing.rig.holding.require().guiding
     await pointing.rig.until(
-        lambda: (one := guiding.told()) is not None and one.seconds is not None
+        lambda: (one := guiding.current()) is not None and one.seconds is not None
     )
-    found = guiding.told()
+    found = guiding.current()
     assert found is not None
     assert found.distance_m == (None if metres is None else pytest.approx(metres, rel=0.1, abs=0.7))
     began, expected = pointing.rig.agent.now, found.seconds
@@ -478,7 +480,7 @@ async def renew_no_more(pointing: Pointing) -> None:
 
 
 async def halt(pointing: Pointing) -> None:
-    pointing.rig.agent.halt("somebody pressed stop")
+    pointing.rig.agent.hover("somebody pressed stop")
 
 
 async def stop(pointing: Pointing) -> None:
@@ -495,7 +497,7 @@ ENDS: list[tuple[Callable[[Pointing], Any], str]] = [
     (renew_no_more, "control changed hands"),
     (halt, "somebody pressed stop"),
     (stop, "stop"),
-    (release, "halted"),
+    (release, "hover was ordered"),
 ]
 
 

@@ -78,7 +78,7 @@ async def test_who_may_not_watch_gets_nothing(road: Road) -> None:
             assert (reply.outcome, data) == (Outcome.NOT_ALLOWED, b"")
 
 
-async def test_so_many_bytes_a_second_leave_it_and_who_is_early_is_told_when(road: Road) -> None:
+async def test_so_many_bytes_a_second_leave_it_and_an_early_client_hears_when(road: Road) -> None:
     began = anyio.current_time()
     left, told = 0, []
     async with serving(road, rate=100_000.0):
@@ -127,13 +127,13 @@ async def test_a_digest_is_made_once_for_all_who_ask_and_one_at_a_time(
     made: list[tuple[str, int]] = []
 
     async with serving(road) as service:
-        digest = service._shelf.digest
+        digest = service._directory.digest
 
         def counted(log: str, length: int, is_wanted: Any) -> bytes:
             made.append((log, length))
             return digest(log, length, is_wanted)
 
-        monkeypatch.setattr(service._shelf, "digest", counted)
+        monkeypatch.setattr(service._directory, "digest", counted)
         question = LogQuestion(What.DIGEST, FIRST, 0, 300_000)
         found: list[bytes] = []
 

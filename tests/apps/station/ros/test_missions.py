@@ -1,4 +1,4 @@
-"""Waypoint missions by the names of the later node: uploaded, flown, told, stopped."""
+"""Waypoint missions by the names of the later node: uploaded, flown, reported, stopped."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def is_flying(rig: Rig) -> bool:
     return rig.front.state.mission == "waypoint mission"
 
 
-async def test_a_mission_is_uploaded_flown_and_told(rig: Rig) -> None:
+async def test_a_mission_is_uploaded_flown_and_reported(rig: Rig) -> None:
     page = await rig.airborne()
     page.subscribe("/dji_sdk/mission_status")
     page.subscribe("/dji_sdk/mission_event")
@@ -172,7 +172,7 @@ async def test_while_it_flies_setpoints_and_tasks_are_refused_and_it_flies_on(ri
 
 
 @pytest.mark.parametrize("how", ["leaves", "closes", "stop button", "halt"])
-async def test_it_is_stopped_with_the_control_of_whoever_started_it(rig: Rig, how: str) -> None:
+async def test_it_is_stopped_with_the_control_of_its_starter(rig: Rig, how: str) -> None:
     page = await rig.airborne()
     await upload(rig, page)
     await act(rig, page, START)
@@ -184,7 +184,7 @@ async def test_it_is_stopped_with_the_control_of_whoever_started_it(rig: Rig, ho
     elif how == "stop button":
         await rig.front.stop()
     else:
-        rig.front.halt("somebody saw a child")
+        rig.front.hover("somebody saw a child")
     await rig.until(lambda: not is_flying(rig), within=5.0)
     assert rig.aircraft.vehicle.flight.dynamics.motors_on
     await anyio.sleep(5.0)
@@ -193,7 +193,7 @@ async def test_it_is_stopped_with_the_control_of_whoever_started_it(rig: Rig, ho
     assert rig.aircraft.position == pytest.approx(held, abs=0.3)
 
 
-async def test_that_it_was_broken_off_is_told_for_programs(rig: Rig) -> None:
+async def test_that_it_was_broken_off_is_reported_for_programs(rig: Rig) -> None:
     page = await rig.airborne()
     await upload(rig, page)
     await act(rig, page, START)

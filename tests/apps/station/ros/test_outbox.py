@@ -24,7 +24,7 @@ class Bench:
         self.outbox = Outbox(waiting, lambda: None)
         for topic in self.topics:
             subscription = self.outbox.subscription(topic, topic.name)
-            subscription.wishes["1"] = SubscribeOptions()
+            subscription.requested["1"] = SubscribeOptions()
             subscription.merge()
 
     def put(self, topic: RosTopic, value: float) -> None:

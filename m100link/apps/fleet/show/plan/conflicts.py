@@ -77,8 +77,8 @@ class ConflictMonitor:
     def to_bytes(self) -> bytes:
         """As it goes over the network."""
         places = [[round(one, 2) for one in place] for place in self.places]
-        told = [self.show, self.name, round(self.at, 3), round(self.down_from, 3), places]
-        return json.dumps(told, separators=(",", ":")).encode()
+        fields = [self.show, self.name, round(self.at, 3), round(self.down_from, 3), places]
+        return json.dumps(fields, separators=(",", ":")).encode()
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
@@ -131,7 +131,7 @@ class Neighbours:
     """The other aircraft of a show, as one of them hears them.
 
     ``least_m``: how near two may come to each other, m. ``count``: how many others there are; 0
-    where that was not told.
+    where it did not report that.
 
     Raises:
         BadShow: That is no distance.
@@ -156,7 +156,7 @@ class Neighbours:
             self._heard[ahead.name] = ahead, now
 
     def missing(self, now: float) -> int:
-        """How many of the others have not told in the last two seconds where they will be."""
+        """How many of the others have not reported in the last two seconds where they will be."""
         heard = sum(now - at <= _THERE_S for _, at in self._heard.values())
         return max(0, self.count - heard)
 
@@ -188,7 +188,7 @@ class Neighbours:
         return between > self.least_m + own.way + other.way
 
     def _meets(self, own: ConflictMonitor, other: ConflictMonitor) -> Near | None:
-        """Whether the two come too near if each flies on as it told."""
+        """Whether the two come too near if each flies on as it reported."""
         if self._is_far(own, other):
             return None
         for step in range(round(AHEAD_S / _FINE_S) + 1):

@@ -411,13 +411,13 @@ def distances(show: Show) -> list[tuple[float, float]]:
 
 def _remarks(show: Show) -> Iterator[str]:
     """Aircraft above others: one that fails falls on whatever is below."""
-    told: set[tuple[int, int]] = set()
+    reported: set[tuple[int, int]] = set()
     for at, there in places(show):
         for (i, first), (j, second) in combinations(enumerate(there), 2):
             upper, lower = (i, j) if first[2] > second[2] else (j, i)
             is_near = math.dist(first[:2], second[:2]) < show.least_distance_m
-            if is_near and (upper, lower) not in told:
-                told.add((upper, lower))
+            if is_near and (upper, lower) not in reported:
+                reported.add((upper, lower))
                 yield (
                     f"{show.tracks[upper].name} is above {show.tracks[lower].name} at {at:.1f} s: "
                     "if it fails or lands there, it falls on it"
@@ -450,8 +450,8 @@ def _from_above(show: Show) -> Iterator[str]:
         colour, spots = _colour(index, len(ways)), [view.spot(*place[:2]) for place in way]
         yield f"<g><title>{escaped(track.name)}</title>{svg_line(spots, colour)}"
         for point in track.points:
-            spot, told = view.spot(point.north, point.east), f"{point.at:g} s: {point.height:g} m"
-            yield svg_dot(spot, 2.5, colour, "none", f"{track.name}, {told}")
+            spot, label = view.spot(point.north, point.east), f"{point.at:g} s: {point.height:g} m"
+            yield svg_dot(spot, 2.5, colour, "none", f"{track.name}, {label}")
         yield f"{svg_dot(spots[0], 6, stroke=colour)}</g>"
         if len(ways) <= _NAMED:
             x, y = spots[0]

@@ -113,7 +113,7 @@ _SHOWN = ("flight_status", "battery", "gps", "height", "speed", "mode_switch")
 
 
 class InstrumentsPart:
-    """The pilot's instruments; ``static/instruments.js`` draws the canvas from the socket."""
+    """The flight instruments; ``static/instruments.js`` draws the canvas from the socket."""
 
     def __init__(self, page: PageContext) -> None:
         horizon = ui.element("canvas").props("id=horizon role=img")
@@ -205,7 +205,7 @@ class ChecklistPart:
     def __init__(self, page: PageContext) -> None:
         self._page = page
         self._take_over = TakeOverDialog(page.tab, page.wording)
-        wording, desk = page.wording, page.memory.checklist
+        wording, checklist = page.wording, page.memory.checklist
         with wording.card("checklist.title"):
             self._summary = ui.label().classes("summary").props("id=check-summary role=status")
             with ui.element("ul").classes("checks").props("id=checks"):
@@ -213,7 +213,7 @@ class ChecklistPart:
             free = ui.checkbox(on_change=lambda event: self._say_free(is_free=bool(event.value)))
             self._free = free.props("id=free-said").classes("free")
             wording.put(self._free.set_text, "checklist.free.box")
-            self._why = ui.input(on_change=lambda event: desk.say_why(str(event.value or "")))
+            self._why = ui.input(on_change=lambda event: checklist.say_why(str(event.value or "")))
             self._why.props("for=why outlined maxlength=200").classes("w-full")
             wording.put(lambda text: self._why.props(f'label="{text}"'), "checklist.why")
             wording.put(lambda text: self._why.props(f'hint="{text}"'), "checklist.why.note")
@@ -238,10 +238,10 @@ class ChecklistPart:
         return _Row(box, shape, state, seen, remedy)
 
     def _say_free(self, *, is_free: bool) -> None:
-        page, desk, now = self._page, self._page.memory.checklist, self._page.agent.now
-        if is_free is desk.is_free(now):
+        page, checklist, now = self._page, self._page.memory.checklist, self._page.agent.now
+        if is_free is checklist.is_free(now):
             return  # the box follows what was said, and says nothing by itself
-        desk.say_free(now, is_free=is_free)
+        checklist.say_free(now, is_free=is_free)
         page.tabs.looks.say(page.tab.person, page.tab.aircraft, page.agent, is_free=is_free)
 
     def update(self, view: ViewModel) -> None:

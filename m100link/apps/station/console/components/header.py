@@ -98,7 +98,7 @@ class AlarmsPart:
 
     def __init__(self, page: PageContext) -> None:
         self._page = page
-        self._spoken: dict[AlarmName, float] = {}  # what was told to be spoken, and since when
+        self._spoken: dict[AlarmName, float] = {}  # what the page is to speak, and since when
         wording = page.wording
         with ui.element("ul").props("id=alarms").classes("alarms") as alarms:
             self._rows = {name: self._build_row(name) for name in AlarmName}
@@ -244,7 +244,7 @@ class ReplayPart:
             self._is_showing = False
 
     def _show(self, shown: ReplayView) -> None:
-        said, told = self._page.wording, shown.told
+        said, source = self._page.wording, shown.source
         if not self._is_marked:
             self._is_marked = True
             ui.run_javascript('document.body.dataset.replay = "yes"')
@@ -252,13 +252,13 @@ class ReplayPart:
         self._place.set_text(said(shown.place))
         self._note.set_text("" if shown.note is None else said(shown.note))
         self._toggle.set_text(said(Text("replay.pause" if shown.is_running else "replay.resume")))
-        if told.duration_s != self._duration_s:
-            self._duration_s = told.duration_s
-            self._slider.props(f"max={max(_STEP, told.duration_s):.1f}")
+        if source.duration_s != self._duration_s:
+            self._duration_s = source.duration_s
+            self._slider.props(f"max={max(_STEP, source.duration_s):.1f}")
         if not self._is_held:
-            self._slider.set_value(round(told.position_s, 1))
-        if told.speed in SPEEDS:
-            self._speed.set_value(told.speed)
+            self._slider.set_value(round(source.position_s, 1))
+        if source.speed in SPEEDS:
+            self._speed.set_value(source.speed)
 
 
 # -- the aircraft that this station serves ---------------------------------------------------------
@@ -299,7 +299,7 @@ class _ShipRow:
                 self._battery = ui.label()
             self._turn: Any = turn
             turn.on("click", self._turn_to, args=[])
-            stop = page.wording.button("actions.stop", f'data-halt="{name}"', looks="ship-stop")
+            stop = page.wording.button("actions.stop", f'data-stop="{name}"', looks="ship-stop")
             page.wording.put(attribute(stop), "fleet.stop", name=name)
             stop.on("click", self._stop, js_handler=ORDER)
 

@@ -108,7 +108,7 @@ class ClickPart:
         self._orders = 0  # given so far: the page shows the end of the newest only
         self._is_open = False
         self._drawn = ""
-        self._told: tuple[tuple[MapRefusal, ...], DisplaySettings] | None = (
+        self._reported: tuple[tuple[MapRefusal, ...], DisplaySettings] | None = (
             None  # and what it was said in
         )
         self._fields: dict[str, ui.element] = {}
@@ -143,7 +143,7 @@ class ClickPart:
         self._open(is_open=False)
 
     def _build_kind(self, kind: GuidedKind) -> ui.element:
-        key, props = f"click.{kind.value}", f"data-wish={kind.value}"
+        key, props = f"click.{kind.value}", f"data-kind={kind.value}"
         return self._page.wording.button(key, props, partial(self._kind, kind), looks="")
 
     def _build_fields(self) -> None:
@@ -285,7 +285,7 @@ class ClickPart:
 
     async def _hover(self) -> None:
         self._orders += 1  # an end that was asked for is not a problem
-        self._page.agent.halt(f"{self._page.tab.session.name}: hover")
+        self._page.agent.hover(f"{self._page.tab.session.name}: hover")
 
     # -- what is shown ---------------------------------------------------------------------------
 
@@ -315,10 +315,10 @@ class ClickPart:
         return "" if text is None else self._say(text)
 
     def _tell(self, refusals: tuple[MapRefusal, ...]) -> None:
-        told = refusals, self._page.wording.settings
-        if told == self._told:
+        reported = refusals, self._page.wording.settings
+        if reported == self._reported:
             return
-        self._told = told
+        self._reported = reported
         self._refusals.clear()
         with self._refusals:
             for refusal in refusals:

@@ -255,7 +255,7 @@ class PlanPart:
         await self._order(orders.UploadPlan.of(self._draft.plan()))
 
     async def _start(self) -> None:
-        """Fly the plan that this pilot uploaded, and none that somebody else uploaded since."""
+        """Fly the plan that this operator uploaded, and none that somebody else uploaded since."""
         await self._order(orders.StartMission(self._page.tab.session.uploaded))
 
     async def _order(self, order: orders.Order) -> None:
@@ -338,7 +338,7 @@ class WaypointPart:
         wording: Wording,  # says what stands there
         change: Callable[..., None],  # takes the fields of :class:`~m100link.Waypoint` that change
         move: Callable[[int], None],  # puts it earlier (-1) or later (1), or removes it (0)
-        refuse: Callable[[str], None],  # told what is not an action
+        refuse: Callable[[str], None],  # takes what is not an action
     ) -> None:
         self._change, self._refuse = change, refuse
         self._numbers: dict[str, NumberField] = {}

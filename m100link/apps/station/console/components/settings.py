@@ -58,10 +58,10 @@ def apply_settings(page: PageContext, settings: DisplaySettings) -> None:
     if settings.name:
         page.tab.session.name = settings.name
     page.dark.set_value({Theme.AUTO: None, Theme.DARK: True}.get(settings.theme, False))
-    told = json.dumps(for_browser(settings.speaker))
+    speaker = json.dumps(for_browser(settings.speaker))
     ui.run_javascript(
         f"document.body.classList.toggle('sun', {json.dumps(settings.theme is Theme.SUN)});"
-        f'import("/console/said.js").then((said) => said.choose({told}));'
+        f'import("/console/said.js").then((said) => said.choose({speaker}));'
     )
     page.wording.choose(settings)
 

@@ -1,4 +1,4 @@
-// What a pilot looks at, drawn from the messages of the socket: a value that is not in them is old.
+// The flight instruments, drawn from the messages of the socket: a value that is not in them is old.
 
 import {number, units, words} from "./said.js";
 

@@ -8,7 +8,7 @@ const QUIET_MS = 1000;  // after a focus that nobody at this page moved
 const CAUSED_MS = 500;  // a press moves the focus within that time
 
 const ORDERS = "button:not([data-go]), [role=button], [role=checkbox], [role=switch], #pad";
-const STOPS = "[data-act=stop], [data-halt]";
+const STOPS = "[data-act=stop], [data-stop]";
 
 let pressedAt = -Infinity;  // by a pointer, or Tab
 let quietUntil = -Infinity;

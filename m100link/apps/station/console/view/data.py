@@ -110,7 +110,7 @@ def _cause(name: str) -> Text:
 def _rates(inputs: Inputs) -> tuple[ItemRate, ...]:
     if inputs.vehicle.telemetry is None:
         return ()
-    told = [inputs.vehicle.telemetry.statistics(item.record) for item in ITEMS]
+    statistics = [inputs.vehicle.telemetry.statistics(item.record) for item in ITEMS]
     return tuple(
         ItemRate(
             Text(f"plots.item.{one.name}"),
@@ -118,7 +118,7 @@ def _rates(inputs: Inputs) -> tuple[ItemRate, ...]:
             "–" if one.jitter_s is None else f"{1000.0 * one.jitter_s:.1f}",
             f"{one.longest_gap_s:.2f}",
         )
-        for one in told
+        for one in statistics
         if one.count
     )
 
@@ -165,7 +165,7 @@ def kind(name: str) -> QuantityKind | None:
 def _sign(name: str) -> str:
     if name.endswith(".percent"):
         return "%"
-    return next((told for end, told in _UNITS if name.endswith(end)), "")
+    return next((unit for end, unit in _UNITS if name.endswith(end)), "")
 
 
 def label(name: str) -> Text:
@@ -323,7 +323,7 @@ class Diary:
         self._last_event = 0
 
     def take(self, events: Iterable[Event], now: float, wall: float) -> None:
-        """Take over what the agent told.
+        """Take over what the agent reported.
 
         ``now``: time on the agent's clock, s. ``wall``: the same moment in seconds since 1970.
         """

@@ -388,7 +388,7 @@ class Instruments:
 
 
 def instruments_of(inputs: Inputs) -> Instruments:
-    """The instruments as they are now; what an agent told that is not heard any more is old."""
+    """The instruments as they are now; values of an agent that is not heard any more are old."""
     view = inputs.vehicle
     attitude = view.get(Attitude)
     return Instruments(

@@ -240,28 +240,28 @@ class ReplayView:
     place: Text  # how far it is, and when that was
     note: Text | None  # that it is at its end, or that there is no more; None for nothing
     is_running: bool  # whether it goes on by itself
-    told: Replay  # as the agent told it
+    source: Replay  # as the agent reported it
 
 
-def replay_of(told: Replay | None) -> ReplayView | None:
+def replay_of(source: Replay | None) -> ReplayView | None:
     """The bar; None where it is not a replay."""
-    if told is None:
+    if source is None:
         return None
-    when = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(told.utc))
-    note = tr("replay.at_end") if told.is_at_end else None
-    if told.is_at_end and told.is_cut_off:
+    when = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(source.utc))
+    note = tr("replay.at_end") if source.is_at_end else None
+    if source.is_at_end and source.is_cut_off:
         note = tr("replay.cut_off")
     return ReplayView(
-        title=tr("replay.title", name=told.name),
+        title=tr("replay.title", name=source.name),
         place=tr(
             "replay.at",
-            position=_clock(told.position_s),
-            duration=_clock(told.duration_s),
+            position=_clock(source.position_s),
+            duration=_clock(source.duration_s),
             when=when,
         ),
         note=note,
-        is_running=not (told.is_paused or told.is_at_end),
-        told=told,
+        is_running=not (source.is_paused or source.is_at_end),
+        source=source,
     )
 
 

@@ -45,7 +45,7 @@ class Situation:
     lease_end: LeaseChanged | None = None
     # Why authority was lost while this tab had the lease; None when it was not.
     loss: LossReason | None = None
-    task: str = ""  # what the aircraft flies by itself because it was told to; empty for nothing
+    task: str = ""  # what the aircraft flies by itself, by order; empty for nothing
     pattern: str = ""  # name of the program that flies; empty for none
     mission: str = ""  # kind of mission that flies, by the agent's names; empty when nobody knows
     mission_index: int | None = None  # waypoint that it flies to, counted from 0

@@ -85,7 +85,7 @@ def view_of(inputs: Inputs, memory: Memory | None = None) -> ViewModel:
 
 # -- what a page remembers from one view to the next -----------------------------------------------
 
-_TOLD = {
+_REPORTED = {
     AlarmState.RAISED: "alarms.event.raised",
     AlarmState.ACKNOWLEDGED: "alarms.event.acknowledged",
     AlarmState.PASSED: "alarms.event.passed",
@@ -122,7 +122,7 @@ class Memory:
         for change in changes:
             is_news = change.state in (AlarmState.RAISED, AlarmState.PASSED)
             self.diary.write(
-                tr(_TOLD[change.state], alarm=change.text),
+                tr(_REPORTED[change.state], alarm=change.text),
                 change.at + self._ahead,
                 _LEVELS[change.level] if is_news else "info",
             )
